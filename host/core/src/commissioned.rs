@@ -2,8 +2,8 @@
 //!
 //! `doctor`, `bring-up` and `calibrate` follow each other, and each changes the configuration. A
 //! procedure that passes therefore carries the earlier results over to the configuration that it
-//! leaves, if they held for the one that it began with. After any other change they no longer
-//! count.
+//! leaves, if they held for the one that it began with and it reports each of its changes. After
+//! any other change, also one between an interruption and the end, they no longer count.
 
 use core::fmt;
 
@@ -53,6 +53,8 @@ pub enum ProcedureResult {
     Begun,
     /// It continues after an interruption.
     Resumed,
+    /// It has put another configuration in force.
+    Changed,
     /// It has ended, and the next procedure may begin.
     Passed,
     /// It has ended, and the next procedure must not begin.
@@ -66,6 +68,7 @@ impl ProcedureResult {
         match word {
             "begun" => Some(Self::Begun),
             "resumed" => Some(Self::Resumed),
+            "changed" => Some(Self::Changed),
             "passed" => Some(Self::Passed),
             "failed" => Some(Self::Failed),
             _ => None,
@@ -82,7 +85,7 @@ pub struct Subject {
     pub car_id: u16,
 }
 
-/// A result, or the beginning of a procedure.
+/// A result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProcedureEntry {
@@ -95,6 +98,20 @@ pub struct ProcedureEntry {
     pub car_id: u16,
     /// When, in seconds since 1970.
     pub time_s: u64,
+}
+
+/// A procedure that is under way, or was interrupted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Beginning {
+    procedure: Procedure,
+    car_id: u16,
+    /// The hash of the configuration at the beginning.
+    #[serde(with = "hexadecimal")]
+    since: u64,
+    /// The same after the last change by the procedure itself.
+    #[serde(with = "hexadecimal")]
+    reached: u64,
 }
 
 /// Most results that are kept; older ones are dropped.
@@ -110,7 +127,7 @@ const DAY_S: u64 = 86_400;
 #[serde(deny_unknown_fields)]
 pub struct Commissioned {
     passed: Vec<ProcedureEntry>,
-    begun: Vec<ProcedureEntry>,
+    begun: Vec<Beginning>,
 }
 
 /// Why a car may not be armed.
@@ -179,41 +196,60 @@ impl Commissioned {
         subject: Subject,
         time_s: u64,
     ) {
-        let entry = ProcedureEntry {
-            procedure,
-            configuration: subject.configuration,
-            car_id: subject.car_id,
-            time_s,
-        };
-        let is_same =
-            |other: &ProcedureEntry| other.procedure == procedure && other.car_id == subject.car_id;
+        let Subject {
+            configuration,
+            car_id,
+        } = subject;
+        let is_same = |other: &Beginning| other.procedure == procedure && other.car_id == car_id;
+        let begun = self.begun.iter().copied().find(is_same);
         match result {
-            ProcedureResult::Resumed if self.begun.iter().any(is_same) => {}
+            ProcedureResult::Changed => {
+                for begun in self.begun.iter_mut().filter(|other| is_same(other)) {
+                    begun.reached = configuration;
+                }
+            }
+            ProcedureResult::Resumed
+                if begun.is_some_and(|begun| begun.reached == configuration) => {}
             ProcedureResult::Begun | ProcedureResult::Resumed => {
                 self.begun.retain(|other| !is_same(other));
-                push(&mut self.begun, entry);
+                let beginning = Beginning {
+                    procedure,
+                    car_id,
+                    since: configuration,
+                    reached: configuration,
+                };
+                push(&mut self.begun, beginning);
             }
             ProcedureResult::Passed => {
-                if let Some(begun) = self.begun.iter().find(|other| is_same(other)) {
-                    let since = begun.configuration;
+                if let Some(begun) = begun.filter(|begun| begun.reached == configuration) {
                     for other in &mut self.passed {
-                        if other.car_id == subject.car_id
-                            && other.configuration == since
+                        if other.car_id == car_id
+                            && other.configuration == begun.since
                             && other.procedure < procedure
                         {
-                            other.configuration = subject.configuration;
+                            other.configuration = configuration;
                         }
                     }
                 }
                 self.begun.retain(|other| !is_same(other));
-                self.passed.retain(|other| !is_same(other));
+                self.forget(procedure, car_id);
+                let entry = ProcedureEntry {
+                    procedure,
+                    configuration,
+                    car_id,
+                    time_s,
+                };
                 push(&mut self.passed, entry);
             }
             // It can be resumed, as after an interruption.
-            ProcedureResult::Failed => {
-                self.passed.retain(|other| !is_same(other));
-            }
+            ProcedureResult::Failed => self.forget(procedure, car_id),
         }
+    }
+
+    /// Drops the result of a procedure on a car.
+    fn forget(&mut self, procedure: Procedure, car_id: u16) {
+        self.passed
+            .retain(|other| other.procedure != procedure || other.car_id != car_id);
     }
 
     /// The first procedure that has to be done before this car may be armed, at a time in
@@ -258,7 +294,7 @@ impl Commissioned {
     }
 }
 
-fn push(entries: &mut Vec<ProcedureEntry>, entry: ProcedureEntry) {
+fn push<T>(entries: &mut Vec<T>, entry: T) {
     let too_many = (entries.len() + 1).saturating_sub(MOST);
     entries.drain(..too_many);
     entries.push(entry);
@@ -266,7 +302,7 @@ fn push(entries: &mut Vec<ProcedureEntry>, entry: ProcedureEntry) {
 
 #[cfg(test)]
 mod tests {
-    use ProcedureResult::{Begun, Failed, Passed, Resumed};
+    use ProcedureResult::{Begun, Changed, Failed, Passed, Resumed};
 
     use super::*;
 
@@ -284,6 +320,7 @@ mod tests {
         let mut known = Commissioned::default();
         for (before, procedure) in (1..).zip(Procedure::ALL) {
             known.note(procedure, Begun, subject(before), NOW);
+            known.note(procedure, Changed, subject(before + 1), NOW);
             known.note(procedure, Passed, subject(before + 1), NOW);
         }
         known
@@ -333,6 +370,7 @@ mod tests {
         known.note(Procedure::Doctor, Passed, subject(4), NOW);
         assert_eq!(why(&known, subject(4), NOW), None);
         known.note(Procedure::Doctor, Begun, subject(4), NOW);
+        known.note(Procedure::Doctor, Changed, subject(5), NOW);
         known.note(Procedure::Doctor, Passed, subject(5), NOW);
         let lapsed = Some((Procedure::BringUp, Lapsed::OtherConfiguration));
         assert_eq!(why(&known, subject(5), NOW), lapsed);
@@ -343,11 +381,34 @@ mod tests {
         let mut known = Commissioned::default();
         known.note(Procedure::Doctor, Passed, subject(2), NOW);
         known.note(Procedure::BringUp, Begun, subject(2), NOW);
-        // It was killed after a change to 3.
+        known.note(Procedure::BringUp, Changed, subject(3), NOW);
+        // It was killed.
         known.note(Procedure::BringUp, Resumed, subject(3), NOW);
+        known.note(Procedure::BringUp, Changed, subject(4), NOW);
         known.note(Procedure::BringUp, Passed, subject(4), NOW);
         let missing = Some((Procedure::Calibrate, Lapsed::Missing));
         assert_eq!(why(&known, subject(4), NOW), missing);
+    }
+
+    #[test]
+    fn what_is_changed_by_hand_while_a_procedure_is_interrupted_is_not_taken_along() {
+        let begun = || {
+            let mut known = Commissioned::default();
+            known.note(Procedure::Doctor, Passed, subject(2), NOW);
+            known.note(Procedure::BringUp, Begun, subject(2), NOW);
+            known.note(Procedure::BringUp, Changed, subject(3), NOW);
+            known
+        };
+        let lapsed = Some((Procedure::Doctor, Lapsed::OtherConfiguration));
+        // From 3 to 4 by hand: before it is resumed, and while it runs.
+        let mut known = begun();
+        known.note(Procedure::BringUp, Resumed, subject(4), NOW);
+        known.note(Procedure::BringUp, Changed, subject(5), NOW);
+        known.note(Procedure::BringUp, Passed, subject(5), NOW);
+        assert_eq!(why(&known, subject(5), NOW), lapsed);
+        let mut known = begun();
+        known.note(Procedure::BringUp, Passed, subject(4), NOW);
+        assert_eq!(why(&known, subject(4), NOW), lapsed);
     }
 
     #[test]

@@ -161,6 +161,7 @@ impl Controller {
             dropped: &mut self.dropped,
         };
         let (car_id, attitude) = (&mut self.car_id, &mut self.attitude);
+        let (rate, pilot) = (rate(&self.session), &self.pilot);
         let before = *car_id;
         self.session.handle_bytes(time.0, bytes, &mut |event| {
             on_link(&event);
@@ -173,7 +174,7 @@ impl Controller {
                 }
                 _ => {}
             }
-            queue.link(&event);
+            queue.link_with(&event, |speed| pilot.speed_of_board(speed, rate));
         });
         if self.car_id != before {
             self.tell_proved();
@@ -315,11 +316,14 @@ impl Controller {
         }
 
         // The drive command is written first: it must not be late.
+        let rate = rate(&self.session);
+        // The command of the tick in which the first metre ends is still one of it.
+        let rate = if output.proved { 1.0 } else { rate };
         let drive = output.command.map(|command| {
             let frame = self.session.drive(
                 now.0,
                 DriveCommand {
-                    speed_m_s: command.rear_speed,
+                    speed_m_s: self.pilot.speed_for_board(command.rear_speed, rate),
                     steering_rad: command.steering,
                     brake: command.brake,
                     pose_time_ns: Some(command.pose_time.0),
@@ -465,8 +469,17 @@ impl Queue<'_> {
 
     /// Translates an event of the link for the pilot.
     fn link(&mut self, event: &LinkEvent) {
+        self.link_with(event, |speed| speed);
+    }
+
+    /// As [`link`](Self::link), with a conversion of the motor's speed.
+    fn link_with(&mut self, event: &LinkEvent, motor_speed: impl Fn(f64) -> f64) {
         match event {
-            LinkEvent::Telemetry(record) => self.push(Event::Board(board_sample(record))),
+            LinkEvent::Telemetry(record) => {
+                let mut sample = board_sample(record);
+                sample.motor_speed = motor_speed(sample.motor_speed);
+                self.push(Event::Board(sample));
+            }
             LinkEvent::ConfigurationAccepted { .. } => self.push(Event::Link(LinkState::Ready)),
             LinkEvent::VersionMismatch(_) => self.push(Event::Link(LinkState::VersionDiffers)),
             LinkEvent::ConfigurationRefused {
@@ -535,6 +548,12 @@ fn line_health(session: &Session, now: Time) -> LineHealth {
                 .and_then(|quality| quality.damaged_fraction()),
         ),
     }
+}
+
+/// How many seconds of the host's clock pass in one of the board's, with which the board
+/// measures speeds.
+fn rate(session: &Session) -> f64 {
+    1.0 + 1e-6 * session.clock().skew_ppm()
 }
 
 /// Converts telemetry to SI units.

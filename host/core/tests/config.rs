@@ -71,7 +71,7 @@ fn the_defaults_are_the_papers() {
     let config = example();
     let pilot = config.pilot().unwrap();
     assert_eq!(config.vehicle, VehicleParameters::paper());
-    assert_eq!(pilot.limits, Limits::paper());
+    assert_eq!(pilot.limits, Limits::paper().with_tyres(&config.vehicle));
     assert_eq!(pilot.supervisor, SupervisorConfig::paper());
     assert_eq!(
         pilot.estimator,

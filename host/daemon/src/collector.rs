@@ -108,6 +108,9 @@ impl Collector {
             }
         }
         while let Some(tick) = self.ticks.pop() {
+            if let Some(why) = tick.output.setpoint_refused {
+                self.status.setpoints.refuse(why);
+            }
             // First of all: a controller outside waits for it.
             self.state_lines.tick(&tick);
             if self.status.states.receiver_count() > 0

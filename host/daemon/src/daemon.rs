@@ -40,7 +40,7 @@ use crate::{
     serial_reader,
     shared_status::SharedStatus,
     snapshot::Snapshot,
-    socket::{BoundSocket, Drives, SocketError, SocketThread},
+    socket::{BoundSocket, Drives, SetpointSource, SocketError, SocketThread},
     state_file::StateFile,
     state_stream::StateLines,
     summary::{Figures, Summary},
@@ -161,7 +161,7 @@ impl Daemon {
             .and_then(Result::ok);
         let sockets = MocapSockets::open(&config.motion_capture)?;
         let socket = match config.socket.enabled {
-            true => Some(BoundSocket::bind(&config.socket.path)?),
+            true => Some(BoundSocket::open(&config.socket)?),
             false => None,
         };
         let stop = StopFlag::new().map_err(|source| StartError::Thread {
@@ -197,6 +197,7 @@ impl Daemon {
                 ),
                 requests: host.requests,
                 setpoints: host.setpoints,
+                source: SetpointSource::default(),
                 jogs: host.jogs,
                 config_path: options.config_path,
                 realtime: RealTimeStatus {

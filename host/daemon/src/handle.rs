@@ -5,8 +5,13 @@ use std::{path::PathBuf, sync::Arc};
 use singletrack_core::{Requests, jog_slot::JogSender, setpoint_slot::SetpointSender};
 
 use crate::{
-    commissioned_file::CommissionedFile, live::LiveView, realtime::RealTimeStatus,
-    reconfigure::Reconfigurer, shared_status::SharedStatus, snapshot::Snapshot, socket::Drives,
+    commissioned_file::CommissionedFile,
+    live::LiveView,
+    realtime::RealTimeStatus,
+    reconfigure::Reconfigurer,
+    shared_status::SharedStatus,
+    snapshot::Snapshot,
+    socket::{Drives, SetpointSource},
     summary::Figures,
 };
 
@@ -16,6 +21,8 @@ pub(crate) struct DaemonHandle {
     pub(crate) status: Arc<SharedStatus>,
     pub(crate) requests: Requests,
     pub(crate) setpoints: SetpointSender,
+    /// Which client gives the set-points.
+    pub(crate) source: SetpointSource,
     pub(crate) jogs: JogSender,
     /// The file of the configuration, for a reload.
     pub(crate) config_path: Option<PathBuf>,

@@ -59,6 +59,8 @@ pub struct TickView {
     pub held: bool,
     /// Time since the first driving tick, in s; `None` outside a drive.
     pub drive_time_s: Option<f64>,
+    /// How far ahead the state was predicted to which the command belongs, in s.
+    pub looked_ahead_s: Option<f64>,
     /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
     /// Position of P, in m.
@@ -83,6 +85,7 @@ impl From<&TickRecord> for TickView {
             link: tick.link,
             held: output.held,
             drive_time_s: output.drive_time,
+            looked_ahead_s: output.looked_ahead,
             estimate: output.estimate,
             point: output.point,
             reference: output.reference,
@@ -115,6 +118,7 @@ impl Snapshot {
             "link": tick.map(|tick| tick.link.name()),
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
+            "looked_ahead_s": tick.and_then(|tick| tick.looked_ahead_s),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
                 "x_m": estimate.position.x,
                 "y_m": estimate.position.y,

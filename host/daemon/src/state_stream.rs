@@ -1,7 +1,7 @@
 //! The state stream: what a controller outside needs to know of a tick, as a line of JSON.
 
 use serde::Serialize;
-use singletrack_pilot::{Event, Reason};
+use singletrack_pilot::{Event, Reason, SetpointRefusal};
 use singletrack_record::TickRecord;
 
 /// Lines that a reader may be behind before it misses the oldest: 160 ms at 100 Hz. A
@@ -44,6 +44,7 @@ struct StateLine {
     commanded_speed: f64,
     board_age: Option<f64>,
     setpoint: Option<SetpointInForce>,
+    setpoint_refused: Option<&'static str>,
 }
 
 #[derive(Debug, Serialize)]
@@ -100,6 +101,7 @@ impl StateLines {
                 sequence: stamp.sequence,
                 age: since(stamp.time.0),
             }),
+            setpoint_refused: output.setpoint_refused.map(SetpointRefusal::name),
         };
         serde_json::to_string(&line).ok()
     }

@@ -12,7 +12,7 @@ use std::{
     net::Ipv4Addr,
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
@@ -392,22 +392,111 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
     };
     reject(&format!(r#"{velocity},"sequence":7"#), "sequence");
     reject(&format!(r#"{velocity},"sequence":6"#), "sequence");
-    // Another connection counts for itself.
-    let mut other = Client::connect(&path);
-    writeln!(
-        other.write,
-        r#"{{"version":2,"command":"setpoint",{velocity},"sequence":1}}"#
-    )
-    .unwrap();
     assert_eq!(
-        status(&mut other)["figures"]["setpoints"],
+        status(&mut client)["figures"]["setpoints"],
         json!({
-            "accepted": 902,
+            "accepted": 901,
             "rejected": {
                 "invalid": 1, "not-finite": 1, "out-of-range": 1, "future": 2, "old": 2,
                 "sequence": 2, "not-external": 3,
             },
+            "refused": {},
         })
+    );
+}
+
+#[test]
+fn two_programs_that_steer_at_once_are_not_obeyed_by_turns() {
+    let (_daemon, path, _folder) = start();
+    let mut one = Client::connect(&path);
+    let long = json!({
+        "version": 2, "command": "set-reference",
+        "reference": { "kind": "external", "setpoint_timeout_ms": 1_000 },
+    });
+    assert_eq!(one.ask(&long.to_string())["ok"], true);
+    let steer = |client: &mut Client, sequence: u32| {
+        let line = format!(
+            r#"{{"version":2,"command":"setpoint","steering_rad":0,"speed_m_s":0,"sequence":{sequence}}}"#
+        );
+        writeln!(client.write, "{line}").unwrap();
+    };
+    let figures = |client: &mut Client| status(client)["figures"]["setpoints"].clone();
+    steer(&mut one, 1);
+    assert_eq!(figures(&mut one)["accepted"], 1);
+    let mut other = Client::connect(&path);
+    steer(&mut other, 1);
+    let answer = other.line();
+    assert_eq!(answer["rejected"], "other-source", "{answer}");
+    let error = answer["error"].as_str().unwrap();
+    assert!(error.contains("for 1000 ms"), "{error}");
+    steer(&mut one, 2);
+    assert_eq!(
+        figures(&mut one),
+        json!({ "accepted": 2, "rejected": { "other-source": 1 }, "refused": {} })
+    );
+    // A program that ends gives way long before the time-out. It is the daemon that has to
+    // notice: ask until it has.
+    drop(one);
+    let ended = Instant::now();
+    loop {
+        steer(&mut other, 1);
+        let setpoints = figures_after_answers(&mut other);
+        if setpoints["accepted"] == 3 {
+            break;
+        }
+        assert!(ended.elapsed() < Duration::from_millis(900), "{setpoints}");
+    }
+}
+
+/// The counts of set-points, which follow the answers to those that were rejected.
+fn figures_after_answers(client: &mut Client) -> Value {
+    writeln!(client.write, r#"{{"version":2,"command":"status"}}"#).unwrap();
+    loop {
+        let mut answer = client.line();
+        if answer["ok"] == true {
+            return answer["status"]["figures"]["setpoints"].take();
+        }
+    }
+}
+
+#[test]
+fn a_set_point_that_is_accepted_and_then_refused_by_the_pilot_is_counted_by_its_word() {
+    let (_daemon, path, _folder) = start();
+    let mut client = Client::connect(&path);
+    assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
+    let mut watcher = Client::connect(&path);
+    let watch = r#"{"version":2,"command":"watch","topics":["state"]}"#;
+    assert_eq!(watcher.ask(watch)["ok"], true);
+    // A hundred points take five ticks to the pilot, and the last one is over by then.
+    let brief = || {
+        let end_ns = singletrackd::monotonic_ns() + 20_000_000;
+        let point = |index| {
+            let time_ns = end_ns - (99 - index) * 1_000_000;
+            json!({ "time_ns": time_ns, "position_m": [0, 0], "velocity_m_s": [0, 0] })
+        };
+        let points: Vec<_> = (0..100_u64).map(point).collect();
+        json!({ "version": 2, "command": "setpoint", "trajectory": points })
+    };
+    // On a busy machine it may be over before it is read.
+    let begun = Instant::now();
+    let rejected = loop {
+        writeln!(client.write, "{}", brief()).unwrap();
+        let setpoints = figures_after_answers(&mut client);
+        if setpoints["accepted"] == 1 {
+            break setpoints["rejected"].clone();
+        }
+        assert!(begun.elapsed() < Duration::from_secs(10), "{setpoints}");
+    };
+    let refused = loop {
+        let state = watcher.line();
+        if let Some(word) = state["setpoint_refused"].as_str() {
+            break word.to_owned();
+        }
+    };
+    assert_eq!(refused, "old");
+    assert_eq!(
+        status(&mut client)["figures"]["setpoints"],
+        json!({ "accepted": 1, "rejected": rejected, "refused": { "old": 1 } })
     );
 }
 

@@ -13,6 +13,7 @@ mod simulated_drive;
 use std::{
     alloc::{GlobalAlloc, Layout, System},
     cell::Cell,
+    hint::black_box,
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
@@ -132,9 +133,9 @@ fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
 
 #[test]
 fn allocations_and_page_faults_are_counted() {
-    assert!(allocations(|| drop(Vec::<u8>::with_capacity(10))) >= 2);
+    assert!(allocations(|| drop(black_box(Vec::<u8>::with_capacity(10)))) >= 2);
     let before = page_faults();
-    let pages = vec![1_u8; 64 << 20];
+    let pages = black_box(vec![1_u8; 64 << 20]);
     assert!(page_faults() > before);
     drop(pages);
 }

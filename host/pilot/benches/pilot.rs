@@ -6,8 +6,8 @@ use singletrack_control::{
     ProportionalLoop, Reference, Time, TrackingLoop, VehicleParameters, Velocity,
 };
 use singletrack_pilot::{
-    BoardHealth, BoardSample, BoardState, Event, Fence, LinkState, Mode, Pilot, PilotConfig,
-    PilotRequest, RealTimeState, SupervisorConfig, WatchConfig,
+    BoardHealth, BoardSample, BoardState, Compensation, Event, Fence, LinkState, Mode, Pilot,
+    PilotConfig, PilotRequest, RealTimeState, SupervisorConfig, WatchConfig,
 };
 
 const TICK_NS: u64 = 10_000_000;
@@ -32,6 +32,7 @@ fn pilot() -> Option<Pilot> {
         fence: Fence::rectangle(Position::origin(), Velocity::new(4.0, 4.0), 0.0).ok()?,
         braking: 1.5,
         stop_deceleration: 1.5,
+        compensation: Compensation::off(vehicle),
         period: 0.01,
     }))
 }

@@ -6,6 +6,7 @@
 //! | `watch` | monitors of sensors and timing |
 //! | `fence` | the geofence |
 //! | `supervisor` | the modes, and the checks that refuse or end a drive |
+//! | `refusal` | why a set-point that reached the pilot is not obeyed |
 //! | `pilot` | the [`Pilot`]: all of these with the estimator, the outer loop and the law of [`singletrack_control`] |
 //!
 //! The crate reads no clock, allocates nothing, and calls no mathematics of the
@@ -20,6 +21,7 @@ extern crate std;
 mod event;
 mod fence;
 mod pilot;
+mod refusal;
 mod supervisor;
 mod watch;
 mod words;
@@ -29,7 +31,8 @@ pub use event::{
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
-pub use pilot::{DriveCommand, Output, Pilot, PilotConfig, Underway};
+pub use pilot::{Compensation, DriveCommand, Output, Pilot, PilotConfig, Underway};
+pub use refusal::SetpointRefusal;
 pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,
 };

@@ -12,7 +12,7 @@ use singletrack_control::{
 };
 use singletrack_pilot::{
     BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
-    PilotRequest, Reason, Underway,
+    PilotRequest, Reason, SetpointRefusal, Underway,
 };
 
 use bench::{AT_START, Bench, Pose, TICK_NS, config};
@@ -295,6 +295,47 @@ fn an_imu_that_hangs_or_is_biased_ends_the_drive() {
 }
 
 #[test]
+fn a_reversed_gyro_ends_the_drive_of_a_proved_car_until_a_person_has_looked() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::Circle(Circle::new(Position::new(0.0, 1.0), 1.0, 1.0).unwrap()),
+        ..config()
+    });
+    // On the circle, less the distance of P before the centre of mass.
+    bench.position = Position::new(-0.35, 0.0);
+    bench.gyro_gain = -1.0;
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    bench.step_with(Some(PilotRequest::Arm));
+    let (output, _) = bench.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::GyroDiffers));
+    let turned = bench.yaw.abs();
+    assert!((0.06..0.3).contains(&turned), "{turned} rad");
+    bench.run(100);
+    bench.step_with(Some(PilotRequest::Arm));
+    assert_ne!(bench.run(5).mode, Mode::Driving);
+}
+
+#[test]
+fn the_next_drive_waits_until_the_last_stop_is_measured() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(PilotRequest::Disarm));
+    let (mut output, _) = bench.run_until_idle();
+    let mut refused = 0;
+    let mut words = Vec::new();
+    while output.braking_measured.is_none() {
+        words.extend(output.preflight);
+        output = bench.step_with(Some(PilotRequest::Arm));
+        assert_ne!(output.mode, Mode::Arming, "before the stop was measured");
+        refused += 1;
+        assert!(refused < 100, "never measured");
+    }
+    assert!(refused > 5, "{refused}");
+    assert_eq!(words.last(), Some(&Reason::Moving));
+    bench.step();
+    assert_eq!(bench.step_with(Some(PilotRequest::Arm)).mode, Mode::Arming);
+}
+
+#[test]
 fn a_tick_that_comes_too_late_ends_the_drive() {
     let mut bench = Bench::new();
     bench.drive();
@@ -339,13 +380,45 @@ fn external_set_points_are_followed_until_the_last_one_is_too_old() {
     for _ in 0..20 {
         let event = setpoint(&bench, Velocity::new(f64::NAN, 0.0), None);
         bench.extra.push(event);
-        assert_eq!(bench.step().mode, Mode::Driving);
+        let output = bench.step();
+        assert_eq!(output.mode, Mode::Driving);
+        assert_eq!(output.setpoint_refused, Some(SetpointRefusal::NotFinite));
     }
     let output = bench.step();
+    assert_eq!(output.setpoint_refused, None);
     assert_eq!(
         (output.mode, output.reason),
         (Mode::Stopping, Some(Reason::SetpointStale))
     );
+}
+
+#[test]
+fn a_set_point_that_is_not_obeyed_shows_in_the_tick_with_the_reason() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    });
+    bench.run(100);
+    let now = (bench.tick + 1) * TICK_NS;
+    let at = |ns| Event::Setpoint(Setpoint::point(Time(ns), None, Velocity::zeros()));
+    let mut refused = |events: &[Event]| {
+        bench.extra.extend_from_slice(events);
+        bench.step().setpoint_refused
+    };
+    assert_eq!(refused(&[at(now)]), None);
+    assert_eq!(refused(&[at(now - 1)]), Some(SetpointRefusal::Superseded));
+    assert_eq!(refused(&[at(0)]), Some(SetpointRefusal::Old));
+    assert_eq!(refused(&[at(u64::MAX)]), Some(SetpointRefusal::Future));
+    // A later one that is obeyed does not hide it.
+    let later = at(now + 1);
+    assert_eq!(refused(&[at(0), later]), Some(SetpointRefusal::Old));
+    assert_eq!(refused(&[]), None);
+
+    let mut circle = Bench::new();
+    circle.extra.push(at(TICK_NS));
+    let output = circle.step();
+    assert_eq!(output.setpoint_refused, Some(SetpointRefusal::NotExternal));
+    assert_eq!(output.setpoint, None);
 }
 
 #[test]

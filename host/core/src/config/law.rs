@@ -12,10 +12,12 @@ section! {
     /// The law: "front-point" is the paper's proposal; "velocity-point" exists in
     /// simulations only.
     kind: LawKind, example LawKind::FrontPoint;
-    /// Distance p of the point P, which follows the reference, beyond the front axle.
+    /// Distance p of the point P, which follows the reference, beyond the front axle. The servo
+    /// bounds it from below, the more the faster the car: see `singletrack stability least-p`.
     point_distance_m: f64, text "above 0", example 0.35;
     /// Distance `l_f` of the front axle from the centre of mass, as measured; law and
-    /// transform of P use it.
+    /// transform of P use it. The law needs only the distance of the front axle from the
+    /// rigid body's pivot: this less the forward part of `marker_offset_m`.
     front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
 }
 

@@ -7,6 +7,7 @@
 mod actuators;
 mod board;
 mod choice;
+mod compensation;
 mod control;
 mod error;
 mod estimator;
@@ -45,6 +46,7 @@ pub use board::{
     BoardSection, EscKindName, EscSection, FailsafeKind, ImuAxisName, ImuSection, ServoSection,
     SpeedSection,
 };
+pub use compensation::CompensationSection;
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
@@ -101,6 +103,9 @@ pub struct Config {
     /// How steering and motor are believed to follow their pulses.
     #[serde(default)]
     pub actuators: ActuatorsSection,
+    /// What the controller corrects of clocks and actuators.
+    #[serde(default)]
+    pub compensation: CompensationSection,
     /// How the controller runs.
     #[serde(default)]
     pub control: ControlSection,
@@ -193,6 +198,7 @@ impl Config {
         self.control.check()?;
         self.board.validate()?;
         self.actuators.check()?;
+        self.compensation.check()?;
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;
@@ -209,7 +215,10 @@ impl Config {
             law: self.law.front_point_law(&self.vehicle)?,
             tracking: self.outer_loop.tracking_loop(),
             reference: self.reference.reference()?,
-            limits: self.limits.limits(self.vehicle.wheelbase_m()),
+            limits: self
+                .limits
+                .limits(self.vehicle.wheelbase_m())
+                .with_tyres(&self.vehicle),
             estimator: self.estimator.config(
                 &self.vehicle,
                 self.motion_capture.marker_offset_m,
@@ -227,6 +236,7 @@ impl Config {
             fence: self.fence.fence(&self.vehicle)?,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
+            compensation: self.compensation.config(&self.actuators, &self.vehicle),
             period: value::seconds(self.control.period_ms),
         })
     }

@@ -29,7 +29,9 @@ section! {
     kind: OuterLoopKind, example OuterLoopKind::Proportional;
     /// Gains along x and y.
     gain_per_s: Option<[f64; 2]> = None, text "0 or above", example [1.0, 1.0];
-    /// Adds the reference's velocity: P then follows without lag.
+    /// Adds the reference's velocity: P then follows without lag. With
+    /// `compensation.actuation` it is the velocity at the moment at which the command acts, and
+    /// the reference's acceleration leads the speed by the motor's lag.
     feed_forward: Option<bool> = None, otherwise false;
 }
 

@@ -38,6 +38,10 @@ section! {
     enabled: bool = true;
     /// Path of the socket; its folder is created if it does not exist.
     path: PathBuf = PathBuf::from("/run/singletrackd/control.sock");
+    /// Port of 127.0.0.1 on which the daemon listens too, for programs that know no Unix
+    /// sockets; 0 takes any free port. Clients give the token from the file `<path>.token`,
+    /// which is open to the group of the socket. Left out, nothing listens.
+    tcp_port: Option<u16> = None, example 8_766;
 }
 
 section! {

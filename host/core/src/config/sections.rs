@@ -1,10 +1,10 @@
 //! The list of the sections.
 
 use super::{
-    ActuatorsSection, BoardSection, ControlSection, EscSection, EstimatorSection, FenceSection,
-    ImuSection, LawSection, LimitsSection, LiveSection, MotionCaptureSection, PoseSection,
-    RecordSection, SerialSection, ServoSection, SocketSection, SpeedSection, StateSection,
-    SupervisorSection, TimingSection, WatchSection,
+    ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
+    EstimatorSection, FenceSection, ImuSection, LawSection, LimitsSection, LiveSection,
+    MotionCaptureSection, PoseSection, RecordSection, SerialSection, ServoSection, SocketSection,
+    SpeedSection, StateSection, SupervisorSection, TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -32,6 +32,7 @@ pub const SECTIONS: &[Section] = &[
     SpeedSection::SECTION,
     ImuSection::SECTION,
     ActuatorsSection::SECTION,
+    CompensationSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
     StateSection::SECTION,

@@ -1,8 +1,8 @@
 //! The car of the judgement: it follows the commands without slip, lag and noise.
 
 use singletrack_control::{
-    LimitedLaw, Limits, Motion, OuterLoop as _, Position, Reference, TrackingLoop,
-    VehicleParameters, Velocity, direction,
+    LimitedLaw, Limits, Motion, Position, Reference, TrackingLoop, VehicleParameters, Velocity,
+    direction,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 

@@ -10,7 +10,6 @@ use serde_json::{Value, json};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
-    net::unix::{OwnedReadHalf, OwnedWriteHalf},
     task::coop::consume_budget,
     time::{Instant, MissedTickBehavior, interval},
 };
@@ -22,6 +21,7 @@ use super::{
     progress::{DriveWatch, POLL, Progress},
     serve::{LONGEST_LINE, answer, failure, no_command, send, skip_line},
     setpoint::SetpointStream,
+    stream::{ReadHalf, WriteHalf},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::TickView};
 
@@ -34,8 +34,8 @@ const REPORT: Duration = Duration::from_millis(200);
 /// Arms a drive and holds it for as long as the client renews it. Returns whether the
 /// connection is still open.
 pub(super) async fn hold(
-    read: &mut BufReader<OwnedReadHalf>,
-    write: &mut OwnedWriteHalf,
+    read: &mut BufReader<ReadHalf>,
+    write: &mut WriteHalf,
     daemon: &DaemonHandle,
     setpoints: &mut SetpointStream,
     request: Arm,
@@ -61,8 +61,8 @@ pub(super) async fn hold(
 /// Arms to jog, and passes pulses on for as long as the client gives them. Returns whether the
 /// connection is still open.
 pub(super) async fn jog(
-    read: &mut BufReader<OwnedReadHalf>,
-    write: &mut OwnedWriteHalf,
+    read: &mut BufReader<ReadHalf>,
+    write: &mut WriteHalf,
     daemon: &DaemonHandle,
     setpoints: &mut SetpointStream,
 ) -> io::Result<bool> {
@@ -85,7 +85,7 @@ struct Attended {
 }
 
 /// Returns when the client hangs up without having sent more; reads nothing.
-async fn hung_up(read: &mut BufReader<OwnedReadHalf>) {
+async fn hung_up(read: &mut BufReader<ReadHalf>) {
     match read.fill_buf().await {
         Ok([]) | Err(_) => {}
         // Its end is found once this has been read.
@@ -96,8 +96,8 @@ async fn hung_up(read: &mut BufReader<OwnedReadHalf>) {
 /// Serves the client of a held drive until the drive has ended: true. False if the connection
 /// ended before.
 async fn attend(
-    read: &mut BufReader<OwnedReadHalf>,
-    write: &mut OwnedWriteHalf,
+    read: &mut BufReader<ReadHalf>,
+    write: &mut WriteHalf,
     daemon: &DaemonHandle,
     setpoints: &mut SetpointStream,
     drive: &Attended,
@@ -112,8 +112,8 @@ async fn attend(
 }
 
 async fn serve_drive(
-    read: &mut BufReader<OwnedReadHalf>,
-    write: &mut OwnedWriteHalf,
+    read: &mut BufReader<ReadHalf>,
+    write: &mut WriteHalf,
     daemon: &DaemonHandle,
     setpoints: &mut SetpointStream,
     drive: &Attended,

@@ -9,7 +9,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use singletrack_core::config::SocketSection;
 use socket2::{Domain, SockAddr, Socket, Type};
+
+use super::tcp::BoundPort;
 
 /// Owner and group may connect.
 const PERMISSIONS: u32 = 0o660;
@@ -49,13 +52,27 @@ pub enum SocketError {
         /// The system's error.
         source: io::Error,
     },
+    /// The port can't be used.
+    #[error(
+        "socket.tcp_port is {port}: can't {action}: {source}; choose another port, or remove \
+         socket.tcp_port"
+    )]
+    Port {
+        /// The failed action.
+        action: &'static str,
+        /// The configured port.
+        port: u16,
+        /// The system's error.
+        source: io::Error,
+    },
 }
 
-/// A listening socket and its file.
+/// A listening socket and its file, and the port on which it listens too, if any.
 #[derive(Debug)]
 pub(crate) struct BoundSocket {
     pub(super) listener: UnixListener,
     pub(super) file: SocketFile,
+    pub(super) port: Option<BoundPort>,
 }
 
 /// The file of the socket, removed when this value is dropped.
@@ -70,9 +87,24 @@ impl Drop for SocketFile {
 }
 
 impl BoundSocket {
+    /// Listens on the socket of the configuration, and on its port if there is one.
+    pub(crate) fn open(config: &SocketSection) -> Result<Self, SocketError> {
+        // The socket first: its path belongs to one daemon, and so does the file of the token.
+        let mut socket = Self::bind(&config.path)?;
+        if let Some(port) = config.tcp_port {
+            let bound = BoundPort::bind(port, &config.path);
+            socket.port = Some(bound.map_err(|(action, source)| SocketError::Port {
+                action,
+                port,
+                source,
+            })?);
+        }
+        Ok(socket)
+    }
+
     /// Listens on `path`. Creates its folder if necessary, and replaces the socket that a
     /// killed daemon left.
-    pub(crate) fn bind(path: &Path) -> Result<Self, SocketError> {
+    fn bind(path: &Path) -> Result<Self, SocketError> {
         let failure = |action| {
             move |source| SocketError::Io {
                 action,
@@ -106,7 +138,11 @@ impl BoundSocket {
         listener
             .set_nonblocking(true)
             .map_err(failure("make it non-blocking"))?;
-        Ok(Self { listener, file })
+        Ok(Self {
+            listener,
+            file,
+            port: None,
+        })
     }
 }
 

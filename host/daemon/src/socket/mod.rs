@@ -16,6 +16,11 @@
 //! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
 //! | `{"version":2,"command":"watch","topics":["state"]}` | `{"version":2,"ok":true}`, then the state of every tick |
 //!
+//! With `socket.tcp_port` the same is served on that port of 127.0.0.1 too. There the first line
+//! is `{"version":2,"command":"token","token":"..."}`, answered with `{"version":2,"ok":true}`;
+//! the token is in the file `<socket.path>.token`, new at every start. A connection that begins
+//! with anything else is answered once, and closed.
+//!
 //! A failure is answered with `{"version":2,"ok":false,"error":"..."}`. A watcher that is
 //! too slow gets `{"version":2,"missed":N}`. Within version 2, commands and keys are added
 //! and never changed or removed.
@@ -51,14 +56,17 @@ mod drives;
 mod progress;
 mod serve;
 mod setpoint;
+mod stream;
+mod tcp;
 #[cfg(test)]
 mod tests;
 mod thread;
+mod token;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
 pub use command::{Arm, Attendance, Command, ParseError, Question, SOCKET_VERSION};
 pub(crate) use drives::Drives;
-pub(crate) use setpoint::SetpointCounters;
 pub use setpoint::{Rejection, SetpointCommand, SetpointFigures};
+pub(crate) use setpoint::{SetpointCounters, SetpointSource};
 pub(crate) use thread::SocketThread;

@@ -12,13 +12,8 @@ use singletrack_core::{
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::{Channel, Topic};
-use socket2::SockRef;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
-    net::{
-        UnixStream,
-        unix::{OwnedReadHalf, OwnedWriteHalf},
-    },
     sync::broadcast::error::RecvError,
     task::{coop::consume_budget, spawn_blocking},
 };
@@ -28,6 +23,7 @@ use super::{
     attend::{hold, jog},
     command::{Attendance, Command, ParseError, Question, SOCKET_VERSION},
     setpoint::{SetpointStream, reject},
+    stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
@@ -44,10 +40,10 @@ pub(super) const LONGEST_LINE: u64 = 16_384;
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Serves a client beyond [`CLIENTS`]: only a stop or a disarm is obeyed.
-pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Result<()> {
-    let (read, mut write) = stream.into_split();
+pub(super) async fn refuse(connection: Connection, daemon: &DaemonHandle) -> io::Result<()> {
+    let Connection { read, mut write } = connection;
     let mut line = Vec::new();
-    let mut read = BufReader::new(read).take(LONGEST_LINE);
+    let mut read = read.take(LONGEST_LINE);
     let first_line = tokio::time::timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line)).await;
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
         (
@@ -59,9 +55,11 @@ pub(super) async fn refuse(stream: UnixStream, daemon: &DaemonHandle) -> io::Res
     send(&mut write, &answer).await
 }
 
-pub(super) async fn serve(stream: UnixStream, daemon: &DaemonHandle) -> io::Result<()> {
-    let (read, mut write) = stream.into_split();
-    let mut read = BufReader::new(read);
+pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::Result<()> {
+    let Connection {
+        mut read,
+        mut write,
+    } = connection;
     let mut line = Vec::new();
     let mut setpoints = SetpointStream::default();
     loop {
@@ -166,7 +164,7 @@ pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Value {
 }
 
 /// Reads and discards up to the end of the line or of the stream.
-pub(super) async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result<()> {
+pub(super) async fn skip_line(read: &mut BufReader<ReadHalf>) -> io::Result<()> {
     loop {
         let bytes = read.fill_buf().await?;
         let end = bytes.iter().position(|&byte| byte == b'\n');
@@ -178,7 +176,7 @@ pub(super) async fn skip_line(read: &mut BufReader<OwnedReadHalf>) -> io::Result
     }
 }
 
-pub(super) async fn send(write: &mut OwnedWriteHalf, answer: &Value) -> io::Result<()> {
+pub(super) async fn send(write: &mut WriteHalf, answer: &Value) -> io::Result<()> {
     write.write_all(format!("{answer}\n").as_bytes()).await
 }
 
@@ -338,11 +336,7 @@ pub(super) fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
     }
 }
 
-async fn watch(
-    write: &mut OwnedWriteHalf,
-    daemon: &DaemonHandle,
-    topics: &[Topic],
-) -> io::Result<()> {
+async fn watch(write: &mut WriteHalf, daemon: &DaemonHandle, topics: &[Topic]) -> io::Result<()> {
     let mut entries = daemon.status.watchers.subscribe();
     send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
     loop {
@@ -367,7 +361,7 @@ async fn watch(
 
 /// Sends messages as ROS 2 encodes them: for each a line with its length, then its bytes.
 async fn messages(
-    write: &mut OwnedWriteHalf,
+    write: &mut WriteHalf,
     daemon: &DaemonHandle,
     channels: &[Channel],
 ) -> io::Result<()> {
@@ -403,8 +397,8 @@ async fn messages(
 }
 
 /// Sends the state of every tick. A reader that is slow loses the oldest ones.
-async fn watch_state(write: &mut OwnedWriteHalf, daemon: &DaemonHandle) -> io::Result<()> {
-    SockRef::from(write.as_ref()).set_send_buffer_size(STATE_BUFFER)?;
+async fn watch_state(write: &mut WriteHalf, daemon: &DaemonHandle) -> io::Result<()> {
+    limit_send_buffer(write, STATE_BUFFER)?;
     let mut states = daemon.status.states.subscribe();
     send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
     loop {

@@ -21,6 +21,7 @@ use super::{
     command::{Arm, Attendance, Question},
     drives::Drives,
     serve::{answer, serve},
+    setpoint::SetpointSource,
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::CommissionedFile, handle::DaemonHandle,
@@ -65,6 +66,7 @@ impl Bench {
             reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
             requests: ring,
             setpoints: host.setpoints,
+            source: SetpointSource::default(),
             jogs: host.jogs,
             config_path: None,
             realtime: RealTimeStatus {
@@ -97,6 +99,7 @@ impl Bench {
             link: LinkPhase::Ready,
             held: false,
             drive_time_s: None,
+            looked_ahead_s: None,
             estimate: None,
             point: None,
             reference: None,
@@ -246,7 +249,7 @@ fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_dr
                 read.next_line().await.unwrap().unwrap(),
             ]
         };
-        let (served, answers) = tokio::join!(serve(server, &bench.daemon), client);
+        let (served, answers) = tokio::join!(serve(server.into(), &bench.daemon), client);
         served.unwrap();
         answers
     });

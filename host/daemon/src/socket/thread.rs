@@ -8,7 +8,7 @@ use std::{
 };
 
 use tokio::{
-    net::UnixListener,
+    net::{TcpListener, UnixListener},
     runtime,
     sync::{Notify, Semaphore},
 };
@@ -16,6 +16,8 @@ use tokio::{
 use super::{
     bind::BoundSocket,
     serve::{CLIENTS, refuse, serve},
+    stream::Connection,
+    tcp::{BoundPort, Gate},
 };
 use crate::handle::DaemonHandle;
 
@@ -37,19 +39,29 @@ impl SocketThread {
         let thread = thread::Builder::new()
             .name("socket".to_owned())
             .spawn(move || {
-                let BoundSocket { listener, file } = socket;
+                let BoundSocket {
+                    listener,
+                    file,
+                    port,
+                } = socket;
+                let (port, token_file) = port
+                    .map(
+                        |BoundPort {
+                             listener,
+                             gate,
+                             file,
+                         }| ((listener, gate), file),
+                    )
+                    .unzip();
                 runtime.block_on(async {
-                    match UnixListener::from_std(listener) {
-                        Ok(listener) => {
-                            tokio::spawn(accept(listener, daemon));
-                            stopped.notified().await;
-                        }
+                    match listen(listener, port, daemon) {
+                        Ok(()) => stopped.notified().await,
                         Err(error) => tracing::error!(%error, "can't serve the control socket"),
                     }
                 });
-                // Clients are disconnected before the file is removed.
+                // Clients are disconnected before the files are removed.
                 runtime.shutdown_background();
-                drop(file);
+                drop((file, token_file));
             })?;
         Ok(Self { stop, thread })
     }
@@ -62,29 +74,86 @@ impl SocketThread {
     }
 }
 
-async fn accept(listener: UnixListener, daemon: DaemonHandle) {
+/// Accepts clients from now on. Those of the port and of the socket share the places.
+fn listen(
+    listener: std::os::unix::net::UnixListener,
+    port: Option<(std::net::TcpListener, Arc<Gate>)>,
+    daemon: DaemonHandle,
+) -> io::Result<()> {
+    let listener = UnixListener::from_std(listener)?;
     let slots = Arc::new(Semaphore::new(CLIENTS));
+    if let Some((listener, gate)) = port {
+        let listener = TcpListener::from_std(listener)?;
+        tokio::spawn(accept_tcp(
+            listener,
+            gate,
+            daemon.clone(),
+            Arc::clone(&slots),
+        ));
+    }
+    tokio::spawn(accept(listener, daemon, slots));
+    Ok(())
+}
+
+async fn accept(listener: UnixListener, daemon: DaemonHandle, slots: Arc<Semaphore>) {
     loop {
         match listener.accept().await {
             Ok((stream, _)) => {
-                let daemon = daemon.clone();
-                let slot = Arc::clone(&slots).try_acquire_owned();
+                let (daemon, slots) = (daemon.clone(), Arc::clone(&slots));
                 tokio::spawn(async move {
-                    let result = match slot {
-                        Ok(_slot) => serve(stream, &daemon).await,
-                        Err(_) => refuse(stream, &daemon).await,
-                    };
-                    // A client may disconnect at any time.
-                    if let Err(error) = result {
-                        tracing::debug!(%error, "control client disconnected");
-                    }
+                    disconnected(admit(stream.into(), &daemon, slots).await);
                 });
             }
-            Err(error) => {
-                // Too many open files, for instance: others may be closed soon.
-                tracing::warn!(%error, "control client not accepted");
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
+            Err(error) => not_accepted(&error).await,
         }
     }
+}
+
+async fn accept_tcp(
+    listener: TcpListener,
+    gate: Arc<Gate>,
+    daemon: DaemonHandle,
+    slots: Arc<Semaphore>,
+) {
+    loop {
+        match listener.accept().await {
+            Ok((stream, peer)) => {
+                let gate = Arc::clone(&gate);
+                let (daemon, slots) = (daemon.clone(), Arc::clone(&slots));
+                tokio::spawn(async move {
+                    disconnected(match gate.pass(stream, peer).await {
+                        Ok(Some(connection)) => admit(connection, &daemon, slots).await,
+                        Ok(None) => Ok(()),
+                        Err(error) => Err(error),
+                    });
+                });
+            }
+            Err(error) => not_accepted(&error).await,
+        }
+    }
+}
+
+/// Serves a client if there is a place.
+async fn admit(
+    connection: Connection,
+    daemon: &DaemonHandle,
+    slots: Arc<Semaphore>,
+) -> io::Result<()> {
+    match slots.try_acquire_owned() {
+        Ok(_slot) => serve(connection, daemon).await,
+        Err(_) => refuse(connection, daemon).await,
+    }
+}
+
+/// A client may disconnect at any time.
+fn disconnected(result: io::Result<()>) {
+    if let Err(error) = result {
+        tracing::debug!(%error, "control client disconnected");
+    }
+}
+
+/// Too many open files, for instance: others may be closed soon.
+async fn not_accepted(error: &io::Error) {
+    tracing::warn!(%error, "control client not accepted");
+    tokio::time::sleep(Duration::from_millis(100)).await;
 }

@@ -1,10 +1,11 @@
 //! Handles the events of a tick.
 
-use singletrack_control::{PoseSample, PoseVerdict, Reference, Time};
+use singletrack_control::{External, PoseSample, PoseVerdict, Reference, SetpointError, Time};
 
 use super::Pilot;
 use crate::{
     event::{BoardSample, Event},
+    refusal::SetpointRefusal,
     supervisor::Mode,
 };
 
@@ -21,16 +22,11 @@ impl Pilot {
             Event::Health(health) => self.supervisor.handle_health(*health),
             Event::Line(line) => self.supervisor.handle_line(*line),
             Event::RealTime(state) => self.supervisor.handle_real_time(*state),
-            // Without a set-point that it does not refuse, the reference becomes stale.
             Event::Setpoint(setpoint) => {
-                if let Reference::External(external) = &mut self.config.reference {
-                    external.handle(setpoint, now).ok();
-                }
+                self.handle_setpoint(|external| external.handle(setpoint, now));
             }
             Event::TrajectoryPiece(piece) => {
-                if let Reference::External(external) = &mut self.config.reference {
-                    external.handle_piece(piece, now).ok();
-                }
+                self.handle_setpoint(|external| external.handle_piece(piece, now));
             }
             Event::Jog(jog) => {
                 self.supervisor.handle_jog();
@@ -42,6 +38,15 @@ impl Pilot {
             Event::Reconfigured(_) => {}
         }
         false
+    }
+
+    /// Gives the reference a set-point. Without one that it does not refuse, it becomes stale.
+    fn handle_setpoint(&mut self, give: impl FnOnce(&mut External) -> Result<(), SetpointError>) {
+        let refused = match &mut self.config.reference {
+            Reference::External(external) => give(external).err().map(SetpointRefusal::from),
+            _ => Some(SetpointRefusal::NotExternal),
+        };
+        self.setpoint_refused = refused.or(self.setpoint_refused);
     }
 
     fn handle_pose(&mut self, pose: &PoseSample) -> bool {
@@ -69,6 +74,7 @@ impl Pilot {
                 if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
                     let wheelbase = config.estimator.wheelbase;
                     self.start.step(&step);
+                    self.gyro.step(&step);
                     self.sideslip.step(&step, &config.watch);
                     self.steering.step(&step, wheelbase, &config.watch);
                     if let Some(proving) = &mut self.proving {

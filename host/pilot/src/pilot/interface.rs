@@ -5,9 +5,11 @@ use singletrack_control::{
     ReferencePoint, SetpointStamp, Time, TrackingLoop, Velocity,
 };
 
+use super::Compensation;
 use crate::{
     event::Jog,
     fence::Fence,
+    refusal::SetpointRefusal,
     supervisor::{BoardRequest, Mode, Reason, SupervisorConfig},
     watch::WatchConfig,
 };
@@ -36,6 +38,8 @@ pub struct PilotConfig {
     pub braking: f64,
     /// The commanded deceleration of a stop, m/s².
     pub stop_deceleration: f64,
+    /// What is compensated of clocks and actuators.
+    pub compensation: Compensation,
     /// The control period, s.
     pub period: f64,
 }
@@ -76,6 +80,9 @@ pub struct Output {
     pub actuation: Actuation,
     /// Whether the car turns around to a wanted velocity behind it.
     pub turning_round: bool,
+    /// How far ahead the state was predicted to which the command belongs, s; `None` if the
+    /// actuators are not compensated, and outside a drive.
+    pub looked_ahead: Option<f64>,
     /// The drive command for the board.
     pub command: Option<DriveCommand>,
     /// The pulses for the board, in [`Mode::Jogging`].
@@ -95,6 +102,8 @@ pub struct Output {
     pub preflight: Option<Reason>,
     /// The newest set-point from outside that was not refused.
     pub setpoint: Option<SetpointStamp>,
+    /// Why a set-point that came in this tick is not obeyed; of several the newest.
+    pub setpoint_refused: Option<SetpointRefusal>,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.

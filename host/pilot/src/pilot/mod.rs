@@ -1,24 +1,30 @@
 //! The whole controller as one value: events of a tick in, one command out.
 
+mod compensation;
 mod events;
 mod interface;
 mod verdicts;
 
 use libm::{cos, fabs, rint};
 use singletrack_control::{
-    Actuation, Demand, Estimate, Estimator, LimitedLaw, OuterLoop, Reference, Time,
+    Actuation, Ahead, Demand, Estimate, Estimator, LimitedLaw, Position, Reference, ReferencePoint,
+    Singularity, Time, Velocity,
 };
 
 use crate::{
     event::{Event, Jog},
+    refusal::SetpointRefusal,
     supervisor::{Conditions, Mode, Reason, Supervisor},
     watch::{
-        AttitudeWatch, BlindWatch, FrozenWatch, ImuWatch, InnovationWatch, PROVING_SPEED, Proving,
-        PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch, Steps, StopWatch,
-        TickWatch,
+        AttitudeWatch, BlindWatch, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
+        PROVING_SPEED, Proving, PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch,
+        Steps, StopWatch, TickWatch,
     },
 };
 
+use compensation::{Compensator, Course};
+
+pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, Underway};
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
@@ -29,6 +35,8 @@ pub use interface::{DriveCommand, Output, PilotConfig, Underway};
 pub struct Pilot {
     config: PilotConfig,
     law: LimitedLaw,
+    /// None if the actuators are not compensated.
+    compensator: Option<Compensator>,
     estimator: Estimator,
     supervisor: Supervisor,
     imu: ImuWatch,
@@ -39,9 +47,12 @@ pub struct Pilot {
     steps: Steps,
     sideslip: SideslipWatch,
     steering: SteeringWatch,
+    gyro: GyroWatch,
     start: StartWatch,
     /// The operator's last pulses, in [`Mode::Jogging`].
     jog: Option<Jog>,
+    /// Why a set-point of this tick is not obeyed.
+    setpoint_refused: Option<SetpointRefusal>,
     /// The steering of the last command, rad: with the wave of the proving run.
     commanded_steering: f64,
     innovations: InnovationWatch,
@@ -67,6 +78,7 @@ impl Pilot {
     pub fn new(config: PilotConfig) -> Self {
         Self {
             law: LimitedLaw::new(config.law, config.limits),
+            compensator: Compensator::of(&config.compensation),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
             imu: ImuWatch::default(),
@@ -77,8 +89,10 @@ impl Pilot {
             steps: Steps::default(),
             sideslip: SideslipWatch::default(),
             steering: SteeringWatch::default(),
+            gyro: GyroWatch::default(),
             start: StartWatch::default(),
             jog: None,
+            setpoint_refused: None,
             commanded_steering: 0.0,
             innovations: InnovationWatch::default(),
             frozen: FrozenWatch::default(),
@@ -109,12 +123,35 @@ impl Pilot {
         }
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
+        self.compensator = Compensator::of(&config.compensation);
         self.estimator = Estimator::new(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.speeds.reset();
         self.steps.reset();
         self.pose_time = None;
         Ok(())
+    }
+
+    /// `speed` (m/s of the host's clock) in the time of a board whose second lasts `rate` of the
+    /// host's, for the command; within the limits of the speed. As it is if that is not
+    /// compensated, and in the first metre of an unproved configuration.
+    #[must_use]
+    pub fn speed_for_board(&self, speed: f64, rate: f64) -> f64 {
+        if !self.config.compensation.clock || self.proving.is_some() {
+            return speed;
+        }
+        let limits = &self.config.limits;
+        (speed * rate).clamp(-limits.max_reverse_speed, limits.max_speed)
+    }
+
+    /// `speed` (m/s) as such a board measures it, in the time of the host's clock.
+    #[must_use]
+    pub fn speed_of_board(&self, speed: f64, rate: f64) -> f64 {
+        if self.config.compensation.clock {
+            speed / rate
+        } else {
+            speed
+        }
     }
 
     /// The mode after the last tick.
@@ -133,6 +170,7 @@ impl Pilot {
     /// returns the command until the next one.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let mut held = true;
+        self.setpoint_refused = None;
         for event in events {
             held &= !self.handle(now, event);
         }
@@ -143,6 +181,9 @@ impl Pilot {
             self.pose_time = None;
         }
         let speed = estimate.map_or(0.0, |estimate| estimate.speed);
+        if let Some(compensator) = &mut self.compensator {
+            compensator.advance(now, speed);
+        }
         // The largest of all speeds: estimated, measured and commanded.
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
@@ -198,9 +239,13 @@ impl Pilot {
         if mode == Mode::Driving && was == Mode::Arming {
             self.drive_start = Some(now);
             self.law.reset();
+            if let Some(compensator) = &mut self.compensator {
+                compensator.begin(self.law.actuation().steering);
+            }
             self.speeds.reset();
             self.sideslip.reset();
             self.steering.reset();
+            self.gyro.reset();
             self.start.reset();
             self.innovations.reset();
             let unproved = self.config.supervisor.prove && !self.proved;
@@ -246,6 +291,7 @@ impl Pilot {
             point_velocity: None,
             actuation: self.law.actuation(),
             turning_round: false,
+            looked_ahead: None,
             command: None,
             jog: self.jog,
             request,
@@ -257,10 +303,12 @@ impl Pilot {
                 Reference::External(external) => external.in_force(),
                 _ => None,
             },
+            setpoint_refused: self.setpoint_refused,
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();
-            output.point = Some(law.point(estimate.position, estimate.yaw, steering));
+            let wheels = self.wheels();
+            output.point = Some(law.point(estimate.position, estimate.yaw, wheels));
             match mode {
                 Mode::Driving => {
                     if let Err(reason) = self.drive(now, estimate, &mut output) {
@@ -297,6 +345,9 @@ impl Pilot {
         self.commanded_steering = output
             .command
             .map_or(output.actuation.steering, |command| command.steering);
+        if let Some(compensator) = &mut self.compensator {
+            compensator.commanded(now, self.commanded_steering);
+        }
         let contradicted =
             self.supervisor.is_contradicted() || self.stops.is_too_weak(self.config.braking);
         if self.proved && contradicted {
@@ -312,20 +363,12 @@ impl Pilot {
         let time = self
             .drive_start
             .map_or(0.0, |start| now.seconds_since(start));
-        let point = self.law.law().point(
-            estimate.position,
-            estimate.yaw,
-            self.law.actuation().steering,
-        );
         let before = self.law.actuation().speed;
         let period = self.config.period;
         let actuation = match self.config.reference.demand(now, time) {
             Demand::Point(reference) => {
-                let velocity = self.config.tracking.velocity(&reference, &point);
                 output.reference = Some(reference);
-                output.point_velocity = Some(velocity);
-                self.law
-                    .step(&estimate.motion(), estimate.speed, &velocity, period)
+                self.follow(now, time, &reference, estimate, output)
             }
             Demand::Actuation { steering, speed } => self.law.follow(steering, speed, period),
         }
@@ -341,6 +384,9 @@ impl Pilot {
             actuation
         };
         let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
+        if let Some(compensator) = &mut self.compensator {
+            compensator.sent(actuation.speed);
+        }
         output.drive_time = Some(time);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
@@ -354,6 +400,67 @@ impl Pilot {
         }
         output.command = Some(command);
         Ok(())
+    }
+
+    /// The angle of the front wheels, as far as is known, in rad.
+    fn wheels(&self) -> f64 {
+        let commanded = self.law.actuation().steering;
+        self.compensator
+            .as_ref()
+            .filter(|_| self.proving.is_none())
+            .map_or(commanded, Compensator::wheels)
+    }
+
+    /// The actuation with which P follows its reference.
+    fn follow(
+        &mut self,
+        now: Time,
+        time: f64,
+        reference: &ReferencePoint,
+        estimate: &Estimate,
+        output: &mut Output,
+    ) -> Result<Actuation, Singularity> {
+        let config = &self.config;
+        let (limits, period) = (&config.limits, config.period);
+        let law = *self.law.law();
+        // What the first metre proves does not rest on a model; and the law would take the wave
+        // of its steering for its own.
+        let compensator = self.compensator.as_mut();
+        let Some(compensator) = compensator.filter(|_| self.proving.is_none()) else {
+            let steering = self.law.actuation().steering;
+            let point = law.point(estimate.position, estimate.yaw, steering);
+            let velocity = config.tracking.velocity(reference, &point);
+            output.point_velocity = Some(velocity);
+            let ahead = Ahead {
+                overtaken: overtaken(reference, &point),
+                lead: None,
+            };
+            let (motion, speed) = (estimate.motion(), estimate.speed);
+            return self
+                .law
+                .step_ahead(&motion, speed, &velocity, &ahead, period);
+        };
+        let course = Course {
+            law: &law,
+            tracking: &config.tracking,
+            reference: &config.reference,
+            max_speed: limits.max_speed,
+            max_steering_rate: limits.max_steering_rate,
+            max_acceleration: limits.max_acceleration,
+            now,
+            time,
+            period,
+        };
+        let (state, velocity, lead) = compensator.look_ahead(estimate, self.imu_time, &course)?;
+        output.point_velocity = Some(velocity);
+        output.looked_ahead = Some(state.ahead);
+        let point = law.point(state.position, state.motion.yaw, state.wheels);
+        let ahead = Ahead {
+            overtaken: overtaken(reference, &point),
+            lead: Some(lead),
+        };
+        self.law
+            .step_ahead(&state.motion, estimate.speed, &velocity, &ahead, period)
     }
 
     /// A tick of the proving run: limits the speed, and returns whether the car is to roll at
@@ -398,6 +505,16 @@ impl Pilot {
             self.estimator.reset();
         }
     }
+}
+
+/// The longest time for which a car waits for the reference that its P has overtaken, s.
+const OVERTAKEN: f64 = 1.0;
+
+/// The velocity of a reference that comes after `point` soon, for the law.
+fn overtaken(reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
+    let away = (reference.position? - point).norm();
+    let is_near = away < OVERTAKEN * reference.velocity.norm();
+    is_near.then_some(reference.velocity)
 }
 
 /// The command for the board. The motor drives the rear axle, whose speed is the forward

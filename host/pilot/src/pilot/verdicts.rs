@@ -32,6 +32,8 @@ impl Pilot {
             .check(marker_yaw, &self.config.watch)
             .or(match () {
                 () if self.push.is_wrong() => Some(Reason::BodyYawWrong),
+                // What it measures decides about the next drive.
+                () if self.stops.is_underway() => Some(Reason::Moving),
                 () if self.stops.is_too_weak(self.config.braking) => {
                     Some(Reason::BrakesLessThanConfigured)
                 }
@@ -54,7 +56,10 @@ impl Pilot {
     pub(super) fn implausible_motion(&self) -> Option<Reason> {
         let watch = &self.config.watch;
         let [forward, left] = self.estimator.acceleration_bias();
-        if self.sideslip.is_exceeded() {
+        // What gyro and cameras agree on is the turn of the car.
+        if self.gyro.is_opposite() {
+            Some(Reason::GyroDiffers)
+        } else if self.sideslip.is_exceeded() {
             Some(Reason::SideslipImplausible)
         } else if self.steering.is_exceeded() {
             Some(Reason::SteeringDiffers)

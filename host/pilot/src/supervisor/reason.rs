@@ -121,7 +121,10 @@ impl Reason {
     pub(super) const fn contradicts_proof(self) -> bool {
         matches!(
             self,
-            Self::SteeringDiffers | Self::AccelerometerDiffers | Self::SideslipImplausible
+            Self::SteeringDiffers
+                | Self::GyroDiffers
+                | Self::AccelerometerDiffers
+                | Self::SideslipImplausible
         )
     }
 }

@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::{roll_out::RollOut, steps::Step};
+use super::{gyro::Turns, roll_out::RollOut, steps::Step};
 use crate::supervisor::Reason;
 
 /// The highest speed until everything has been compared, m/s.
@@ -80,23 +80,12 @@ pub(crate) struct Proving {
     /// Turn that the steering should have made, without its signs, and that made with it.
     wanted: f64,
     made: f64,
-    /// Turn of the cameras, without its signs, and of the gyro with it.
-    seen: f64,
-    felt: f64,
-    span: GyroSpan,
+    turns: Turns,
     /// Way along and to the left of the yaw.
     along: f64,
     across: f64,
     motor_way: f64,
     coast: Coast,
-}
-
-/// The turn of some steps, by the cameras and by the gyro.
-#[derive(Clone, Copy, Debug, Default)]
-struct GyroSpan {
-    time: f64,
-    turn: f64,
-    gyro_turn: f64,
 }
 
 /// The roll at neutral.
@@ -141,16 +130,7 @@ impl Proving {
             self.wanted += fabs(wanted);
             self.made += copysign(1.0, wanted) * step.turn;
         }
-        self.span.time += step.time;
-        self.span.turn += step.turn;
-        self.span.gyro_turn += step.gyro_turn;
-        if self.span.time >= GYRO_SPAN {
-            let span = core::mem::take(&mut self.span);
-            if fabs(span.turn) > LEAST_TURN {
-                self.seen += fabs(span.turn);
-                self.felt += copysign(1.0, span.turn) * span.gyro_turn;
-            }
-        }
+        self.turns.step(step, GYRO_SPAN, LEAST_TURN);
         self.found = self.found.or(self.contradiction(pulse_distance));
     }
 
@@ -161,8 +141,9 @@ impl Proving {
             !(low <= ratio && ratio <= high)
         };
         // Gyro and cameras first: what they agree on is the turn of the car.
-        let differs = self.seen > SIZE_AFTER && outside(self.felt, self.seen, GYRO_RATIO);
-        let opposite = self.seen > SIGN_AFTER && self.felt < 0.3 * self.seen;
+        let Turns { seen, felt, .. } = self.turns;
+        let differs = seen > SIZE_AFTER && outside(felt, seen, GYRO_RATIO);
+        let opposite = seen > SIGN_AFTER && felt < 0.3 * seen;
         if differs || opposite {
             return Some(Reason::GyroDiffers);
         }
@@ -337,28 +318,6 @@ mod tests {
     }
 
     #[test]
-    fn the_gyro_is_compared_over_spans_with_a_turn_beyond_noise() {
-        let step = |time, turn, gyro_turn| Step {
-            time,
-            turn,
-            gyro_turn,
-            ..motion(0.0, 0.0)
-        };
-        let proving = after(&[step(0.1, 0.01, 0.011), step(0.099, 0.02, 0.022)]);
-        assert_eq!((proving.seen, proving.felt), (0.0, 0.0));
-        let proving = after(&[
-            step(0.15, 0.01, 0.011),
-            step(0.15, 0.02, 0.022),
-            // The other way round, and what is too little.
-            step(0.3, -0.02, -0.021),
-            step(0.3, 0.015, 0.1),
-            step(0.3, -0.015, 0.1),
-        ]);
-        assert!(is_near(proving.seen, 0.05), "{}", proving.seen);
-        assert!(is_near(proving.felt, 0.054), "{}", proving.felt);
-    }
-
-    #[test]
     fn a_gyro_with_another_gain_or_sign_than_the_cameras_is_found() {
         for (seen, felt, differs) in [
             (0.17, 0.12, false),
@@ -373,11 +332,8 @@ mod tests {
             (0.081, 0.024_5, false),
             (0.1, 0.3 * 0.1, false),
         ] {
-            let proving = Proving {
-                seen,
-                felt,
-                ..Proving::default()
-            };
+            let mut proving = Proving::default();
+            (proving.turns.seen, proving.turns.felt) = (seen, felt);
             let expected = differs.then_some(Reason::GyroDiffers);
             assert_eq!(proving.contradiction(PULSE), expected, "{seen} {felt}");
         }

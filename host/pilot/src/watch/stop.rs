@@ -158,6 +158,11 @@ impl StopWatch {
         }
     }
 
+    /// Whether a stop is not over: the car has not stood for long enough.
+    pub(crate) const fn is_underway(&self) -> bool {
+        self.run.is_some()
+    }
+
     /// The next drive begins.
     pub(crate) const fn end(&mut self) {
         self.run = None;

@@ -9,8 +9,9 @@ use singletrack_control::{
     direction,
 };
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, Event, Fence, LinkState, Mode, Output,
-    Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, SupervisorConfig, WatchConfig,
+    BoardHealth, BoardRequest, BoardSample, BoardState, Compensation, Event, Fence, LinkState,
+    Mode, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, SupervisorConfig,
+    WatchConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;
@@ -47,6 +48,8 @@ pub(crate) struct Bench {
     /// Counted pulses per true pulse.
     pub(crate) pulses: f64,
     pub(crate) gyro_bias: f64,
+    /// What the gyro measures of a turn: -1 if it is mounted upside down.
+    pub(crate) gyro_gain: f64,
     pub(crate) noisy: bool,
     /// The yaw rate at which the IMU hangs.
     pub(crate) stuck: Option<f64>,
@@ -90,6 +93,7 @@ pub(crate) fn config() -> PilotConfig {
         fence: Fence::rectangle(Position::origin(), Velocity::new(20.0, 20.0), 0.0).unwrap(),
         braking: 1.5,
         stop_deceleration: 1.5,
+        compensation: Compensation::off(vehicle),
         period: 0.01,
     }
 }
@@ -114,6 +118,7 @@ impl Bench {
             pose: Pose::Seen,
             pulses: 1.0,
             gyro_bias: 0.0,
+            gyro_gain: 1.0,
             noisy: true,
             stuck: None,
             sends_health: true,
@@ -152,7 +157,9 @@ impl Bench {
                 time: now,
                 inertial: self.imu.then_some(InertialSample {
                     time: now,
-                    yaw_rate: self.stuck.unwrap_or(yaw_rate + noise + self.gyro_bias),
+                    yaw_rate: self
+                        .stuck
+                        .unwrap_or(self.gyro_gain * yaw_rate + noise + self.gyro_bias),
                     forward_acceleration: match self.stuck {
                         Some(_) => 0.0,
                         None => (self.speed - self.speed_before) / 0.01,

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
 use singletrack_pilot::{
-    BoardRequest, BoardState, LinkState, Mode, PilotRequest, PoseMissing, Reason,
+    BoardRequest, BoardState, LinkState, Mode, PilotRequest, PoseMissing, Reason, SetpointRefusal,
 };
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
@@ -311,6 +311,15 @@ codes! {
         Configuring = 4,
         ConfigurationRefused = 5,
         Ready = 6,
+    }
+    SetpointRefusal as "SETPOINT_REFUSED" {
+        NotFinite = 1,
+        OutOfRange = 2,
+        Future = 3,
+        Old = 4,
+        Superseded = 5,
+        Incomplete = 6,
+        NotExternal = 7,
     }
     PoseMissing as "POSE_MISSING" {
         Untracked = 1,

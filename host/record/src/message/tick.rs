@@ -1,7 +1,7 @@
 //! A control tick and all that the pilot decided in it.
 
 use singletrack_control::{Actuation, Estimate, ReferencePoint};
-use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason};
+use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason, SetpointRefusal};
 
 use super::{
     code::{Code, OptionalCode},
@@ -56,6 +56,8 @@ fields! {
         held: bool,
         /// Whether the car is turning round.
         turning_round: bool,
+        /// How far ahead the state was predicted to which the command belongs, in s.
+        looked_ahead_s: Maybe<f64> = looked_ahead,
         /// Time since the first driving tick, in s.
         drive_time_s: Maybe<f64> = drive_time,
         /// The state that the pilot acted on.
@@ -84,6 +86,8 @@ fields! {
         jog: Maybe<JogMessage>,
         /// The newest set-point from outside that was not refused.
         setpoint: Maybe<StampMessage>,
+        /// Why a set-point that came in this tick is not obeyed; of several the newest.
+        setpoint_refused: OptionalCode<SetpointRefusal>,
     }
 }
 

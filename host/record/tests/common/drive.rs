@@ -126,6 +126,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
                 steering_rate: 1e-2 * noise(index, 19),
             },
             turning_round: false,
+            looked_ahead: None,
             command: Some(DriveCommand {
                 rear_speed: 0.4 + 1e-3 * noise(index, 20),
                 steering: 0.33 + 1e-3 * noise(index, 21),
@@ -136,6 +137,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint_refused: None,
             setpoint: None,
             preflight: None,
             jog: None,

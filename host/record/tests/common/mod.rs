@@ -144,6 +144,7 @@ fn output() -> impl Strategy<Value = Output> {
                     steering_rate,
                 },
                 turning_round,
+                looked_ahead: None,
                 command: command.map(|(rear_speed, steering, pose_time)| DriveCommand {
                     rear_speed,
                     steering,
@@ -154,6 +155,7 @@ fn output() -> impl Strategy<Value = Output> {
                 proved: false,
                 disproved: false,
                 braking_measured: None,
+                setpoint_refused: None,
                 setpoint: None,
                 preflight: None,
                 jog: None,

@@ -1,0 +1,359 @@
+use singletrack_control::{
+    Demand, Position, Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory,
+    TrajectoryPoint, Velocity,
+};
+
+use super::{super::setpoint::Rejection, *};
+
+const NOW: u64 = 1_000;
+
+#[test]
+fn invalid_lines_are_answered_with_what_to_write() {
+    for (line, part) in [
+        (r#""#, "write {"),
+        (r#"status"#, "write {"),
+        (r#"{"version":2}"#, "command"),
+        (r#"{"command":"status"}"#, "version"),
+        (r#"{"version":3,"command":"status"}"#, "version is 3"),
+        (r#"{"version":2,"command":"fly"}"#, "use status, arm"),
+        (r#"{"version":2,"command":"arm","now":true}"#, "now"),
+        (
+            r#"{"version":2,"command":"arm"}"#,
+            "arm needs an attendance: \"hold\" (send",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"me"}"#,
+            "attendance is \"me\": use \"hold\"",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"timed"}"#,
+            "needs for_s",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"timed","for_s":0}"#,
+            "for_s is 0: it must lie between 0.5 and 86400",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","for_s":60}"#,
+            "only attendance \"timed\"",
+        ),
+        (
+            r#"{"version":2,"command":"disarm","attendance":"hold"}"#,
+            "disarm takes no attendance; only arm does",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","topics":["tick"]}"#,
+            "arm takes no topics; only watch does",
+        ),
+        (
+            r#"{"version":2,"command":"stop","at_once":true}"#,
+            "stop takes no at_once; only disarm does",
+        ),
+        (
+            r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
+            "ticks",
+        ),
+        (
+            r#"{"version":2,"command":"messages","topics":["/odm"]}"#,
+            "no topic \"/odm\": use /singletrack/tick, ",
+        ),
+        (
+            r#"{"version":2,"command":"watch","velocity_m_s":[0,0]}"#,
+            "only setpoint does",
+        ),
+        (
+            r#"{"version":2,"command":"status","uncalibrated":true}"#,
+            "only arm does",
+        ),
+        (
+            r#"{"version":2,"command":"commissioned","procedure":"drive","result":"passed"}"#,
+            "procedure is \"drive\": use \"doctor\"",
+        ),
+        (
+            r#"{"version":2,"command":"commissioned","procedure":"doctor"}"#,
+            "result is \"\": use \"begun\"",
+        ),
+        (
+            r#"{"version":2,"command":"set-reference"}"#,
+            "needs a reference",
+        ),
+        (
+            r#"{"version":2,"command":"set-reference","reference":{"kind":"circle"}}"#,
+            "radius_m",
+        ),
+        (
+            r#"{"version":2,"command":"set-reference","reference":{"kind":"square"}}"#,
+            "square",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint"}"#,
+            "needs velocity_m_s",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[1]}"#,
+            "length",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[1,null]}"#,
+            "null",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[1,1e999]}"#,
+            "number out of range",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
+            "velocity_m_s must lie between -100 and 100",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
+            "position_m",
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"unattended","jog":true}"#,
+            "jogging must be held",
+        ),
+        (
+            r#"{"version":2,"command":"arm","jog":true}"#,
+            "arm needs an attendance",
+        ),
+        (
+            r#"{"version":2,"command":"hold","jog":true}"#,
+            "hold takes no jog; only arm does",
+        ),
+        (
+            r#"{"version":2,"command":"jog","servo_us":1500}"#,
+            "jog needs servo_us and esc_us",
+        ),
+        (
+            r#"{"version":2,"command":"jog","servo_us":-1,"esc_us":1500}"#,
+            "invalid value",
+        ),
+        (
+            r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":65536}"#,
+            "invalid value",
+        ),
+        (
+            r#"{"version":2,"command":"reload","esc_us":1500}"#,
+            "reload takes no esc_us; only jog does",
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
+            "CLOCK_MONOTONIC of this computer says 1000",
+        ),
+    ] {
+        let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains(part), "{line}: {error}");
+    }
+}
+
+#[test]
+fn valid_lines_are_parsed() {
+    let arm = |attendance| Arm {
+        attendance,
+        uncalibrated: false,
+    };
+    let setpoint = |position, time| {
+        let velocity = Velocity::new(0.5, -1.0);
+        Command::Setpoint(SetpointCommand::Setpoint(Setpoint::point(
+            Time(time),
+            position,
+            velocity,
+        )))
+    };
+    let actuation = |steering, speed, sequence| {
+        let stamp = SetpointStamp {
+            time: Time(NOW),
+            sequence,
+        };
+        let demand = Demand::Actuation { steering, speed };
+        Command::Setpoint(SetpointCommand::Setpoint(Setpoint { stamp, demand }))
+    };
+    for (line, command) in [
+        (
+            r#"{"version":2,"command":"status"}"#,
+            Command::Ask(Question::Status),
+        ),
+        (
+            r#"{"version":2,"command":"disarm","at_once":true}"#,
+            Command::Ask(Question::Halt),
+        ),
+        (
+            r#"{"version":2,"command":"disarm","at_once":false}"#,
+            Command::Ask(Question::Disarm),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+            Command::Arm(arm(Attendance::Hold)),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"timed","for_s":1.5}"#,
+            Command::Arm(arm(Attendance::Timed(Duration::from_millis(1_500)))),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
+            Command::Arm(arm(Attendance::Unattended)),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+            Command::Arm(Arm {
+                attendance: Attendance::Hold,
+                uncalibrated: true,
+            }),
+        ),
+        (
+            r#"{"version":2,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
+            Command::Commissioned {
+                procedure: Procedure::BringUp,
+                result: ProcedureResult::Passed,
+            },
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+            Command::ArmJog,
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
+            Command::Arm(arm(Attendance::Hold)),
+        ),
+        (
+            r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,
+            Command::Jog(Jog {
+                servo_us: 1_400,
+                esc_us: u16::MAX,
+            }),
+        ),
+        (r#"{"version":2,"command":"reload"}"#, Command::Reload),
+        (r#"{"version":2,"command":"hold"}"#, Command::Hold),
+        (
+            "{\"command\":\"stop\",\"version\":2}\r\n",
+            Command::Ask(Question::Stop),
+        ),
+        (
+            r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
+            Command::Watch {
+                topics: vec![Topic::Tick, Topic::Log],
+            },
+        ),
+        (
+            r#"{"version":2,"command":"set-reference","reference":
+                {"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
+            Command::SetReference(ReferenceSection::Circle {
+                radius_m: 1.0,
+                angular_velocity_rad_s: 0.5,
+                centre_m: [0.0, 0.0],
+            }),
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
+            setpoint(None, NOW),
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],
+                "position_m":[2,3],"time_ns":400}"#,
+            setpoint(Some(Position::new(2.0, 3.0)), 400),
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","steering_rad":0.1,"speed_m_s":-0.5,
+                "sequence":7}"#,
+            actuation(
+                SteeringDemand::Angle(0.1),
+                SpeedDemand::Speed(-0.5),
+                Some(7),
+            ),
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","steering_rate_rad_s":-0.2,
+                "acceleration_m_s2":0.3}"#,
+            actuation(
+                SteeringDemand::Rate(-0.2),
+                SpeedDemand::Acceleration(0.3),
+                None,
+            ),
+        ),
+        (
+            r#"{"version":2,"command":"setpoint","trajectory":[
+                {"time_ns":900,"position_m":[1,2],"velocity_m_s":[0,0]},
+                {"time_ns":1001,"position_m":[1,2.000001],"velocity_m_s":[3,4]}]}"#,
+            Command::Setpoint(SetpointCommand::Trajectory(Box::new(Trajectory {
+                stamp: SetpointStamp {
+                    time: Time(NOW),
+                    sequence: None,
+                },
+                points: [(900, 2.0, [0.0, 0.0]), (1_001, 2.000_001, [3.0, 4.0])]
+                    .into_iter()
+                    .map(|(time, y, [v_x, v_y])| TrajectoryPoint {
+                        time: Time(time),
+                        position: Position::new(1.0, y),
+                        velocity: Velocity::new(v_x, v_y),
+                    })
+                    .collect(),
+            }))),
+        ),
+        (
+            r#"{"version":2,"command":"watch","topics":["state"]}"#,
+            Command::WatchState,
+        ),
+    ] {
+        assert_eq!(Command::parse(line.as_bytes(), NOW), Ok(command), "{line}");
+    }
+}
+
+#[test]
+fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
+    use Rejection::{Future, Invalid, NotFinite, Old, OutOfRange};
+    let points = |times: &[u64]| {
+        let point =
+            |time| format!(r#"{{"time_ns":{time},"position_m":[0,0],"velocity_m_s":[0,0]}}"#);
+        let points: Vec<_> = times.iter().map(point).collect();
+        format!(r#""trajectory":[{}]"#, points.join(","))
+    };
+    let many: Vec<u64> = (1_000..1_101).collect();
+    for (keys, why) in [
+        ("", Invalid),
+        (r#""position_m":[0,0]"#, Invalid),
+        (r#""velocity_m_s":[0]"#, Invalid),
+        (r#""velocity_m_s":[0,0],"speed_m_s":1"#, Invalid),
+        (r#""velocity_m_s":[0,0],"to":1"#, Invalid),
+        (r#""steering_rad":0.1"#, Invalid),
+        (r#""speed_m_s":0.1"#, Invalid),
+        (
+            r#""steering_rad":0.1,"steering_rate_rad_s":0.1,"speed_m_s":1"#,
+            Invalid,
+        ),
+        (
+            r#""steering_rad":0.1,"acceleration_m_s2":0.1,"speed_m_s":1"#,
+            Invalid,
+        ),
+        (r#""velocity_m_s":[0,0],"sequence":-1"#, Invalid),
+        (r#""velocity_m_s":[0,0],"sequence":4294967296"#, Invalid),
+        (r#""velocity_m_s":[NaN,0]"#, NotFinite),
+        (r#""velocity_m_s":[0,-Infinity]"#, NotFinite),
+        (r#""velocity_m_s":[0,null]"#, NotFinite),
+        (r#""velocity_m_s":[0,1e999]"#, NotFinite),
+        (r#""velocity_m_s":[0,100.1]"#, OutOfRange),
+        (r#""velocity_m_s":[0,0],"position_m":[1e5,0]"#, OutOfRange),
+        (r#""steering_rad":1.6,"speed_m_s":1"#, OutOfRange),
+        (r#""steering_rad":0,"speed_m_s":-101"#, OutOfRange),
+        (r#""steering_rate_rad_s":101,"speed_m_s":1"#, OutOfRange),
+        (r#""steering_rad":0,"acceleration_m_s2":101"#, OutOfRange),
+        (
+            r#""steering_rad":0,"acceleration_m_s2":1,"time_ns":1001"#,
+            Future,
+        ),
+        (&points(&[1_000]), OutOfRange),
+        (&points(&[1_000, 1_000]), OutOfRange),
+        (&points(&many), OutOfRange),
+        (&points(&[2_000_000_000, 3_000_000_000]), Future),
+        (&points(&[998, 999]), Old),
+    ] {
+        let comma = if keys.is_empty() { "" } else { "," };
+        let line = format!(r#"{{"version":2,"command":"setpoint"{comma}{keys}}}"#);
+        let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
+        let rejected = error.rejected.map(|rejected| rejected.why);
+        assert_eq!(rejected, Some(why), "{line}: {}", error.text);
+    }
+    let error = Command::parse(b"{\"version\":2,\"command\":NaN}", NOW).unwrap_err();
+    assert_eq!(error.rejected, None);
+}

@@ -1,0 +1,170 @@
+//! The token of the control socket on TCP, and the file in which clients find it.
+
+use core::fmt;
+use std::{
+    fs,
+    io::{self, Write as _},
+    net::SocketAddr,
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
+    path::{Path, PathBuf},
+};
+
+use constant_time_eq::constant_time_eq;
+use rustix::rand::{GetRandomFlags, getrandom};
+use serde::Deserialize;
+use serde_json::json;
+
+use super::command::SOCKET_VERSION;
+
+/// Random bytes of a token.
+const BYTES: usize = 32;
+
+/// The owner may write, the group read: those who may connect to the Unix socket.
+const PERMISSIONS: u32 = 0o640;
+
+/// A random word that a client has to give, new at every start of the daemon.
+pub(super) struct Token(String);
+
+// It must not get into a log.
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(..)")
+    }
+}
+
+/// The first line of a client.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FirstLine {
+    version: u32,
+    command: String,
+    token: String,
+}
+
+impl Token {
+    pub(super) fn random() -> io::Result<Self> {
+        let mut bytes = [0_u8; BYTES];
+        // The system gives so few bytes at once or not at all.
+        let count = getrandom(&mut bytes, GetRandomFlags::empty())?;
+        if count != BYTES {
+            return Err(io::Error::other("too few random bytes"));
+        }
+        Ok(Self(
+            bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
+        ))
+    }
+
+    /// Whether a line gives this token. How long it takes does not depend on how much of a wrong
+    /// token is right.
+    pub(super) fn is_given_by(&self, line: &[u8]) -> bool {
+        serde_json::from_slice::<FirstLine>(line).is_ok_and(|line| {
+            line.version == SOCKET_VERSION
+                && line.command == "token"
+                && constant_time_eq(line.token.as_bytes(), self.0.as_bytes())
+        })
+    }
+}
+
+/// The file with the address and the token, removed when this value is dropped.
+#[derive(Debug)]
+pub(super) struct TokenFile(PathBuf);
+
+impl Drop for TokenFile {
+    fn drop(&mut self) {
+        // An error means that the file is gone already.
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+impl TokenFile {
+    /// The place of the token of the daemon that listens on `socket`.
+    pub(super) fn path(socket: &Path) -> PathBuf {
+        let mut path = socket.as_os_str().to_owned();
+        path.push(".token");
+        path.into()
+    }
+
+    /// Writes the file. Replaces the one that a killed daemon left.
+    pub(super) fn create(path: PathBuf, address: SocketAddr, token: &Token) -> io::Result<Self> {
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        // A new file and no link: it is the daemon's own from its first byte.
+        let mut file = fs::OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .open(&path)?;
+        let made = Self(path);
+        let content = json!({
+            "address": address.ip(),
+            "port": address.port(),
+            "token": token.0,
+        });
+        writeln!(file, "{content}")?;
+        file.set_permissions(fs::Permissions::from_mode(PERMISSIONS))?;
+        Ok(made)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::Value;
+
+    use super::*;
+
+    #[test]
+    fn a_token_is_random_and_not_shown() {
+        let [one, other] = [(); 2].map(|()| Token::random().unwrap());
+        assert_ne!(one.0, other.0);
+        assert_eq!(one.0.len(), 2 * BYTES);
+        assert_eq!(format!("{one:?}"), "Token(..)");
+    }
+
+    #[test]
+    fn only_the_whole_token_in_its_own_command_is_right() {
+        let token = Token("0123456789abcdef".to_owned());
+        let given = |line: &str| token.is_given_by(line.as_bytes());
+        let right = r#"{"version":2,"command":"token","token":"0123456789abcdef"}"#;
+        assert!(given(right));
+        for line in [
+            "",
+            "0123456789abcdef",
+            r#"{"version":2,"command":"token"}"#,
+            r#"{"version":2,"command":"token","token":""}"#,
+            r#"{"version":2,"command":"token","token":"0123456789abcde"}"#,
+            r#"{"version":2,"command":"token","token":"0123456789abcdeff"}"#,
+            r#"{"version":2,"command":"token","token":"0123456789ABCDEF"}"#,
+            r#"{"version":2,"command":"token","token":null}"#,
+            r#"{"version":1,"command":"token","token":"0123456789abcdef"}"#,
+            r#"{"version":2,"command":"stop","token":"0123456789abcdef"}"#,
+            r#"{"version":2,"command":"token","token":"","token":"0123456789abcdef"}"#,
+            r#"POST / {"version":2,"command":"token","token":"0123456789abcdef"}"#,
+        ] {
+            assert!(!given(line), "{line}");
+        }
+    }
+
+    #[test]
+    fn the_file_of_a_dead_daemon_is_replaced_and_a_link_is_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "precious").unwrap();
+        let path = TokenFile::path(&folder.path().join("control.sock"));
+        std::os::unix::fs::symlink(&precious, &path).unwrap();
+        let token = Token::random().unwrap();
+        let address = SocketAddr::from(([127, 0, 0, 1], 8_766));
+        let file = TokenFile::create(path.clone(), address, &token).unwrap();
+        assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
+        let mode = fs::symlink_metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, PERMISSIONS);
+        let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        assert_eq!(
+            content,
+            json!({"address": "127.0.0.1", "port": 8766, "token": token.0})
+        );
+        drop(file);
+        assert!(!path.exists());
+    }
+}

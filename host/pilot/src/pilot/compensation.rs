@@ -1,0 +1,231 @@
+//! The compensation of the actuators: what is commanded is what is wanted when it acts.
+
+use heapless::Deque;
+use libm::fabs;
+use singletrack_control::{
+    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, Predicted, Predictor,
+    Reference, Singularity, Time, TrackingLoop, VehicleParameters, Velocity,
+};
+
+/// What the pilot compensates, and by which model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Compensation {
+    /// Commands the speed in the board's clock, whose rate the link measures.
+    pub clock: bool,
+    /// The model of the actuators; none to command as if they had neither dead time nor lag.
+    pub actuation: Option<ActuatorModel>,
+    /// The car as it is believed to be.
+    pub vehicle: VehicleParameters,
+}
+
+impl Compensation {
+    /// Compensates nothing.
+    #[must_use]
+    pub const fn off(vehicle: VehicleParameters) -> Self {
+        Self {
+            clock: false,
+            actuation: None,
+            vehicle,
+        }
+    }
+}
+
+/// Planned speeds kept: those of the longest dead time at the shortest period.
+const PLANNED: usize = 128;
+
+/// The longest dead time of the motor that is looked over, s.
+const FARTHEST: f64 = 0.4;
+
+/// Change of the commanded speed for each m/s of the speed's deviation.
+const PROPORTIONAL: f64 = 0.5;
+
+/// The same over the time in which the motor answers: the slower it is, the slower the
+/// deviation is taken away.
+const INTEGRAL: f64 = 0.35;
+
+/// The shortest of these times that counts, s.
+const QUICKEST: f64 = 0.1;
+
+/// The largest deviation of the speed that is integrated, m/s: a car that has yet to speed up
+/// is no deviation.
+const DEVIATION: f64 = 0.15;
+
+/// A speed that was sent counts as limited if it differs by this from what was asked for, m/s.
+const LIMITED: f64 = 0.005;
+
+/// The most by which the deviation changes the command: this, and this part of the speed.
+const MOST: f64 = 0.05;
+const MOST_PART: f64 = 0.25;
+
+/// The state of the compensation.
+#[derive(Clone, Debug)]
+pub(super) struct Compensator {
+    predictor: Predictor,
+    /// The speeds planned, with the times at which the car should have them.
+    planned: Deque<(Time, f64), PLANNED>,
+    /// The one that is due, m/s.
+    due: Option<f64>,
+    integral: f64,
+    /// The speed that was asked for in the last tick, and what the limits left of it, m/s.
+    asked: f64,
+    sent: f64,
+}
+
+/// Where P should go, as the outer loop says.
+pub(super) struct Course<'a> {
+    pub(super) law: &'a FrontPointLaw,
+    pub(super) tracking: &'a TrackingLoop,
+    pub(super) reference: &'a Reference,
+    pub(super) max_speed: f64,
+    pub(super) max_steering_rate: f64,
+    pub(super) max_acceleration: f64,
+    pub(super) now: Time,
+    /// Time since the start of the drive, s.
+    pub(super) time: f64,
+    pub(super) period: f64,
+}
+
+impl Course<'_> {
+    /// The wanted velocity of P in this state, and the law's command for it.
+    fn at(&self, state: &Predicted) -> Result<(Velocity, FrontPointCommand), Singularity> {
+        let reference = self
+            .reference
+            .point_ahead(self.now, self.time, state.ahead)
+            .ok_or(Singularity::NotFinite)?;
+        let point = self
+            .law
+            .point(state.position, state.motion.yaw, state.wheels);
+        let wanted = self.tracking.velocity(&reference, &point);
+        let pace = wanted.norm();
+        let limited = if pace > self.max_speed {
+            wanted * (self.max_speed / pace)
+        } else {
+            wanted
+        };
+        let command = self.law.command(&state.motion, state.wheels, &limited)?;
+        Ok((wanted, command))
+    }
+
+    /// The state after a period with this command.
+    fn next(&self, state: &Predicted, command: &FrontPointCommand) -> Predicted {
+        let most = self.max_steering_rate;
+        let rate = command.steering_rate.clamp(-most, most);
+        let change = self.max_acceleration * self.period;
+        let speed = command
+            .speed
+            .clamp(state.speed - change, state.speed + change);
+        state.after(self.period, rate, speed)
+    }
+}
+
+impl Compensator {
+    /// None if the actuators are not compensated.
+    pub(super) fn of(config: &Compensation) -> Option<Self> {
+        let model = config.actuation?;
+        Some(Self {
+            predictor: Predictor::new(model, &config.vehicle),
+            planned: Deque::new(),
+            due: None,
+            integral: 0.0,
+            asked: 0.0,
+            sent: 0.0,
+        })
+    }
+
+    /// A drive begins, with the wheels at `steering` (rad).
+    pub(super) fn begin(&mut self, steering: f64) {
+        self.predictor.reset(steering);
+        self.planned.clear();
+        self.due = None;
+        self.integral = 0.0;
+        (self.asked, self.sent) = (0.0, 0.0);
+    }
+
+    /// The angle of the front wheels by the model, rad.
+    pub(super) const fn wheels(&self) -> f64 {
+        self.predictor.wheels()
+    }
+
+    /// A tick begins.
+    pub(super) fn advance(&mut self, now: Time, speed: f64) {
+        self.predictor.advance(now, speed);
+    }
+
+    /// The steering was commanded.
+    pub(super) fn commanded(&mut self, now: Time, steering: f64) {
+        self.predictor.commanded(now, steering);
+    }
+
+    /// The limits left this of the speed that was asked for, m/s.
+    pub(super) const fn sent(&mut self, speed: f64) {
+        self.sent = speed;
+    }
+
+    /// The state at which the command acts, the wanted velocity of P there, and the lead over
+    /// the actuators. The yaw rate was measured at `measured`.
+    ///
+    /// # Errors
+    ///
+    /// Where the law is singular.
+    pub(super) fn look_ahead(
+        &mut self,
+        estimate: &Estimate,
+        measured: Option<Time>,
+        course: &Course<'_>,
+    ) -> Result<(Predicted, Velocity, Lead), Singularity> {
+        let state = self.predictor.predict(estimate, measured);
+        let (wanted, first) = course.at(&state)?;
+        let model = *self.predictor.model();
+        // The motor acts later than the wheels: the speed is the one that is wanted then.
+        let (mut later, mut command) = (state, first);
+        let far = model.speed_dead_time.min(FARTHEST);
+        while later.ahead + 0.5 * course.period < far {
+            later = course.next(&later, &command);
+            command = course.at(&later)?.1;
+        }
+        let (_, next) = course.at(&course.next(&later, &command))?;
+        let most = course.max_acceleration;
+        let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
+        let correction = self.correction(course, estimate.speed);
+        self.plan(course.now.after(later.ahead), command.speed);
+        let asked = command.speed + model.speed_lag * slope + correction;
+        (self.asked, self.sent) = (asked, asked);
+        let lead = Lead {
+            wheels: state.wheels,
+            steering: self.predictor.command_for(0.0, 1.0, course.period),
+            speed: asked - first.speed,
+        };
+        Ok((state, wanted, lead))
+    }
+
+    /// What the deviation from the planned speed adds to the command, m/s.
+    fn correction(&mut self, course: &Course<'_>, speed: f64) -> f64 {
+        while let Some(&(time, planned)) = self.planned.front()
+            && time <= course.now
+        {
+            self.due = Some(planned);
+            self.planned.pop_front();
+        }
+        let Some(due) = self.due else { return 0.0 };
+        let deviation = due - speed;
+        let most = MOST + MOST_PART * fabs(due);
+        // What a limit keeps the car from is no deviation either.
+        let is_limited = (self.sent - self.asked) * deviation < -LIMITED * fabs(deviation);
+        if fabs(deviation) < DEVIATION && !is_limited {
+            let model = self.predictor.model();
+            let answer = (model.speed_dead_time + model.speed_lag).max(QUICKEST);
+            let change = INTEGRAL / answer * deviation * course.period;
+            self.integral = (self.integral + change).clamp(-most, most);
+        }
+        let proportional = PROPORTIONAL * deviation.clamp(-DEVIATION, DEVIATION);
+        (proportional + self.integral).clamp(-most, most)
+    }
+
+    fn plan(&mut self, time: Time, speed: f64) {
+        if self.planned.is_full() {
+            self.planned.pop_front();
+        }
+        // There is room: see above.
+        let _ = self.planned.push_back((time, speed));
+    }
+}
