@@ -404,6 +404,31 @@ fn the_same_inputs_give_the_same_frames_and_pulses() {
     telemetry_agrees(&native.frames.telemetry, &image.frames.telemetry);
     status_agrees(&native.frames.status, &image.frames.status);
     pulses_agree(&native.outputs, &image.pulses);
+    pulses_follow_records(&image);
+}
+
+/// A pulse begins 0.4 ms after a multiple of 20 ms of the board's clock, and is as long as the
+/// last record before it says: 5.4 ms before. What is measured of servo and ESC rests on this.
+fn pulses_follow_records(image: &ImageBoard) {
+    let records = &image.frames.telemetry;
+    let mut changes = 0;
+    let mut before_us = 0;
+    for pulse in image.pulses.iter().filter(|pulse| pulse.pin == Pin::Servo) {
+        let begin_us = pulse.start / CYCLES_PER_US;
+        let width_us = pulse.width / CYCLES_PER_US;
+        let last = records.partition_point(|record| u64::from(record.board_time_us) <= begin_us);
+        let record = &records[last - 1];
+        assert!((300..600).contains(&(begin_us % 20_000)), "{begin_us}");
+        if (5_300..5_600).contains(&(begin_us - u64::from(record.board_time_us))) {
+            assert!(
+                width_us.abs_diff(record.servo_us.into()) <= 1,
+                "{width_us} us at {begin_us} us, {record:?}"
+            );
+            changes += usize::from(width_us != before_us);
+        }
+        before_us = width_us;
+    }
+    assert!(changes > 1_000, "{changes}");
 }
 
 fn telemetry_agrees(native: &[Telemetry], image: &[Telemetry]) {

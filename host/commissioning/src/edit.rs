@@ -4,8 +4,9 @@
 //! one is kept beside it.
 
 use std::{
-    fs::{self, File},
+    fs::{self, File, Metadata},
     io::{self, Write as _},
+    os::unix::fs::{MetadataExt as _, fchown},
     path::{Path, PathBuf},
 };
 
@@ -153,6 +154,22 @@ impl Edit {
         replace(&staged, &path)
     }
 
+    /// Writes the text beside the file and removes it, as the first half of [`Self::write`].
+    ///
+    /// # Errors
+    ///
+    /// It can't be written.
+    pub fn rehearse(&self, path: &Path) -> Result<(), EditError> {
+        let path = fs::canonicalize(path).map_err(|source| EditError::File {
+            path: path.to_owned(),
+            source,
+        })?;
+        let staged = with_suffix(&path, ".new");
+        let result = stage(&path, &staged, &self.new);
+        let _ = fs::remove_file(&staged);
+        result
+    }
+
     /// What has changed, as a unified diff; empty if nothing has.
     #[must_use]
     pub fn diff(&self, name: &str) -> String {
@@ -192,7 +209,7 @@ impl Edit {
     }
 }
 
-/// Writes the new text beside the file, with its permissions, down to the disk.
+/// Writes the new text beside the file, with its owner and permissions, down to the disk.
 fn stage(path: &Path, staged: &Path, text: &str) -> Result<(), EditError> {
     let failed = |source| EditError::File {
         path: staged.to_owned(),
@@ -200,9 +217,31 @@ fn stage(path: &Path, staged: &Path, text: &str) -> Result<(), EditError> {
     };
     let mut file = File::create(staged).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)?;
-    let permissions = fs::metadata(path).map_err(failed)?.permissions();
-    file.set_permissions(permissions).map_err(failed)?;
+    let old = fs::metadata(path).map_err(failed)?;
+    keep_owner(&file, &old).map_err(failed)?;
+    file.set_permissions(old.permissions()).map_err(failed)?;
     file.sync_all().map_err(failed)
+}
+
+/// Gives a new file the owner and the group of the old one. Only root may give away a file: in
+/// another's name the group is enough, if others may read it.
+fn keep_owner(file: &File, old: &Metadata) -> io::Result<()> {
+    const READABLE_BY_OTHERS: u32 = 0o004;
+    let new = file.metadata()?;
+    if new.gid() != old.gid()
+        && let Err(error) = fchown(file, None, Some(old.gid()))
+        && old.mode() & READABLE_BY_OTHERS == 0
+    {
+        // The daemon could not read it any more.
+        return Err(io::Error::new(
+            error.kind(),
+            format!("its group {} can't be kept: {error}", old.gid()),
+        ));
+    }
+    if new.uid() != old.uid() {
+        let _ = fchown(file, Some(old.uid()), None);
+    }
+    Ok(())
 }
 
 /// Copies the file, down to the disk.
@@ -442,5 +481,41 @@ mod tests {
         edit.set("board.servo.centre_us", &1500.into()).unwrap();
         assert_eq!(edit.write(&path, "2026-01-02").unwrap(), None);
         assert_eq!(edit.diff("car.toml"), "");
+    }
+
+    #[test]
+    fn a_file_keeps_its_permissions_and_its_group() {
+        use std::os::unix::fs::PermissionsExt as _;
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, EXAMPLE).unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        // Another group, where the user may choose one.
+        let _ = std::os::unix::fs::chown(&path, None, Some(12));
+        let before = fs::metadata(&path).unwrap();
+        let mut edit = Edit::read(&path).unwrap();
+        edit.set("board.servo.centre_us", &1512.into()).unwrap();
+        edit.write(&path, "2026-01-02").unwrap();
+        let after = fs::metadata(&path).unwrap();
+        assert_eq!(
+            (after.mode(), after.uid(), after.gid()),
+            (before.mode(), before.uid(), before.gid())
+        );
+    }
+
+    #[test]
+    fn a_rehearsal_leaves_nothing_and_says_where_nothing_can_be_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("car.toml");
+        fs::write(&path, EXAMPLE).unwrap();
+        let edit = Edit::read(&path).unwrap();
+        edit.rehearse(&path).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+        // A folder is in the way of the new file; root may write everywhere else.
+        fs::create_dir(folder.path().join("car.toml.new")).unwrap();
+        let error = edit.rehearse(&path).unwrap_err().to_string();
+        assert!(error.contains("car.toml.new"), "{error}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), EXAMPLE);
     }
 }

@@ -236,7 +236,7 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ];
     change(bench, &keys)?;
     let found = format!(
-        "{how}: neutral {:.1} us (to {:.1}), deadband {:.1} us (to {:.1}), {:.0} us per m/s at \
+        "{how}: neutral {:.1} us (known to {:.1}), deadband {:.1} us (known to {:.1}), {:.0} us per m/s at \
          {AT_SPEED} m/s; the speeds are within {:.1} us of their curve",
         neutral.value,
         neutral.half_width(),

@@ -252,7 +252,7 @@ fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     };
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
-        "straight on at {centre:.0} us, to {half:.0} us; it looks straight over {wide:.0} us, and \
+        "straight on at {centre:.0} us, known to {half:.0} us; it looks straight over {wide:.0} us, and \
          from the other side {play:.0} us beside"
     );
     let outcome = if play > 30.0 {

@@ -70,8 +70,6 @@ pub(super) struct Drive {
     board_is_armed: bool,
     /// When its last frame with a pose arrived, in ns.
     pub(super) last_pose_ns: u64,
-    /// When the stop was asked for, in ns.
-    pub(super) stopped_ns: u64,
     /// Why it ended, if by itself.
     pub(super) reason: Option<&'static str>,
 }
@@ -347,15 +345,11 @@ pub(super) fn drive(
     wanted: &dyn Fn(f64) -> Wanted,
 ) -> Result<Drive, Ends> {
     let mut point: Option<Position> = None;
-    let refused = |reason: String| {
-        Ends::Failed(
-            format!("the car can't be armed: {reason}"),
-            "docs/reasons.md says what the word means; correct it and run this step again",
-        )
-    };
+    const FIX: &str =
+        "docs/reasons.md says what the word means; correct it and run this step again";
     bench
         .arm(Attendance::Drive)
-        .map_err(|error| refused(error.to_string()))?;
+        .map_err(|error| Ends::Failed(format!("the car can't be armed: {error}"), FIX))?;
     let mut drive = Drive::default();
     let mut observed = Vec::new();
     let mut is_over = false;
@@ -377,8 +371,8 @@ pub(super) fn drive(
             _ => Velocity::zeros(),
         };
         if let Err(error) = bench.drive(velocity, None) {
-            let _ = bench.disarm();
-            return Err(refused(error.to_string()));
+            stop(bench, &mut drive)?;
+            return Err(Ends::Failed(format!("the drive ended: {error}"), FIX));
         }
         observed.clear();
         bench.wait(&mut observed)?;
@@ -416,9 +410,14 @@ pub(super) fn drive(
         };
         bench.show(&live);
     }
-    drive.stopped_ns = drive.ticks.last().map_or(0, |tick| tick.time.0);
+    stop(bench, &mut drive)?;
+    Ok(drive)
+}
+
+/// Stops the car, and waits until it stands and can be armed again.
+fn stop(bench: &mut dyn Bench, drive: &mut Drive) -> Result<(), Interrupted> {
     let _ = bench.disarm();
-    // Until it stands and can be armed again.
+    let mut observed = Vec::new();
     for _ in 0..600 {
         observed.clear();
         bench.wait(&mut observed)?;
@@ -434,7 +433,7 @@ pub(super) fn drive(
             break;
         }
     }
-    Ok(drive)
+    Ok(())
 }
 
 impl Drive {

@@ -32,7 +32,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     floor::place(bench)?;
     let mut stops: Vec<(f64, f64)> = Vec::new();
     let mut ways = Vec::new();
-    let mut passed = 0.0;
+    let mut passed: f64 = 0.0;
     let top = f64::from(bench.configuration().board.speed.max_forward_mm_s) * 1e-3;
     'rising: for speed in SPEEDS {
         if speed + 0.05 > top {
@@ -40,7 +40,11 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         }
         floor::limit_speed(bench, speed)?;
         for _ in 0..TIMES {
-            let Some(braking) = rolled(bench, speed, &mut ways)? else {
+            let braking = rolled(bench, speed, &mut ways).inspect_err(|_| {
+                // The car keeps the speed from which it has rolled out.
+                let _ = floor::limit_speed(bench, passed.max(SLOW));
+            })?;
+            let Some(braking) = braking else {
                 if passed == 0.0 {
                     return Err(Ends::Failed(
                         "there is no room for a circle where the car stands".to_owned(),

@@ -112,17 +112,25 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     finding(bench, &rises, &rolls)
 }
 
-/// The speeds around all rises, over each other.
+/// The speeds around all rises, over each other, and their mean.
 fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
     /// Poses between which a speed is taken.
     const APART: usize = 4;
+    /// Over which time the mean is taken, s.
+    const BIN: f64 = 0.02;
+    let bins = ((LOOK[0] + LOOK[1]) / BIN) as usize;
+    let mut sums = vec![[0.0; 3]; bins];
     let mut points = Vec::new();
     for rise in starts.iter().skip(1).step_by(2) {
         for index in APART..motion.time.len() {
             let (begin, end) = (motion.time[index - APART], motion.time[index]);
             let time = f64::midpoint(begin, end) - rise;
             if (-LOOK[0]..LOOK[1]).contains(&time) {
-                points.push([time, (way[index] - way[index - APART]) / (end - begin)]);
+                let speed = (way[index] - way[index - APART]) / (end - begin);
+                points.push([time, speed]);
+                if let Some(sum) = sums.get_mut(((time + LOOK[0]) / BIN) as usize) {
+                    *sum = [sum[0] + time, sum[1] + speed, sum[2] + 1.0];
+                }
             }
         }
         // The next one is another line.
@@ -134,11 +142,21 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
         x: ("time since the reference rose", "s"),
         y: ("speed", "m/s"),
         equal: false,
-        lines: vec![PlotLine {
-            name: "rear axle",
-            kind: PlotKind::Measured,
-            points,
-        }],
+        lines: vec![
+            PlotLine {
+                name: "rear axle",
+                kind: PlotKind::Measured,
+                points,
+            },
+            PlotLine {
+                name: "mean",
+                kind: PlotKind::Fitted,
+                points: sums
+                    .into_iter()
+                    .map(|[time, speed, count]| [time / count, speed / count])
+                    .collect(),
+            },
+        ],
     });
 }
 

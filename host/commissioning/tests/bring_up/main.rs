@@ -3,14 +3,16 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 mod car;
+mod truth;
 
 use std::collections::BTreeMap;
 
-use car::{Kind, MockCar, Random, Truth};
+use car::MockCar;
 use singletrack_commissioning::{
     Finding, Interrupted, Journal, Parameter, Step, Verdict, bring_up, run,
 };
 use singletrack_core::Config;
+use truth::{Kind, Random, Truth};
 
 /// Keeps the findings in memory.
 #[derive(Default)]
