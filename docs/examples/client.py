@@ -7,12 +7,23 @@ import time
 
 
 class Client:
-    """A connection to the daemon: one JSON object a line, in each direction."""
+    """A connection to the daemon: one JSON object a line, in each direction.
+
+    The path is that of the socket, or of the file with the token for its port."""
 
     def __init__(self, path):
-        self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.connect(path)
+        tcp = path.endswith(".token")
+        self.socket = socket.socket(socket.AF_INET if tcp else socket.AF_UNIX)
         self.lines = self.socket.makefile("r")
+        if tcp:
+            with open(path) as file:
+                key = json.load(file)
+            # Otherwise seconds of old states are kept for a client that is slow.
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            self.socket.connect((key["address"], key["port"]))
+            self.ask("token", token=key["token"])
+        else:
+            self.socket.connect(path)
 
     def send(self, command, **keys):
         line = json.dumps({"version": 2, "command": command, **keys})

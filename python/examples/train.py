@@ -48,11 +48,13 @@ class Policy:
         return np.asarray(self.middle + self.half * np.tanh(outputs))
 
 
-def returns(envs: Any, policy: Policy, weights: NDArray[np.float64], seed: int) -> NDArray[Any]:
+def returns(
+    envs: Any, policy: Policy, weights: NDArray[np.float64], seed: int, episode: int
+) -> NDArray[Any]:
     """The sum of rewards of the first episode of each car."""
     rows, _ = envs.reset(seed=seed)
     total, alive = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
-    for _ in range(EPISODE):
+    for _ in range(episode):
         rows, reward, terminated, truncated, _ = envs.step(policy.act(rows, weights))
         total += np.where(alive, reward, 0.0)
         alive &= ~(terminated | truncated)
@@ -62,12 +64,12 @@ def returns(envs: Any, policy: Policy, weights: NDArray[np.float64], seed: int) 
     return total
 
 
-def train(iterations: int, seed: int) -> Policy:
+def train(iterations: int, seed: int, episode: int = EPISODE) -> Policy:
     """Trains on the car alone, with other people's cars."""
     count = 2 * DIRECTIONS * CARS
     envs = gymnasium.make_vec(
         "Singletrack-v0", num_envs=count, randomise="other-cars",
-        max_episode_steps=EPISODE + 1, **TASK,
+        max_episode_steps=episode + 1, **TASK,
     )  # fmt: skip
     columns = envs.single_observation_space.sample().size
     policy = Policy(envs.single_action_space, columns)
@@ -78,13 +80,14 @@ def train(iterations: int, seed: int) -> Policy:
         for iteration in range(iterations):
             tried = generator.standard_normal((DIRECTIONS, *policy.weights.shape))
             both = np.concatenate([policy.weights + NOISE * tried, policy.weights - NOISE * tried])
-            found = returns(envs, policy, np.repeat(both, CARS, axis=0), seed + count * iteration)
+            weights = np.repeat(both, CARS, axis=0)
+            found = returns(envs, policy, weights, seed + count * iteration, episode)
             up, down = found.reshape(2, DIRECTIONS, CARS).mean(axis=2)
             best = np.argsort(-np.maximum(up, down))[:BEST]
             spread = np.concatenate([up[best], down[best]]).std() + 1e-6
             gain = np.einsum("d,dij->ij", up[best] - down[best], tried[best])
             policy.weights = policy.weights + STEP_SIZE / (BEST * spread) * gain
-            curve.write(f"{(iteration + 1) * count * EPISODE},{found.mean():.2f}\n")
+            curve.write(f"{(iteration + 1) * count * episode},{found.mean():.2f}\n")
             if iteration % 20 == 0 or iteration + 1 == iterations:
                 passed = time.perf_counter() - began
                 print(f"{iteration + 1:4} iterations, {passed:4.0f} s: return {found.mean():6.1f}")
@@ -111,9 +114,10 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--iterations", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--short", action="store_true", help="only two iterations")
+    parser.add_argument("--short", action="store_true", help="two short iterations")
     options = parser.parse_args()
-    trained = train(2 if options.short else options.iterations, options.seed)
+    short = (2, options.seed, 50)
+    trained = train(*short) if options.short else train(options.iterations, options.seed)
     np.savez("policy.npz", weights=trained.weights, mean=trained.mean, square=trained.square)
     for name in ("Singletrack-v0", "Singletrack-System-v0"):
         print(f"{name}: rms {1e3 * drive(trained, name):.0f} mm from the reference")

@@ -16,7 +16,8 @@ steering are positive to the left. ``singletrack.gym`` needs the package ``gymna
 """
 
 from . import law, model, stability
-from ._car import Car, Drive
+from ._car import Car
+from ._drive import Drive
 from ._errors import ArmError, Rejected, SingletrackError
 from ._register import register as _register
 from ._record import Record, read

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import os
-from collections.abc import AsyncIterator, Iterator, Sequence
-from types import TracebackType
-from typing import Any, Protocol
+import threading
+from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
+from ._closing import Closing
+from ._drive import Backend, Drive
 from ._errors import ArmError, Rejected
 from ._simulator import Simulator
 from ._socket import SocketCar
-from ._state import State
+from ._state import State, refuse_driven
 
 #: Virtual time until a simulated car is ready: bootloader, ESC and estimator take some seconds.
 _READY_TICKS = 1_500
@@ -23,48 +20,24 @@ _READY_TICKS = 1_500
 _REST_TICKS = 1_000
 
 
-class Backend(Protocol):
-    """What a drive needs of a car."""
-
-    def begin(self, timeout: float) -> State:
-        """Waits until the car can drive, and arms it; the state of a driving tick."""
-
-    def next_state(self) -> State:
-        """The state of the next tick."""
-
-    def setpoint(self, keys: dict[str, Any]) -> None:
-        """Sends a set-point with the keys of the control socket."""
-
-    def end(self) -> State | None:
-        """Stops the car and waits until it stands; the last state."""
-
-    def stop(self) -> None:
-        """An emergency stop."""
-
-    def state(self) -> State:
-        """The newest state."""
-
-    def status(self) -> dict[str, Any]:
-        """Further information."""
-
-    def close(self) -> None:
-        """Gives up what is open."""
-
-
-class SimulatedCar:
+class SimulatedCar(Backend):
     """A backend in virtual time: a tick is run when its state is asked for."""
 
     def __init__(self, simulator: Simulator) -> None:
+        super().__init__()
         self.simulator = simulator
         self._native = simulator._native
 
-    def begin(self, timeout: float) -> State:
+    def begin(self, timeout: float, abandoned: threading.Event) -> State:
         simulator = self.simulator
+        state = simulator.state
+        refuse_driven(state)
         if not self._native.is_external:
             simulator.set_reference({"kind": "external"})
         armed = False
-        state = simulator.state
         for _ in range(min(_READY_TICKS, max(1, round(timeout * 100)))):
+            if abandoned.is_set():
+                break
             if not armed and state.mode == "ready":
                 simulator.arm()
                 armed = True
@@ -73,6 +46,8 @@ class SimulatedCar:
             state = simulator.step()
             if state.driving:
                 return state
+        if armed:
+            simulator.disarm()
         raise ArmError(f"the car did not start: mode {state.mode}, because of {state.reason}")
 
     def next_state(self) -> State:
@@ -100,16 +75,18 @@ class SimulatedCar:
                     sequence,
                 )
         except ValueError as error:
-            raise Rejected(str(error), "out-of-range") from error
+            text, word = error.args
+            raise Rejected(text, word) from error
+
+    def disarm(self) -> None:
+        if self.simulator.state.driving:
+            self.simulator.disarm()
 
     def end(self) -> State | None:
-        state = self.simulator.state
-        if state.driving:
-            self.simulator.disarm()
-            # The requests are taken with the next tick.
-            state = self.simulator.step()
+        # Requests are taken with the next tick.
+        state = self.simulator.step() if self.simulator.state.driving else self.simulator.state
         for _ in range(_REST_TICKS):
-            if state.mode in ("idle", "ready", "fault", "disconnected"):
+            if state.standing:
                 break
             state = self.simulator.step()
         return state
@@ -129,7 +106,7 @@ class SimulatedCar:
         self.simulator.close()
 
 
-class Car:
+class Car(Closing):
     """A car: ``"sim"``, a :class:`Simulator`, or the control socket of a daemon.
 
     Args:
@@ -141,6 +118,8 @@ class Car:
     def __init__(self, target: str | os.PathLike[str] | Simulator = "sim", **options: Any) -> None:
         self._backend: Backend
         if isinstance(target, Simulator):
+            if options:
+                raise TypeError(f"the simulator has its options already: {', '.join(options)}")
             self._backend = SimulatedCar(target)
         elif target == "sim":
             self._backend = SimulatedCar(Simulator(**options))
@@ -179,168 +158,10 @@ class Car:
         Args:
             timeout: How long to wait until the car can be armed, in s.
         """
+        if not 0 <= timeout < math.inf:
+            raise ValueError(f"timeout is {timeout}: give seconds")
         return Drive(self._backend, timeout)
 
     def close(self) -> None:
         """Closes the connections; completes the record of a simulated car."""
         self._backend.close()
-
-    def __enter__(self) -> Car:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
-class Drive:
-    """A drive; see :meth:`Car.drive`. Iterating gives the state of every tick.
-
-    The iteration ends when the car stops by itself; :attr:`reason` then says why. A program
-    that is slower than the ticks misses states: the newest one is given.
-    """
-
-    def __init__(self, backend: Backend, timeout: float) -> None:
-        self._backend = backend
-        self._timeout = timeout
-        self._first: State | None = None
-        self._sequence = 0
-        self._ended = False
-        #: Why the drive has ended; ``None`` while the car drives.
-        self.reason: str | None = None
-        #: The newest state.
-        self.state: State | None = None
-
-    def __enter__(self) -> Drive:
-        self._first = self.state = self._backend.begin(self._timeout)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        last = self._backend.end()
-        if last is not None:
-            self.state = last
-            self.reason = self.reason or last.reason
-        self._ended = True
-
-    def __iter__(self) -> Iterator[State]:
-        return self
-
-    def __next__(self) -> State:
-        if self._ended:
-            raise StopIteration
-        if self._first is not None:
-            state, self._first = self._first, None
-        else:
-            state = self._backend.next_state()
-        self.state = state
-        if not state.driving:
-            self._ended = True
-            self.reason = state.reason
-            raise StopIteration
-        return state
-
-    async def __aenter__(self) -> Drive:
-        return await asyncio.to_thread(self.__enter__)
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        # The car is stopped even if the task is cancelled.
-        await asyncio.shield(asyncio.to_thread(self.__exit__, kind, error, trace))
-
-    def __aiter__(self) -> AsyncIterator[State]:
-        return self
-
-    async def __anext__(self) -> State:
-        state = await asyncio.to_thread(next, self, None)
-        if state is None:
-            raise StopAsyncIteration
-        return state
-
-    def point_velocity(
-        self, vx: float, vy: float, *, position: Sequence[float] | None = None
-    ) -> None:
-        """The velocity of P in the world, in m/s; the law steers.
-
-        With a ``position`` (m), the outer loop corrects the distance to it too.
-        """
-        keys: dict[str, Any] = {"velocity_m_s": _finite(vx, vy)}
-        if position is not None:
-            x, y = position
-            keys["position_m"] = _finite(x, y)
-        self._send(keys)
-
-    def actuate(
-        self,
-        steering_rad: float | None = None,
-        speed_m_s: float | None = None,
-        *,
-        steering_rate_rad_s: float | None = None,
-        acceleration_m_s2: float | None = None,
-    ) -> None:
-        """Steering angle (or rate) and speed (or acceleration), past the law.
-
-        The limits of the configuration apply: speed, acceleration, steering, steering rate and
-        lateral acceleration.
-        """
-        given = {
-            "steering_rad": steering_rad,
-            "steering_rate_rad_s": steering_rate_rad_s,
-            "speed_m_s": speed_m_s,
-            "acceleration_m_s2": acceleration_m_s2,
-        }
-        if (steering_rad is None) == (steering_rate_rad_s is None):
-            raise TypeError("give steering_rad or steering_rate_rad_s")
-        if (speed_m_s is None) == (acceleration_m_s2 is None):
-            raise TypeError("give speed_m_s or acceleration_m_s2")
-        self._send({key: _finite(value)[0] for key, value in given.items() if value is not None})
-
-    def trajectory(self, points: ArrayLike) -> None:
-        """Timed points, which the outer loop follows.
-
-        Args:
-            points: Shape ``(n, 5)``, 2 to 100 rows of ``t, x, y, vx, vy``: the time on the
-                scale of :attr:`State.t` in s, position (m) and velocity (m/s) of P. A new
-                trajectory replaces the old one without a jump. It must be renewed before
-                ``reference.setpoint_timeout_ms`` has passed.
-        """
-        rows = np.asarray(points, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != 5:
-            raise ValueError(f"a trajectory has the shape (n, 5), not {rows.shape}")
-        state = self.state
-        if state is None:
-            raise RuntimeError("the drive has not begun")
-        if not np.isfinite(rows).all():
-            raise Rejected("a value is not finite", "not-finite")
-        keys = [
-            {
-                "time_ns": state.time_ns + round((t - state.t) * 1e9),
-                "position_m": [x, y],
-                "velocity_m_s": [vx, vy],
-            }
-            for t, x, y, vx, vy in rows.tolist()
-        ]
-        self._send({"trajectory": keys})
-
-    def _send(self, keys: dict[str, Any]) -> None:
-        self._sequence += 1
-        self._backend.setpoint({**keys, "sequence": self._sequence})
-
-
-def _finite(*values: float) -> list[float]:
-    numbers = [float(value) for value in values]
-    if not all(map(math.isfinite, numbers)):
-        raise Rejected(f"a value is not finite: {numbers}", "not-finite")
-    return numbers

@@ -15,7 +15,8 @@ class Rejected(SingletrackError):
     """A set-point was not obeyed.
 
     ``word`` is the reason in one word: ``not-finite``, ``out-of-range``, ``future``, ``old``,
-    ``sequence``, ``not-external`` or ``invalid``.
+    ``sequence``, ``not-external``, ``other-source`` (another program gives set-points) or
+    ``invalid``.
     """
 
     def __init__(self, text: str, word: str) -> None:

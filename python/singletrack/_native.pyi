@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .model import Vehicle
+from .stability import _Steady
+
 _Arrays = tuple[
     NDArray[np.float64],
     NDArray[np.float32],
@@ -101,17 +104,17 @@ def truth_keys() -> list[tuple[str, str, str]]: ...
 def read_record(
     path: str, topics: Sequence[str] | None = None
 ) -> tuple[dict[str, Any], dict[str, Any]]: ...
-def paper_vehicle() -> list[float]: ...
+def paper_vehicle() -> list[tuple[str, float]]: ...
 def model_derivative(
     kind: str,
-    parameters: Sequence[float],
+    vehicle: Vehicle,
     states: NDArray[np.float64],
     speed: NDArray[np.float64],
     steering: NDArray[np.float64],
 ) -> NDArray[np.float64]: ...
 def model_simulate(
     kind: str,
-    parameters: Sequence[float],
+    vehicle: Vehicle,
     start: NDArray[np.float64],
     speed: NDArray[np.float64],
     steering: NDArray[np.float64],
@@ -133,7 +136,7 @@ def velocity_point(
     sideslip: float,
     velocity: Sequence[float],
     point_distance: float,
-    parameters: Sequence[float],
+    vehicle: Vehicle,
 ) -> tuple[float, float]: ...
 def point_p(
     x: float,
@@ -143,42 +146,15 @@ def point_p(
     front_axle_distance: float,
     point_distance: float,
 ) -> tuple[float, float]: ...
-def eigenvalues(
-    parameters: Sequence[float],
-    law: str,
-    belief: str,
-    point_distance: float,
-    speed: float,
-    deviation: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
-def is_stable(
-    parameters: Sequence[float],
-    law: str,
-    belief: str,
-    point_distance: float,
-    speed: float,
-    deviation: float,
-) -> bool: ...
+def eigenvalues(steady: _Steady) -> NDArray[np.complex128]: ...
+def is_stable(steady: _Steady) -> bool: ...
 def critical_speed(
-    parameters: Sequence[float], point_distance: float, deviations: Sequence[float]
+    vehicle: Vehicle, point_distance: float, deviations: Sequence[float]
 ) -> float | None: ...
-def smallest_point_distance(
-    parameters: Sequence[float], deviations: Sequence[float]
-) -> float | None: ...
-def hopf_points(
-    parameters: Sequence[float],
-    law: str,
-    belief: str,
-    point_distance: float,
-    speed: float,
-) -> list[dict[str, Any]]: ...
+def smallest_point_distance(vehicle: Vehicle, deviations: Sequence[float]) -> float | None: ...
+def hopf_points(steady: _Steady) -> list[dict[str, Any]]: ...
 def sampled(
-    parameters: Sequence[float],
-    law: str,
-    belief: str,
-    point_distance: float,
-    speed: float,
-    deviation: float,
+    steady: _Steady,
     period: float,
     delay: float,
     position_gain: float,

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from types import TracebackType
 from typing import Any
 
 from . import _native
+from ._closing import Closing
 from ._state import State, state
 from ._toml import Table, text
 
 
-class Simulator:
+class Simulator(Closing):
     """Host, board, serial line, cameras and car in virtual time.
 
     The host's and the board's code are those of the car; only clock, line and network are
@@ -144,17 +144,6 @@ class Simulator:
     def close(self) -> None:
         """Completes the record, if there is one."""
         self._native.finish()
-
-    def __enter__(self) -> Simulator:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def truth_keys() -> dict[str, tuple[str, str]]:

@@ -6,11 +6,14 @@ import json
 import socket
 import threading
 import time
+import weakref
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
+from ._drive import Backend
 from ._errors import ArmError, Rejected, SingletrackError
-from ._state import State, state
+from ._state import State, refuse_driven, state
 
 _VERSION = 2
 #: Interval of the renewals that keep the drive alive, in s.
@@ -21,8 +24,31 @@ _STANDSTILL = 0.05
 _SILENCE = 2.0
 
 
+class Inbox:
+    """The lines that a thread reads from a socket, and that have not been taken."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.lines: deque[dict[str, Any]] = deque(maxlen=1_000)
+        self.closed = False
+
+    def read(self, connected: socket.socket) -> None:
+        """Reads to the end."""
+        try:
+            with connected.makefile("rb") as lines:
+                for line in lines:
+                    with self.changed:
+                        self.lines.append(json.loads(line))
+                        self.changed.notify_all()
+        except (OSError, ValueError):
+            pass
+        with self.changed:
+            self.closed = True
+            self.changed.notify_all()
+
+
 class Connection:
-    """A connection; a thread reads its lines."""
+    """A connection; a thread reads its lines. It closes when nothing uses it any more."""
 
     def __init__(self, path: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -30,13 +56,19 @@ class Connection:
             self._socket.connect(path)
         except OSError as error:
             self._socket.close()
-            raise ConnectionError(f"{path}: {error.strerror}; does singletrackd run?") from error
+            hint = (
+                "is this user in the group of the socket?"
+                if isinstance(error, PermissionError)
+                else "does singletrackd run?"
+            )
+            raise ConnectionError(f"{path}: {error.strerror}; {hint}") from error
         self._write = threading.Lock()
-        self._changed = threading.Condition()
-        self._lines: deque[dict[str, Any]] = deque(maxlen=1_000)
-        self._closed = False
-        self._thread = threading.Thread(target=self._read, daemon=True, name="singletrack-read")
-        self._thread.start()
+        self._inbox = inbox = Inbox()
+        # The thread must not hold the connection, which would then never be forgotten.
+        self._close = weakref.finalize(self, _shut, self._socket)
+        threading.Thread(
+            target=inbox.read, args=(self._socket,), daemon=True, name="singletrack-read"
+        ).start()
 
     def send(self, command: str, **keys: Any) -> None:
         line = json.dumps({"version": _VERSION, "command": command, **keys}, allow_nan=False)
@@ -45,11 +77,12 @@ class Connection:
 
     def take(self, timeout: float = 0.0) -> dict[str, Any] | None:
         """The oldest line that has not been taken; ``None`` after the time-out."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._lines or self._closed, timeout)
-            if self._lines:
-                return self._lines.popleft()
-            if self._closed:
+        inbox = self._inbox
+        with inbox.changed:
+            inbox.changed.wait_for(lambda: inbox.lines or inbox.closed, timeout)
+            if inbox.lines:
+                return inbox.lines.popleft()
+            if inbox.closed:
                 raise ConnectionError("the daemon has closed the connection")
             return None
 
@@ -67,43 +100,37 @@ class Connection:
                 return answer
 
     def close(self) -> None:
-        try:
-            self._socket.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
-        self._socket.close()
-
-    def _read(self) -> None:
-        try:
-            with self._socket.makefile("rb") as lines:
-                for line in lines:
-                    with self._changed:
-                        self._lines.append(json.loads(line))
-                        self._changed.notify_all()
-        except (OSError, ValueError):
-            pass
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
+        self._close()
 
 
-class SocketCar:
+def _shut(connected: socket.socket) -> None:
+    try:
+        # Wakes the thread that reads.
+        connected.shutdown(socket.SHUT_RDWR)
+    except OSError:
+        pass
+    connected.close()
+
+
+class SocketCar(Backend):
     """A backend that is a client of the daemon.
 
     Three connections: one arms and holds the drive, one sends set-points, one reads states.
     """
 
     def __init__(self, path: str, *, uncalibrated: bool = False) -> None:
+        super().__init__()
         self._path = path
         self._uncalibrated = uncalibrated
-        self._control = Connection(path)
+        self._control: Connection | None = None
         self._setpoints: Connection | None = None
         self._states: Connection | None = None
         self._newest: State | None = None
         self._holding = threading.Event()
         self._released = threading.Event()
         self._keeper: threading.Thread | None = None
-        self._missed = 0
+        # A daemon that is not there is named at once.
+        Connection(path).close()
 
     def status(self) -> dict[str, Any]:
         connection = Connection(self._path)
@@ -115,25 +142,30 @@ class SocketCar:
 
     def state(self) -> State:
         if self._states is None:
-            self._states = Connection(self._path)
-            self._states.ask("watch", topics=["state"])
-        return self._receive()
+            states = Connection(self._path)
+            states.ask("watch", topics=["state"])
+            self._states = states
+        try:
+            return self._receive(self._states)
+        except ConnectionError:
+            # The daemon may come back.
+            self._states = None
+            raise
 
     def next_state(self) -> State:
         if self._keeper is not None and not self._keeper.is_alive() and self._holding.is_set():
             raise ConnectionError("the connection that holds the drive is lost")
+        if self._states is None:
+            raise ConnectionError("the car is closed")
         self._raise_rejected()
-        return self._receive()
+        return self._receive(self._states)
 
-    def _receive(self) -> State:
+    def _receive(self, states: Connection) -> State:
         """The newest state that has not been given yet; waits for one."""
-        assert self._states is not None
         newest: dict[str, Any] | None = None
         wait = _SILENCE
-        while (line := self._states.take(wait)) is not None:
-            if "missed" in line:
-                self._missed += int(line["missed"])
-            elif line.get("topic") == "state":
+        while (line := states.take(wait)) is not None:
+            if line.get("topic") == "state":
                 newest = line
                 wait = 0.0
         if newest is None:
@@ -141,14 +173,17 @@ class SocketCar:
         self._newest = state(newest)
         return self._newest
 
-    def begin(self, timeout: float) -> State:
+    def begin(self, timeout: float, abandoned: threading.Event) -> State:
         deadline = time.monotonic() + timeout
-        self._setpoints = Connection(self._path)
         self._released.clear()
         try:
+            # Set-points are for a car that nobody drives.
+            self._await(lambda now: now.standing, deadline, abandoned)
+            self._setpoints = Connection(self._path)
             self._make_external()
             while True:
-                self._await_ready(deadline)
+                # Standstill is a set-point too; without one the car is not ready.
+                self._await(lambda now: now.mode == "ready", deadline, abandoned)
                 try:
                     return self._arm()
                 except ArmError as error:
@@ -157,40 +192,46 @@ class SocketCar:
                         raise
                     self._let_go()
         except BaseException:
+            self.disarm()
             self.end()
             raise
 
-    def _await_ready(self, deadline: float) -> None:
-        now = self.state()
-        while now.mode != "ready":
-            # Standstill is a set-point too; without one the car is not ready.
-            self._standstill()
-            if time.monotonic() > deadline:
+    def _await(
+        self, reached: Callable[[State], bool], deadline: float, abandoned: threading.Event
+    ) -> None:
+        while not reached(now := self.state()):
+            refuse_driven(now)
+            if abandoned.is_set() or time.monotonic() > deadline:
                 raise ArmError(f"the car is not ready: mode {now.mode}, because of {now.reason}")
-            now = self._receive()
+            self._standstill()
 
     def _arm(self) -> State:
+        control = self._control = Connection(self._path)
         self._holding.set()
         self._standstill()
         more = {"uncalibrated": True} if self._uncalibrated else {}
-        self._control.send("arm", attendance="hold", **more)
-        self._keeper = threading.Thread(target=self._keep, daemon=True, name="singletrack-hold")
+        control.send("arm", attendance="hold", **more)
+        self._keeper = threading.Thread(
+            target=self._keep, args=(control,), daemon=True, name="singletrack-hold"
+        )
         self._keeper.start()
-        self._await_armed()
+        self._await_armed(control)
         deadline = time.monotonic() + _SILENCE
-        while not (now := self._receive()).driving:
+        while not (now := self.state()).driving:
             if time.monotonic() > deadline:
                 raise ArmError(f"the drive has ended at once: mode {now.mode}, {now.reason}")
         return now
 
     def _let_go(self) -> None:
-        """Ends the renewals; begins with a new connection, which has no old answers."""
+        """Ends the renewals, and closes what holds the drive."""
         self._holding.clear()
+        if self._control is not None:
+            # The daemon stops the car, if it drives.
+            self._control.close()
+            self._control = None
         if self._keeper is not None:
             self._keeper.join(1.0)
             self._keeper = None
-        self._control.close()
-        self._control = Connection(self._path)
 
     def _make_external(self) -> None:
         """Makes the reference external, unless it is."""
@@ -203,14 +244,14 @@ class SocketCar:
             raise TimeoutError("no answer to setpoint")
         if answer.get("rejected") == "not-external":
             self._setpoints.take(5.0)
-            self._control.ask("set-reference", 10.0, reference={"kind": "external"})
+            self._setpoints.ask("set-reference", 10.0, reference={"kind": "external"})
         elif "rejected" in answer:
             raise Rejected(answer.get("error", ""), answer["rejected"])
 
-    def _await_armed(self) -> None:
+    def _await_armed(self, control: Connection) -> None:
         deadline = time.monotonic() + 15.0
         while True:
-            answer = self._control.take(max(0.0, deadline - time.monotonic()))
+            answer = control.take(max(0.0, deadline - time.monotonic()))
             if answer is None:
                 raise ArmError("no answer to arm")
             if answer.get("ok") is True:
@@ -224,7 +265,7 @@ class SocketCar:
         if self._setpoints is not None and not self._released.is_set():
             self._setpoints.send("setpoint", velocity_m_s=[0.0, 0.0])
 
-    def _keep(self) -> None:
+    def _keep(self, control: Connection) -> None:
         """Renews the drive; and stands still until the program's first set-point.
 
         A program that hangs sends no set-points, which stops the car, whatever this does.
@@ -234,7 +275,7 @@ class SocketCar:
             while self._holding.is_set():
                 now = time.monotonic()
                 if now - last_hold >= _HOLD:
-                    self._control.send("hold")
+                    control.send("hold")
                     last_hold = now
                 self._standstill()
                 time.sleep(_STANDSTILL)
@@ -242,7 +283,8 @@ class SocketCar:
             return
 
     def setpoint(self, keys: dict[str, Any]) -> None:
-        assert self._setpoints is not None
+        if self._setpoints is None:
+            raise ConnectionError("the car is closed")
         self._released.set()
         self._raise_rejected()
         self._setpoints.send("setpoint", time_ns=time.monotonic_ns(), **keys)
@@ -256,29 +298,25 @@ class SocketCar:
                 # The reference may have been changed since: that is another end of the drive.
                 raise Rejected(answer.get("error", ""), answer["rejected"])
 
-    def end(self) -> State | None:
+    def disarm(self) -> None:
+        control = self._control
         try:
-            return self._disarm()
-        finally:
-            for connection in (self._setpoints, self._states):
-                if connection is not None:
-                    connection.close()
-            self._setpoints = self._states = None
-            self._let_go()
-
-    def _disarm(self) -> State | None:
-        if not self._holding.is_set():
-            return self._newest
-        try:
-            self._control.send("disarm")
-            deadline = time.monotonic() + 15.0
-            while self._states is not None and time.monotonic() < deadline:
-                now = self._receive()
-                if now.mode in ("idle", "ready", "fault", "disconnected"):
-                    return now
-        except (OSError, TimeoutError):
+            if control is not None:
+                control.send("disarm")
+        except OSError:
             # The daemon has gone, or the connection; either stops the car.
             pass
+
+    def end(self) -> State | None:
+        try:
+            deadline = time.monotonic() + 15.0
+            while self._control is not None and time.monotonic() < deadline:
+                if self.state().standing:
+                    break
+        except (OSError, SingletrackError):
+            pass
+        finally:
+            self._shut()
         return self._newest
 
     def stop(self) -> None:
@@ -289,7 +327,11 @@ class SocketCar:
             connection.close()
 
     def close(self) -> None:
-        self._holding.clear()
-        for connection in (self._control, self._setpoints, self._states):
+        self._shut()
+
+    def _shut(self) -> None:
+        self._let_go()
+        for connection in (self._setpoints, self._states):
             if connection is not None:
                 connection.close()
+        self._setpoints = self._states = None

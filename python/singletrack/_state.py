@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any
 
+from ._errors import ArmError
+
 Pair = tuple[float, float]
 
 
@@ -66,6 +68,17 @@ class State:
     def driving(self) -> bool:
         """Whether a drive is underway that the controller outside commands."""
         return self.mode in ("driving", "slowing")
+
+    @property
+    def standing(self) -> bool:
+        """Whether no drive is underway."""
+        return self.mode in ("disconnected", "idle", "ready", "fault")
+
+
+def refuse_driven(state: State) -> None:
+    """Raises if a program or a person drives the car: our standstill would be mixed in."""
+    if state.mode in ("arming", "driving", "jogging"):
+        raise ArmError(f"the car is driven already: mode {state.mode}")
 
 
 def state(values: Mapping[str, Any]) -> State:

@@ -23,6 +23,8 @@ def text(table: Table) -> str:
             with open(table, encoding="utf-8") as file:
                 return file.read()
         return table
+    if not isinstance(table, Mapping):
+        raise TypeError(f"a table is a dictionary, TOML text or a path, not {table!r}")
     return "\n".join(f"{_key(key)} = {_value(value)}" for key, value in _nest(table).items())
 
 

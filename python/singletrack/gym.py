@@ -10,6 +10,7 @@ Names are those of f1tenth_gym where both have the same thing.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -71,6 +72,14 @@ def _options(
     max_episode_steps: int | None = None,
 ) -> dict[str, Any]:
     """The arguments of both environments, checked."""
+    for name, values in (
+        ("timestep", [timestep]),
+        ("lost", [lost]),
+        ("preview", preview),
+        ("start_error", start_error),
+    ):
+        if not np.isfinite(values).all() or np.min(values, initial=0.0) < 0.0:
+            raise ValueError(f"{name} is {values}: it must be finite, and not negative")
     periods = round(timestep / 0.01)
     if periods < 1 or abs(periods * 0.01 - timestep) > 1e-9:
         raise ValueError(f"timestep is {timestep} s: it must be a multiple of 0.01")
@@ -91,7 +100,8 @@ def _options(
     if randomise == "other-cars":
         ranges = RANDOMISE
     else:
-        assert not isinstance(randomise, str), f"randomise is {randomise!r}"
+        if isinstance(randomise, str):
+            raise ValueError(f'randomise is {randomise!r}: use "other-cars" or ranges')
         ranges = randomise or {}
     return {
         "observation": "kinematic_state" if observation == "original" else observation,
@@ -188,8 +198,10 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drives for a ``timestep``."""
-        row = np.asarray(action, dtype=np.float64).reshape(1, 2)
-        state, observation, reward, terminated, truncated, known = self._native.step(row)
+        row = np.asarray(action, dtype=np.float64)
+        if row.shape != self.action_space.shape:
+            raise ValueError(f"an action has the shape {self.action_space.shape}, not {row.shape}")
+        state, observation, reward, terminated, truncated, known = self._native.step(row[None])
         information: dict[str, Any] = dict(zip(_INFORMATION, known[0].tolist(), strict=True))
         for _, reason in self._native.reasons():
             information["reason"] = reason
@@ -249,10 +261,10 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             AutoresetMode.SAME_STEP: "same_step",
             AutoresetMode.DISABLED: "disabled",
         }
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}: at least one is needed")
         if threads is None:
             # A thread is not worth its start for a few cars alone.
-            import os
-
             worth = num_envs if chosen["native"]["whole_system"] else num_envs // 16
             threads = max(1, min(len(os.sched_getaffinity(0)), worth))
         self._kind: str = chosen["observation"]
@@ -280,7 +292,8 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
         A car with the seed ``s`` behaves as a single environment with this seed.
         """
         first = self._np_random is None
-        if isinstance(seed, int):
+        if isinstance(seed, (int, np.integer)):
+            seed = int(seed)
             super().reset(seed=seed)
             given: list[int | None] = [seed + index for index in range(self.num_envs)]
         elif seed is not None:
@@ -295,6 +308,8 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
         mask = None
         if options and options.get("reset_mask") is not None:
             mask = [bool(value) for value in options["reset_mask"]]
+            if len(mask) != self.num_envs:
+                raise ValueError(f"the mask has {len(mask)} of {self.num_envs} environments")
         state, observation, *_ = self._native.reset(seeds, mask)
         return self._observation(state, observation), {}
 
@@ -303,6 +318,8 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Drives all cars for a ``timestep``; ``actions`` has the shape ``(num_envs, 2)``."""
         rows = np.ascontiguousarray(actions, dtype=np.float64)
+        if rows.shape != self.action_space.shape:
+            raise ValueError(f"actions have the shape {self.action_space.shape}, not {rows.shape}")
         state, observation, rewards, terminated, truncated, known = self._native.step(rows)
         information: dict[str, Any] = {}
         all_cars = np.ones(self.num_envs, dtype=np.bool_)

@@ -61,7 +61,7 @@ def velocity_point(
         sideslip,
         [float(value) for value in velocity],
         point_distance,
-        (vehicle or Vehicle())._values,
+        vehicle or Vehicle(),
     )
 
 

@@ -5,7 +5,7 @@ A state has the columns ``x, y, yaw, yaw_rate, sideslip``.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,29 +17,25 @@ from . import _native
 #: ``"relaxed"``: the simulator's, which also starts, stops and reverses.
 Kind = Literal["linear", "saturating", "relaxed"]
 
-_PAPER = _native.paper_vehicle()
+_PAPER = dict(_native.paper_vehicle())
 
 
 @dataclass(frozen=True)
 class Vehicle:
     """Parameters of the single-track model; the default is the paper's 1:10 car."""
 
-    mass_kg: float = _PAPER[0]
-    yaw_inertia_kg_m2: float = _PAPER[1]
-    front_axle_distance_m: float = _PAPER[2]
-    rear_axle_distance_m: float = _PAPER[3]
-    friction: float = _PAPER[4]
-    front_cornering_stiffness_n_rad: float = _PAPER[5]
-    rear_cornering_stiffness_n_rad: float = _PAPER[6]
+    mass_kg: float = _PAPER["mass_kg"]
+    yaw_inertia_kg_m2: float = _PAPER["yaw_inertia_kg_m2"]
+    front_axle_distance_m: float = _PAPER["front_axle_distance_m"]
+    rear_axle_distance_m: float = _PAPER["rear_axle_distance_m"]
+    friction: float = _PAPER["friction"]
+    front_cornering_stiffness_n_rad: float = _PAPER["front_cornering_stiffness_n_rad"]
+    rear_cornering_stiffness_n_rad: float = _PAPER["rear_cornering_stiffness_n_rad"]
 
     @property
     def wheelbase_m(self) -> float:
         """Distance between the axles, in m."""
         return self.front_axle_distance_m + self.rear_axle_distance_m
-
-    @property
-    def _values(self) -> list[float]:
-        return [float(value) for value in astuple(self)]
 
 
 def derivative(
@@ -65,7 +61,7 @@ def derivative(
     count = len(flat)
     result = _native.model_derivative(
         kind,
-        (vehicle or Vehicle())._values,
+        vehicle or Vehicle(),
         flat,
         np.broadcast_to(np.asarray(speed, dtype=np.float64), count).copy(),
         np.broadcast_to(np.asarray(steering, dtype=np.float64), count).copy(),
@@ -98,7 +94,7 @@ def simulate(
     )
     return _native.model_simulate(
         kind,
-        (vehicle or Vehicle())._values,
+        vehicle or Vehicle(),
         np.asarray(start, dtype=np.float64),
         speeds.copy(),
         angles.copy(),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,17 @@ from .model import Vehicle
 
 Law = Literal["front-point", "velocity-point"]
 Belief = Literal["centre-of-mass", "front-axle"]
+
+
+class _Steady(NamedTuple):
+    """A car in steady motion under a law."""
+
+    vehicle: Vehicle
+    law: Law
+    belief: Belief
+    point_distance: float
+    speed: float
+    deviation: float = 0.0
 
 
 def eigenvalues(
@@ -28,11 +39,8 @@ def eigenvalues(
     belief: Belief = "centre-of-mass",
 ) -> NDArray[np.complex128]:
     """The eigenvalues of the steady motion, in 1/s: four of the proposed law, or three."""
-    real, imaginary = _native.eigenvalues(
-        _values(vehicle), law, belief, point_distance, speed, deviation
-    )
-    values: NDArray[np.complex128] = real + 1j * imaginary
-    return values
+    car = vehicle or Vehicle()
+    return _native.eigenvalues(_Steady(car, law, belief, point_distance, speed, deviation))
 
 
 def is_stable(
@@ -45,7 +53,8 @@ def is_stable(
     belief: Belief = "centre-of-mass",
 ) -> bool:
     """Whether the steady motion is stable."""
-    return _native.is_stable(_values(vehicle), law, belief, point_distance, speed, deviation)
+    car = vehicle or Vehicle()
+    return _native.is_stable(_Steady(car, law, belief, point_distance, speed, deviation))
 
 
 def critical_speed(
@@ -58,16 +67,14 @@ def critical_speed(
 
     ``None`` if it is stable at every speed, 0 if at none.
     """
-    low, high = deviations
-    return _native.critical_speed(_values(vehicle), point_distance, [low, high])
+    return _native.critical_speed(vehicle or Vehicle(), point_distance, _range(deviations))
 
 
 def smallest_point_distance(
     deviations: Sequence[float] = (0.0, 0.0), *, vehicle: Vehicle | None = None
 ) -> float | None:
     """The distance p (m) beyond which the proposed law is stable at every speed."""
-    low, high = deviations
-    return _native.smallest_point_distance(_values(vehicle), [low, high])
+    return _native.smallest_point_distance(vehicle or Vehicle(), _range(deviations))
 
 
 def hopf_points(
@@ -79,7 +86,8 @@ def hopf_points(
     belief: Belief = "centre-of-mass",
 ) -> list[dict[str, Any]]:
     """The Hopf bifurcations over dl: ``deviation``, ``angular_frequency``, ``criticality``, ..."""
-    return _native.hopf_points(_values(vehicle), law, belief, point_distance, speed)
+    car = vehicle or Vehicle()
+    return _native.hopf_points(_Steady(car, law, belief, point_distance, speed))
 
 
 def sampled(
@@ -96,19 +104,13 @@ def sampled(
     belief: Belief = "centre-of-mass",
 ) -> tuple[float, float | None]:
     """Spectral radius per tick of the sampled loop, and its delay margin in s."""
-    return _native.sampled(
-        _values(vehicle),
-        law,
-        belief,
-        point_distance,
-        speed,
-        deviation,
-        period,
-        delay,
-        position_gain,
-        longest_delay,
-    )
+    car = vehicle or Vehicle()
+    steady = _Steady(car, law, belief, point_distance, speed, deviation)
+    return _native.sampled(steady, period, delay, position_gain, longest_delay)
 
 
-def _values(vehicle: Vehicle | None) -> list[float]:
-    return (vehicle or Vehicle())._values
+def _range(deviations: Sequence[float]) -> list[float]:
+    low, high = deviations
+    if not low <= high:
+        raise ValueError(f"the deviations are {low} and {high}: give two numbers in order")
+    return [low, high]

@@ -5,33 +5,27 @@
 
 use pyo3::prelude::*;
 
+mod argument;
 mod environment;
-mod mathematics;
+mod law;
+mod model;
 mod recording;
 mod setup;
 mod simulator;
+mod stability;
 mod vehicle;
 
 #[pymodule]
-fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add_class::<environment::Batch>()?;
-    module.add_class::<simulator::Simulator>()?;
-    module.add_function(wrap_pyfunction!(simulator::truth_keys, module)?)?;
-    module.add_function(wrap_pyfunction!(recording::read_record, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::paper_vehicle, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::model_derivative, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::model_simulate, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::front_point, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::velocity_point, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::point_p, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::eigenvalues, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::is_stable, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::critical_speed, module)?)?;
-    module.add_function(wrap_pyfunction!(
-        mathematics::smallest_point_distance,
-        module
-    )?)?;
-    module.add_function(wrap_pyfunction!(mathematics::hopf_points, module)?)?;
-    module.add_function(wrap_pyfunction!(mathematics::sampled, module)?)?;
-    Ok(())
+mod _native {
+    #[pymodule_export]
+    use crate::{
+        environment::Batch,
+        law::{front_point, point_p, velocity_point},
+        model::{model_derivative, model_simulate, paper_vehicle},
+        recording::read_record,
+        simulator::{Simulator, truth_keys},
+        stability::{
+            critical_speed, eigenvalues, hopf_points, is_stable, sampled, smallest_point_distance,
+        },
+    };
 }

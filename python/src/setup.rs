@@ -66,6 +66,12 @@ impl Setup {
         start: StartPose,
         drawn: &[(&TruthRange, f64)],
     ) -> Result<SimulationConfig, SetupError> {
+        if ![start.x_m, start.y_m, start.yaw_rad]
+            .into_iter()
+            .all(in_hall)
+        {
+            return Err(SetupError::new("the start is not a place on a floor"));
+        }
         let mut simulation = self.simulation.clone();
         simulation.seed = seed;
         simulation.car.start = start;
@@ -96,6 +102,11 @@ impl Setup {
             yaw_rad,
         }
     }
+}
+
+/// Whether a coordinate or an angle is that of a car.
+pub(crate) fn in_hall(value: f64) -> bool {
+    value.abs() <= 1e4
 }
 
 /// The section of a reference, from its TOML text.

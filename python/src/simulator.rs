@@ -6,13 +6,13 @@ use std::{
 };
 
 use pyo3::{
-    exceptions::{PyRuntimeError, PyValueError},
+    exceptions::{PyOSError, PyValueError},
     prelude::*,
     types::PyDict,
 };
 use singletrack_control::{
-    Demand, MAX_TRAJECTORY_POINTS, Position, ReferencePoint, Setpoint, SetpointStamp, SpeedDemand,
-    SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
+    Demand, MAX_TRAJECTORY_POINTS, Position, ReferencePoint, Setpoint, SetpointError,
+    SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
 use singletrack_pilot::{Event, PilotRequest};
@@ -25,10 +25,16 @@ use singletrack_sim::{
     parse_duration_us,
 };
 
-use crate::setup::{Setup, reference};
+use crate::{
+    argument::{choice, fail, refuse},
+    setup::{Setup, in_hall, reference},
+};
 
 /// Ticks after which a record is written to its file.
 const TICKS_PER_WRITE: u32 = 100;
+
+/// Ticks after which a signal of the program is seen.
+const TICKS_PER_CHECK: usize = 1_000;
 
 /// A host, a board, cameras and a car in virtual time.
 #[pyclass(frozen, module = "singletrack._native")]
@@ -44,14 +50,6 @@ struct Simulation {
     board_ns: Option<u64>,
     record: Option<VirtualRecord>,
     unwritten: u32,
-}
-
-fn refuse(error: impl ToString) -> PyErr {
-    PyValueError::new_err(error.to_string())
-}
-
-fn fail(error: impl ToString) -> PyErr {
-    PyRuntimeError::new_err(error.to_string())
 }
 
 #[pymethods]
@@ -86,7 +84,7 @@ impl Simulator {
         let record = record
             .map(|path| VirtualRecord::start(&path, &mut drive, &setup.config, seed))
             .transpose()
-            .map_err(fail)?;
+            .map_err(|error| PyOSError::new_err(error.to_string()))?;
         Ok(Self(Mutex::new(Simulation {
             setup,
             drive,
@@ -101,13 +99,16 @@ impl Simulator {
     /// Runs ticks of 10 ms.
     #[pyo3(signature = (count = 1))]
     fn step(&self, py: Python<'_>, count: u32) -> PyResult<()> {
-        py.detach(|| {
-            let mut simulation = self.simulation()?;
-            for _ in 0..count {
-                simulation.step()?;
-            }
-            Ok(())
-        })
+        for begun in (0..count).step_by(TICKS_PER_CHECK) {
+            py.detach(|| {
+                let mut simulation = self.simulation()?;
+                let ticks = (count - begun).min(TICKS_PER_CHECK as u32);
+                (0..ticks).try_for_each(|_| simulation.step())
+            })?;
+            // For Ctrl-C.
+            py.check_signals()?;
+        }
+        Ok(())
     }
 
     /// What the last tick saw and did; `None` before the first.
@@ -279,12 +280,12 @@ impl Simulator {
                 .collect(),
         };
         if points.len() > MAX_TRAJECTORY_POINTS {
-            return Err(refuse(format!(
-                "a trajectory has at most {MAX_TRAJECTORY_POINTS} points"
+            return Err(rejected(SetpointError::OutOfRange(
+                "a trajectory has more points than are allowed",
             )));
         }
         let now = trajectory.stamp.time;
-        trajectory.check(now, f64::INFINITY).map_err(refuse)?;
+        trajectory.check(now, f64::INFINITY).map_err(rejected)?;
         simulation.drive.send_trajectory(&trajectory);
         Ok(())
     }
@@ -349,47 +350,51 @@ impl Simulator {
         let mut simulation = self.simulation()?;
         let world = simulation.drive.world_mut();
         match name {
-            "imu" => {
-                let word: String = value.extract()?;
-                world.set_imu_fault(match word.as_str() {
-                    "none" => ImuFault::None,
-                    "silent" => ImuFault::Silent,
-                    "stuck" => ImuFault::Stuck,
-                    "saturated" => ImuFault::Saturated,
-                    "erratic" => ImuFault::Erratic,
-                    _ => {
-                        return Err(unknown(
-                            name,
-                            &word,
-                            "none, silent, stuck, saturated, erratic",
-                        ));
-                    }
-                });
-            }
-            "motor_sensor" => {
-                let word: String = value.extract()?;
-                world.car_mut().set_motor_sensor_fault(match word.as_str() {
-                    "none" => MotorSensorFault::None,
-                    "gone" => MotorSensorFault::Gone,
-                    "doubled" => MotorSensorFault::Doubled,
-                    "halved" => MotorSensorFault::Halved,
-                    "erratic" => MotorSensorFault::Erratic,
-                    _ => return Err(unknown(name, &word, "none, gone, doubled, halved, erratic")),
-                });
-            }
+            "imu" => world.set_imu_fault(choice(
+                name,
+                value.extract()?,
+                &[
+                    ("none", ImuFault::None),
+                    ("silent", ImuFault::Silent),
+                    ("stuck", ImuFault::Stuck),
+                    ("saturated", ImuFault::Saturated),
+                    ("erratic", ImuFault::Erratic),
+                ],
+            )?),
+            "motor_sensor" => world.car_mut().set_motor_sensor_fault(choice(
+                name,
+                value.extract()?,
+                &[
+                    ("none", MotorSensorFault::None),
+                    ("gone", MotorSensorFault::Gone),
+                    ("doubled", MotorSensorFault::Doubled),
+                    ("halved", MotorSensorFault::Halved),
+                    ("erratic", MotorSensorFault::Erratic),
+                ],
+            )?),
             "cameras" => {
-                let word: String = value.extract()?;
-                world.cameras_mut().faults_mut().loss = match word.as_str() {
-                    "none" => None,
-                    "occluded" => Some(LossKind::Occluded),
-                    "absent" => Some(LossKind::Absent),
-                    "silent" => Some(LossKind::Silent),
-                    _ => return Err(unknown(name, &word, "none, occluded, absent, silent")),
-                };
+                world.cameras_mut().faults_mut().loss = choice(
+                    name,
+                    value.extract()?,
+                    &[
+                        ("none", None),
+                        ("occluded", Some(LossKind::Occluded)),
+                        ("absent", Some(LossKind::Absent)),
+                        ("silent", Some(LossKind::Silent)),
+                    ],
+                )?;
             }
-            "camera_jump_m" => world.cameras_mut().faults_mut().jump_m = value.extract()?,
-            "line_drop" => world.wire_mut().faults_mut().drop = value.extract()?,
-            "line_corrupt" => world.wire_mut().faults_mut().corrupt = value.extract()?,
+            "camera_jump_m" => {
+                let jump_m: [f64; 3] = value.extract()?;
+                if !jump_m.into_iter().all(in_hall) {
+                    return Err(refuse(format!(
+                        "{name} is {jump_m:?}: give three lengths in m"
+                    )));
+                }
+                world.cameras_mut().faults_mut().jump_m = jump_m;
+            }
+            "line_drop" => world.wire_mut().faults_mut().drop = probability(name, value)?,
+            "line_corrupt" => world.wire_mut().faults_mut().corrupt = probability(name, value)?,
             "line_delay_us" => world.wire_mut().faults_mut().delay_us = value.extract()?,
             "line_stuck" => world.wire_mut().faults_mut().stuck = value.extract()?,
             "cable" => world.set_wire_connected(value.extract()?),
@@ -416,6 +421,9 @@ impl Simulator {
 
     /// Puts the car down elsewhere, at rest.
     fn place(&self, x_m: f64, y_m: f64, yaw_rad: f64) -> PyResult<()> {
+        if ![x_m, y_m, yaw_rad].into_iter().all(in_hall) {
+            return Err(refuse("this is not a place on a floor"));
+        }
         let pose = StartPose { x_m, y_m, yaw_rad };
         self.simulation()?.drive.world_mut().car_mut().place(pose);
         Ok(())
@@ -439,8 +447,25 @@ impl Simulator {
     }
 }
 
-fn unknown(name: &str, word: &str, known: &str) -> PyErr {
-    refuse(format!("{name} is {word:?}: use one of {known}"))
+/// An error with the daemon's word for it.
+fn rejected(error: SetpointError) -> PyErr {
+    let word = match error {
+        SetpointError::NotFinite => "not-finite",
+        SetpointError::Future => "future",
+        SetpointError::Old => "old",
+        _ => "out-of-range",
+    };
+    PyValueError::new_err((error.to_string(), word))
+}
+
+fn probability(name: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
+    let probability = value.extract()?;
+    if !(0.0..=1.0).contains(&probability) {
+        return Err(refuse(format!(
+            "{name} is {probability}: it must be between 0 and 1"
+        )));
+    }
+    Ok(probability)
 }
 
 impl Simulator {
@@ -482,7 +507,7 @@ impl Simulation {
     }
 
     fn send(&self, demand: Demand, sequence: Option<u32>) -> PyResult<()> {
-        demand.check().map_err(refuse)?;
+        demand.check().map_err(rejected)?;
         let stamp = self.stamp(sequence)?;
         self.drive.send_setpoint(&Setpoint { stamp, demand });
         Ok(())

@@ -1,16 +1,9 @@
-"""Driving, in the simulator and through the control socket of a daemon in real time."""
+"""Driving in the simulator."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
-from typing import Any
 
 import pytest
 from circle import circle
@@ -18,18 +11,7 @@ from circle import circle
 import singletrack
 from singletrack import ArmError, Car, Rejected, Simulator
 
-#: Repeated only if the machine was late: see `conftest.py`.
-REAL_TIME = pytest.mark.flaky(reruns=3, only_rerun="MachineLate")
 ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
-
-
-@REAL_TIME
-def test_one_script_drives_the_simulator_and_the_daemon(daemon: Any) -> None:
-    simulated = circle(Car("sim", **ON_CIRCLE), 8.0)
-    driven = circle(Car(str(daemon.socket)), 8.0)
-    for errors in (simulated, driven):
-        assert len(errors) > 300
-        assert max(errors) < 0.08
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
@@ -180,69 +162,3 @@ def test_asyncio_drives_too() -> None:
 def test_a_daemon_that_is_not_there_is_named() -> None:
     with pytest.raises(ConnectionError, match="/nowhere.sock"):
         Car("/nowhere.sock")
-
-
-@REAL_TIME
-def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
-    car = Car(str(daemon.socket))
-    with car.drive() as drive:
-        for state in drive:
-            drive.actuate(0.3, 0.4)
-            if state.drive_time > 2.0:
-                break
-        assert abs(state.steering - 0.3) < 1e-6
-        assert state.setpoint_age < 0.2 and state.sequence is not None
-        until = state.t + 1.5
-        for state in drive:
-            (x, y), yaw = state.point, state.yaw
-            vx, vy = 0.4 * math.cos(yaw), 0.4 * math.sin(yaw)
-            drive.trajectory(
-                [(state.t + s, x + vx * s, y + vy * s, vx, vy) for s in (0.0, 0.3, 0.6)]
-            )
-            if state.t > until:
-                break
-        assert state.speed > 0.2
-    assert drive.state is not None and not drive.state.driving
-
-
-@REAL_TIME
-def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any) -> None:
-    car = Car(str(daemon.socket))
-    with pytest.raises(Rejected) as rejected, car.drive() as drive:
-        for _ in drive:
-            # Beyond any car.
-            drive.actuate(0.1, 1_000.0)
-    assert rejected.value.word == "out-of-range"
-    wait_until_still(car)
-    script = Path(__file__).with_name("circle.py")
-    program = subprocess.Popen(
-        [sys.executable, str(script), str(daemon.socket)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        stderr=subprocess.DEVNULL,
-        # A shell starts what runs in the background without it.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    deadline = time.monotonic() + 20
-    while car.state.speed < 0.2 or car.state.mode != "driving":
-        assert time.monotonic() < deadline and program.poll() is None
-    program.send_signal(signal.SIGINT)
-    assert program.wait(15) != 0
-    wait_until_still(car)
-    # A program that is killed ends the drive with its connection.
-    program = subprocess.Popen(
-        [sys.executable, str(script), str(daemon.socket)],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    deadline = time.monotonic() + 20
-    while car.state.mode != "driving":
-        assert time.monotonic() < deadline and program.poll() is None
-    program.kill()
-    program.wait()
-    wait_until_still(car)
-    assert car.state.reason in ("operator-gone", "setpoint-stale")
-
-
-def wait_until_still(car: Car) -> None:
-    deadline = time.monotonic() + 10
-    while car.state.mode not in ("ready", "idle"):
-        assert time.monotonic() < deadline, car.state

@@ -1,24 +1,50 @@
-"""The notebooks of the labs run from start to end."""
+"""The notebooks of the labs run, and their exercises tell a right answer from a wrong one."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
+from answers import ANSWERS
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path) -> None:
-    cells = json.loads(path.read_text())["cells"]
-    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert len(code) >= 3
-    names: dict[str, object] = {"__name__": "notebook"}
-    for number, cell in enumerate(code):
-        exec(compile(cell, f"{path.name}, cell {number}", "exec"), names)
+FOLDER = Path(__file__).parent.parent / "notebooks"
 
 
-def test_there_are_notebooks() -> None:
-    assert len(NOTEBOOKS) == 3
+def cells(name: str) -> list[tuple[str, str]]:
+    """Kind and source of each cell of code: ``answer``, ``check`` or nothing."""
+    notebook = json.loads((FOLDER / f"{name}.ipynb").read_text())
+    return [
+        (*cell["metadata"].get("tags", []), "")[:1] + ("".join(cell["source"]),)
+        for cell in notebook["cells"]
+        if cell["cell_type"] == "code"
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(ANSWERS))
+def test_a_notebook_runs_with_its_exercises(name: str) -> None:
+    names: dict[str, Any] = {"__name__": "notebook"}
+
+    def run(source: str) -> None:
+        exec(compile(source, name, "exec"), names)
+
+    answers = iter(ANSWERS[name])
+    blank = right = wrong = ""
+    for kind, source in cells(name):
+        if kind == "answer":
+            blank, (right, wrong) = source, next(answers)
+            assert "..." in blank
+            continue
+        if kind == "check":
+            for other in (blank, wrong):
+                run(other)
+                with pytest.raises(AssertionError):
+                    run(source)
+            run(right)
+        run(source)
+    assert next(answers, None) is None, "an answer without an exercise"
+
+
+def test_every_notebook_has_its_answers() -> None:
+    assert {path.stem for path in FOLDER.glob("*.ipynb")} == set(ANSWERS)

@@ -1,0 +1,25 @@
+//! Arguments from Python, and the errors that name them.
+
+use pyo3::{
+    PyErr, PyResult,
+    exceptions::{PyRuntimeError, PyValueError},
+};
+
+/// An argument is wrong.
+pub(crate) fn refuse(error: impl ToString) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// A call can't be obeyed now.
+pub(crate) fn fail(error: impl ToString) -> PyErr {
+    PyRuntimeError::new_err(error.to_string())
+}
+
+/// The value of a word; another word is refused with those that are known.
+pub(crate) fn choice<T: Copy>(name: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
+    let found = known.iter().find(|(known, _)| *known == word);
+    found.map(|(_, value)| *value).ok_or_else(|| {
+        let words: Vec<String> = known.iter().map(|(word, _)| format!("{word:?}")).collect();
+        refuse(format!("{name} is {word:?}: use {}", words.join(" or ")))
+    })
+}

@@ -1,0 +1,355 @@
+//! Environments for reinforcement learning: many cars side by side.
+
+use std::{
+    sync::{Mutex, MutexGuard},
+    thread,
+};
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
+use pyo3::prelude::*;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use self::{
+    lap::Lap,
+    task::{Autoreset, Control, Instance, Reward, Task, state},
+};
+use crate::{
+    argument::{choice, refuse},
+    setup::{Setup, SetupError, TruthRange, reference},
+};
+
+mod lap;
+mod task;
+
+/// Cars side by side, which are stepped together.
+#[pyclass(frozen, module = "singletrack._native")]
+pub(crate) struct Batch(Mutex<Cars>);
+
+struct Cars {
+    task: Task,
+    instances: Vec<Instance>,
+    threads: usize,
+}
+
+impl Cars {
+    /// An array with a row for each car.
+    fn rows<'py, const N: usize>(
+        &self,
+        py: Python<'py>,
+        row: impl Fn(&Instance) -> [f64; N],
+    ) -> Bound<'py, PyArray2<f64>> {
+        let rows: Vec<[f64; N]> = self.instances.iter().map(row).collect();
+        PyArray2::from_owned_array(py, Array2::from(rows))
+    }
+
+    /// Calls `each` for every car, on several threads. A car does not depend on the others.
+    fn for_each(
+        &mut self,
+        each: impl Fn(&Task, usize, &mut Instance) -> Result<(), SetupError> + Sync,
+    ) -> Result<(), SetupError> {
+        let task = &self.task;
+        let run = |first: usize, chunk: &mut [Instance]| {
+            chunk
+                .iter_mut()
+                .enumerate()
+                .try_for_each(|(index, instance)| each(task, first + index, instance))
+        };
+        let threads = self.threads.clamp(1, self.instances.len().max(1));
+        if threads == 1 {
+            return run(0, &mut self.instances);
+        }
+        let share = self.instances.len().div_ceil(threads);
+        thread::scope(|scope| {
+            let workers: Vec<_> = self
+                .instances
+                .chunks_mut(share)
+                .enumerate()
+                .map(|(number, chunk)| scope.spawn(move || run(number * share, chunk)))
+                .collect();
+            workers.into_iter().try_for_each(|worker| {
+                worker
+                    .join()
+                    .unwrap_or_else(|_| Err(SetupError::new("a simulation has panicked")))
+            })
+        })
+    }
+}
+
+/// `(state, observation, reward, terminated, truncated, information)`.
+type Arrays<'py> = (
+    Bound<'py, PyArray2<f64>>,
+    Bound<'py, PyArray2<f32>>,
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray1<bool>>,
+    Bound<'py, PyArray2<f64>>,
+);
+
+/// Index of a car, its state and its observation.
+type Last<'py> = (usize, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f32>>);
+
+#[pymethods]
+impl Batch {
+    #[new]
+    #[pyo3(signature = (num_envs, *, whole_system, reference_toml, configuration, truth, randomise,
+        reward, control, autoreset, periods, max_steps, preview, lost_m, start_error, threads))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
+    fn new(
+        num_envs: usize,
+        whole_system: bool,
+        reference_toml: &str,
+        configuration: &str,
+        truth: &str,
+        randomise: Vec<(String, f64, f64)>,
+        reward: &str,
+        control: &str,
+        autoreset: &str,
+        periods: u32,
+        max_steps: u32,
+        preview: Vec<f64>,
+        lost_m: f64,
+        start_error: [f64; 2],
+        threads: usize,
+    ) -> PyResult<Self> {
+        let section = reference(reference_toml).map_err(refuse)?;
+        let wanted = section.reference().map_err(refuse)?;
+        let setup = Setup::new(section, configuration, truth).map_err(refuse)?;
+        if wanted.at(0.0).position.is_none() {
+            return Err(refuse("the reference must have positions"));
+        }
+        let randomise = randomise
+            .into_iter()
+            .map(range)
+            .collect::<PyResult<Vec<_>>>()?;
+        let lap = Lap::new(&wanted);
+        let reward = choice(
+            "reward",
+            reward,
+            &[
+                ("tracking", Reward::Tracking),
+                ("progress", Reward::Progress),
+            ],
+        )?;
+        if reward == Reward::Progress && lap.is_none() {
+            return Err(refuse(
+                "the reward \"progress\" needs a circle, a path or waypoints",
+            ));
+        }
+        let control = choice(
+            "control",
+            control,
+            &[
+                ("actuation", Control::Actuation),
+                ("point_velocity", Control::PointVelocity),
+            ],
+        )?;
+        let autoreset = choice(
+            "autoreset",
+            autoreset,
+            &[
+                ("next_step", Autoreset::NextStep),
+                ("same_step", Autoreset::SameStep),
+                ("disabled", Autoreset::Disabled),
+            ],
+        )?;
+        let task = Task {
+            whole_system,
+            lap,
+            reward,
+            control,
+            autoreset,
+            reference: wanted,
+            periods: periods.max(1),
+            max_steps: max_steps.max(1),
+            preview,
+            lost_m,
+            start_error,
+            randomise,
+            length: setup.config.law.point_distance_m,
+            front: setup.config.law.front_axle_distance_m,
+            setup,
+        };
+        task.check().map_err(refuse)?;
+        let columns = task.columns();
+        Ok(Self(Mutex::new(Cars {
+            task,
+            instances: (0..num_envs).map(|_| Instance::new(columns)).collect(),
+            threads,
+        })))
+    }
+
+    /// Columns of an observation.
+    #[getter]
+    fn columns(&self) -> PyResult<usize> {
+        Ok(self.cars()?.task.columns())
+    }
+
+    /// Largest steering angle, reverse speed and speed.
+    #[getter]
+    fn limits(&self) -> PyResult<(f64, f64, f64)> {
+        let cars = self.cars()?;
+        let limits = &cars.task.setup.config.limits;
+        Ok((
+            limits.max_steering_rad,
+            limits.max_reverse_speed_m_s,
+            limits.max_speed_m_s,
+        ))
+    }
+
+    /// Resets the cars in `mask`, all without one. A seed of a car restarts its random numbers.
+    #[pyo3(signature = (seeds, mask = None))]
+    fn reset<'py>(
+        &self,
+        py: Python<'py>,
+        seeds: Vec<Option<u64>>,
+        mask: Option<Vec<bool>>,
+    ) -> PyResult<Arrays<'py>> {
+        py.detach(|| {
+            self.cars()?
+                .for_each(|task, index, instance| {
+                    if mask
+                        .as_ref()
+                        .is_some_and(|mask| !mask.get(index).copied().unwrap_or(false))
+                    {
+                        return Ok(());
+                    }
+                    if let Some(Some(seed)) = seeds.get(index) {
+                        instance.generator = ChaCha8Rng::seed_from_u64(*seed);
+                    }
+                    task.reset(instance)
+                })
+                .map_err(refuse)
+        })?;
+        self.arrays(py)
+    }
+
+    /// Steps all cars; `actions` has a row for each.
+    fn step<'py>(
+        &self,
+        py: Python<'py>,
+        actions: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Arrays<'py>> {
+        let actions: Vec<[f64; 2]> = actions
+            .as_array()
+            .rows()
+            .into_iter()
+            .filter_map(|row| Some([*row.first()?, *row.get(1)?]))
+            .collect();
+        py.detach(|| {
+            let mut cars = self.cars()?;
+            if actions.len() != cars.instances.len() {
+                return Err(refuse(format!(
+                    "the actions have {} rows of two numbers: {} are needed",
+                    actions.len(),
+                    cars.instances.len()
+                )));
+            }
+            cars.for_each(|task, index, instance| {
+                task.step(instance, actions.get(index).copied().unwrap_or_default())
+            })
+            .map_err(refuse)
+        })?;
+        self.arrays(py)
+    }
+
+    /// The last state and observation of the episodes that ended in the last step and have
+    /// been reset in it, by the index of the car.
+    fn last<'py>(&self, py: Python<'py>) -> PyResult<Vec<Last<'py>>> {
+        let cars = self.cars()?;
+        Ok(cars
+            .instances
+            .iter()
+            .enumerate()
+            .filter_map(|(index, instance)| {
+                let (state, observation) = instance.outcome.last.as_ref()?;
+                Some((
+                    index,
+                    PyArray1::from_slice(py, state),
+                    PyArray1::from_slice(py, observation),
+                ))
+            })
+            .collect())
+    }
+
+    /// Why the episodes have ended, by the index of the car.
+    fn reasons(&self) -> PyResult<Vec<(usize, &'static str)>> {
+        let cars = self.cars()?;
+        Ok(cars
+            .instances
+            .iter()
+            .enumerate()
+            .filter(|(_, instance)| !instance.outcome.reason.is_empty())
+            .map(|(index, instance)| (index, instance.outcome.reason))
+            .collect())
+    }
+
+    /// Ground truth: `pose_x, pose_y, delta, linear_vel_x, pose_theta, ang_vel_z, beta` of each.
+    fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let cars = self.cars()?;
+        Ok(cars.rows(py, |instance| state(&instance.truth())))
+    }
+
+    /// Position and velocity of the reference at the present of each car: x, y, `v_x`, `v_y`.
+    fn reference<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let cars = self.cars()?;
+        Ok(cars.rows(py, |instance| {
+            let at = cars.task.reference.at(cars.task.time(instance));
+            let position = at.position.unwrap_or_default();
+            [position.x, position.y, at.velocity.x, at.velocity.y]
+        }))
+    }
+
+    /// P of each car, as it is seen: x, y.
+    fn point<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let cars = self.cars()?;
+        Ok(cars.rows(py, |instance| {
+            let point = cars.task.point(&instance.seen());
+            [point.x, point.y]
+        }))
+    }
+}
+
+impl Batch {
+    fn cars(&self) -> PyResult<MutexGuard<'_, Cars>> {
+        self.0
+            .lock()
+            .map_err(|_| refuse("a simulation has panicked before"))
+    }
+
+    fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
+        let cars = self.cars()?;
+        let columns = cars.task.columns();
+        let mut observation = Vec::with_capacity(cars.instances.len() * columns);
+        for instance in &cars.instances {
+            observation.extend_from_slice(&instance.outcome.observation);
+        }
+        let observation = Array2::from_shape_vec((cars.instances.len(), columns), observation);
+        let outcomes = || cars.instances.iter().map(|instance| &instance.outcome);
+        Ok((
+            cars.rows(py, |instance| instance.outcome.state),
+            PyArray2::from_owned_array(py, observation.map_err(refuse)?),
+            PyArray1::from_iter(py, outcomes().map(|outcome| outcome.reward)),
+            PyArray1::from_iter(py, outcomes().map(|outcome| outcome.terminated)),
+            PyArray1::from_iter(py, outcomes().map(|outcome| outcome.truncated)),
+            cars.rows(py, |instance| instance.outcome.information),
+        ))
+    }
+}
+
+/// A range of the randomisation, checked.
+fn range((name, low, high): (String, f64, f64)) -> PyResult<TruthRange> {
+    let (section, key) = name
+        .split_once('.')
+        .ok_or_else(|| refuse(format!("randomise: write {name:?} as section.key")))?;
+    if !(low.is_finite() && high.is_finite() && low <= high) {
+        return Err(refuse(format!(
+            "randomise: {name} is between {low} and {high}: give two finite numbers in order"
+        )));
+    }
+    Ok(TruthRange {
+        section: section.to_owned(),
+        key: key.to_owned(),
+        low,
+        high,
+    })
+}

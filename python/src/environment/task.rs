@@ -1,0 +1,356 @@
+//! The task of an environment: what is seen, rewarded and ends an episode of one car.
+
+use rand_chacha::{
+    ChaCha8Rng,
+    rand_core::{Rng, SeedableRng},
+};
+use singletrack_control::{Position, Reference, front_point};
+
+use super::lap::Lap;
+use crate::{
+    setup::{Setup, SetupError, TruthRange},
+    vehicle::{Command, Plant, Seen, System, Vehicle},
+};
+
+/// Columns of the state.
+const STATE: usize = 7;
+/// The state and the last action at the head of an observation.
+const HEAD: usize = 6;
+/// Columns of an observation for each previewed point of the reference.
+const PREVIEW: usize = 4;
+/// Columns of the information on a step.
+const INFORMATION: usize = 3;
+
+/// What a car is rewarded for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reward {
+    /// P is where the reference is.
+    Tracking,
+    /// P goes on along the path of the reference, at any time.
+    Progress,
+}
+
+/// The level of the action.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Control {
+    Actuation,
+    PointVelocity,
+}
+
+/// What happens after the end of an episode, with gymnasium's words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Autoreset {
+    NextStep,
+    SameStep,
+    Disabled,
+}
+
+/// What all cars have in common.
+pub(super) struct Task {
+    pub(super) setup: Setup,
+    pub(super) whole_system: bool,
+    pub(super) reference: Reference,
+    pub(super) lap: Option<Lap>,
+    pub(super) reward: Reward,
+    pub(super) control: Control,
+    pub(super) autoreset: Autoreset,
+    /// Control periods in a step.
+    pub(super) periods: u32,
+    pub(super) max_steps: u32,
+    /// Times ahead of the present at which the reference is seen, in s.
+    pub(super) preview: Vec<f64>,
+    /// The distance between P and the reference that ends an episode, in m.
+    pub(super) lost_m: f64,
+    /// Largest errors of the start, in m and rad.
+    pub(super) start_error: [f64; 2],
+    pub(super) randomise: Vec<TruthRange>,
+    pub(super) length: f64,
+    pub(super) front: f64,
+}
+
+/// One car.
+pub(super) struct Instance {
+    pub(super) vehicle: Option<Vehicle>,
+    pub(super) generator: ChaCha8Rng,
+    pub(super) steps: u32,
+    pub(super) action: [f64; 2],
+    pub(super) place: usize,
+    pub(super) ended: bool,
+    pub(super) outcome: Outcome,
+}
+
+/// The result of a step.
+#[derive(Clone, Debug)]
+pub(super) struct Outcome {
+    pub(super) state: [f64; STATE],
+    pub(super) observation: Vec<f32>,
+    pub(super) reward: f64,
+    pub(super) terminated: bool,
+    pub(super) truncated: bool,
+    /// Distance from P to the reference (m), way along the lap (m), true speed (m/s).
+    pub(super) information: [f64; INFORMATION],
+    pub(super) reason: &'static str,
+    /// The last state and observation of an episode that ended in this step.
+    pub(super) last: Option<([f64; STATE], Vec<f32>)>,
+}
+
+impl Instance {
+    /// A car before its first reset.
+    pub(super) fn new(columns: usize) -> Self {
+        Self {
+            vehicle: None,
+            generator: ChaCha8Rng::seed_from_u64(0),
+            steps: 0,
+            action: [0.0; 2],
+            place: 0,
+            ended: false,
+            outcome: Outcome {
+                state: [0.0; STATE],
+                observation: vec![0.0; columns],
+                reward: 0.0,
+                terminated: false,
+                truncated: false,
+                information: [0.0; INFORMATION],
+                reason: "",
+                last: None,
+            },
+        }
+    }
+
+    /// The state as it is seen.
+    pub(super) fn seen(&self) -> Seen {
+        let vehicle = self.vehicle.as_ref();
+        vehicle.map(Vehicle::seen).unwrap_or_default()
+    }
+
+    /// The ground truth.
+    pub(super) fn truth(&self) -> Seen {
+        let vehicle = self.vehicle.as_ref();
+        vehicle.map(Vehicle::truth).unwrap_or_default()
+    }
+}
+
+/// The columns of a state.
+pub(super) fn state(seen: &Seen) -> [f64; STATE] {
+    [
+        seen.x,
+        seen.y,
+        seen.steering,
+        seen.speed,
+        seen.yaw,
+        seen.yaw_rate,
+        seen.sideslip,
+    ]
+}
+
+impl Task {
+    /// Finds mistakes in the ranges, at both of their ends.
+    pub(super) fn check(&self) -> Result<(), SetupError> {
+        for share in [0.0, 1.0] {
+            let start = self.setup.start([0.0; 2], 0.0);
+            let drawn = self.drawn(|| share);
+            self.setup.simulation(0, start, &drawn)?;
+        }
+        Ok(())
+    }
+
+    /// A number of each range, at a share of the way from its lower to its upper end.
+    fn drawn(&self, mut share: impl FnMut() -> f64) -> Vec<(&TruthRange, f64)> {
+        let ranges = self.randomise.iter();
+        ranges
+            .map(|range| (range, range.low + share() * (range.high - range.low)))
+            .collect()
+    }
+
+    pub(super) fn columns(&self) -> usize {
+        HEAD + PREVIEW * self.preview.len()
+    }
+
+    pub(super) fn point(&self, seen: &Seen) -> Position {
+        front_point(
+            Position::new(seen.x, seen.y),
+            seen.yaw,
+            seen.steering,
+            self.front,
+            self.length,
+        )
+    }
+
+    /// The time on the reference that counts: that of the episode or that of the place.
+    pub(super) fn time(&self, instance: &Instance) -> f64 {
+        match (&self.lap, self.reward) {
+            (Some(lap), Reward::Progress) => lap.time(instance.place),
+            _ => f64::from(instance.steps) * f64::from(self.periods) * 0.01,
+        }
+    }
+
+    pub(super) fn reset(&self, instance: &mut Instance) -> Result<(), SetupError> {
+        let at = self.reference.at(0.0);
+        let soon = self.reference.at(0.05);
+        let begin = at.position.unwrap_or_default();
+        // At rest the direction is that of the way.
+        let way = soon.position.unwrap_or_default() - begin;
+        let course = if way.norm() > 0.0 { way } else { at.velocity };
+        let mut draw = |most: f64| most * (2.0 * uniform(&mut instance.generator) - 1.0);
+        let [position_error, yaw_error] = self.start_error;
+        let point = [
+            begin.x + draw(position_error),
+            begin.y + draw(position_error),
+        ];
+        let yaw = libm::atan2(course.y, course.x) + draw(yaw_error);
+        let drawn = self.drawn(|| uniform(&mut instance.generator));
+        let seed = instance.generator.next_u64();
+        let simulation = self
+            .setup
+            .simulation(seed, self.setup.start(point, yaw), &drawn)?;
+        instance.vehicle = Some(if self.whole_system {
+            Vehicle::System(Box::new(System::new(&self.setup, simulation, seed)?))
+        } else {
+            Vehicle::Plant(Box::new(Plant::new(&self.setup, &simulation)?))
+        });
+        instance.steps = 0;
+        instance.action = [0.0; 2];
+        instance.place = 0;
+        instance.ended = false;
+        self.observe(instance);
+        let outcome = &mut instance.outcome;
+        outcome.reward = 0.0;
+        outcome.terminated = false;
+        outcome.truncated = false;
+        outcome.reason = "";
+        outcome.last = None;
+        Ok(())
+    }
+
+    pub(super) fn step(&self, instance: &mut Instance, action: [f64; 2]) -> Result<(), SetupError> {
+        instance.outcome.last = None;
+        if instance.ended {
+            return match self.autoreset {
+                // The action is ignored.
+                Autoreset::NextStep => self.reset(instance),
+                Autoreset::SameStep | Autoreset::Disabled => Err(SetupError::new(
+                    "the episode has ended: reset the environment before the next step",
+                )),
+            };
+        }
+        if !action.iter().all(|value| value.is_finite()) {
+            return Err(SetupError::new(format!(
+                "the action is {action:?}: it must be finite"
+            )));
+        }
+        let limits = &self.setup.config.limits;
+        let command = match self.control {
+            Control::Actuation => {
+                let [steering, speed] = action;
+                let most = limits.max_steering_rad;
+                Command::Actuate([
+                    steering.clamp(-most, most),
+                    speed.clamp(-limits.max_reverse_speed_m_s, limits.max_speed_m_s),
+                ])
+            }
+            Control::PointVelocity => Command::PointVelocity(action),
+        };
+        let Some(vehicle) = &mut instance.vehicle else {
+            return Err(SetupError::new(
+                "reset the environment before the first step",
+            ));
+        };
+        let drives = (0..self.periods).all(|_| vehicle.step(command));
+        let reason = vehicle.reason();
+        let truth = vehicle.truth();
+        instance.steps += 1;
+        let before = instance.place;
+        let point = self.point(&truth);
+        let place = [point.x, point.y];
+        let mut distance = 0.0;
+        let mut progress = 0.0;
+        if let Some(lap) = &self.lap {
+            let (nearest, off) = lap.nearest(place, before);
+            instance.place = nearest;
+            progress = lap.between(before, nearest);
+            distance = off;
+        }
+        let time = self.time(instance);
+        if self.reward == Reward::Tracking
+            && let Some(wanted) = self.reference.at(time).position
+        {
+            distance = (wanted - point).norm();
+        }
+        let change = [
+            action[0] - instance.action[0],
+            action[1] - instance.action[1],
+        ];
+        let effort = 0.05 * (change[0] * change[0] + change[1] * change[1]);
+        let reward = match self.reward {
+            Reward::Tracking => libm::exp(-distance / 0.1) - effort,
+            Reward::Progress => {
+                let step = f64::from(self.periods) * 0.01;
+                progress / (step * limits.max_speed_m_s) - distance - effort
+            }
+        };
+        let ended_way = self.reference.duration().is_some_and(|end| time >= end);
+        instance.action = action;
+        self.observe(instance);
+        let outcome = &mut instance.outcome;
+        outcome.terminated = !drives || distance > self.lost_m;
+        outcome.truncated = !outcome.terminated && (instance.steps >= self.max_steps || ended_way);
+        outcome.reward = if outcome.terminated { -10.0 } else { reward };
+        outcome.information = [distance, progress, truth.speed];
+        outcome.reason = if drives && outcome.terminated {
+            "lost"
+        } else {
+            reason
+        };
+        instance.ended = outcome.terminated || outcome.truncated;
+        if instance.ended && self.autoreset == Autoreset::SameStep {
+            let ended = outcome.clone();
+            self.reset(instance)?;
+            let first = &instance.outcome;
+            instance.outcome = Outcome {
+                last: Some((ended.state, ended.observation.clone())),
+                state: first.state,
+                observation: first.observation.clone(),
+                ..ended
+            };
+        }
+        Ok(())
+    }
+
+    /// Writes state and observation of the present moment.
+    fn observe(&self, instance: &mut Instance) {
+        let seen = instance.seen();
+        let time = self.time(instance);
+        let outcome = &mut instance.outcome;
+        outcome.state = state(&seen);
+        let point = self.point(&seen);
+        let (sine, cosine) = libm::sincos(seen.yaw);
+        let columns = &mut outcome.observation;
+        columns.clear();
+        let head = [
+            seen.speed,
+            seen.sideslip,
+            seen.yaw_rate,
+            seen.steering,
+            instance.action[0],
+            instance.action[1],
+        ];
+        columns.extend(head.map(|value| value as f32));
+        for ahead in &self.preview {
+            let wanted = self.reference.at(time + ahead);
+            let way = wanted.position.unwrap_or(point) - point;
+            let velocity = wanted.velocity;
+            let turned = [
+                cosine * way.x + sine * way.y,
+                -sine * way.x + cosine * way.y,
+                cosine * velocity.x + sine * velocity.y,
+                -sine * velocity.x + cosine * velocity.y,
+            ];
+            columns.extend(turned.map(|value| value as f32));
+        }
+    }
+}
+
+/// Uniform in [0, 1).
+fn uniform(generator: &mut ChaCha8Rng) -> f64 {
+    (generator.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+}

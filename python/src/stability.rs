@@ -1,0 +1,143 @@
+//! Stability of the steady motion under the laws.
+
+use numpy::{Complex64, PyArray1};
+use pyo3::{prelude::*, types::PyDict};
+use singletrack_analysis::stability::{
+    self, Belief, ClosedLoop, Criticality, Law, MarginLimits, SampledLoop,
+};
+
+use crate::{
+    argument::{choice, refuse},
+    model::Vehicle,
+};
+
+/// A car in steady motion under a law.
+#[derive(FromPyObject)]
+pub(crate) struct Steady {
+    vehicle: Vehicle,
+    law: String,
+    belief: String,
+    point_distance: f64,
+    speed: f64,
+    deviation: f64,
+}
+
+impl Steady {
+    fn law(&self) -> PyResult<Law> {
+        let known = [
+            ("front-point", Law::FrontPoint),
+            ("velocity-point", Law::VelocityPoint),
+        ];
+        choice("law", &self.law, &known)
+    }
+
+    fn belief(&self) -> PyResult<Belief> {
+        let known = [
+            ("centre-of-mass", Belief::CentreOfMass),
+            ("front-axle", Belief::FrontAxle),
+        ];
+        choice("belief", &self.belief, &known)
+    }
+
+    fn closed_loop(&self) -> PyResult<ClosedLoop> {
+        let closed = ClosedLoop::new(
+            self.vehicle.parameters()?,
+            self.law()?,
+            self.point_distance,
+            self.speed,
+            self.deviation,
+        );
+        Ok(closed.map_err(refuse)?.believing(self.belief()?))
+    }
+}
+
+/// The eigenvalues of the steady motion.
+#[pyfunction]
+pub(crate) fn eigenvalues<'py>(
+    py: Python<'py>,
+    steady: Steady,
+) -> PyResult<Bound<'py, PyArray1<Complex64>>> {
+    let values = steady.closed_loop()?.eigenvalues();
+    let values = values
+        .iter()
+        .map(|value| Complex64::new(value.re, value.im));
+    Ok(PyArray1::from_iter(py, values))
+}
+
+/// Whether the steady motion is stable.
+#[pyfunction]
+pub(crate) fn is_stable(steady: Steady) -> PyResult<bool> {
+    Ok(steady.closed_loop()?.is_stable())
+}
+
+/// The speed up to which the proposed law is stable.
+#[pyfunction]
+pub(crate) fn critical_speed(
+    vehicle: Vehicle,
+    point_distance: f64,
+    deviations: [f64; 2],
+) -> PyResult<Option<f64>> {
+    stability::critical_speed(vehicle.parameters()?, point_distance, deviations).map_err(refuse)
+}
+
+/// The smallest p that is stable at every speed.
+#[pyfunction]
+pub(crate) fn smallest_point_distance(
+    vehicle: Vehicle,
+    deviations: [f64; 2],
+) -> PyResult<Option<f64>> {
+    stability::smallest_point_distance(vehicle.parameters()?, deviations).map_err(refuse)
+}
+
+/// The Hopf points over the deviation of the centre of mass.
+#[pyfunction]
+pub(crate) fn hopf_points<'py>(
+    py: Python<'py>,
+    steady: Steady,
+) -> PyResult<Vec<Bound<'py, PyDict>>> {
+    let points = stability::hopf_points(
+        steady.vehicle.parameters()?,
+        steady.law()?,
+        steady.belief()?,
+        steady.point_distance,
+        steady.speed,
+    )
+    .map_err(refuse)?;
+    points
+        .into_iter()
+        .map(|point| {
+            let row = PyDict::new(py);
+            row.set_item("speed", point.speed)?;
+            row.set_item("deviation", point.deviation)?;
+            row.set_item("angular_frequency", point.angular_frequency)?;
+            row.set_item("crossing", point.crossing)?;
+            row.set_item("ends_stability", point.ends_stability())?;
+            let criticality = match point.criticality() {
+                Criticality::Supercritical => "supercritical",
+                Criticality::Subcritical => "subcritical",
+                Criticality::Degenerate => "degenerate",
+            };
+            row.set_item("criticality", criticality)?;
+            Ok(row)
+        })
+        .collect()
+}
+
+/// Spectral radius per tick of the sampled loop, and its delay margin in s.
+#[pyfunction]
+pub(crate) fn sampled(
+    steady: Steady,
+    period: f64,
+    delay: f64,
+    position_gain: f64,
+    longest_delay: f64,
+) -> PyResult<(f64, Option<f64>)> {
+    let sampled = SampledLoop::new(steady.closed_loop()?, period, delay)
+        .and_then(|sampled| sampled.with_position_gain(position_gain))
+        .map_err(refuse)?;
+    let limits = MarginLimits {
+        delay: longest_delay,
+        ..MarginLimits::default()
+    };
+    Ok((sampled.spectral_radius(1), sampled.delay_margin(limits)))
+}

@@ -1,0 +1,183 @@
+"""Driving through the control socket of a daemon in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from circle import circle
+from conftest import BOARDS
+
+from singletrack import ArmError, Car, Rejected
+from singletrack._socket import Connection
+
+#: Repeated only if the machine was late: see `conftest.py`.
+REAL_TIME = pytest.mark.flaky(reruns=3, only_rerun="MachineLate")
+ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
+
+
+@REAL_TIME
+@pytest.mark.parametrize("daemon", BOARDS, indirect=True)
+def test_one_script_drives_the_simulator_and_the_daemon(daemon: Any) -> None:
+    simulated = circle(Car("sim", **ON_CIRCLE), 5.0)
+    driven = circle(Car(str(daemon.socket)), 5.0)
+    for errors in (simulated, driven):
+        assert len(errors) > 120
+        assert max(errors) < 0.08
+
+
+@REAL_TIME
+def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    with car.drive() as drive:
+        for state in drive:
+            drive.actuate(0.3, 0.4)
+            if state.drive_time > 1.2:
+                break
+        assert abs(state.steering - 0.3) < 1e-6
+        assert state.setpoint_age < 0.2 and state.sequence is not None
+        until = state.t + 1.0
+        for state in drive:
+            (x, y), yaw = state.point, state.yaw
+            vx, vy = 0.4 * math.cos(yaw), 0.4 * math.sin(yaw)
+            drive.trajectory(
+                [(state.t + s, x + vx * s, y + vy * s, vx, vy) for s in (0.0, 0.3, 0.6)]
+            )
+            if state.t > until:
+                break
+        assert state.speed > 0.2
+    assert drive.state is not None and not drive.state.driving
+
+
+@REAL_TIME
+def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    with pytest.raises(Rejected) as rejected, car.drive() as drive:
+        for _ in drive:
+            # Beyond any car.
+            drive.actuate(0.1, 1_000.0)
+    assert rejected.value.word == "out-of-range"
+    wait_until_still(car)
+    script = Path(__file__).with_name("circle.py")
+    program = subprocess.Popen(
+        [sys.executable, str(script), str(daemon.socket)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stderr=subprocess.DEVNULL,
+        # A shell starts what runs in the background without it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 20
+    while car.state.speed < 0.2 or car.state.mode != "driving":
+        assert time.monotonic() < deadline and program.poll() is None
+    program.send_signal(signal.SIGINT)
+    assert program.wait(15) != 0
+    wait_until_still(car)
+    # A program that is killed ends the drive with its connection.
+    program = subprocess.Popen(
+        [sys.executable, str(script), str(daemon.socket)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    deadline = time.monotonic() + 20
+    while car.state.mode != "driving":
+        assert time.monotonic() < deadline and program.poll() is None
+    program.kill()
+    program.wait()
+    wait_until_still(car)
+    assert car.state.reason in ("operator-gone", "setpoint-stale")
+
+
+@REAL_TIME
+def test_a_second_program_does_not_disturb_the_first(daemon: Any) -> None:
+    refused: list[str] = []
+
+    def second() -> None:
+        with pytest.raises(ArmError) as error, Car(str(daemon.socket)).drive():
+            pass
+        refused.append(str(error.value))
+
+    other = threading.Thread(target=second)
+    speeds = []
+    with Car(str(daemon.socket)).drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.0, 0.4)
+            if state.drive_time > 1.0:
+                speeds.append(state.commanded_speed)
+                if other.ident is None:
+                    other.start()
+            if state.drive_time > 1.8:
+                break
+    other.join()
+    assert drive.reason == "requested", drive.state
+    assert refused == ["the car is driven already: mode driving"]
+    # Its standstill was not mixed in.
+    assert min(speeds) > 0.3
+
+
+@REAL_TIME
+def test_a_cancelled_task_stops_the_car_whatever_it_waits_for(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+
+    async def drives() -> None:
+        async with car.drive() as drive:
+            async for _ in drive:
+                drive.point_velocity(0.0, 0.3)
+
+    async def cancelled(after: float) -> None:
+        task = asyncio.create_task(drives())
+        await asyncio.sleep(after)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+
+    # While it waits for the car, while it arms, while it drives.
+    for after in (0.05, 0.8, 2.0):
+        asyncio.run(cancelled(after))
+        assert car.state.standing
+
+
+@REAL_TIME
+def test_cars_that_are_forgotten_or_closed_give_their_connections_back(daemon: Any) -> None:
+    path = str(daemon.socket)
+    # More than the daemon takes at a time.
+    for _ in range(40):
+        assert Car(path).state.standing
+    # A reference of the daemon's own is replaced for the drive.
+    reference = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
+    connection = Connection(path)
+    connection.ask("set-reference", 10.0, reference=reference)
+    connection.close()
+    car = Car(path)
+    with pytest.raises(ConnectionError), car.drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.0, 0.3)
+            if state.drive_time > 0.3:
+                car.close()
+                car.close()
+    wait_until_still(car)
+
+
+@REAL_TIME
+def test_a_daemon_that_dies_ends_the_drive_with_an_error(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    with pytest.raises(ConnectionError), car.drive() as drive:
+        for state in drive:
+            drive.point_velocity(0.0, 0.3)
+            if state.drive_time > 0.3:
+                daemon.daemon.kill()
+    with pytest.raises(ConnectionError, match="does singletrackd run"):
+        assert car.state
+
+
+def wait_until_still(car: Car) -> None:
+    deadline = time.monotonic() + 10
+    while car.state.mode not in ("ready", "idle"):
+        assert time.monotonic() < deadline, car.state
