@@ -1,25 +1,25 @@
-//! Runs many schedules on all cores.
+//! Runs many schedules, and adds up what became of them.
 
 use std::{
     any::Any,
     collections::{BTreeMap, BTreeSet},
     panic::{self, AssertUnwindSafe},
-    sync::{
-        Mutex, PoisonError,
-        atomic::{AtomicU64, Ordering},
-    },
-    thread,
+    path::PathBuf,
 };
 
-use singletrack_sim::BoardKind;
+use serde::{Deserialize, Serialize};
+use singletrack_campaign::Experiment;
+use singletrack_sim::{BoardKind, Installation};
 
 use crate::{
-    DriveOutcome, SetupError, Untampered, Until, Violation, drive, schedule::Schedule,
+    DriveOutcome, SetupError, Untampered, Until, Violation, drive, invariant,
+    schedule::{Schedule, ScheduleError},
     tamper::Tamper,
 };
 
 /// The schedules to run.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Campaign {
     /// First seed; the others follow consecutively.
     pub first_seed: u64,
@@ -27,10 +27,42 @@ pub struct Campaign {
     pub count: u64,
     /// Implementation of the board.
     pub board: BoardKind,
-    /// Number of threads. It does not affect the outcome.
-    pub threads: usize,
     /// Where a drive ends.
     pub until: Until,
+}
+
+/// What became of a schedule, as a result file has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeedOutcome {
+    /// The seed of the schedule.
+    pub seed: u64,
+    /// A hash of all events of the drive, in hexadecimal digits.
+    pub digest: String,
+    /// How long the drive was simulated at most, in ms.
+    pub end_ms: u32,
+    /// How long the motor was driven, in ms.
+    pub driven_ms: u32,
+    /// The names of the reasons for which the host did not drive.
+    pub reasons: BTreeSet<String>,
+    /// The names of the violated invariants.
+    pub violated: BTreeSet<String>,
+    /// The first violation, if there was one.
+    pub failure: Option<SeedFailure>,
+}
+
+/// The first violation of a schedule, as a result file has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeedFailure {
+    /// The schedule, in one line.
+    pub schedule: String,
+    /// The invariant's name.
+    pub invariant: String,
+    /// When, in µs of the simulation.
+    pub time_us: u64,
+    /// What the invariant found.
+    pub details: String,
 }
 
 /// A schedule that violated an invariant.
@@ -45,64 +77,66 @@ pub struct Failure {
 /// Results of a campaign.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CampaignOutcome {
+    /// Number of schedules.
+    pub count: u64,
     /// The failures, in order of seeds.
     pub failures: Vec<Failure>,
     /// Number of schedules in which each invariant was violated.
-    pub violated: BTreeMap<&'static str, u64>,
+    pub violated: BTreeMap<String, u64>,
     /// Total time with a driving ESC pulse, in s.
     pub driven_s: f64,
     /// Total simulated time, in s.
     pub simulated_s: f64,
     /// Number of schedules in which each of the host's reasons not to drive occurred.
-    pub reasons: BTreeMap<&'static str, u64>,
+    pub reasons: BTreeMap<String, u64>,
+}
+
+/// Why a result can't be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The schedule is of another version.
+    #[error("seed {seed}: {source}")]
+    Schedule {
+        /// The seed.
+        seed: u64,
+        /// What is wrong with the schedule.
+        source: ScheduleError,
+    },
+    /// The invariant is of another version.
+    #[error("seed {seed}: there is no invariant {name:?}")]
+    Invariant {
+        /// The seed.
+        seed: u64,
+        /// The invariant's name.
+        name: String,
+    },
+    /// The invariants can't be named.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
 }
 
 /// Every seed divisible by this is run twice; both digests must be equal.
 const REPEAT_INTERVAL: u64 = 50;
 
-impl Campaign {
-    /// Runs all schedules; calls `progress` after each, from any thread.
-    ///
-    /// # Errors
-    ///
-    /// Fails if a schedule cannot be set up.
-    pub fn run(&self, progress: &(impl Fn() + Sync)) -> Result<CampaignOutcome, SetupError> {
-        let next = AtomicU64::new(0);
-        let results = Mutex::new(Vec::new());
-        thread::scope(|scope| {
-            for _ in 0..self.threads.max(1) {
-                scope.spawn(|| {
-                    loop {
-                        let number = next.fetch_add(1, Ordering::Relaxed);
-                        if number >= self.count {
-                            return;
-                        }
-                        let result = self.run_seed(self.first_seed.wrapping_add(number));
-                        let failed = result.is_err();
-                        results
-                            .lock()
-                            .unwrap_or_else(PoisonError::into_inner)
-                            .push((number, result));
-                        progress();
-                        if failed {
-                            // The other schedules would fail in the same way.
-                            next.store(self.count, Ordering::Relaxed);
-                        }
-                    }
-                });
-            }
-        });
-        let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-        results.sort_by_key(|(number, _)| *number);
-        let mut outcome = CampaignOutcome::default();
-        for (_, result) in results {
-            let (schedule, drive_outcome) = result?;
-            outcome.add(schedule, drive_outcome);
-        }
-        Ok(outcome)
+impl Experiment for Campaign {
+    const NAME: &'static str = "faults";
+    type Result = SeedOutcome;
+    type Error = SetupError;
+
+    fn units(&self) -> u64 {
+        self.count
     }
 
-    fn run_seed(&self, seed: u64) -> Result<(Schedule, DriveOutcome), SetupError> {
+    fn files(&self) -> Vec<PathBuf> {
+        // Without an installation no schedule can be set up, which says so.
+        match (self.board, Installation::find()) {
+            (BoardKind::Uno, Ok(Installation { program, image })) => vec![program, image],
+            _ => Vec::new(),
+        }
+    }
+
+    fn run(&self, unit: u64) -> Result<SeedOutcome, SetupError> {
+        let seed = self.first_seed.wrapping_add(unit);
         let schedule = Schedule::generate(seed, self.board);
         let mut drive_outcome = attempt_until(&schedule, &mut Untampered, self.until)?;
         if drive_outcome.violation.is_none() && seed.is_multiple_of(REPEAT_INTERVAL) {
@@ -116,26 +150,76 @@ impl Campaign {
                 });
             }
         }
-        Ok((schedule, drive_outcome))
+        Ok(SeedOutcome::new(&schedule, drive_outcome))
+    }
+}
+
+impl SeedOutcome {
+    /// The outcome of a schedule.
+    #[must_use]
+    pub fn new(schedule: &Schedule, outcome: DriveOutcome) -> Self {
+        let names = |names: BTreeSet<&str>| names.into_iter().map(str::to_owned).collect();
+        Self {
+            seed: schedule.seed,
+            digest: format!("{:016x}", outcome.digest),
+            end_ms: schedule.end_ms,
+            driven_ms: outcome.driven_ms,
+            reasons: names(outcome.reasons),
+            violated: names(outcome.violated),
+            failure: outcome.violation.map(|violation| SeedFailure {
+                schedule: schedule.in_one_line(),
+                invariant: violation.invariant.to_owned(),
+                time_us: violation.time_us,
+                details: violation.details,
+            }),
+        }
+    }
+
+    fn failure(&self, names: &[&'static str]) -> Result<Option<Failure>, ReadError> {
+        let seed = self.seed;
+        let Some(failure) = &self.failure else {
+            return Ok(None);
+        };
+        let schedule = failure.schedule.parse();
+        let invariant = names.iter().find(|name| **name == failure.invariant);
+        Ok(Some(Failure {
+            schedule: schedule.map_err(|source| ReadError::Schedule { seed, source })?,
+            violation: Violation {
+                invariant: invariant.ok_or_else(|| ReadError::Invariant {
+                    seed,
+                    name: failure.invariant.clone(),
+                })?,
+                time_us: failure.time_us,
+                details: failure.details.clone(),
+            },
+        }))
     }
 }
 
 impl CampaignOutcome {
-    /// Adds the outcome of one schedule.
-    pub fn add(&mut self, schedule: Schedule, drive_outcome: DriveOutcome) {
-        self.driven_s += f64::from(drive_outcome.driven_ms) * 1e-3;
-        self.simulated_s += f64::from(schedule.end_ms) * 1e-3;
-        for invariant in drive_outcome.violated {
-            *self.violated.entry(invariant).or_default() += 1;
+    /// Adds up the outcomes of schedules, in their order.
+    ///
+    /// # Errors
+    ///
+    /// An outcome is of another version.
+    pub fn of<'a>(outcomes: impl IntoIterator<Item = &'a SeedOutcome>) -> Result<Self, ReadError> {
+        let names = invariant::names()?;
+        let mut sum = Self::default();
+        for outcome in outcomes {
+            sum.count += 1;
+            sum.driven_s += f64::from(outcome.driven_ms) * 1e-3;
+            sum.simulated_s += f64::from(outcome.end_ms) * 1e-3;
+            for (counts, names) in [
+                (&mut sum.violated, &outcome.violated),
+                (&mut sum.reasons, &outcome.reasons),
+            ] {
+                for name in names {
+                    *counts.entry(name.clone()).or_default() += 1;
+                }
+            }
+            sum.failures.extend(outcome.failure(&names)?);
         }
-        for reason in drive_outcome.reasons {
-            *self.reasons.entry(reason).or_default() += 1;
-        }
-        self.failures
-            .extend(drive_outcome.violation.map(|violation| Failure {
-                schedule,
-                violation,
-            }));
+        Ok(sum)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use serde::{Deserialize, Serialize};
 use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
 use singletrack_pilot::{Mode, PilotRequest, Reason};
@@ -61,7 +62,8 @@ pub struct Violation {
 }
 
 /// Where a drive ends.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Until {
     /// At the first violation.
     #[default]

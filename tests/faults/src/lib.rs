@@ -7,6 +7,8 @@
 //! cargo faults --first-seed 7 --count 1 --print           print the schedule of a seed
 //! cargo faults --first-seed 7 --count 1 --record DIR      write the records of its daemons
 //! cargo faults --planted --count 200                      count in how many schedules each planted bug is found
+//! cargo faults --count 10000 --shard 1/4 --json FILE      a part of a campaign: see `singletrack-campaign`
+//! cargo faults --from FILE...                             the report on a campaign that was run in parts
 //! ```
 //!
 //! The last line is `N schedules, V violations`; the command fails if V is not
@@ -63,7 +65,7 @@ mod stage;
 mod stop;
 mod tamper;
 
-pub use campaign::{Campaign, CampaignOutcome, Failure, attempt};
+pub use campaign::{Campaign, CampaignOutcome, Failure, ReadError, SeedOutcome, attempt};
 pub use drive::{DriveOutcome, Until, Violation, drive};
 pub use invariant::names;
 pub use recording::{Recording, RecordingError};

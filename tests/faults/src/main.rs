@@ -4,14 +4,13 @@ use std::{
     io::{self, Write},
     path::{Path, PathBuf},
     process::ExitCode,
-    thread,
 };
 
 use clap::Parser;
-use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_campaign::{CampaignArgs, CampaignError, Shard};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, Recording, RecordingError, SetupError, Untampered, Until,
-    attempt, planted,
+    Campaign, CampaignOutcome, Failure, ReadError, Recording, RecordingError, SeedOutcome,
+    SetupError, Untampered, Until, attempt, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -33,17 +32,16 @@ struct Options {
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     board: BoardKind,
 
-    /// Number of threads; does not affect the results [default: one per core]
-    #[arg(long, value_name = "N")]
-    threads: Option<usize>,
+    #[command(flatten)]
+    campaign: CampaignArgs,
 
     /// Run only this schedule: a file, or its text with ";" between the entries
-    #[arg(long, value_name = "SCHEDULE")]
+    #[arg(long, value_name = "SCHEDULE", conflicts_with_all = ["shard", "json", "from"])]
     replay: Option<String>,
 
     /// Write the records of the daemons to this folder, as seed-N.mcap, for
     /// `singletrack replay` and `singletrack plot`; runs on one thread
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["shard", "json", "from"])]
     record: Option<PathBuf>,
 
     /// Plant every known bug in each schedule, and count in how many it is found
@@ -51,7 +49,7 @@ struct Options {
     planted: bool,
 
     /// Print the schedules without running them
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["shard", "json", "from"])]
     print: bool,
 
     /// Count in how many schedules each invariant is violated: drives go on after a
@@ -75,6 +73,10 @@ enum Error {
     Schedule(#[from] ScheduleError),
     #[error(transparent)]
     Recording(#[from] RecordingError),
+    #[error(transparent)]
+    Campaign(#[from] CampaignError<SetupError>),
+    #[error(transparent)]
+    Result(#[from] ReadError),
     #[error("{path}: {source}")]
     Read { path: String, source: io::Error },
     #[error("standard output: {0}")]
@@ -106,21 +108,24 @@ fn run(options: &Options) -> Result<bool, Error> {
     if options.planted {
         return count_planted(options, out);
     }
-    let (count, outcome) = match &options.replay {
-        Some(text) => {
-            let mut outcome = CampaignOutcome::default();
-            run_recorded(read_schedule(text)?, options, &mut outcome)?;
-            (1, outcome)
+    let mut by_invariant = options.by_invariant;
+    let outcomes = match &options.replay {
+        Some(text) => vec![run_recorded(&read_schedule(text)?, options)?],
+        None if options.record.is_some() => record_all(options)?,
+        None => {
+            let campaign = campaign(options)?;
+            by_invariant = campaign.experiment.until == Until::End;
+            let results = campaign.results.into_iter();
+            results.map(|(_, outcome)| outcome).collect()
         }
-        None if options.record.is_some() => (options.count, record_all(options)?),
-        None => (options.count, campaign(options)?),
     };
-    if options.by_invariant {
+    let outcome = CampaignOutcome::of(&outcomes)?;
+    if by_invariant {
         for (invariant, count) in &outcome.violated {
             writeln!(out, "{count:>6}  {invariant}")?;
         }
     }
-    let failures = outcome.failures.iter().filter(|_| !options.by_invariant);
+    let failures = outcome.failures.iter().filter(|_| !by_invariant);
     for (index, failure) in failures.enumerate() {
         print_failure(out, failure)?;
         if index < MAX_SHRUNK && !options.no_shrink && options.replay.is_none() {
@@ -154,7 +159,8 @@ fn run(options: &Options) -> Result<bool, Error> {
     )?;
     writeln!(
         out,
-        "{count} schedules, {} violations",
+        "{} schedules, {} violations",
+        outcome.count,
         outcome.failures.len()
     )?;
     Ok(outcome.failures.is_empty())
@@ -184,11 +190,12 @@ fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
 
 /// Prints the planted bugs and in how many schedules each is found; false if one never is.
 fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool, Error> {
-    let bar = progress_bar(options.count * planted::BUGS.len() as u64);
-    let found = planted::count(options.first_seed, options.count, threads(options), &|| {
-        bar.inc(1);
-    })?;
-    bar.finish_and_clear();
+    let experiment = planted::PlantedCampaign {
+        first_seed: options.first_seed,
+        count: options.count,
+    };
+    let campaign = singletrack_campaign::Campaign::obtain(experiment, &options.campaign)?;
+    let found = planted::count(&campaign.results);
     writeln!(out, "| found in | invariant | planted in | bug |")?;
     writeln!(out, "|---|---|---|---|")?;
     for (bug, count) in &found {
@@ -199,44 +206,27 @@ fn count_planted(options: &Options, out: &mut impl Write) -> Result<bool, Error>
     writeln!(
         out,
         "{} schedules, {} planted bugs, {missed} never found",
-        options.count,
+        campaign.results.len(),
         found.len()
     )?;
-    Ok(missed == 0)
+    // A part of a campaign may be too small to find each.
+    Ok(missed == 0 || campaign.shard != Shard::WHOLE)
 }
 
-fn threads(options: &Options) -> usize {
-    options
-        .threads
-        .or_else(|| thread::available_parallelism().ok().map(usize::from))
-        .unwrap_or(1)
-}
-
-/// Hidden unless standard error is a terminal.
-fn progress_bar(length: u64) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} drives, {eta} left") {
-        bar.set_style(style);
-    }
-    bar
-}
-
-fn campaign(options: &Options) -> Result<CampaignOutcome, SetupError> {
-    let bar = progress_bar(options.count);
-    let outcome = Campaign {
+fn campaign(
+    options: &Options,
+) -> Result<singletrack_campaign::Campaign<Campaign>, CampaignError<SetupError>> {
+    let experiment = Campaign {
         first_seed: options.first_seed,
         count: options.count,
         board: options.board,
-        threads: threads(options),
         until: if options.by_invariant {
             Until::End
         } else {
             Until::Violation
         },
-    }
-    .run(&|| bar.inc(1));
-    bar.finish_and_clear();
-    outcome
+    };
+    singletrack_campaign::Campaign::obtain(experiment, &options.campaign)
 }
 
 /// Parses a schedule from a file of that name, or else from the text itself.
@@ -252,31 +242,20 @@ fn read_schedule(text: &str) -> Result<Schedule, Error> {
     Ok(text.parse()?)
 }
 
-fn record_all(options: &Options) -> Result<CampaignOutcome, Error> {
-    let mut outcome = CampaignOutcome::default();
-    for number in 0..options.count {
-        let seed = options.first_seed.wrapping_add(number);
-        run_recorded(
-            Schedule::generate(seed, options.board),
-            options,
-            &mut outcome,
-        )?;
-    }
-    Ok(outcome)
+fn record_all(options: &Options) -> Result<Vec<SeedOutcome>, Error> {
+    let seeds = (0..options.count).map(|number| options.first_seed.wrapping_add(number));
+    seeds
+        .map(|seed| run_recorded(&Schedule::generate(seed, options.board), options))
+        .collect()
 }
 
-fn run_recorded(
-    schedule: Schedule,
-    options: &Options,
-    outcome: &mut CampaignOutcome,
-) -> Result<(), Error> {
+fn run_recorded(schedule: &Schedule, options: &Options) -> Result<SeedOutcome, Error> {
     let mut recording = Recording::default();
-    let drive_outcome = attempt(&schedule, &mut recording)?;
+    let drive_outcome = attempt(schedule, &mut recording)?;
     if let Some(folder) = &options.record {
-        for path in recording.write(folder, &schedule)? {
+        for path in recording.write(folder, schedule)? {
             eprintln!("{}", path.display());
         }
     }
-    outcome.add(schedule, drive_outcome);
-    Ok(())
+    Ok(SeedOutcome::new(schedule, drive_outcome))
 }

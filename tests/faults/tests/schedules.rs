@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use proptest::prelude::*;
+use singletrack_campaign::CampaignArgs;
 use singletrack_faults::{
-    Campaign, Untampered, Until, Violation, drive,
+    Campaign, CampaignOutcome, Untampered, Until, Violation, drive,
     schedule::{Deviation, FaultKind, OperatorRequest, Schedule},
 };
 use singletrack_sim::BoardKind;
@@ -153,18 +154,30 @@ fn the_wall_clock_has_no_effect() {
 }
 
 #[test]
-fn the_number_of_threads_has_no_effect_and_nothing_is_violated() {
-    let campaign = |threads| Campaign {
+fn threads_and_shards_have_no_effect_and_nothing_is_violated() {
+    let campaign = Campaign {
         first_seed: 500,
         count: 6,
         board: BoardKind::Native,
-        threads,
         until: Until::Violation,
     };
-    let one = campaign(1).run(&|| ()).unwrap();
-    assert_eq!(one, campaign(3).run(&|| ()).unwrap());
-    assert_eq!(one.failures, []);
-    assert!(one.driven_s > 15.0, "{}", one.driven_s);
+    let run = |shard: &str, threads| {
+        let arguments = CampaignArgs {
+            shard: Some(shard.parse().unwrap()),
+            threads: Some(threads),
+            ..CampaignArgs::default()
+        };
+        let campaign = singletrack_campaign::Campaign::obtain(campaign, &arguments).unwrap();
+        campaign.results
+    };
+    let one = run("1/1", 1);
+    let mut parts: Vec<_> = (1..=3).flat_map(|k| run(&format!("{k}/3"), 2)).collect();
+    parts.sort_by_key(|(unit, _)| *unit);
+    assert_eq!(one, parts);
+    let outcome = CampaignOutcome::of(one.iter().map(|(_, outcome)| outcome)).unwrap();
+    assert_eq!(outcome.failures, []);
+    assert_eq!(outcome.count, 6);
+    assert!(outcome.driven_s > 15.0, "{}", outcome.driven_s);
 }
 
 /// The first violation of a schedule without a planted bug.

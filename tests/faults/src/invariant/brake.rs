@@ -6,6 +6,7 @@ use super::{Invariant, SERVO_US, Verdict};
 use crate::{
     observation::{Observation, TOLERANCE_US},
     pins::{BRAKE_US, Forward, START_PULSE_US},
+    schedule::{Fault, FaultKind},
 };
 
 /// `brake-pulse`: while reverse is disabled, a pulse below the deadband is the brake pulse
@@ -86,9 +87,13 @@ impl Invariant for BrakePulse {
 /// 200 ms, then no ESC pulses until it is reset: an ESC that takes the configured neutral
 /// for a drive stops too. One that has latched because the car runs at neutral gives no
 /// more pulse. In both cases the frame in progress is completed first.
+///
+/// A main loop that hangs in these 200 ms can't end the pulses: they stay at 1500 µs until the
+/// watchdog resets the board, 110 ms later.
 #[derive(Default)]
 pub(super) struct SilentStop {
     latched_us: Option<u64>,
+    hung_us: Option<u64>,
     board_since_us: Option<u64>,
 }
 
@@ -96,6 +101,9 @@ pub(super) struct SilentStop {
 /// its end; and the period of the telemetry that shows the stop.
 const NEUTRAL_FOR_US: u64 = 201_000;
 const TELEMETRY_US: u64 = 10_000;
+
+/// Time from a hang to the watchdog's reset, in µs.
+const WATCHDOG_US: u64 = 110_000;
 
 impl Invariant for SilentStop {
     fn name(&self) -> &'static str {
@@ -106,6 +114,11 @@ impl Invariant for SilentStop {
         if observation.board_since_us != self.board_since_us {
             self.board_since_us = observation.board_since_us;
             self.latched_us = None;
+            self.hung_us = None;
+        }
+        let hangs = |fault: &Fault| fault.kind == FaultKind::BoardHang;
+        if observation.new_faults.iter().any(hangs) {
+            self.hung_us.get_or_insert(observation.now_us);
         }
         if observation.board_mode == Some(BoardMode::EmergencyStopped) {
             self.latched_us.get_or_insert(observation.now_us);
@@ -119,7 +132,10 @@ impl Invariant for SilentStop {
             // The telemetry may arrive before the pulse that it describes.
             let after_us = pulse.time_us.saturating_sub(latched_us + SERVO_US + 1_000);
             let is_neutral = pulse.esc_us.abs_diff(START_PULSE_US) <= TOLERANCE_US;
-            let is_late = after_us > neutral_us + TELEMETRY_US;
+            let hangs = self.hung_us.is_some_and(|hung_us| {
+                hung_us <= latched_us + neutral_us && pulse.time_us <= hung_us + WATCHDOG_US
+            });
+            let is_late = after_us > neutral_us + TELEMETRY_US && !hangs;
             pulse.esc_us != 0 && after_us > 0 && (is_late || !is_neutral)
         });
         match found {

@@ -7,11 +7,8 @@
 
 mod tampers;
 
-use std::{
-    sync::atomic::{AtomicU64, Ordering},
-    thread,
-};
-
+use serde::{Deserialize, Serialize};
+use singletrack_campaign::Experiment;
 use singletrack_control::Time;
 use singletrack_core::config::Config;
 use singletrack_pilot::{Event, Mode, Reason};
@@ -101,48 +98,48 @@ impl Bug {
     }
 }
 
-/// In how many of `count` random schedules from `first_seed` on each bug is found; calls
-/// `progress` after each.
-///
-/// # Errors
-///
-/// A schedule can't be set up.
-pub fn count(
-    first_seed: u64,
-    count: u64,
-    threads: usize,
-    progress: &(impl Fn() + Sync),
-) -> Result<Vec<(&'static Bug, u64)>, SetupError> {
-    let next = AtomicU64::new(0);
-    let found: Vec<_> = BUGS.iter().map(|_| AtomicU64::new(0)).collect();
-    let run = || -> Result<(), SetupError> {
-        loop {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= count {
-                return Ok(());
-            }
-            let seed = first_seed.wrapping_add(number);
-            let schedule = Schedule::generate(seed, BoardKind::Native);
-            for (bug, found) in BUGS.iter().zip(&found) {
-                let (is_found, _) = bug.is_found(&schedule)?;
-                found.fetch_add(is_found.into(), Ordering::Relaxed);
-                progress();
+/// Every bug, planted in every schedule of a range of seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlantedCampaign {
+    /// First seed; the others follow consecutively.
+    pub first_seed: u64,
+    /// Number of seeds.
+    pub count: u64,
+}
+
+impl Experiment for PlantedCampaign {
+    const NAME: &'static str = "faults-planted";
+    /// The names of the bugs that were found.
+    type Result = Vec<String>;
+    type Error = SetupError;
+
+    fn units(&self) -> u64 {
+        self.count
+    }
+
+    fn run(&self, unit: u64) -> Result<Vec<String>, SetupError> {
+        let seed = self.first_seed.wrapping_add(unit);
+        let schedule = Schedule::generate(seed, BoardKind::Native);
+        let mut found = Vec::new();
+        for bug in BUGS {
+            if bug.is_found(&schedule)?.0 {
+                found.push(bug.name.to_owned());
             }
         }
+        Ok(found)
+    }
+}
+
+/// In how many of these schedules each bug was found.
+#[must_use]
+pub fn count(results: &[(u64, Vec<String>)]) -> Vec<(&'static Bug, usize)> {
+    let found = |bug: &Bug| {
+        let schedules = results.iter();
+        let with_bug = schedules.filter(|(_, names)| names.iter().any(|name| name == bug.name));
+        with_bug.count()
     };
-    thread::scope(|scope| {
-        let threads: Vec<_> = (0..threads.max(1)).map(|_| scope.spawn(run)).collect();
-        threads.into_iter().try_for_each(|thread| {
-            thread.join().unwrap_or_else(|_| {
-                Err(SetupError::Other {
-                    part: "a planted bug",
-                    reason: "it panicked".to_owned(),
-                })
-            })
-        })
-    })?;
-    let found = found.iter().map(|found| found.load(Ordering::Relaxed));
-    Ok(BUGS.iter().zip(found).collect())
+    BUGS.iter().map(|bug| (bug, found(bug))).collect()
 }
 
 macro_rules! bugs {

@@ -1,0 +1,288 @@
+//! The file with the results of a shard: JSON, a line for the header and one per unit.
+
+use std::{
+    collections::BTreeMap,
+    fs::{self, File, Permissions},
+    hash::{DefaultHasher, Hasher},
+    io::{self, Read, Write},
+    os::unix::fs::PermissionsExt,
+    path::{Path, PathBuf},
+};
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use serde_json::{Value, value::RawValue};
+
+use crate::{experiment::Experiment, shard::Shard};
+
+/// The version of the files.
+pub const FORMAT: u32 = 1;
+
+/// The first line of a result file. Files of one campaign differ in `shard` only.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Header {
+    /// The experiment's name.
+    pub campaign: String,
+    /// [`FORMAT`].
+    pub format: u32,
+    /// The version of Singletrack.
+    pub version: String,
+    /// A hash of the program's file, and of others that decide the results: two builds may
+    /// compute other bits.
+    pub program: String,
+    /// What decides the results.
+    pub options: Value,
+    /// The number of units of the whole campaign.
+    pub units: u64,
+    /// The part of the campaign that is in the file.
+    pub shard: Shard,
+}
+
+/// A line with the result of a unit.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Line<'a> {
+    unit: u64,
+    /// Kept as it is written: no number is read and printed again.
+    #[serde(borrow)]
+    result: &'a RawValue,
+}
+
+/// The results of one shard, or of a whole campaign.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ResultFile {
+    header: Header,
+    /// The JSON text of each unit's result.
+    results: BTreeMap<u64, String>,
+}
+
+/// Why a file can't be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The system refuses to read it.
+    #[error("can't read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The system refuses to write it.
+    #[error("can't write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// It is no result file.
+    #[error("{}, line {line}: {reason}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// The line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A unit of the shard is not there.
+    #[error("{}: unit {unit} of shard {shard} is missing; run this shard again", path.display())]
+    Incomplete {
+        /// The file.
+        path: PathBuf,
+        /// The first missing unit.
+        unit: u64,
+        /// The shard.
+        shard: Shard,
+    },
+    /// Results or options have no JSON.
+    #[error("the results can't be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+impl Header {
+    /// The header for a shard of an experiment that this program runs.
+    ///
+    /// # Errors
+    ///
+    /// The options have no JSON, or a file can't be read.
+    pub fn of<E: Experiment>(experiment: &E, shard: Shard) -> Result<Self, FileError> {
+        Ok(Self {
+            campaign: E::NAME.to_owned(),
+            format: FORMAT,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            program: program(experiment.files())?,
+            options: serde_json::to_value(experiment)?,
+            units: experiment.units(),
+            shard,
+        })
+    }
+}
+
+/// A hash of this program's file and of others.
+fn program(files: Vec<PathBuf>) -> Result<String, FileError> {
+    // The file that runs, also when it has been replaced meanwhile.
+    let own = PathBuf::from("/proc/self/exe");
+    let mut hasher = DefaultHasher::new();
+    let mut buffer = vec![0; 1 << 16];
+    for path in [own].into_iter().chain(files) {
+        let failed = |source| FileError::Read {
+            path: path.clone(),
+            source,
+        };
+        let mut file = File::open(&path).map_err(failed)?;
+        loop {
+            match file.read(&mut buffer) {
+                Ok(0) => break,
+                Ok(count) => hasher.write(buffer.get(..count).unwrap_or_default()),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(failed(error)),
+            }
+        }
+    }
+    Ok(format!("{:016x}", hasher.finish()))
+}
+
+impl ResultFile {
+    /// With these results.
+    pub(crate) fn of(header: Header, results: &[(u64, impl Serialize)]) -> Result<Self, FileError> {
+        let lines = results.iter();
+        let lines = lines.map(|(unit, result)| Ok((*unit, serde_json::to_string(result)?)));
+        let results = lines.collect::<Result<_, serde_json::Error>>()?;
+        Ok(Self { header, results })
+    }
+
+    pub(crate) const fn with(header: Header, results: BTreeMap<u64, String>) -> Self {
+        Self { header, results }
+    }
+
+    pub(crate) fn into_parts(self) -> (Header, BTreeMap<u64, String>) {
+        (self.header, self.results)
+    }
+
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// The results, of a type that another version may have had otherwise.
+    pub(crate) fn results<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>, serde_json::Error> {
+        let results = self.results.iter();
+        results
+            .map(|(unit, text)| Ok((*unit, serde_json::from_str(text)?)))
+            .collect()
+    }
+
+    /// Reads a file. It has all units of its shard and no other.
+    ///
+    /// # Errors
+    ///
+    /// The file can't be read, is no result file, or is not complete.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let text = fs::read_to_string(path).map_err(|source| FileError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let invalid = |line: usize, reason: String| FileError::Invalid {
+            path: path.to_owned(),
+            line: line + 1,
+            reason,
+        };
+        let mut lines = text.lines().enumerate();
+        let (_, first) = lines
+            .next()
+            .ok_or_else(|| invalid(0, "the file is empty".to_owned()))?;
+        let header: Header = serde_json::from_str(first)
+            .map_err(|error| invalid(0, format!("no header of a result file: {error}")))?;
+        if header.format != FORMAT {
+            return Err(invalid(
+                0,
+                format!(
+                    "the file has format {}, this program reads format {FORMAT}",
+                    header.format
+                ),
+            ));
+        }
+        let mut expected = header.shard.units(header.units);
+        let mut results = BTreeMap::new();
+        for (number, line) in lines {
+            let line: Line<'_> = serde_json::from_str(line)
+                .map_err(|error| invalid(number, format!("no result of a unit: {error}")))?;
+            if expected.next() != Some(line.unit) {
+                return Err(invalid(
+                    number,
+                    format!(
+                        "unit {} is not the next one of shard {}",
+                        line.unit, header.shard
+                    ),
+                ));
+            }
+            results.insert(line.unit, line.result.get().to_owned());
+        }
+        if let Some(unit) = expected.next() {
+            return Err(FileError::Incomplete {
+                path: path.to_owned(),
+                unit,
+                shard: header.shard,
+            });
+        }
+        Ok(Self { header, results })
+    }
+
+    /// The file's text.
+    ///
+    /// # Errors
+    ///
+    /// The header has no JSON.
+    pub fn text(&self) -> Result<String, FileError> {
+        let mut text = serde_json::to_string(&self.header)?;
+        text.push('\n');
+        for (unit, result) in &self.results {
+            text += &format!("{{\"unit\":{unit},\"result\":{result}}}\n");
+        }
+        Ok(text)
+    }
+
+    /// Checks that a file can be written.
+    ///
+    /// # Errors
+    ///
+    /// The system's error.
+    pub(crate) fn check_writable(path: &Path) -> Result<(), FileError> {
+        tempfile::tempfile_in(folder(path))
+            .map(drop)
+            .map_err(write_error(path))
+    }
+
+    /// Writes the file, as a whole or not at all: a shard that was ended leaves no part.
+    ///
+    /// # Errors
+    ///
+    /// The system's error.
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        let text = self.text()?;
+        let written = || {
+            let mut file = tempfile::Builder::new()
+                .prefix(".shard-")
+                .permissions(Permissions::from_mode(0o666))
+                .tempfile_in(folder(path))?;
+            file.write_all(text.as_bytes())?;
+            file.persist(path)?;
+            Ok(())
+        };
+        written().map_err(write_error(path))
+    }
+}
+
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+fn write_error(path: &Path) -> impl FnOnce(io::Error) -> FileError {
+    let path = path.to_owned();
+    move |source| FileError::Write { path, source }
+}

@@ -1,0 +1,30 @@
+//! Campaigns: many independent runs of one experiment, over the cores of one machine or as
+//! shards over many.
+//!
+//! An [`Experiment`] numbers its runs, the *units*, from 0. A unit's result depends on the
+//! experiment and the unit's number alone. So the results are the same, to the bit, on any
+//! number of threads and in any number of shards.
+//!
+//! A shard writes a [`ResultFile`]: a header with everything that decides the results, then a
+//! line per unit. [`merge`] joins the files of all shards to the file that one process
+//! writes, byte for byte, and refuses gaps, doubles, and files of different campaigns.
+//!
+//! ```text
+//! singletrack-faults --count 10000 --shard 1/4 --json faults-1.jsonl     on four machines
+//! singletrack merge faults-*.jsonl --out faults.jsonl
+//! singletrack-faults --from faults.jsonl                                 the report
+//! ```
+
+mod arguments;
+mod experiment;
+mod file;
+mod merge;
+mod progress;
+mod shard;
+
+pub use arguments::CampaignArgs;
+pub use experiment::{Campaign, CampaignError, Experiment, Results, run_units, thread_count};
+pub use file::{FORMAT, FileError, Header, ResultFile};
+pub use merge::{MergeArgs, MergeError, merge, merge_files, run_merge};
+pub use progress::Progress;
+pub use shard::{Shard, ShardError};
