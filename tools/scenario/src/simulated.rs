@@ -4,10 +4,10 @@ use std::net::Ipv4Addr;
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    ActuatorsSection, BoardSection, Config, ControlSection, EstimatorSection, FenceSection,
-    LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection, OuterLoopSection,
-    RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection, SupervisorSection,
-    UpAxisKind, WatchSection,
+    ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
+    FenceSection, LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection,
+    OuterLoopSection, RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection,
+    SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -85,6 +85,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         fence: FenceSection::square(HALL_WIDTH_M, BRAKING_M_S2),
         board: BoardSection::from(&default_board_configuration()),
         actuators: ActuatorsSection::default(),
+        compensation: CompensationSection::default(),
         control: ControlSection::default(),
         record: RecordSection::default(),
         state: StateSection::default(),

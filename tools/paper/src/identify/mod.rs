@@ -5,6 +5,7 @@ mod figures;
 mod output;
 mod report;
 pub mod study;
+mod study_command;
 mod table;
 
 use std::{
@@ -19,21 +20,25 @@ use indicatif::ProgressBar;
 use singletrack_analysis::identification::{
     self, Identification, IdentificationError, Parameter, Settings, Tyres,
 };
+use singletrack_campaign::CampaignError;
 use singletrack_core::ConfigError;
 use singletrack_figures::plot::PlotError;
 use singletrack_record::RecordError;
 
 use crate::vehicle_file::{self, VehicleFileError};
+use study::StudyError;
 
 pub use collect::{Collector, RecordedDrive, read};
 pub use figures::figures;
 pub use report::{Identified, Report};
+pub use study_command::StudyArgs;
 
 /// Options of `singletrack identify`.
 #[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
     /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
-    pub record: PathBuf,
+    #[arg(required_unless_present_any = ["study", "from"])]
+    pub record: Option<PathBuf>,
 
     /// Another drive, to validate the identified parameters.
     #[arg(long, value_name = "RECORD")]
@@ -75,6 +80,10 @@ pub struct IdentifyArgs {
     /// How to print the result.
     #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
     pub format: IdentifyFormat,
+
+    /// The study of the accuracy.
+    #[command(flatten, next_help_heading = "Study of the accuracy, without a record")]
+    pub study: StudyArgs,
 }
 
 /// The tyres' force over their slip.
@@ -139,6 +148,15 @@ pub enum IdentifyError {
     /// The vehicle file.
     #[error(transparent)]
     Vehicle(#[from] VehicleFileError),
+    /// No record is given.
+    #[error("give the record of a drive, or --study")]
+    NoRecord,
+    /// A seed of the study failed, or its files don't belong together.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError<StudyError>),
+    /// The study can't be reported.
+    #[error(transparent)]
+    Study(#[from] StudyError),
     /// An invalid speed.
     #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
     LeastSpeed(f64),
@@ -178,6 +196,9 @@ pub enum IdentifyError {
 ///
 /// When a record can't be used, or a file can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
+    if args.study.is_meant() {
+        return print(&study_command::report(&args.study)?);
+    }
     if let Some(folder) = &args.out {
         prepare(folder)?;
     }
@@ -197,17 +218,21 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
         IdentifyFormat::Table => table::table(&report),
         IdentifyFormat::Json => output::json(&report),
     };
-    match io::stdout().lock().write_all(text.as_bytes()) {
-        // The reader of a pipe may close it at any time.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
-        result => result.map_err(IdentifyError::Output)?,
-    }
+    print(&text)?;
     if let Some(folder) = &args.out {
         for path in write(&report, folder)? {
             print_note(&format!("wrote {}", path.display()));
         }
     }
     Ok(())
+}
+
+fn print(text: &str) -> Result<(), IdentifyError> {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        // The reader of a pipe may close it at any time.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => result.map_err(IdentifyError::Output),
+    }
 }
 
 /// Identifies without printing anything but progress.
@@ -224,7 +249,8 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         .as_deref()
         .map(vehicle_file::read)
         .transpose()?;
-    let recorded = told(read(&args.record, args.drive)?);
+    let record = args.record.as_deref().ok_or(IdentifyError::NoRecord)?;
+    let recorded = told(read(record, args.drive)?);
     let vehicle = given.unwrap_or(recorded.vehicle);
     let settings = Settings {
         tyres: args.tyres.tyres(),
@@ -237,7 +263,7 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         .transpose()?
         .map(told);
 
-    let wait = wait(format!("identifying from {}", args.record.display()));
+    let wait = wait(format!("identifying from {}", record.display()));
     let identification = identification::identify(&recorded.data, &vehicle, &settings)
         .map_err(|source| recorded.failed(source))?;
     wait.finish_and_clear();

@@ -3,16 +3,14 @@
 
 use std::{
     path::Path,
-    sync::{
-        Mutex, PoisonError,
-        atomic::{AtomicUsize, Ordering},
-    },
-    thread,
+    sync::atomic::{AtomicUsize, Ordering},
 };
 
+use serde::{Deserialize, Serialize};
 use singletrack_analysis::identification::{
-    self, DriveData, Identification, IdentificationError, NoiseLevels, Parameter, Settings, Values,
+    self, DriveData, IdentificationError, NoiseLevels, Parameter, Settings, Values,
 };
+use singletrack_campaign::{Experiment, run_units, thread_count};
 use singletrack_control::VehicleParameters;
 use singletrack_core::{Config, ConfigError};
 use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
@@ -25,29 +23,60 @@ pub const SCENARIO: &str = include_str!("../../../scenarios/identify-car.toml");
 /// Another one, for validation.
 pub const VALIDATION: &str = include_str!("../../../scenarios/identify-car-validation.toml");
 
-/// The results of the study, for each seed in the given order.
+/// The study: the same drive under consecutive seeds.
+///
+/// Each unit simulates the drive for identification, identifies the car from it and
+/// validates that on the other drive under another seed. Every fit starts from a car that is
+/// wrong by 30 to 40 %.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyPlan {
+    /// The first seed.
+    pub first_seed: u64,
+    /// The number of seeds.
+    pub count: u64,
+}
+
+/// The results of the study.
 #[derive(Clone, Debug)]
 pub struct Study {
     /// The car that was driven.
     pub truth: VehicleParameters,
-    /// The car that every fit started from.
-    pub start: VehicleParameters,
-    /// Each seed.
+    /// Each seed, in the given order.
     pub seeds: Vec<SeedResult>,
 }
 
 /// The result of one seed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SeedResult {
     /// The seed.
     pub seed: u64,
     /// The identified parameters.
-    pub identification: Identification,
+    pub estimates: Vec<SeedEstimate>,
     /// The smallest standard deviations of `C_f`, `C_r` and `I_z` (Cramér and Rao), with
     /// the simulator's noise.
     pub bounds: [f64; 3],
+    /// Normalised mean prediction error on the drive for identification.
+    pub nmpe: f64,
     /// Normalised mean prediction error on the drive for validation.
     pub validation_nmpe: f64,
+    /// The warnings of the fit.
+    pub warnings: Vec<String>,
+}
+
+/// An identified parameter of one seed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeedEstimate {
+    /// The parameter's name.
+    pub parameter: String,
+    /// The estimate.
+    pub value: f64,
+    /// Its standard deviation.
+    pub standard_deviation: f64,
+    /// The 95 % confidence interval.
+    pub interval: [f64; 2],
 }
 
 /// The statistics of a parameter over all seeds.
@@ -103,16 +132,35 @@ pub enum StudyError {
     },
 }
 
-/// Simulates the drive for identification under each seed, identifies the car from it
-/// and validates that on the other drive under another seed. `progress` gets the
-/// number of completed seeds, on any thread.
-///
-/// Every fit starts from a car that is wrong by 30 to 40 %.
+impl Experiment for StudyPlan {
+    const NAME: &'static str = "identify-study";
+    type Result = SeedResult;
+    type Error = StudyError;
+
+    fn units(&self) -> u64 {
+        self.count
+    }
+
+    fn run(&self, unit: u64) -> Result<SeedResult, StudyError> {
+        one(self.first_seed.wrapping_add(unit))
+    }
+}
+
+/// Runs the study for these seeds, on all cores. `progress` gets the number of completed
+/// seeds, on any thread.
 ///
 /// # Errors
 ///
 /// The first drive that does not determine the parameters.
 pub fn run_study(seeds: &[u64], progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
+    let done = AtomicUsize::new(0);
+    let results = run_units(seeds, thread_count(), one, || {
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+    })?;
+    Study::of(results.into_iter().map(|(_, result)| result).collect())
+}
+
+fn one(seed: u64) -> Result<SeedResult, StudyError> {
     let truth = scenario(SCENARIO, 0)?.vehicle;
     let start = VehicleParameters {
         front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
@@ -120,50 +168,16 @@ pub fn run_study(seeds: &[u64], progress: impl Fn(usize) + Sync) -> Result<Study
         yaw_inertia_kg_m2: 1.4 * truth.yaw_inertia_kg_m2,
         ..truth
     };
-    let next = AtomicUsize::new(0);
-    let done = AtomicUsize::new(0);
-    let results = Mutex::new(Vec::with_capacity(seeds.len()));
-    let work = || {
-        while let Some(seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let result = one(*seed, &truth, &start);
-            results
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .push((*seed, result));
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1);
-        }
-    };
-    let threads = thread::available_parallelism().map_or(1, usize::from);
-    thread::scope(|scope| {
-        for _ in 0..threads.min(seeds.len()) {
-            scope.spawn(work);
-        }
-    });
-    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.sort_by_key(|(seed, _)| seeds.iter().position(|other| other == seed));
-    let seeds = results.into_iter().map(|(_, result)| result);
-    Ok(Study {
-        truth,
-        start,
-        seeds: seeds.collect::<Result<_, _>>()?,
-    })
-}
-
-fn one(
-    seed: u64,
-    truth: &VehicleParameters,
-    start: &VehicleParameters,
-) -> Result<SeedResult, StudyError> {
     let settings = Settings::default();
     let failed = |source| StudyError::Identification {
         seed,
         source: Box::new(source),
     };
     let data = simulated(SCENARIO, seed)?;
-    let identification = identification::identify(&data, start, &settings).map_err(failed)?;
+    let identification = identification::identify(&data, &start, &settings).map_err(failed)?;
     let bounds = identification::cramer_rao(
         &data,
-        &true_values(truth, &identification.values),
+        &true_values(&truth, &identification.values),
         &simulated_noise(),
         identification.frames,
         &settings,
@@ -174,11 +188,22 @@ fn one(
     let validation =
         identification::validate(&other, &identification, &settings).map_err(failed)?;
     let mut of_vehicle = bounds.into_iter();
+    let estimates = identification.estimates.iter();
+    let warnings = identification.warnings.iter();
     Ok(SeedResult {
         seed,
-        identification,
+        estimates: estimates
+            .map(|estimate| SeedEstimate {
+                parameter: estimate.parameter.name().to_owned(),
+                value: estimate.value,
+                standard_deviation: estimate.standard_deviation,
+                interval: estimate.interval,
+            })
+            .collect(),
         bounds: Parameter::VEHICLE.map(|_| of_vehicle.next().unwrap_or(f64::NAN)),
+        nmpe: identification.score.nmpe,
         validation_nmpe: validation.score.nmpe,
+        warnings: warnings.map(ToString::to_string).collect(),
     })
 }
 
@@ -238,7 +263,26 @@ fn simulated_noise() -> NoiseLevels {
     }
 }
 
+impl SeedResult {
+    /// The estimate of a parameter, if it was identified.
+    #[must_use]
+    pub fn estimate(&self, parameter: Parameter) -> Option<&SeedEstimate> {
+        let mut estimates = self.estimates.iter();
+        estimates.find(|estimate| estimate.parameter == parameter.name())
+    }
+}
+
 impl Study {
+    /// Of these results.
+    ///
+    /// # Errors
+    ///
+    /// The scenario with the true car is invalid.
+    pub fn of(seeds: Vec<SeedResult>) -> Result<Self, StudyError> {
+        let truth = scenario(SCENARIO, 0)?.vehicle;
+        Ok(Self { truth, seeds })
+    }
+
     /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
     #[must_use]
     pub fn summaries(&self) -> [Summary; 3] {
@@ -258,7 +302,7 @@ impl Study {
                 bound: 0.0,
             };
             for result in &self.seeds {
-                let Some(estimate) = result.identification.estimate(parameter) else {
+                let Some(estimate) = result.estimate(parameter) else {
                     continue;
                 };
                 let error = estimate.value - truth;
@@ -285,7 +329,7 @@ impl Study {
         let mean =
             |value: fn(&SeedResult) -> f64| self.seeds.iter().map(value).sum::<f64>() / count;
         [
-            mean(|result| result.identification.score.nmpe),
+            mean(|result| result.nmpe),
             mean(|result| result.validation_nmpe),
         ]
     }

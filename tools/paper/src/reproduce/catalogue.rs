@@ -1,6 +1,7 @@
 //! The claims, each with its criterion: the only place with numbers and tolerances.
 
 mod analyses;
+mod assumptions;
 mod claim;
 mod experiments;
 
@@ -11,6 +12,7 @@ pub(super) fn claims(setup: &Setup) -> Vec<Claim> {
     let mut claims = experiments::steps(setup);
     claims.extend(experiments::circle(setup));
     claims.extend(analyses::claims(setup));
+    claims.extend(assumptions::claims(setup));
     claims.sort_by_key(|claim| claim.section);
     claims
 }

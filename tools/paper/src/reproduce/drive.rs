@@ -80,6 +80,12 @@ pub(super) enum DriveError {
     Temporary(std::io::Error),
 }
 
+/// The paper's controller compensates neither clock nor actuators.
+fn paper_compensation(plant: PlantKind) -> Option<toml::Table> {
+    let off = |key: &str| (key.to_owned(), toml::Value::Boolean(false));
+    (plant == PlantKind::Car).then(|| [off("clock"), off("actuation")].into_iter().collect())
+}
+
 impl Experiment {
     fn scenario(&self, setup: &Setup, plant: PlantKind) -> Scenario {
         Scenario {
@@ -121,6 +127,8 @@ impl Experiment {
             fence: None,
             board: None,
             motion_capture: None,
+            actuators: None,
+            compensation: paper_compensation(plant),
         }
     }
 

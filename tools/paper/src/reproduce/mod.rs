@@ -1,6 +1,7 @@
 //! `singletrack reproduce`: the paper's experiments and analyses, and its claims beside
 //! measured results.
 
+mod assumptions;
 mod catalogue;
 mod circle;
 pub mod claims;
@@ -127,6 +128,7 @@ fn basics(setup: &Setup) -> Measurements {
     if let Some(cosine) = cosine_refused(setup, 40.0, -50.0) {
         measurements.add("law.cosine_at_corner", cosine);
     }
+    assumptions::measure(setup, &mut measurements);
     measurements
 }
 

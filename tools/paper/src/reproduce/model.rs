@@ -15,7 +15,7 @@ use super::{
     text::with_digits,
 };
 use crate::identify::{
-    self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, TyreKind,
+    self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, StudyArgs, TyreKind,
     study::{SCENARIO, Study, VALIDATION, run_study},
 };
 
@@ -73,7 +73,8 @@ fn identified(setup: &Setup) -> Result<Report, ModelError> {
     vehicle.yaw_inertia_kg_m2 *= inertia;
     std::fs::write(&start, toml::to_string(&VehicleFile { vehicle })?)?;
     Ok(identify::identify(&IdentifyArgs {
-        record,
+        record: Some(record),
+        study: StudyArgs::default(),
         validate: Some(other),
         vehicle: Some(start),
         parameters: Parameter::VEHICLE.to_vec(),
@@ -304,7 +305,7 @@ fn many(study: &Study, section: &mut Section) {
             .seeds
             .iter()
             .filter_map(|seed| {
-                let estimate = seed.identification.estimate(summary.parameter)?;
+                let estimate = seed.estimate(summary.parameter)?;
                 Some(Estimate {
                     name: "estimate with its interval of 95 %".to_owned(),
                     kind: MarkKind::Found,

@@ -10,7 +10,7 @@ use super::{
     stability::{picture, scene, subject},
     text::{number, with_digits},
 };
-use crate::stability::{Grid, TimingArgs, figures, sampled_map};
+use crate::stability::{Grid, TimingArgs, figures, first_unstable, sampled_map};
 
 /// A time in ms, in words; `None` is beyond the searched range.
 fn ms(time: Option<f64>, limit: f64) -> String {
@@ -56,6 +56,17 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     section
         .measurements
         .add("sampled.front.largest_radius", largest);
+    let first = first_unstable(
+        &subject,
+        TimingArgs::simulated_car(),
+        Grid::spanning(range, 9).values(),
+        subject.point_distance,
+    );
+    if let Some(Some(first)) = section.or_note("the first unstable speed", first) {
+        section
+            .measurements
+            .add("sampled.servo.first_unstable", first);
+    }
     section.tables.push(Table {
         name: "sampled-front-point".to_owned(),
         header: "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_marker_interval_s"

@@ -3,7 +3,7 @@
 
 use nalgebra::SVector;
 use singletrack_control::{
-    FrontPointLaw, LawError, Motion, OuterLoop, Position, Reference, ReferencePoint, SingleTrack,
+    FrontPointLaw, LawError, Motion, Position, Reference, ReferencePoint, SingleTrack,
     SingleTrackState, Singularity, TrackingLoop, Velocity, VelocityPointLaw, direction,
     front_point, velocity_point,
 };

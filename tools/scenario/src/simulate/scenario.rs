@@ -74,6 +74,12 @@ pub struct Scenario {
     /// What the host believes of the cameras.
     #[serde(default)]
     pub motion_capture: Option<Table>,
+    /// How steering and motor are believed to follow.
+    #[serde(default)]
+    pub actuators: Option<Table>,
+    /// What the pilot corrects of clocks and actuators.
+    #[serde(default)]
+    pub compensation: Option<Table>,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -390,7 +396,7 @@ impl Scenario {
     }
 
     /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 7] {
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 9] {
         [
             ("limits", self.limits.as_ref()),
             ("board", self.board.as_ref()),
@@ -399,6 +405,8 @@ impl Scenario {
             ("watch", self.watch.as_ref()),
             ("fence", self.fence.as_ref()),
             ("motion_capture", self.motion_capture.as_ref()),
+            ("actuators", self.actuators.as_ref()),
+            ("compensation", self.compensation.as_ref()),
         ]
     }
 
@@ -422,6 +430,8 @@ impl Scenario {
             watch,
             fence,
             motion_capture,
+            actuators,
+            compensation,
             control,
             ..
         } = &mut config;
@@ -436,6 +446,8 @@ impl Scenario {
             motion_capture,
             self.motion_capture.as_ref(),
         )?;
+        layer("actuators", actuators, self.actuators.as_ref())?;
+        layer("compensation", compensation, self.compensation.as_ref())?;
         layer("control", control, Some(&self.control.daemon))?;
         Ok(config)
     }

@@ -1,0 +1,117 @@
+//! The controllers of the comparison, with their parameters.
+
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use singletrack_core::config::OuterLoopSection;
+
+use super::foreign::Law;
+
+/// A controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ControllerName {
+    /// The paper's: proportional with unit gain.
+    P,
+    /// With the reference's velocity fed forward.
+    PFf,
+    /// The same, with a tuned gain.
+    PTuned,
+    /// The same, with the compensation of clock and actuators, and a gain tuned for it.
+    PCompensated,
+    /// Pure pursuit, tuned.
+    PurePursuit,
+    /// Stanley, tuned.
+    Stanley,
+}
+
+/// What `tune` found with [`BUDGET`](super::tune::BUDGET) drives each.
+const TUNED_GAIN: f64 = 10.0;
+const COMPENSATED_GAIN: f64 = 12.0;
+const TUNED_PURSUIT: [f64; 2] = [0.2, 12.0];
+const TUNED_STANLEY: [f64; 2] = [16.0, 12.0];
+
+/// How a controller drives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Drives {
+    /// By velocities of P: the law in the pilot steers.
+    Point {
+        outer_loop: OuterLoopSection,
+        compensated: bool,
+    },
+    /// By steering and speed, from outside.
+    Actuators { law: Law, catch_up: f64 },
+}
+
+impl ControllerName {
+    /// All, in the order of the table.
+    pub const ALL: [Self; 6] = [
+        Self::P,
+        Self::PFf,
+        Self::PTuned,
+        Self::PCompensated,
+        Self::PurePursuit,
+        Self::Stanley,
+    ];
+
+    /// As in the table.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::P => "p",
+            Self::PFf => "p-ff",
+            Self::PTuned => "p-tuned",
+            Self::PCompensated => "p-compensated",
+            Self::PurePursuit => "pure-pursuit",
+            Self::Stanley => "stanley",
+        }
+    }
+
+    /// With the parameters of the table.
+    pub(super) const fn drives(self) -> Drives {
+        let parameters = match self {
+            Self::P | Self::PFf => [1.0, 0.0],
+            Self::PTuned => [TUNED_GAIN, 0.0],
+            Self::PCompensated => [COMPENSATED_GAIN, 0.0],
+            Self::PurePursuit => TUNED_PURSUIT,
+            Self::Stanley => TUNED_STANLEY,
+        };
+        self.with(parameters)
+    }
+
+    /// With other parameters: the gain, or that of the law and of the speed.
+    pub(super) const fn with(self, [first, second]: [f64; 2]) -> Drives {
+        match self {
+            Self::P | Self::PFf | Self::PTuned | Self::PCompensated => Drives::Point {
+                outer_loop: OuterLoopSection::Proportional {
+                    gain_per_s: [first; 2],
+                    feed_forward: !matches!(self, Self::P),
+                },
+                compensated: matches!(self, Self::PCompensated),
+            },
+            Self::PurePursuit => Drives::Actuators {
+                law: Law::PurePursuit { time: first },
+                catch_up: second,
+            },
+            Self::Stanley => Drives::Actuators {
+                law: Law::Stanley { gain: first },
+                catch_up: second,
+            },
+        }
+    }
+
+    /// The values that are tried for each parameter; none for what is given.
+    pub(super) const fn tried(self) -> Option<[&'static [f64]; 2]> {
+        match self {
+            Self::P | Self::PFf => None,
+            Self::PTuned | Self::PCompensated => Some([
+                &[
+                    0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.4, 3.8,
+                    4.3, 4.9, 5.5, 6.2, 7.0, 8.0, 9.0, 10.0, 12.0,
+                ],
+                &[0.0],
+            ]),
+            Self::PurePursuit => Some([&[0.1, 0.15, 0.2, 0.3, 0.5], &[2.0, 4.0, 8.0, 12.0, 16.0]]),
+            Self::Stanley => Some([&[4.0, 8.0, 16.0, 32.0, 64.0], &[2.0, 4.0, 8.0, 12.0, 16.0]]),
+        }
+    }
+}

@@ -1,0 +1,172 @@
+//! `singletrack compare`: controllers on the simulated car, against each other.
+//!
+//! Every controller drives the same car with the same seeds: the complete host with its
+//! supervisor, the board, noisy and late cameras. The errors are those of the true car.
+
+mod condition;
+mod controller;
+mod course;
+mod drive;
+mod foreign;
+mod plan;
+mod table;
+mod tune;
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::PathBuf,
+};
+
+use clap::{Args, ValueEnum};
+use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
+
+pub use condition::Condition;
+pub use controller::ControllerName;
+pub use course::PathName;
+pub use drive::{DriveError, DriveResult, Errors};
+pub use plan::{CompareUnitError, Comparison, Row};
+pub use table::{HEADER, Line, csv, lines, markdown};
+pub use tune::BUDGET;
+
+/// Options of `singletrack compare`.
+#[derive(Clone, Debug, Args)]
+pub struct CompareArgs {
+    /// Controllers to compare [default: all].
+    #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
+    pub controllers: Vec<ControllerName>,
+
+    /// Paths to drive [default: all].
+    #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
+    pub paths: Vec<PathName>,
+
+    /// Speeds, in m/s.
+    #[arg(
+        long,
+        value_name = "SPEEDS",
+        value_delimiter = ',',
+        default_value = "0.5,1.0,1.5,1.8",
+        value_parser = speed
+    )]
+    pub speeds: Vec<f64>,
+
+    /// Conditions [default: all].
+    #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
+    pub conditions: Vec<Condition>,
+
+    /// First seed. Seed 0 is that of the tuning.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub first_seed: u64,
+
+    /// Number of seeds of each row, the same for all.
+    #[arg(long, value_name = "M", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
+    pub seeds: u64,
+
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = CompareFormat::Markdown)]
+    pub format: CompareFormat,
+
+    /// Write compare.csv and compare.md into this folder, too.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// Tune the controllers in place of comparing them: each tries 25 parameters on the same
+    /// drives.
+    #[arg(long, conflicts_with_all = ["shard", "json", "from", "out"])]
+    pub tune: bool,
+
+    /// How it is run.
+    #[command(flatten)]
+    pub campaign: CampaignArgs,
+}
+
+/// How to print the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CompareFormat {
+    /// For a page, in mm, the best first.
+    Markdown,
+    /// For a program, in m, every digit.
+    Csv,
+}
+
+/// Why there is no comparison.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    /// A drive can't be simulated, or a file is not one of a comparison.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError<CompareUnitError>),
+    /// A drive of the tuning can't be simulated.
+    #[error(transparent)]
+    Tune(#[from] DriveError),
+    /// A file can't be written.
+    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// Standard output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(io::Error),
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(speed) if (0.1..=2.0).contains(&speed) => Ok(speed),
+        _ => Err("a speed lies between 0.1 and 2 m/s".to_owned()),
+    }
+}
+
+fn or_all<T: Copy>(given: &[T], all: &[T]) -> Vec<T> {
+    if given.is_empty() { all } else { given }.to_vec()
+}
+
+/// Runs the comparison, prints and writes its table.
+///
+/// # Errors
+///
+/// A drive can't be simulated, or a file can't be read or written.
+pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
+    let controllers = or_all(&args.controllers, &ControllerName::ALL);
+    if args.tune {
+        return print(&tune::tune(&controllers, args.campaign.threads())?);
+    }
+    let failed = |path: &PathBuf| {
+        let path = path.clone();
+        move |source| CompareError::Write { path, source }
+    };
+    if let Some(folder) = &args.out {
+        // Before hours of work.
+        fs::create_dir_all(folder).map_err(failed(folder))?;
+    }
+    let plan = Comparison {
+        controllers,
+        paths: or_all(&args.paths, &PathName::ALL),
+        speeds_m_s: args.speeds.clone(),
+        conditions: or_all(&args.conditions, &Condition::ALL),
+        first_seed: args.first_seed,
+        seeds: args.seeds,
+    };
+    let campaign = Campaign::obtain(plan, &args.campaign)?;
+    let lines = lines(&campaign.experiment, &campaign.results);
+    let [csv, markdown] = [csv(&lines), markdown(&lines)];
+    if let Some(folder) = &args.out {
+        for (name, text) in [("compare.csv", &csv), ("compare.md", &markdown)] {
+            let path = folder.join(name);
+            fs::write(&path, text).map_err(failed(&path))?;
+        }
+    }
+    print(match args.format {
+        CompareFormat::Csv => &csv,
+        CompareFormat::Markdown => &markdown,
+    })
+}
+
+fn print(text: &str) -> Result<(), CompareError> {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        // The reader of a pipe may close it at any time.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => result.map_err(CompareError::Output),
+    }
+}

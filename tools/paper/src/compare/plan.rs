@@ -1,0 +1,109 @@
+//! What is compared: the rows, and the drives of each.
+
+use serde::{Deserialize, Serialize};
+use singletrack_campaign::Experiment;
+
+use super::{
+    condition::Condition,
+    controller::ControllerName,
+    course::PathName,
+    drive::{Case, DriveError, DriveResult},
+};
+
+/// A comparison: every controller on every path at every speed under every condition, with
+/// the same seeds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Comparison {
+    /// The controllers.
+    pub controllers: Vec<ControllerName>,
+    /// The paths.
+    pub paths: Vec<PathName>,
+    /// The speeds, in m/s.
+    pub speeds_m_s: Vec<f64>,
+    /// The conditions.
+    pub conditions: Vec<Condition>,
+    /// The first seed; the others follow consecutively.
+    pub first_seed: u64,
+    /// The number of seeds of a row.
+    pub seeds: u64,
+}
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// The controller.
+    pub controller: ControllerName,
+    /// The path.
+    pub path: PathName,
+    /// The speed, in m/s.
+    pub speed_m_s: f64,
+    /// The condition.
+    pub condition: Condition,
+}
+
+impl Comparison {
+    /// The rows, in the order of the table: the controllers of a case follow each other.
+    pub fn rows(&self) -> impl Iterator<Item = Row> + '_ {
+        let paths = self.paths.iter();
+        paths.flat_map(move |&path| {
+            self.speeds_m_s.iter().flat_map(move |&speed_m_s| {
+                self.conditions.iter().flat_map(move |&condition| {
+                    self.controllers.iter().map(move |&controller| Row {
+                        controller,
+                        path,
+                        speed_m_s,
+                        condition,
+                    })
+                })
+            })
+        })
+    }
+
+    /// The row and the seed of a unit.
+    fn case(&self, unit: u64) -> Option<Case> {
+        let row = usize::try_from(unit / self.seeds.max(1)).ok()?;
+        let row = self.rows().nth(row)?;
+        Some(Case {
+            drives: row.controller.drives(),
+            path: row.path,
+            speed_m_s: row.speed_m_s,
+            condition: row.condition,
+            seed: self.first_seed.wrapping_add(unit % self.seeds.max(1)),
+        })
+    }
+}
+
+/// Why a drive has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareUnitError {
+    /// There is no such drive.
+    #[error("there is no drive {0} in this comparison")]
+    NoUnit(u64),
+    /// It can't be simulated.
+    #[error("drive {unit}: {source}")]
+    Drive {
+        /// The unit.
+        unit: u64,
+        /// Why.
+        source: Box<DriveError>,
+    },
+}
+
+impl Experiment for Comparison {
+    const NAME: &'static str = "compare";
+    type Result = DriveResult;
+    type Error = CompareUnitError;
+
+    fn units(&self) -> u64 {
+        self.rows().count() as u64 * self.seeds
+    }
+
+    fn run(&self, unit: u64) -> Result<DriveResult, CompareUnitError> {
+        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
+        case.drive().map_err(|source| CompareUnitError::Drive {
+            unit,
+            source: Box::new(source),
+        })
+    }
+}

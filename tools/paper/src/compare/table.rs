@@ -1,0 +1,236 @@
+//! The table of a comparison.
+
+use std::fmt::Write as _;
+
+use singletrack_statistics::Distribution;
+
+use super::{
+    drive::{DriveResult, Errors},
+    plan::{Comparison, Row},
+};
+
+/// The names of the columns, in order.
+pub const HEADER: &str = "controller,path,speed_m_s,condition,seeds,rms_m,rms_low_m,rms_high_m,\
+                          p99_m,max_m,along_rms_m,across_rms_m,tyre_use_max,stops";
+
+/// A line of the table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    row: Row,
+    /// Whether the errors are those of the front axle, not of the controller's own point.
+    front_axle: bool,
+    seeds: usize,
+    /// Means over the seeds that were driven to the end, but the largest of all in `max`.
+    errors: Option<Errors>,
+    /// The interval of 95 % of the mean of the root mean squares.
+    interval: [f64; 2],
+    tyre_use_max: f64,
+    stops: usize,
+}
+
+/// Two lines per row: the controller's own point, and the front axle.
+#[must_use]
+pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
+    let seeds = usize::try_from(plan.seeds.max(1)).unwrap_or(usize::MAX);
+    let mut lines = Vec::new();
+    let mut results = results.iter().peekable();
+    for (index, row) in plan.rows().enumerate() {
+        let end = ((index + 1) * seeds) as u64;
+        // A shard has a part of the seeds.
+        let mut own = Vec::new();
+        while let Some((_, result)) = results.next_if(|(unit, _)| *unit < end) {
+            own.push(result);
+        }
+        if own.is_empty() {
+            continue;
+        }
+        for front_axle in [false, true] {
+            lines.push(Line::of(row, front_axle, &own));
+        }
+    }
+    lines
+}
+
+impl Line {
+    fn of(row: Row, front_axle: bool, results: &[&DriveResult]) -> Self {
+        let driven = results.iter().filter(|result| result.stopped.is_none());
+        let errors: Vec<Errors> = driven
+            .filter_map(|result| {
+                if front_axle {
+                    result.front_axle
+                } else {
+                    result.own
+                }
+            })
+            .collect();
+        let mean =
+            |value: fn(&Errors) -> f64| errors.iter().map(value).sum::<f64>() / errors.len() as f64;
+        let rms: Vec<f64> = errors.iter().map(|errors| errors.rms).collect();
+        let tyres = results.iter().map(|result| result.tyre_use_max);
+        Self {
+            row,
+            front_axle,
+            seeds: results.len(),
+            errors: (!errors.is_empty()).then(|| Errors {
+                rms: mean(|errors| errors.rms),
+                p99: mean(|errors| errors.p99),
+                max: errors.iter().map(|errors| errors.max).fold(0.0, f64::max),
+                along_rms: mean(|errors| errors.along_rms),
+                across_rms: mean(|errors| errors.across_rms),
+            }),
+            interval: interval(&rms),
+            tyre_use_max: tyres.fold(0.0, f64::max),
+            stops: results.len() - errors.len(),
+        }
+    }
+
+    fn condition(&self) -> String {
+        let of = if self.front_axle { "@front-axle" } else { "" };
+        format!("{}{of}", self.row.condition.name())
+    }
+
+    fn values(&self) -> [Option<f64>; 8] {
+        let errors = self.errors.as_ref();
+        let value = |value: fn(&Errors) -> f64| errors.map(value);
+        [
+            value(|errors| errors.rms),
+            errors.map(|_| self.interval[0]),
+            errors.map(|_| self.interval[1]),
+            value(|errors| errors.p99),
+            value(|errors| errors.max),
+            value(|errors| errors.along_rms).filter(|_| !self.front_axle),
+            value(|errors| errors.across_rms),
+            Some(self.tyre_use_max),
+        ]
+    }
+}
+
+/// Number of samples of the bootstrap.
+const SAMPLES: usize = 2_000;
+
+/// The interval of 95 % of a mean, by resampling. Equal numbers of values are resampled in
+/// the same way, so that differences of rows with the same seeds are those of pairs.
+fn interval(values: &[f64]) -> [f64; 2] {
+    let mut random: u64 = 1;
+    let count = values.len() as u64;
+    let means = (0..SAMPLES).map(|_| {
+        let drawn = values.iter().map(|_| {
+            let place = split_mix(&mut random) % count;
+            values.get(place as usize).copied().unwrap_or(f64::NAN)
+        });
+        drawn.sum::<f64>() / values.len() as f64
+    });
+    let means = Distribution::of(means);
+    [0.025, 0.975].map(|part| means.quantile(part).unwrap_or(f64::NAN))
+}
+
+/// Steele, Lea and Flood (2014).
+const fn split_mix(state: &mut u64) -> u64 {
+    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let mut z = *state;
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// With every digit, for programs. A field is empty if no drive came to the end.
+#[must_use]
+pub fn csv(lines: &[Line]) -> String {
+    let mut text = format!("{HEADER}\n");
+    for line in lines {
+        let Row {
+            controller,
+            path,
+            speed_m_s,
+            ..
+        } = line.row;
+        let values = line.values();
+        let values = values.map(|value| value.map_or_else(String::new, |value| value.to_string()));
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "{},{},{speed_m_s},{},{},{},{}",
+            controller.name(),
+            path.name(),
+            line.condition(),
+            line.seeds,
+            values.join(","),
+            line.stops
+        );
+    }
+    text
+}
+
+/// In millimetres, for a page: a table per path, speed and condition, the best first.
+#[must_use]
+pub fn markdown(lines: &[Line]) -> String {
+    let mut text = String::new();
+    let case = |line: &Line| {
+        format!(
+            "{}, {} m/s, {}",
+            line.row.path.name(),
+            line.row.speed_m_s,
+            line.row.condition.name()
+        )
+    };
+    for group in lines.chunk_by(|a, b| case(a) == case(b)) {
+        let (front, mut own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
+        let rms = |line: &Line| {
+            line.errors
+                .as_ref()
+                .map_or(f64::INFINITY, |errors| errors.rms)
+        };
+        own.sort_by(|a, b| rms(a).total_cmp(&rms(b)));
+        let title = group.first().map_or_else(String::new, case);
+        let _ = writeln!(
+            text,
+            "{title}\n\n| controller | RMS (mm) | 95 % | 99 % | largest | along | across | \
+             front axle across | tyres | stops |\n|---|---|---|---|---|---|---|---|---|---|"
+        );
+        for line in own {
+            let front = front.iter().find(|front| front.row == line.row);
+            let [rms, low, high, p99, max, along, across, tyres] = line.values();
+            let mm = |value: Option<f64>| {
+                value.map_or_else(|| "-".to_owned(), |value| format!("{:.2}", 1e3 * value))
+            };
+            let _ = writeln!(
+                text,
+                "| {} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} of {} |",
+                line.row.controller.name(),
+                mm(rms),
+                mm(low),
+                mm(high),
+                mm(p99),
+                mm(max),
+                mm(along),
+                mm(across),
+                mm(front.and_then(|front| front.values()[0])),
+                tyres.unwrap_or(f64::NAN),
+                line.stops,
+                line.seeds
+            );
+        }
+        text.push('\n');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_interval_holds_the_mean_and_narrows_with_the_number() {
+        let values: Vec<f64> = (0..400).map(|index| f64::from(index % 20)).collect();
+        let [low, high] = interval(&values);
+        assert!(low < 9.5 && 9.5 < high, "{low} {high}");
+        // 1.96 standard deviations of the mean to both sides.
+        assert!(
+            (high - low - 2.0 * 1.96 * 5.77 / 20.0).abs() < 0.15,
+            "{low} {high}"
+        );
+        let [fewer_low, fewer_high] = interval(&values[..20]);
+        assert!(fewer_high - fewer_low > 3.0 * (high - low));
+        assert_eq!(interval(&[2.0]), [2.0, 2.0]);
+    }
+}

@@ -1,0 +1,345 @@
+//! The paper's assumptions and side remarks, as numbers: similitude, small angles, the
+//! direction of the motion, the point that is measured, and positions as states.
+
+use libm::{atan, atan2, cos, hypot, sin, tan};
+use nalgebra::Rotation2;
+use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop, StabilityError};
+use singletrack_control::{
+    FrontPointLaw, LawError, Motion, SingleTrack, SingleTrackState, Singularity, VehicleParameters,
+    Velocity, direction,
+};
+
+use super::{
+    Setup,
+    claims::Measurements,
+    setup::{GAIN, TURN_RATE},
+};
+
+/// The speeds of the studies, for the paper's car, in m/s.
+const SPEEDS: [f64; 7] = [0.1, 0.3, 0.5, 1.0, 2.0, 4.0, 8.0];
+
+/// All of them. One that fails is left out, and its claim says so.
+pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
+    let mut add = |name: &str, value: Option<f64>| {
+        if let Some(value) = value {
+            measurements.add(name, value);
+        }
+    };
+    add("assumptions.similitude", similitude(setup).ok());
+    let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
+    let [model, exact] =
+        [Angles::Small, Angles::Exact].map(|angles| steering_on_circle(setup, amplitude, angles));
+    add("assumptions.steering.model", Some(model));
+    add("assumptions.steering.exact", Some(exact));
+    add(
+        "assumptions.steering.off",
+        Some(100.0 * (model / exact - 1.0)),
+    );
+    add("assumptions.direction", direction_matters(setup).ok());
+    add("assumptions.any-p", error_of_any_p(setup).ok());
+    add("assumptions.measured-point", measured_point(setup).ok());
+    add(
+        "assumptions.unstable-with-position-loop",
+        unstable_with_position_loop(setup),
+    );
+    add(
+        "assumptions.reference-diameter",
+        Some(2.0 * setup.radius_m()),
+    );
+    add("assumptions.path-diameter", Some(2.0 * amplitude));
+}
+
+/// The largest relative difference between the eigenvalues of the car and those of a car ten
+/// times as long, 850 times as heavy, on a time scale √10 times as long.
+fn similitude(setup: &Setup) -> Result<f64, StabilityError> {
+    let (length, mass, time) = (10.0, 850.0, 10.0_f64.sqrt());
+    let car = setup.vehicle;
+    let stiffness = mass * length / (time * time);
+    let large = VehicleParameters {
+        mass_kg: car.mass_kg * mass,
+        yaw_inertia_kg_m2: car.yaw_inertia_kg_m2 * mass * length * length,
+        front_axle_distance_m: car.front_axle_distance_m * length,
+        rear_axle_distance_m: car.rear_axle_distance_m * length,
+        friction: car.friction,
+        front_cornering_stiffness_n_rad: car.front_cornering_stiffness_n_rad * stiffness,
+        rear_cornering_stiffness_n_rad: car.rear_cornering_stiffness_n_rad * stiffness,
+    };
+    let p = setup.point_distance_m();
+    let mut largest: f64 = 0.0;
+    for law in [Law::FrontPoint, Law::VelocityPoint] {
+        for speed in SPEEDS.map(|speed| speed * setup.scale()) {
+            for part in [-0.9, -0.3, 0.3, 0.9] {
+                let deviation = part * car.rear_axle_distance_m;
+                let one = ClosedLoop::new(car, law, p, speed, deviation)?;
+                let other = ClosedLoop::new(
+                    large,
+                    law,
+                    p * length,
+                    speed * length / time,
+                    deviation * length,
+                )?;
+                for (one, other) in one.eigenvalues().iter().zip(&other.eigenvalues()) {
+                    largest = largest.max((other * time - one).norm() / one.norm());
+                }
+            }
+        }
+    }
+    Ok(largest)
+}
+
+/// How the model treats sideslip and steering.
+#[derive(Clone, Copy, PartialEq)]
+enum Angles {
+    /// Equation 1: sin x = x and cos x = 1.
+    Small,
+    /// Slip angles from the velocities of the axles, and the force of the front axle across
+    /// its wheels.
+    Exact,
+}
+
+/// The steering angle with which P goes round on a circle of radius `amplitude` (m), with
+/// linear tyres, in rad.
+fn steering_on_circle(setup: &Setup, amplitude: f64, angles: Angles) -> f64 {
+    let VehicleParameters {
+        mass_kg: m,
+        front_axle_distance_m: l_f,
+        rear_axle_distance_m: l_r,
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+        ..
+    } = setup.vehicle;
+    let wheelbase = l_f + l_r;
+    let p = setup.point_distance_m();
+    let r = TURN_RATE;
+    // Sideslip and steering at a speed of G.
+    let steady = |v: f64| match angles {
+        Angles::Small => {
+            let rear = m * v * r * l_f / (wheelbase * c_r);
+            let front = m * v * r * l_r / (wheelbase * c_f);
+            let sideslip = l_r * r / v - rear;
+            (sideslip, front + sideslip + l_f * r / v)
+        }
+        Angles::Exact => {
+            let (mut sideslip, mut steering) = (0.0_f64, 0.0_f64);
+            for _ in 0..200 {
+                let across = m * v * r * cos(sideslip);
+                let rear = across * l_f / (wheelbase * c_r);
+                let front = across * l_r / (wheelbase * c_f * cos(steering));
+                sideslip = atan((l_r * r / v) / cos(sideslip) - tan(rear));
+                steering = front + atan2(v * sin(sideslip) + l_f * r, v * cos(sideslip));
+            }
+            (sideslip, steering)
+        }
+    };
+    // P from the centre of the circle: farther out at a higher speed.
+    let reach = |v: f64| {
+        let (sideslip, steering) = steady(v);
+        hypot(
+            l_f + p * cos(steering) + v / r * sin(sideslip),
+            p * sin(steering) - v / r * cos(sideslip),
+        )
+    };
+    let (mut low, mut high) = (0.5 * amplitude * r, 1.5 * amplitude * r);
+    for _ in 0..100 {
+        let middle = 0.5 * (low + high);
+        if reach(middle) < amplitude {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    steady(0.5 * (low + high)).1
+}
+
+/// Why a law can't be evaluated.
+#[derive(Debug, thiserror::Error)]
+enum EvaluationError {
+    #[error(transparent)]
+    Law(#[from] LawError),
+    #[error(transparent)]
+    Singularity(#[from] Singularity),
+}
+
+/// States off the steady motion, as yaw against the velocity of P, yaw rate, sideslip and
+/// steering.
+const DISTURBED: [[f64; 4]; 4] = [
+    [0.0, 0.0, 0.0, 0.0],
+    [0.3, 0.5, -0.1, 0.2],
+    [-0.4, 1.0, 0.15, -0.3],
+    [0.1, -2.0, 0.05, 0.35],
+];
+
+/// By how much the motion differs between directions of the velocity of P, at most.
+fn direction_matters(setup: &Setup) -> Result<f64, EvaluationError> {
+    let law = law(setup, 0.0, setup.point_distance_m())?;
+    let model = SingleTrack::new(setup.vehicle);
+    let mut largest: f64 = 0.0;
+    for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
+        let slope = |heading: f64| -> Result<[f64; 5], EvaluationError> {
+            let motion = Motion {
+                yaw: yaw + heading,
+                yaw_rate,
+                sideslip,
+            };
+            let command = law.command(&motion, steering, &direction(heading))?;
+            let state = SingleTrackState {
+                yaw: motion.yaw,
+                yaw_rate,
+                sideslip,
+                ..SingleTrackState::default()
+            };
+            let rate = model.derivative(&state, command.speed, steering);
+            let velocity = Rotation2::new(-heading) * Velocity::new(rate.x, rate.y);
+            Ok([
+                velocity.x,
+                velocity.y,
+                rate.yaw_rate,
+                rate.sideslip,
+                command.steering_rate,
+            ])
+        };
+        let at_45 = slope(core::f64::consts::FRAC_PI_4)?;
+        for heading in [0.0, 1.0, 2.5, -2.0] {
+            for (one, other) in at_45.iter().zip(slope(heading)?) {
+                largest = largest.max((one - other).abs() / one.abs().max(1.0));
+            }
+        }
+    }
+    Ok(largest)
+}
+
+/// The law for a measured point `ahead` m ahead of the centre of mass.
+fn law(setup: &Setup, ahead: f64, point_distance: f64) -> Result<FrontPointLaw, LawError> {
+    FrontPointLaw::new(
+        setup.vehicle.front_axle_distance_m - ahead,
+        point_distance,
+        setup.vehicle.wheelbase_m(),
+    )
+}
+
+/// The velocity of P by equation 4.
+fn velocity_of_point(
+    setup: &Setup,
+    motion: &Motion,
+    [steering, speed, steering_rate, p]: [f64; 4],
+) -> Velocity {
+    let Motion {
+        yaw,
+        yaw_rate: r,
+        sideslip,
+    } = *motion;
+    let l_f = setup.vehicle.front_axle_distance_m;
+    let across = |angle: f64| Velocity::new(-sin(angle), cos(angle));
+    direction(yaw + sideslip) * speed
+        + across(yaw) * (l_f * r)
+        + across(yaw + steering) * (p * (r + steering_rate))
+}
+
+/// The largest error of the velocity of P under the law, over distances p, in m/s.
+fn error_of_any_p(setup: &Setup) -> Result<f64, EvaluationError> {
+    let mut largest: f64 = 0.0;
+    for p in [0.01, 0.05, 0.2, 1.0, 5.0].map(|p| p * setup.scale()) {
+        let law = law(setup, 0.0, p)?;
+        for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
+            let motion = Motion {
+                yaw,
+                yaw_rate,
+                sideslip,
+            };
+            let wanted = direction(0.0);
+            let command = law.command(&motion, steering, &wanted)?;
+            let input = [steering, command.speed, command.steering_rate, p];
+            let reached = velocity_of_point(setup, &motion, input);
+            largest = largest.max((reached - wanted).norm());
+        }
+    }
+    Ok(largest)
+}
+
+/// The largest difference between the commands of a controller that measures the centre of
+/// mass and one that measures another point of the axis, in m/s and rad/s: the speed of the
+/// rear wheels, and the steering rate.
+fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
+    let p = setup.point_distance_m();
+    let [to_front, to_rear] = ClosedLoop::meaningful_deviations(&setup.vehicle).map(|dl| -dl);
+    let mut largest: f64 = 0.0;
+    for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
+        let motion = Motion {
+            yaw,
+            yaw_rate,
+            sideslip,
+        };
+        let wanted = direction(0.0);
+        let own = law(setup, 0.0, p)?.command(&motion, steering, &wanted)?;
+        for ahead in [0.9 * to_front, 0.3 * to_rear, to_rear] {
+            // The velocity of that point at the commanded speed of the centre of mass.
+            let forward = own.speed * cos(sideslip);
+            let motion = Motion {
+                sideslip: atan2(own.speed * sin(sideslip) + ahead * yaw_rate, forward),
+                ..motion
+            };
+            let other = law(setup, ahead, p)?.command(&motion, steering, &wanted)?;
+            largest = largest
+                .max((other.speed * cos(motion.sideslip) - forward).abs())
+                .max((other.steering_rate - own.steering_rate).abs());
+        }
+    }
+    Ok(largest)
+}
+
+/// Unstable steady motions over the meaningful range with the paper's position loop around the
+/// law, whose states are the position of P as well; in ticks of 1 ms. None if one can't be
+/// studied.
+fn unstable_with_position_loop(setup: &Setup) -> Option<f64> {
+    let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    let mut unstable = 0.0;
+    for speed in SPEEDS.map(|speed| speed * setup.scale()) {
+        for step in 0..=20 {
+            let deviation = from + (to - from) * f64::from(step) / 20.0;
+            let closed_loop = ClosedLoop::new(
+                setup.vehicle,
+                Law::FrontPoint,
+                setup.point_distance_m(),
+                speed,
+                deviation,
+            )
+            .ok()?
+            .believing(Belief::CentreOfMass);
+            let sampled = SampledLoop::new(closed_loop, 1e-3, 0.0)
+                .ok()?
+                .with_position_gain(GAIN)
+                .ok()?;
+            if !sampled.is_stable() {
+                unstable += 1.0;
+            }
+        }
+    }
+    Some(unstable)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_assumptions_have_the_numbers_of_an_independent_computation() {
+        let setup = Setup {
+            vehicle: VehicleParameters::paper(),
+            name: "the paper's car".to_owned(),
+            quick: true,
+        };
+        let mut measurements = Measurements::default();
+        measure(&setup, &mut measurements);
+        println!("{measurements:?}");
+        let get = |name: &str| measurements.get(&format!("assumptions.{name}")).unwrap();
+        assert!(get("similitude") < 1e-9);
+        assert!((get("steering.model") - 0.328_643).abs() < 1e-6);
+        // Of a simulation of the exact car under the law, written apart from this.
+        assert!((get("steering.exact") - 0.322_630).abs() < 2e-6);
+        assert!(get("direction") < 1e-12);
+        assert!(get("any-p") < 1e-12);
+        assert!(get("measured-point") < 1e-12);
+        assert_eq!(get("unstable-with-position-loop"), 0.0);
+        assert!((get("path-diameter") - 1.788_854).abs() < 1e-6);
+    }
+}
