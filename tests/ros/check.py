@@ -33,6 +33,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
 
 # The circle of P: radius in m, speed in m/s. Below the speed of the first, proving metre.
 RADIUS = 0.85
@@ -52,9 +53,10 @@ ARGUMENTS.add_argument("--drive", type=float, default=6.0, help="seconds of each
 ARGUMENTS.add_argument("--stalled", type=float, default=5.0, help="seconds of a stopped subscriber")
 ARGUMENTS.add_argument("--stall", action="store_true", help="be the subscriber that is stopped")
 
-# The topics of the record and their types here; tf2_msgs is on no package index.
+# The topics of the record and their types here.
 TOPICS = {
     "odom": ("/odom", Odometry),
+    "tf": ("/tf", TFMessage),
     "imu": ("/imu", Imu),
     "diagnostics": ("/diagnostics", DiagnosticArray),
     "point_p": ("/point_p", PointStamped),
@@ -495,6 +497,29 @@ def check_bytes(lab, folder):
     print("in the record, byte for byte:", ", ".join(counts))
 
 
+def check_transforms(lab):
+    """/tf says of the car's frame what /odom says, at the same stamps."""
+    poses = {}
+    for raw in lab.raw["odom"]:
+        message = deserialize_message(raw, Odometry)
+        pose = message.pose.pose
+        frames = message.header.frame_id, message.child_frame_id
+        poses[seconds(message.header.stamp)] = frames, pose.position, pose.orientation
+    compared = 0
+    for raw in lab.raw["tf"]:
+        for one in deserialize_message(raw, TFMessage).transforms:
+            if (odometry := poses.get(seconds(one.header.stamp))) is None:
+                continue
+            frames, position, orientation = odometry
+            assert (one.header.frame_id, one.child_frame_id) == frames, (one, frames)
+            place = one.transform.translation
+            assert (place.x, place.y, place.z) == (position.x, position.y, position.z), one
+            assert one.transform.rotation == orientation, one
+            compared += 1
+    assert compared > 1000, compared
+    print(f"/tf: {compared} transforms as in /odom")
+
+
 def report_setpoints(system, folder):
     """From the stamp of a set-point here to the beginning of the tick that obeyed it."""
     (record,) = folder.glob("*.mcap")
@@ -558,6 +583,7 @@ def main():
         check_closed(system)
         system.end()
         check_bytes(lab, arguments.folder)
+        check_transforms(lab)
         report_setpoints(system, arguments.folder)
         print(f"{time.monotonic() - begin:.0f} s")
     except BaseException:

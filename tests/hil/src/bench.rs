@@ -32,6 +32,8 @@ pub struct Equipment {
     pub kills: usize,
     /// Whether there is time for every step of the procedures.
     pub whole: bool,
+    /// Whether Octave is installed.
+    pub octave: bool,
     /// Collects the measurements.
     pub measurements: Measurements,
 }
@@ -42,6 +44,9 @@ impl Equipment {
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         if need == Need::Whole && !self.whole {
             return Some("it takes a quarter of an hour: --whole");
+        }
+        if need == Need::Octave && !self.octave {
+            return Some("it takes Octave with its package instrument-control: --octave");
         }
         match &self.port {
             Some(_) => physical_lacks(need),

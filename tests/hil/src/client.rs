@@ -45,9 +45,20 @@ impl Client {
     }
 
     fn send(&mut self, request: &Value) -> Outcome {
-        self.write
-            .write_all(format!("{request}\n").as_bytes())
-            .map_err(Failure::system(format!("can't send {request}")))
+        self.send_lines(&format!("{request}\n"))
+    }
+
+    /// Sends lines as they are, each with its end.
+    ///
+    /// # Errors
+    ///
+    /// Fails if they can't be sent.
+    pub fn send_lines(&mut self, lines: &str) -> Outcome {
+        let failed = |error| {
+            let first = lines.lines().next().unwrap_or_default();
+            Failure::system(format!("can't send {first}"))(error)
+        };
+        self.write.write_all(lines.as_bytes()).map_err(failed)
     }
 
     fn receive(&mut self) -> Outcome<Value> {
@@ -134,6 +145,19 @@ impl Client {
         self.send(&json!({ "version": VERSION, "command": "hold" }))
     }
 
+    /// Gives a set-point with these keys; there is an answer only if it is rejected.
+    ///
+    /// # Errors
+    ///
+    /// Fails if it can't be sent.
+    pub fn setpoint(&mut self, keys: &Value) -> Outcome {
+        let mut request = json!({ "version": VERSION, "command": "setpoint" });
+        if let (Some(request), Some(keys)) = (request.as_object_mut(), keys.as_object()) {
+            request.extend(keys.clone());
+        }
+        self.send(&request)
+    }
+
     /// The next line of the daemon, such as a report about a held drive.
     ///
     /// # Errors
@@ -170,17 +194,17 @@ impl Client {
         self.ask("reload")
     }
 
-    /// Reports that a procedure was begun, as its command does.
+    /// Reports the state of a procedure, as its command does.
     ///
     /// # Errors
     ///
     /// Fails without an answer.
-    pub fn begin_procedure(&mut self, procedure: &str) -> Outcome<Answer> {
+    pub fn report_procedure(&mut self, procedure: &str, result: &str) -> Outcome<Answer> {
         self.request(&json!({
             "version": VERSION,
             "command": "commissioned",
             "procedure": procedure,
-            "result": "begun",
+            "result": result,
         }))
     }
 
@@ -209,6 +233,16 @@ impl Client {
     /// Fails without an answer.
     pub fn watch_telemetry(self) -> Outcome<Watch> {
         self.watch("telemetry")
+    }
+
+    /// Subscribes to the state of every tick: the lines follow.
+    ///
+    /// # Errors
+    ///
+    /// Fails without an answer.
+    pub fn watch_states(&mut self) -> Outcome {
+        let watch = json!({ "version": VERSION, "command": "watch", "topics": ["state"] });
+        self.request(&watch)?.accepted()
     }
 
     fn watch(mut self, topic: &str) -> Outcome<Watch> {

@@ -45,6 +45,7 @@
 
 pub mod bench;
 pub mod client;
+pub mod controller;
 pub mod daemon;
 mod failure;
 mod measured;

@@ -7,10 +7,10 @@ use std::{
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    ActuatorsSection, BoardSection, Config, ControlSection, EstimatorSection, FailsafeKind,
-    FenceSection, LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection,
-    OuterLoopSection, RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection,
-    SupervisorSection, UpAxisKind, WatchSection,
+    ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
+    FailsafeKind, FenceSection, LawKind, LawSection, LimitsSection, LiveSection,
+    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
+    SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -53,6 +53,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         watch: WatchSection::default(),
         fence: FenceSection::square(FENCE_WIDTH_M, BRAKING_M_S2),
         actuators: ActuatorsSection::default(),
+        compensation: CompensationSection::default(),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())
@@ -68,6 +69,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         socket: SocketSection {
             enabled: true,
             path: socket(folder),
+            tcp_port: None,
         },
         live: LiveSection::default(),
     }

@@ -61,6 +61,7 @@ fn measure(options: &Options) -> Outcome {
         port: None,
         board: BoardKind::Native,
         whole: false,
+        octave: false,
         kills: 0,
         measurements: Measurements::default(),
     };

@@ -191,7 +191,9 @@ impl Newcomer {
         let edited = |error: singletrack_commissioning::edit::EditError| {
             Failure::new(format!("the configuration: {error}"))
         };
-        self.client()?.begin_procedure(procedure)?.accepted()?;
+        self.client()?
+            .report_procedure(procedure, "begun")?
+            .accepted()?;
         let mut file = Edit::read(&self.config()).map_err(edited)?;
         rehearsal
             .apply(procedure, &is_done, &mut file)
@@ -210,6 +212,9 @@ impl Newcomer {
         let path = self.state().join(format!("{procedure}.json"));
         fs::write(path, journal.to_string()).map_err(written())?;
         self.client()?.reload()?.accepted()?;
+        self.client()?
+            .report_procedure(procedure, "changed")?
+            .accepted()?;
         self.wait_for_board()
     }
 

@@ -167,12 +167,16 @@ pub enum Need {
     AnotherCar,
     /// The real image, on a processor with faults.
     Image,
+    /// A car that may be faster than the circle.
+    Fast,
     /// A computer on which input devices can be made.
     Uinput,
     /// A simulator of its own, in real time, with the board's code.
     Newcomer,
     /// The time for every step of the three procedures.
     Whole,
+    /// Octave, with its package instrument-control.
+    Octave,
 }
 
 /// The device by which input devices are made.

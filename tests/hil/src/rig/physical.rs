@@ -278,9 +278,10 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::StopSwitch => Some("the harness can't open the stop switch of a physical car"),
         Need::AnotherCar => Some("the harness can't give a physical UNO another car's number"),
         Need::Image => Some("the harness can't make the processor of a physical UNO fail"),
+        Need::Fast => Some("the motor of a car on a stand turns up to the speed of the circle"),
         Need::Uinput => uinput_lacks(),
         Need::Newcomer | Need::Whole => Some("its car is lifted, rolled and turned by a simulator"),
-        Need::FreshBoard => None,
+        Need::FreshBoard | Need::Octave => None,
     }
 }
 

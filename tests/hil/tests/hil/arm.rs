@@ -50,15 +50,15 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
 ];
 
 /// The longest time between two renewals.
-const HOLD_TIMEOUT_MS: f64 = 500.0;
+pub(crate) const HOLD_TIMEOUT_MS: f64 = 500.0;
 
 /// From the end of the operator's program to the first tick of the stop: less than without its
 /// last renewal.
-const KILLED_LIMIT_MS: f64 = HOLD_TIMEOUT_MS;
+pub(crate) const KILLED_LIMIT_MS: f64 = HOLD_TIMEOUT_MS;
 
 /// From when the operator's program hangs to the first tick of the stop: the time-out, and a
 /// tick of 10 ms; the rest is for a busy machine.
-const HANGS_LIMIT_MS: f64 = HOLD_TIMEOUT_MS + 100.0;
+pub(crate) const HANGS_LIMIT_MS: f64 = HOLD_TIMEOUT_MS + 100.0;
 
 /// Limit for the time from a disarm to readiness.
 const READY_AGAIN: Duration = Duration::from_secs(4);
@@ -153,8 +153,13 @@ fn start(bench: &mut Bench, options: &[&str]) -> Outcome<Operator> {
 }
 
 /// Waits for standstill, ends the daemon, and reads the ticks of its record.
-fn ticks(bench: &mut Bench) -> Outcome<Vec<TickRecord>> {
+pub(crate) fn ticks(bench: &mut Bench) -> Outcome<Vec<TickRecord>> {
     bench.wait_for_mode("ready", READY_AGAIN)?;
+    ticks_so_far(bench)
+}
+
+/// Ends the daemon, and reads the ticks of its record.
+pub(crate) fn ticks_so_far(bench: &mut Bench) -> Outcome<Vec<TickRecord>> {
     let (status, _) = bench.daemon()?.terminate(Duration::from_secs(3))?;
     ensure!(status.success(), "the daemon ended with {status}");
     let folder = &bench.config().record.directory;
@@ -181,17 +186,17 @@ fn ticks(bench: &mut Bench) -> Outcome<Vec<TickRecord>> {
 }
 
 /// The only drive of a record.
-struct Drive<'a> {
+pub(crate) struct Drive<'a> {
     /// Every tick before the stop.
-    before: &'a [TickRecord],
+    pub(crate) before: &'a [TickRecord],
     /// The first tick that did not drive any more.
-    stop: &'a TickRecord,
+    pub(crate) stop: &'a TickRecord,
     /// The first tick at which the car stood again.
     stands: &'a TickRecord,
 }
 
 impl<'a> Drive<'a> {
-    fn of(ticks: &'a [TickRecord]) -> Outcome<Self> {
+    pub(crate) fn of(ticks: &'a [TickRecord]) -> Outcome<Self> {
         let is_driving = |tick: &TickRecord| tick.output.mode == Mode::Driving;
         let place = ticks
             .windows(2)
@@ -209,7 +214,7 @@ impl<'a> Drive<'a> {
     }
 
     /// Checks why it ended.
-    fn ended(&self, reason: Reason) -> Outcome {
+    pub(crate) fn ended(&self, reason: Reason) -> Outcome {
         let (mode, because) = (self.stop.output.mode, self.stop.output.reason);
         ensure!(
             mode == Mode::Stopping && because == Some(reason),
@@ -219,7 +224,7 @@ impl<'a> Drive<'a> {
     }
 
     /// The last tick until the stop with a request.
-    fn last_with(&self, request: PilotRequest) -> Option<&'a TickRecord> {
+    pub(crate) fn last_with(&self, request: PilotRequest) -> Option<&'a TickRecord> {
         self.before
             .iter()
             .chain([self.stop])
@@ -227,19 +232,19 @@ impl<'a> Drive<'a> {
     }
 
     /// The last tick that drove.
-    fn last_driving(&self) -> Outcome<&'a TickRecord> {
+    pub(crate) fn last_driving(&self) -> Outcome<&'a TickRecord> {
         self.before
             .last()
             .ok_or_else(|| Failure::new("the drive is empty"))
     }
 }
 
-fn has(tick: &TickRecord, request: PilotRequest) -> bool {
+pub(crate) fn has(tick: &TickRecord, request: PilotRequest) -> bool {
     tick.events.contains(&Event::Request(request))
 }
 
 /// From one time of `CLOCK_MONOTONIC` to another, in ms; negative if it is earlier.
-fn elapsed_ms(from_ns: u64, to_ns: u64) -> f64 {
+pub(crate) fn elapsed_ms(from_ns: u64, to_ns: u64) -> f64 {
     (to_ns as f64 - from_ns as f64) / 1e6
 }
 

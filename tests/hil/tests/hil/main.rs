@@ -4,15 +4,18 @@
 mod arm;
 mod board;
 mod drive;
+mod foreign;
 mod hostile;
 mod image;
 mod line;
 mod markers;
 mod newcomer;
 mod pad;
+mod port;
 mod process;
 mod proving;
 mod stop;
+mod teach;
 mod viewers;
 
 use std::{
@@ -57,6 +60,10 @@ struct Options {
     /// quarter of an hour
     #[arg(long)]
     whole: bool,
+
+    /// Also drive the car from Octave, with its package instrument-control
+    #[arg(long)]
+    octave: bool,
 
     #[command(flatten)]
     libtest: Arguments,
@@ -135,10 +142,13 @@ fn main() -> ExitCode {
         image::SCENARIOS,
         arm::SCENARIOS,
         pad::SCENARIOS,
+        port::SCENARIOS,
         newcomer::SCENARIOS,
+        teach::SCENARIOS,
         proving::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,
+        foreign::SCENARIOS,
         viewers::SCENARIOS,
     ]
     .concat();
@@ -159,6 +169,7 @@ fn main() -> ExitCode {
         board: options.board,
         kills: options.kills,
         whole: options.whole,
+        octave: options.octave,
         measurements: measurements.clone(),
     };
     let trials = scenarios

@@ -17,6 +17,7 @@ use evdev::{
     uinput::VirtualDevice,
 };
 use rustix::fs::{CWD, mkfifoat};
+use serde_json::json;
 use singletrack_hil::{
     Failure, Outcome,
     bench::{Bench, NEUTRAL_LIMIT_MS},
@@ -41,6 +42,10 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         stuck_button,
     ),
     Scenario::new("a_pads_sticks_drive_the_car_from_their_centre", sticks),
+    Scenario::new(
+        "a_pad_lets_the_car_drive_the_configurations_reference_whatever_was_in_force",
+        other_reference,
+    ),
     Scenario::new("a_pad_of_the_kernel_drives_and_is_pulled_out", uinput).needing(&[Need::Uinput]),
 ];
 
@@ -320,7 +325,29 @@ fn sticks(bench: &mut Bench) -> Outcome {
         "the sticks command {speed} m/s and {steering} rad"
     );
     pad.button(STICKS, false)?;
-    ended_by(bench, "requested")
+    ended_by(bench, "requested")?;
+    // At its end the reference of the configuration is in force again: without set-points a car
+    // with another one is not ready.
+    pad.pull_out();
+    let ended = pad.ends_within(Duration::from_secs(5))?;
+    ensure!(ended == Some(false), "the pad's program: {ended:?}");
+    bench.wait_until_ready().map(drop)
+}
+
+fn other_reference(bench: &mut Bench) -> Outcome {
+    let external = json!({ "kind": "external", "setpoint_timeout_ms": 100 });
+    bench.start_daemon()?;
+    bench.wait_until_ready()?;
+    let mut pad = Pad::at_rest(bench, &[])?;
+    for _ in 0..2 {
+        // Another program has put it in force: before the first drive, and between two.
+        bench.client()?.set_reference(&external)?.accepted()?;
+        drives(bench, &mut pad)?;
+        pad.button(DRIVE, false)?;
+        ended_by(bench, "requested")?;
+        bench.wait_until_ready()?;
+    }
+    Ok(())
 }
 
 fn uinput(bench: &mut Bench) -> Outcome {

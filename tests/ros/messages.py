@@ -1,8 +1,9 @@
-"""Builds ackermann_msgs for rclpy: no package index has it.
+"""Builds a package of messages for rclpy that no package index has.
 
-Run it with the Python of an environment that has rclpy. It generates the code with ROS's own
-generators, compiles it, and installs it into the environment. It needs a C and a C++ compiler
-and the headers of Python.
+Run it with the Python of an environment that has rclpy; the arguments are the folder of the
+package, one to build in, and the packages whose messages it uses. It generates the code with
+ROS's own generators, compiles it, and installs it into the environment. It needs a C and a C++
+compiler and the headers of Python.
 """
 
 import glob
@@ -22,13 +23,12 @@ from rosidl_typesupport_c.cli import GenerateCTypesupport
 from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
 from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-NAME = "ackermann_msgs"
 PREFIX = pathlib.Path(sys.prefix)
 LIBRARIES = PREFIX / "lib"
 
 
-def generate(source, build):
-    """Writes the code for the definitions in `source` to `build`."""
+def generate(name, source, build):
+    """Writes the code for the definitions of a package in `source` to `build`."""
     kinds = (
         GenerateC,
         GenerateCTypesupport,
@@ -38,7 +38,7 @@ def generate(source, build):
     )
     files = [f"{source}:msg/{path.name}" for path in sorted((source / "msg").glob("*.idl"))]
     for kind in kinds:
-        kind(kind.__name__).generate(NAME, files, [str(PREFIX / "share")], build)
+        kind(kind.__name__).generate(name, files, [str(PREFIX / "share")], build)
 
 
 def link(compiler, output, sources, libraries, include):
@@ -52,26 +52,30 @@ def link(compiler, output, sources, libraries, include):
     )
 
 
-def main(source, build):
+def main(source, build, packages):
+    name = source.name
     shutil.rmtree(build, ignore_errors=True)
-    package = build / NAME
+    package = build / name
     package.mkdir(parents=True)
-    generate(source, package)
+    generate(name, source, package)
     include = [build, PREFIX / "include", *sorted((PREFIX / "include").iterdir())]
     include += [sysconfig.get_paths()["include"], numpy.get_include()]
     code = package / "msg"
-    own = f"-l{NAME}__rosidl_generator_c"
+    own = f"-l{name}__rosidl_generator_c"
     fastcdr = sorted(glob.glob(str(LIBRARIES / "libfastcdr.so*")))[0]
 
+    def used(kind):
+        return [f"-l{package}__{kind}" for package in packages]
+
     def library(kind, compiler, sources, *libraries):
-        output = LIBRARIES / f"lib{NAME}__{kind}.so"
+        output = LIBRARIES / f"lib{name}__{kind}.so"
         link(compiler, output, sources, libraries, include)
 
     library(
         "rosidl_generator_c",
         "cc",
         [code / "detail/*__functions.c", code / "detail/*__description.c"],
-        "-lstd_msgs__rosidl_generator_c",
+        *used("rosidl_generator_c"),
         "-lrosidl_runtime_c",
         "-lrcutils",
     )
@@ -80,7 +84,7 @@ def main(source, build):
         "c++",
         [code / "detail/*__type_support_c.cpp"],
         own,
-        "-lstd_msgs__rosidl_typesupport_fastrtps_c",
+        *used("rosidl_typesupport_fastrtps_c"),
         "-lrosidl_typesupport_fastrtps_c",
         "-lrosidl_typesupport_fastrtps_cpp",
         fastcdr,
@@ -90,7 +94,7 @@ def main(source, build):
         "cc",
         [code / "detail/*__type_support.c"],
         own,
-        "-lstd_msgs__rosidl_typesupport_introspection_c",
+        *used("rosidl_typesupport_introspection_c"),
         "-lrosidl_typesupport_introspection_c",
     )
     library(
@@ -105,9 +109,9 @@ def main(source, build):
         "cc",
         [code / "_*_s.c"],
         own,
-        "-lstd_msgs__rosidl_generator_py",
+        *used("rosidl_generator_py"),
     )
-    installed = pathlib.Path(sysconfig.get_paths()["purelib"]) / NAME
+    installed = pathlib.Path(sysconfig.get_paths()["purelib"]) / name
     (installed / "msg").mkdir(parents=True, exist_ok=True)
     (installed / "__init__.py").touch()
     for path in code.glob("*.py"):
@@ -115,11 +119,11 @@ def main(source, build):
     suffix = sysconfig.get_config_var("EXT_SUFFIX")
     link(
         "cc",
-        installed / f"{NAME}_s__rosidl_typesupport_c{suffix}",
-        [package / f"_{NAME}_s.ep.rosidl_typesupport_c.c"],
+        installed / f"{name}_s__rosidl_typesupport_c{suffix}",
+        [package / f"_{name}_s.ep.rosidl_typesupport_c.c"],
         [
-            f"-l{NAME}__rosidl_generator_py",
-            f"-l{NAME}__rosidl_typesupport_c",
+            f"-l{name}__rosidl_generator_py",
+            f"-l{name}__rosidl_typesupport_c",
             own,
             "-lrosidl_typesupport_c",
         ],
@@ -127,4 +131,4 @@ def main(source, build):
     )
 
 
-main(pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve())
+main(*[pathlib.Path(path).resolve() for path in sys.argv[1:3]], sys.argv[3:])
