@@ -23,6 +23,7 @@ mod readers;
 mod release;
 mod ros;
 mod same_bits;
+mod slurm;
 mod step;
 mod target;
 mod units;

@@ -1,7 +1,7 @@
 //! Checks the Python package: installs it into an environment of its own, as its users do, and
-//! runs its tests, the type checker and the examples.
+//! runs its tests, with the examples and notebooks, and the type checker.
 
-use std::{path::Path, process::Command};
+use std::{path::Path, process::Command, thread};
 
 use crate::{
     process::{Failure, check as run, silent},
@@ -11,67 +11,55 @@ use crate::{
     workspace::{cargo, root},
 };
 
-/// The examples, in short versions.
-const EXAMPLES: [&[&str]; 4] = [
-    &["p_control.py"],
-    &["mpc.py"],
-    &["throughput.py", "--short"],
-    &["train.py", "--short"],
-];
-
 pub(crate) fn check(release: Release) -> Result<(), Failure> {
     let source = root().join("python");
     let target = target::folder()?;
-    // A workspace of its own, with the versions and profiles of this one: what is built is shared.
-    let cargo_in_source = || {
-        let mut command = cargo();
-        command
-            .current_dir(&source)
-            .env("CARGO_TARGET_DIR", &target);
-        command
-    };
-    run(cargo_in_source().args(["fmt", "--check"]))?;
-    run(cargo_in_source().args(["clippy", "--locked", "--", "-D", "warnings"]))?;
+    run(cargo().current_dir(&source).args(["fmt", "--check"]))?;
     let python = environment(
         &target.join("python-venv"),
         &source.join("requirements.txt"),
-        "import gymnasium, maturin, mypy, osqp, pytest",
+        "import gymnasium, maturin, mypy, osqp, pytest, xdist",
     )?;
-    // Not in an isolated environment, which would fetch maturin each time.
-    silent(
-        Command::new(&python)
-            .args(["-m", "pip", "install", "--disable-pip-version-check"])
-            .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
-            .arg(&source)
-            .env("CARGO_TARGET_DIR", &target)
-            .env("PATH", path_with(&python)?),
-    )?;
-    let in_source = |arguments: &[&str]| {
+    let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
         // `-P`: the installed package, not the folder of its sources.
-        command.arg("-P").args(arguments).current_dir(&source);
+        command
+            .arg("-P")
+            .args(arguments.split(' '))
+            .current_dir(&source);
         command
     };
-    run(&mut in_source(&["-m", "mypy", "singletrack", "examples"]))?;
-    run(
-        in_source(&["-m", "pytest", "--quiet", "-p", "no:cacheprovider"])
-            .env("SINGLETRACKD", release.path("singletrackd")?)
-            .env("SINGLETRACK_SIM", release.path("singletrack-sim")?),
-    )?;
-    let folder = target.join("python-examples");
-    std::fs::create_dir_all(&folder)
-        .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
-    for example in EXAMPLES {
-        let [name, arguments @ ..] = example else {
-            continue;
-        };
-        run(Command::new(&python)
-            .arg("-P")
-            .arg(source.join("examples").join(name))
-            .args(arguments)
-            .current_dir(&folder))?;
+    // Not in an isolated environment, which would fetch maturin each time. A workspace of its own,
+    // with the versions and profiles of this one: what is built is shared. Compiled by clippy,
+    // which saves a check of all dependencies.
+    let mut install = Command::new(&python);
+    install
+        .args(["-m", "pip", "install", "--disable-pip-version-check"])
+        .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
+        .arg(&source)
+        .env("CARGO_TARGET_DIR", &target)
+        .env("RUSTC_WORKSPACE_WRAPPER", "clippy-driver")
+        .env("MATURIN_PEP517_ARGS", "--locked -- -Dwarnings")
+        .env("PATH", path_with(&python)?);
+    // The types are those of the sources: they need no build.
+    thread::scope(|scope| {
+        let types = scope.spawn(|| run(&mut in_source("-m mypy singletrack examples tests")));
+        silent(&mut install)?;
+        types
+            .join()
+            .unwrap_or_else(|_| Err(Failure::new("the check of the types panicked".to_owned())))
+    })?;
+    // Two at a time: those in real time wait more than they calculate.
+    let mut tests = in_source("-m pytest --quiet -n 2 -p no:cacheprovider");
+    tests
+        .env("SINGLETRACKD", release.path("singletrackd")?)
+        .env("SINGLETRACK_SIM", release.path("singletrack-sim")?)
+        // Not an image that is older, or another's.
+        .env_remove("SINGLETRACK_UNO");
+    if release.uno {
+        tests.env("SINGLETRACK_UNO", release.image()?.folder);
     }
-    Ok(())
+    run(&mut tests)
 }
 
 /// The search path with the programs of the environment, of which maturin is one.

@@ -12,7 +12,7 @@ use std::{
 };
 
 use crate::{
-    image::{self, Progress},
+    image::{self, Image, Progress},
     prerequisites::Part,
     process::{Failure, check},
     target,
@@ -96,6 +96,11 @@ impl Release {
     pub(crate) fn path(self, name: &str) -> Result<PathBuf, Failure> {
         self.build()?;
         Ok(target::folder()?.join("release").join(name))
+    }
+
+    /// Builds this source's image, with its simulator from this release build.
+    pub(crate) fn image(self) -> Result<Image, Failure> {
+        image::build(Progress::Shown, 0, || self.build())
     }
 
     /// The hardware-in-the-loop suite; its own arguments follow.

@@ -63,10 +63,16 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     run(&mut check)
 }
 
-/// Creates an environment with rclpy and the messages of `ackermann_msgs`; returns its Python.
+/// Packages of messages that are on no package index, and those that they use.
+const MESSAGES: [(&str, &str); 2] = [
+    ("ackermann_msgs", "std_msgs"),
+    ("tf2_msgs", "geometry_msgs"),
+];
+
+/// Creates an environment with rclpy and the [`MESSAGES`]; returns its Python.
 fn environment(folder: &Path, source: &Path) -> Result<PathBuf, Failure> {
     let requirements = source.join("requirements.txt");
-    let builder = source.join("ackermann.py");
+    let builder = source.join("messages.py");
     let read = |path: &Path| {
         fs::read(path).map_err(|error| Failure::new(format!("{}: {error}", path.display())))
     };
@@ -74,7 +80,9 @@ fn environment(folder: &Path, source: &Path) -> Result<PathBuf, Failure> {
     let python = folder.join("bin/python");
     // Written after the last successful installation.
     let installed = folder.join("installed.txt");
-    let works = || silent(Command::new(&python).args(["-c", "import rclpy, ackermann_msgs.msg"]));
+    let works = || {
+        silent(Command::new(&python).args(["-c", "import rclpy, ackermann_msgs.msg, tf2_msgs.msg"]))
+    };
     if fs::read(&installed).is_ok_and(|installed| installed == required) && works().is_ok() {
         return Ok(python);
     }
@@ -93,12 +101,14 @@ fn environment(folder: &Path, source: &Path) -> Result<PathBuf, Failure> {
     };
     silent(pip().arg("wheel==0.48.0"))?;
     silent(pip().arg("-r").arg(&requirements))?;
-    silent(
-        Command::new(&python)
-            .arg(&builder)
-            .arg(source.join("ackermann_msgs"))
-            .arg(folder.join("build")),
-    )?;
+    for (package, used) in MESSAGES {
+        silent(
+            Command::new(&python)
+                .arg(&builder)
+                .arg(source.join(package))
+                .args([&folder.join("build"), Path::new(used)]),
+        )?;
+    }
     fs::write(&installed, required)
         .map_err(|error| Failure::new(format!("{}: {error}", installed.display())))?;
     Ok(python)

@@ -3,14 +3,14 @@
 use std::process::Command;
 
 use crate::{
-    image::{self, Image, Progress},
+    image,
     machine::Machine,
     odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check},
     publish, python, readers,
     release::{Release, features},
-    ros, same_bits,
+    ros, same_bits, slurm,
     step::{Step, run_all},
     target, units, uno,
     workspace::cargo,
@@ -23,7 +23,7 @@ Run every check of the project, or the named steps. First tests the prerequisite
 this machine, and installs Debian packages that are missing or too old. Prints the time
 of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, units
+  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, slurm, units
   -h, --help       print this help
 ";
 
@@ -147,7 +147,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
                     Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, units"
+                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, slurm, units"
                     ))
                 })?;
             if !request.without.contains(&part) {
@@ -232,13 +232,7 @@ fn program_steps(release: Release) -> Vec<Step> {
         Step::new(
             "uno",
             "the Arduino's image has no miscompiled code and stays within its budgets",
-            move || {
-                uno::check_image(
-                    &with_simulator(release)?,
-                    0,
-                    &mut release.program("uno-figures")?,
-                )
-            },
+            move || uno::check_image(&release.image()?, 0, &mut release.program("uno-figures")?),
         )
         .of(Part::Uno),
         Step::new(
@@ -275,7 +269,7 @@ fn program_steps(release: Release) -> Vec<Step> {
         .needing(release.part()),
         Step::new(
             "python",
-            "the Python package installs, and drives the simulator and the daemon",
+            "the Python package installs, and drives the simulator and the daemon on both boards",
             move || python::check(release),
         )
         .of(Part::Python)
@@ -305,6 +299,13 @@ fn program_steps(release: Release) -> Vec<Step> {
             },
         )
         .of(Part::Uno),
+        Step::new(
+            "slurm",
+            "campaigns as job arrays of Slurm give what one process gives",
+            move || slurm::check(release),
+        )
+        .of(Part::Slurm)
+        .needing(release.part()),
         Step::new(
             "onboard",
             "cars of all kinds come from the parts to the circle, led by the three procedures",
@@ -350,6 +351,13 @@ fn real_time_steps(release: Release) -> Vec<Step> {
         )
         .of(Part::Uno),
         Step::new(
+            "octave",
+            "the example for MATLAB drives the car over TCP, in Octave",
+            move || check(suite("native")?.args(["--octave", "in_octave"])),
+        )
+        .of(Part::Octave)
+        .needing(release.part()),
+        Step::new(
             "ros",
             "a node of ROS 2 in Python reads the car and drives it",
             move || ros::check(release),
@@ -359,15 +367,10 @@ fn real_time_steps(release: Release) -> Vec<Step> {
     ]
 }
 
-/// Builds this source's image, with its simulator from this release build.
-fn with_simulator(release: Release) -> Result<Image, Failure> {
-    image::build(Progress::Shown, 0, || release.build())
-}
-
 /// Runs a command with this source's image: a step that runs alone must not test an
 /// old image or one named by the environment.
 fn with_image(release: Release, command: &mut Command) -> Result<(), Failure> {
-    let image = with_simulator(release)?;
+    let image = release.image()?;
     check(command.env("SINGLETRACK_UNO", &image.folder))
 }
 
@@ -408,7 +411,8 @@ mod tests {
     fn an_unknown_part_or_option_is_refused_with_the_known_ones() {
         let why = parsed("--without arduino").unwrap_err().to_string();
         assert!(
-            why.contains("\"arduino\"") && why.contains("uno, odroid, readers, python, ros, units")
+            why.contains("\"arduino\"")
+                && why.contains("uno, odroid, readers, python, ros, octave, slurm, units")
         );
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
@@ -448,7 +452,14 @@ mod tests {
             let steps = steps(&request.without);
             assert_eq!(
                 request.parts_needed(&steps),
-                [Part::Readers, Part::Python, Part::Ros, Part::Units]
+                [
+                    Part::Readers,
+                    Part::Python,
+                    Part::Ros,
+                    Part::Octave,
+                    Part::Slurm,
+                    Part::Units
+                ]
             );
         }
         let request = parsed("tests --without uno").unwrap();

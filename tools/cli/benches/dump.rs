@@ -93,6 +93,7 @@ fn tick(index: u64) -> Entry {
                 steering_rate: noisy(index + 14, 0.1),
             },
             turning_round: false,
+            looked_ahead: None,
             command: Some(DriveCommand {
                 rear_speed: noisy(index + 15, 0.4),
                 steering: noisy(index + 16, 0.3),
@@ -103,6 +104,7 @@ fn tick(index: u64) -> Entry {
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint_refused: None,
             setpoint: None,
             preflight: None,
             jog: None,

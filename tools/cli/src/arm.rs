@@ -57,6 +57,9 @@ const WAIT: Duration = Duration::from_millis(20);
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);
 
+/// What is shown with the mode of a drive.
+const CTRL_C: &str = "(Ctrl-C stops the car)";
+
 /// The exit status of a drive that the daemon or the board stopped.
 const STOPPED: u8 = 3;
 
@@ -145,17 +148,19 @@ impl Drive {
         renewal: &Value,
         time: Option<Duration>,
     ) -> Result<ExitCode, ControlError> {
-        self.attend_with(interrupt, RENEWAL, time, || Ok(Some(renewal.clone())))
+        self.attend_with(interrupt, RENEWAL, time, || {
+            Ok(Some((renewal.clone(), CTRL_C.to_owned())))
+        })
     }
 
-    /// As [`attend`](Self::attend), with the renewal that `renewal` gives every `interval`; `None`
-    /// disarms the car, as Ctrl-C does.
+    /// As [`attend`](Self::attend), with the renewal that `renewal` gives every `interval`, and what
+    /// to show with the mode; `None` disarms the car, as Ctrl-C does.
     pub(crate) fn attend_with(
         &mut self,
         interrupt: &Interrupt,
         interval: Duration,
         time: Option<Duration>,
-        mut renewal: impl FnMut() -> Result<Option<Value>, ControlError>,
+        mut renewal: impl FnMut() -> Result<Option<(Value, String)>, ControlError>,
     ) -> Result<ExitCode, ControlError> {
         let begun = Instant::now();
         let mut renewed = begun;
@@ -174,7 +179,10 @@ impl Drive {
             if renewed.elapsed() >= interval {
                 renewed = Instant::now();
                 match renewal()? {
-                    Some(renewal) => self.send(&renewal)?,
+                    Some((renewal, note)) => {
+                        self.send(&renewal)?;
+                        self.progress.note(note);
+                    }
                     None => is_let_go = true,
                 }
             }
@@ -218,6 +226,8 @@ fn is_over(status: &Value) -> bool {
 struct Progress {
     what: &'static str,
     is_terminal: bool,
+    mode: String,
+    note: String,
 }
 
 impl Progress {
@@ -225,19 +235,33 @@ impl Progress {
         Self {
             what,
             is_terminal: io::stderr().is_terminal(),
+            mode: "mode arming".to_owned(),
+            note: String::new(),
         }
     }
 
-    /// Overwrites the line.
-    fn show(&self, drive: &Value) {
-        if !self.is_terminal {
-            return;
-        }
+    /// Shows how the drive goes on.
+    fn show(&mut self, drive: &Value) {
         let time = drive.get("drive_time_s").and_then(Value::as_f64);
         let time = time.map_or_else(String::new, |time| format!(" {time:5.1} s"));
-        let text = words(drive);
-        // A terminal that has gone takes no output; the signal ends the drive.
-        let _ = write!(io::stderr(), "\r\x1b[K{text}{time}  (Ctrl-C stops the car)");
+        self.mode = words(drive) + &time;
+        self.overwrite();
+    }
+
+    /// Shows another note beside the mode.
+    fn note(&mut self, note: String) {
+        if note != self.note {
+            self.note = note;
+            self.overwrite();
+        }
+    }
+
+    fn overwrite(&self) {
+        if self.is_terminal {
+            let Self { mode, note, .. } = self;
+            // A terminal that has gone takes no output; the signal ends the drive.
+            let _ = write!(io::stderr(), "\r\x1b[K{mode}  {note}");
+        }
     }
 
     /// Prints how the drive ended, and chooses the exit status.

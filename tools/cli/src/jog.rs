@@ -75,7 +75,6 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
-    let mut shown = None;
     drive.attend_with(&interrupt, KEYS, args.time, || {
         terminal.read(&mut bytes)?;
         let now = Time(monotonic_ns());
@@ -83,19 +82,14 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
             keyboard.handle(now, key);
         }
         let pulses = keyboard.pulses(now);
-        let state = pulses.map(|pulses| (pulses, keyboard.throttle_us()));
-        if let Some((pulses, throttle_us)) = state.filter(|_| state != shown) {
-            // A terminal that has gone takes no output; its end is found when it is read.
-            let _ = write!(
-                io::stderr(),
-                "\r\x1b[Kservo {} us, ESC {} us ({throttle_us} us off neutral while held)  ",
-                pulses.servo_us,
-                pulses.esc_us,
-            );
-        }
-        shown = state;
-        Ok(pulses.map(line))
+        Ok(pulses.map(|pulses| (line(pulses), note(pulses, keyboard.throttle_us()))))
     })
+}
+
+/// The pulses for the person.
+fn note(pulses: Pulses, throttle_us: u16) -> String {
+    let Pulses { servo_us, esc_us } = pulses;
+    format!("servo {servo_us} us, ESC {esc_us} us (arrows up, down: {throttle_us} us)")
 }
 
 /// The pulses for the daemon.

@@ -14,9 +14,11 @@ use singletrack::{
     control::{self, ControlCommand},
     doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
 };
+#[cfg(feature = "paper")]
+use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
-use singletrack_paper::{identify, reproduce, stability};
+use singletrack_paper::{compare, identify, reproduce, stability};
 use singletrack_scenario::simulate;
 
 /// Drive a small car by feedback linearisation: simulate, drive, analyse.
@@ -44,6 +46,9 @@ enum Command {
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Calibrate(calibrate::CalibrateArgs),
+    #[cfg(feature = "paper")]
+    /// Compare controllers on the simulated car: errors, intervals and stops.
+    Compare(compare::CompareArgs),
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
@@ -75,6 +80,13 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
+    #[cfg(feature = "paper")]
+    /// Join the result files of a campaign's shards to the file that one process writes.
+    ///
+    /// The files come from --shard K/N --json FILE. Gaps, doubles, and files of different
+    /// campaigns, options or builds are refused. --from of the command that wrote them prints the
+    /// report.
+    Merge(MergeArgs),
     /// Print the daemon's status.
     Status(control::ControlArgs),
     /// Arm the car and start driving; the drive ends when this command does.
@@ -128,6 +140,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Doctor(args) => return Ok(doctor::run(args)?),
         Command::BringUp(args) => return Ok(bring_up::run(args)?),
         Command::Calibrate(args) => return Ok(calibrate::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Compare(args) => Ok(compare::run(args)?),
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         Command::Recover(args) => Ok(recover::run(args)?),
@@ -138,6 +152,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Reproduce(args) => Ok(reproduce::run(args)?),
         #[cfg(feature = "paper")]
         Command::Identify(args) => Ok(identify::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Merge(args) => Ok(run_merge(args)?),
         Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
         Command::Arm(args) => return Ok(arm::run(args)?),
         Command::Jog(args) => return Ok(jog::run(args)?),

@@ -263,10 +263,7 @@ fn place(tick: &Value) -> Option<Place> {
         return None;
     }
     Some(Place {
-        position: Position::new(
-            number("/estimate/position/x_m")?,
-            number("/estimate/position/y_m")?,
-        ),
+        position: Position::new(number("/estimate/x_m")?, number("/estimate/y_m")?),
         yaw: number("/estimate/yaw_rad")?,
     })
 }
@@ -308,4 +305,34 @@ fn write_new(path: &Path, text: &str) -> Result<(), CannotTeach> {
         path: path.to_owned(),
         source,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_read_from_a_tick_as_the_daemon_writes_it() {
+        // Written by the daemon's code: tests/dump holds it to that.
+        let ticks = include_str!("../tests/dump_cases/tick.json");
+        let places: Vec<_> = ticks
+            .lines()
+            .map(|line| place(&serde_json::from_str(line).unwrap()))
+            .collect();
+        // The first tick has no estimate, the second one has, and no later one a fresh pose.
+        assert_eq!(places.first(), Some(&None));
+        let seen = Place {
+            position: Position::new(0.25, -0.496),
+            yaw: 0.300_000_000_000_000_04,
+        };
+        assert_eq!(places.get(1), Some(&Some(seen)));
+    }
+
+    #[test]
+    fn a_tick_that_holds_its_last_pose_is_no_place() {
+        let ticks = include_str!("../tests/dump_cases/tick.json");
+        let mut tick: Value = serde_json::from_str(ticks.lines().nth(1).unwrap()).unwrap();
+        tick["held"] = true.into();
+        assert_eq!(place(&tick), None);
+    }
 }

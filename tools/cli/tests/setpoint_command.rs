@@ -8,6 +8,7 @@ use std::{
     net::Ipv4Addr,
     path::{Path, PathBuf},
     process::{Command, Output, Stdio},
+    time::{Duration, Instant},
 };
 
 use singletrack_core::{Config, config::ReferenceSection};
@@ -124,6 +125,60 @@ fn set_points_are_streamed_without_a_word() {
     assert_eq!(text(&output.stderr), "");
     assert_eq!(text(&output.stdout), "");
     assert!(output.status.success());
+}
+
+#[test]
+fn a_set_point_of_the_options_is_renewed_for_its_time() {
+    let fixture = start(Some(ReferenceSection::External {
+        setpoint_timeout_ms: 200,
+    }));
+    let way = fixture.folder.path().join("way.json");
+    fs::write(
+        &way,
+        r#"[{"t_s":0,"position_m":[0,0]},{"t_s":1,"position_m":[1,0]}]"#,
+    )
+    .unwrap();
+    let accepted = || fixture.daemon.snapshot().figures.setpoints.accepted;
+    for options in [
+        "--velocity -0.3 0 --for 0.2",
+        "--velocity 0 0 --position 1 -1 --for 0.2",
+        "--steering -0.1 --acceleration 0.5 --for 0.2",
+        "--steering-rate 0.1 --speed -0.5 --for 0.2",
+    ] {
+        let before = accepted();
+        let arguments: Vec<_> = ["setpoint"].into_iter().chain(options.split(' ')).collect();
+        let output = singletrack(&arguments, &fixture.socket, "");
+        assert_eq!(text(&output.stderr), "", "{options}");
+        assert!(output.status.success());
+        assert!(accepted() > before + 1, "{options}");
+    }
+    // The car does not drive: its trajectory waits at the first point.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["setpoint", "--trajectory"])
+        .arg(&way)
+        .arg("--socket")
+        .arg(&fixture.socket)
+        .stdin(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let before = accepted();
+    let begun = Instant::now();
+    while accepted() < before + 3 {
+        assert!(begun.elapsed() < Duration::from_secs(20));
+        assert!(child.try_wait().unwrap().is_none(), "it has ended");
+    }
+    child.kill().unwrap();
+    assert_eq!(text(&child.wait_with_output().unwrap().stderr), "");
+
+    fs::write(&way, "t_s,x_m,y_m\n0,0,0\n0,1,0\n").unwrap();
+    let file = way.to_str().unwrap();
+    let output = singletrack(&["setpoint", "--trajectory", file], &fixture.socket, "");
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("way.json: point 2 is not later than the one before; put the points"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -233,6 +233,45 @@ fn the_sampled_loop_leaves_a_field_empty_where_no_limit_was_found() {
 }
 
 #[test]
+fn a_servo_bounds_the_speed_and_p_and_a_prediction_lifts_the_bound() {
+    let law = ["--law", "front-point"];
+    let first = |options: &[&str]| {
+        let arguments = [&["first-unstable-speed"], &law[..], options].concat();
+        rows(
+            &arguments,
+            "point_distance_m,dl_m,delay_ms,first_unstable_m_s",
+        )
+    };
+    let speeds = first(&["--distances", "0.05:0.35:0.3"]);
+    assert!((speeds[0][3] - 1.25).abs() < 0.02, "{speeds:?}");
+    assert!((speeds[1][3] - 3.83).abs() < 0.02, "{speeds:?}");
+    let slower = first(&["--distances", "0.35", "--delays-ms", "6:26:20"]);
+    assert_eq!(slower.len(), 2);
+    assert!(slower[1][3] < 0.8 * slower[0][3], "{slower:?}");
+    let arguments = [
+        &["first-unstable-speed"],
+        &law[..],
+        &["--distances", "0.35", "--predict"],
+    ]
+    .concat();
+    let predicted = printed(&arguments);
+    assert!(predicted.ends_with("\n0.35,0,6,\n"), "{predicted}");
+
+    let least = rows(
+        &[&["least-p"], &law[..], &["--speeds", "1:3:1"]].concat(),
+        "speed_m_s,delay_ms,least_p_m",
+    );
+    for (row, expected) in least.iter().zip([0.035, 0.116, 0.244]) {
+        assert!((row[2] - expected).abs() < 1e-3, "{least:?}");
+    }
+    let summary = printed(&["summary"]);
+    assert!(
+        summary.contains("stable with dl = 0: up to 3.83 m/s, NOT beyond"),
+        "{summary}"
+    );
+}
+
+#[test]
 fn the_summary_says_what_the_paper_claims_and_for_which_car_it_does_not_hold() {
     let paper = printed(&["summary"]);
     assert!(
@@ -296,6 +335,10 @@ fn an_invalid_argument_is_refused_with_its_name_and_the_fix() {
         (
             &["hopf", "--law", "pure-pursuit"],
             "front-point, velocity-point",
+        ),
+        (
+            &["sampled", "--law", "front-point", "--predict"],
+            "the prediction is of a servo",
         ),
         (
             &["hopf", "--law", "front-point", "--point-distance", "0"],

@@ -231,6 +231,21 @@ pub(crate) fn python(machine: &Machine) -> Result<PathBuf, String> {
     }
     Err(found.join("; "))
 }
+
+/// Octave that connects by TCP and reads JSON.
+pub(super) fn octave(machine: &Machine) -> Result<String, String> {
+    const NEEDED: &str = "pkg load instrument-control; jsondecode('1'); \
+                          assert(exist('tcpclient') > 0); disp(OCTAVE_VERSION)";
+    let options = [
+        "--quiet",
+        "--no-history",
+        "--no-init-file",
+        "--eval",
+        NEEDED,
+    ];
+    runs(machine, "octave-cli", options)
+}
+
 /// What builds messages for rclpy and runs it apart from every network.
 pub(super) fn ros(machine: &Machine) -> Result<String, String> {
     const NEEDED: &str = "import os, sys, sysconfig; \
@@ -246,4 +261,14 @@ pub(super) fn ros(machine: &Machine) -> Result<String, String> {
     let [user, network] = crate::ros::NAMESPACE;
     runs(machine, "unshare", [user, network, "ip", "link"])?;
     runs(machine, &name, ["--version"])
+}
+
+pub(super) fn slurm(machine: &Machine) -> Result<String, String> {
+    // The path of a user may lack the folder of the daemons.
+    const DAEMONS: &str = "PATH=$PATH:/usr/sbin; munged --version && slurmctld -V && slurmd -V";
+    runs(machine, "sh", ["-c", DAEMONS])?;
+    let [user, network] = crate::ros::NAMESPACE;
+    runs(machine, "unshare", [user, network, "ip", "link"])?;
+    // Without a cluster it does not even tell its version.
+    runs(machine, "sh", ["-c", "command -v sbatch"])
 }

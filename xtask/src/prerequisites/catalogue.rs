@@ -3,8 +3,8 @@
 use super::{
     Part, Prerequisite,
     attempt::{
-        c_compiler, clippy, emulator, image_clippy, image_linker, odroid_linker, of_this_toolchain,
-        python, ros, runs, rust, simavr, systemd,
+        c_compiler, clippy, emulator, image_clippy, image_linker, octave, odroid_linker,
+        of_this_toolchain, python, ros, runs, rust, simavr, slurm, systemd,
     },
 };
 use crate::compiler::{ARM, AVR};
@@ -144,6 +144,31 @@ pub(crate) const ROS: Prerequisite = Prerequisite {
     attempt: ros,
 };
 
+pub(crate) const OCTAVE: Prerequisite = Prerequisite {
+    name: "Octave",
+    needed: "Octave 7 or later with instrument-control, whose tcpclient connects to the daemon",
+    packages: &["octave", "octave-instrument-control"],
+    otherwise: "",
+    part: Some(Part::Octave),
+    attempt: octave,
+};
+
+pub(crate) const SLURM: Prerequisite = Prerequisite {
+    name: "Slurm",
+    needed: "munged, slurmctld, slurmd and sbatch, and a network namespace of our own (unshare, ip)",
+    packages: &[
+        "munge",
+        "slurmctld",
+        "slurmd",
+        "slurm-client",
+        "iproute2",
+        "util-linux",
+    ],
+    otherwise: "",
+    part: Some(Part::Slurm),
+    attempt: slurm,
+};
+
 pub(crate) const PYTHON_PACKAGE: Prerequisite = Prerequisite {
     part: Some(Part::Python),
     ..PYTHON
@@ -174,7 +199,15 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
         .chain(IMAGE)
         .chain([IMAGE_CLIPPY])
         .chain(ODROID)
-        .chain([EMULATOR, SYSTEMD, PYTHON, PYTHON_PACKAGE, ROS])
+        .chain([
+            EMULATOR,
+            SYSTEMD,
+            PYTHON,
+            PYTHON_PACKAGE,
+            ROS,
+            OCTAVE,
+            SLURM,
+        ])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
         .collect()
 }

@@ -33,17 +33,23 @@ pub(crate) enum Part {
     Python,
     /// ROS 2 in Python.
     Ros,
+    /// Octave, for MATLAB's language.
+    Octave,
+    /// Campaigns on a cluster.
+    Slurm,
     /// systemd's verification of the service.
     Units,
 }
 
 impl Part {
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::Uno,
         Self::Odroid,
         Self::Readers,
         Self::Python,
         Self::Ros,
+        Self::Octave,
+        Self::Slurm,
         Self::Units,
     ];
 
@@ -54,6 +60,8 @@ impl Part {
             Self::Readers => "readers",
             Self::Python => "python",
             Self::Ros => "ros",
+            Self::Octave => "octave",
+            Self::Slurm => "slurm",
             Self::Units => "units",
         }
     }

@@ -1,6 +1,8 @@
 //! A car behind the daemon, and a person at the terminal: what the procedures `doctor`,
 //! `bring-up` and `calibrate` run on.
 
+mod change;
+mod held;
 mod journal;
 mod observations;
 mod picture;
@@ -15,13 +17,11 @@ use std::{
 };
 
 use clap::Args;
-use jiff::Timestamp;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
 use singletrack_client::{ClientError, Connection, agreed, ask};
 use singletrack_commissioning::{
-    Answer, Answers, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question,
-    Refused,
+    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question, Refused,
     edit::{Edit, EditError},
 };
 use singletrack_control::{Position, Velocity};
@@ -29,6 +29,7 @@ use singletrack_core::{Config, ConfigError};
 use singletrackd::SOCKET_VERSION;
 
 use crate::{control::ControlArgs, interrupt::Interrupt};
+use held::{HeldDrive, NotArmed};
 use terminal::Terminal;
 
 pub use session::{Procedure, run};
@@ -69,6 +70,23 @@ pub enum BenchError {
     /// It can't be changed.
     #[error(transparent)]
     Edit(#[from] EditError),
+    /// Measured values could not be written: no step is begun.
+    #[error(
+        "{0}; measured values are written there: use sudo, or let the group write to the \
+         configuration and its folder (docs/onboarding.md)"
+    )]
+    ReadOnly(EditError),
+    /// Two procedures would write the same files.
+    #[error("another procedure is running with this configuration")]
+    Busy,
+    /// The folder of the findings can't be used.
+    #[error("{}: {source}; --state takes another folder", .path.display())]
+    State {
+        /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
     /// The daemon refuses or does not answer.
     #[error(transparent)]
     Control(#[from] ClientError),
@@ -83,15 +101,8 @@ pub enum BenchError {
 /// Time without a line from the daemon after which it counts as gone. It reports every tick.
 const SILENCE: Duration = Duration::from_secs(2);
 
-/// Interval of the renewals of a held drive. The daemon stops the car 0.5 s after the last one.
-const RENEWAL: Duration = Duration::from_millis(100);
-
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
-
-/// Interval of the set-points of a car that stands, and how long they come before it is armed.
-const SETPOINT: Duration = Duration::from_millis(50);
-const SETTLES: Duration = Duration::from_millis(400);
 
 /// Time until a request that was refused is tried again.
 const AGAIN: Duration = Duration::from_millis(300);
@@ -101,6 +112,8 @@ const ANSWER: Duration = Duration::from_secs(5);
 
 /// A car behind the daemon, with an operator at the terminal.
 pub(crate) struct LiveBench {
+    /// The name of the procedure.
+    procedure: &'static str,
     socket: PathBuf,
     path: PathBuf,
     config: Config,
@@ -114,37 +127,24 @@ pub(crate) struct LiveBench {
     interrupt: Interrupt,
     /// The text of the configuration at the start, for the page.
     before: Edit,
+    /// The same now.
+    known: Edit,
     /// Begin of the paths of pictures.
     pictures: PathBuf,
     /// Why the procedure can't go on.
     interrupted: Option<Interrupted>,
 }
 
-/// A drive that a connection holds.
-struct HeldDrive {
-    connection: Connection,
-    renewed: Instant,
-    /// Why it has ended.
-    ended: Option<String>,
-}
-
-/// Why a car was not armed.
-enum NotArmed {
-    /// The operator let go of the space bar before.
-    LetGo,
-    /// The daemon's reason.
-    Refused(Refused),
-}
-
 impl LiveBench {
     /// # Errors
     ///
     /// The configuration can't be read, or the daemon can't be reached.
-    pub(crate) fn open(args: &BenchArgs) -> Result<Self, BenchError> {
+    pub(crate) fn open(procedure: &'static str, args: &BenchArgs) -> Result<Self, BenchError> {
         let config = Config::read(&args.config)?;
         let before = Edit::read(&args.config)?;
         let interrupt = Interrupt::listen()?;
         Ok(Self {
+            procedure,
             socket: args.control.socket.clone(),
             path: args.config.clone(),
             config,
@@ -155,30 +155,11 @@ impl LiveBench {
             has_reference: false,
             terminal: Terminal::new(args.json),
             interrupt,
+            known: before.clone(),
             before,
             pictures: PathBuf::new(),
             interrupted: None,
         })
-    }
-
-    /// What has changed in the configuration's file since the start, as a unified diff.
-    fn diff(&self) -> Result<String, EditError> {
-        let now = Edit::read(&self.path)?;
-        Ok(self
-            .before
-            .until(&now)
-            .diff(&self.path.display().to_string()))
-    }
-
-    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
-    fn report(&self, procedure: &str, result: &str) -> Result<(), ClientError> {
-        let line = json!({
-            "version": SOCKET_VERSION,
-            "command": "commissioned",
-            "procedure": procedure,
-            "result": result,
-        });
-        ask(&line, &self.socket).map(drop)
     }
 
     /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
@@ -211,237 +192,6 @@ impl LiveBench {
             )));
         }
         Ok(line)
-    }
-
-    /// Renews a held drive while its key is held, and takes what the daemon says of it.
-    fn renew(&mut self) {
-        let Some(drive) = &mut self.drive else { return };
-        if drive.ended.is_some() {
-            return;
-        }
-        match self.terminal.is_released() {
-            Ok(false) => {}
-            Ok(true) => drive.ended = Some("the space bar was released".to_owned()),
-            Err(error) => drive.ended = Some(format!("the space bar can't be read: {error}")),
-        }
-        if drive.ended.is_some() {
-            // Without a renewal it would end half a second later.
-            let _ = drive.connection.send(&command("disarm"));
-            return;
-        }
-        if drive.renewed.elapsed() >= RENEWAL {
-            drive.renewed = Instant::now();
-            if let Err(error) = drive.connection.send(&command("hold")) {
-                drive.ended = Some(error.to_string());
-            }
-        }
-        loop {
-            match drive.connection.receive() {
-                Ok(None) => return,
-                Ok(Some(line)) => {
-                    if let Some(ended) = line.get("ended") {
-                        let word = ended.get("reason").and_then(Value::as_str);
-                        drive.ended = Some(word.unwrap_or("the drive has ended").to_owned());
-                    } else if let Some(error) = line.get("error").and_then(Value::as_str) {
-                        drive.ended = Some(error.to_owned());
-                    }
-                }
-                Err(error) => {
-                    drive.ended = Some(error.to_string());
-                    return;
-                }
-            }
-        }
-    }
-
-    /// Sends a command to the drive that is held.
-    fn command_drive(&mut self, line: &Value) -> Result<(), Refused> {
-        self.renew();
-        let Some(drive) = &mut self.drive else {
-            return Err(Refused("the car is not armed".to_owned()));
-        };
-        if let Some(ended) = &drive.ended {
-            return Err(Refused(ended.clone()));
-        }
-        drive
-            .connection
-            .send(line)
-            .map_err(|error| Refused(error.to_string()))
-    }
-
-    /// Waits until the operator holds the space bar, which must have been released before.
-    fn wait_for_key(&mut self) -> Result<(), Refused> {
-        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
-        self.terminal.await_release();
-        let mut is_told = false;
-        while !self
-            .terminal
-            .is_released()
-            .map_err(|error| refused(&error))?
-        {
-            if !is_told && self.terminal.was_pressed() {
-                is_told = true;
-                self.terminal.say("Let go of the space bar first.");
-            }
-            self.pump().map_err(|error| refused(&error))?;
-        }
-        self.terminal.await_press();
-        self.terminal
-            .say("Hold the space bar: the car is armed while it is held.");
-        while !self
-            .terminal
-            .is_pressed()
-            .map_err(|error| refused(&error))?
-        {
-            self.pump().map_err(|error| refused(&error))?;
-        }
-        Ok(())
-    }
-
-    /// Ends the time in which the space bar is the dead-man switch.
-    fn release_key(&mut self) {
-        if self.terminal.holds_key() {
-            self.terminal.release_key();
-            self.terminal.say("Let go of the space bar.");
-        }
-    }
-
-    /// Arms with a connection that holds the drive.
-    fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
-        let refused = |error: ClientError| NotArmed::Refused(Refused(error.to_string()));
-        let mut line = command("arm");
-        if let Some(line) = line.as_object_mut() {
-            line.insert("attendance".to_owned(), "hold".into());
-            let key = match attendance {
-                Attendance::Jog => "jog",
-                Attendance::Drive => "uncalibrated",
-            };
-            line.insert(key.to_owned(), true.into());
-        }
-        let stand = json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "velocity_m_s": [0.0, 0.0],
-        });
-        let mut connection = Connection::open(&self.socket, PATIENCE).map_err(refused)?;
-        let begun = Instant::now();
-        let mut asked: Option<Instant> = None;
-        let mut again = begun;
-        let mut sent = begun - SETPOINT;
-        loop {
-            if sent.elapsed() >= SETPOINT {
-                sent = Instant::now();
-                let mut lines = Vec::new();
-                if attendance == Attendance::Drive {
-                    // Without set-points the car can't be armed.
-                    lines.push(&stand);
-                }
-                let settled =
-                    (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
-                let hold = command("hold");
-                if asked.is_some() {
-                    lines.push(&hold);
-                } else if settled {
-                    asked = Some(sent);
-                    lines.push(&line);
-                }
-                for line in lines {
-                    connection.send(line).map_err(refused)?;
-                }
-            }
-            if let Some(answer) = connection.receive().map_err(refused)? {
-                match agreed(answer) {
-                    Ok(_) => {
-                        return Ok(HeldDrive {
-                            connection,
-                            renewed: Instant::now(),
-                            ended: None,
-                        });
-                    }
-                    // Renewals that came after a refusal.
-                    Err(ClientError::Refused(reason)) if reason.starts_with("hold renews") => {}
-                    // The board is configured again after a reset and with another reference, and
-                    // the estimate restarts. The operator need not let go for that.
-                    Err(ClientError::Refused(_)) if begun.elapsed() < ANSWER => {
-                        asked = None;
-                        again = Instant::now() + AGAIN;
-                    }
-                    Err(error) => return Err(refused(error)),
-                }
-            }
-            // The connection ends with either, and with it the request.
-            if self.terminal.is_released().unwrap_or(true) {
-                return Err(NotArmed::LetGo);
-            }
-            if asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
-                return Err(NotArmed::Refused(Refused(
-                    "the daemon does not answer".to_owned(),
-                )));
-            }
-            self.pump()
-                .map_err(|error| NotArmed::Refused(Refused(error.to_string())))?;
-        }
-    }
-
-    /// Writes new values to the file and prints what changes. Gives the change for taking it
-    /// back, or none if there is none.
-    fn write(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<Option<Edit>, EditError> {
-        let mut edit = Edit::read(&self.path)?;
-        for (key, value) in values {
-            edit.set(key, value)?;
-        }
-        let date = Timestamp::now().strftime("%Y-%m-%dT%H%M%SZ").to_string();
-        let Some(kept) = edit.write(&self.path, &date)? else {
-            return Ok(None);
-        };
-        let diff = edit.diff(&self.path.display().to_string());
-        self.terminal
-            .say(&format!("{diff}The old file is {}.", kept.display()));
-        let _ = self
-            .terminal
-            .tell(&json!({ "changed": diff, "kept": kept }));
-        Ok(Some(edit))
-    }
-
-    /// Has the daemon read its file again. What takes a restart is done by the operator.
-    fn reload(&mut self) -> Result<(), Refused> {
-        match ask(&command("reload"), &self.socket) {
-            Ok(_) => Ok(()),
-            Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
-            Err(error) => Err(Refused(error.to_string())),
-        }
-    }
-
-    /// Asks the operator to restart the daemon, until it is there again.
-    fn restart(&mut self) -> Result<(), Refused> {
-        let question = Question {
-            id: "restart-daemon",
-            text: "These values take a restart of the daemon: sudo systemctl restart \
-                   singletrackd. Press Enter when that is done."
-                .to_owned(),
-            answers: Answers::Begin,
-        };
-        let gone = |error: &dyn std::fmt::Display| Refused(error.to_string());
-        match self
-            .ask_of(&question, false)
-            .map_err(|error| gone(&error))?
-        {
-            Answer::Skip => return Err(Refused("the daemon was not restarted".to_owned())),
-            _ => self.terminal.say("Waiting for the daemon..."),
-        }
-        let asked = Instant::now();
-        loop {
-            match watch(&self.socket) {
-                Ok(watch) => {
-                    self.watch = watch;
-                    self.heard = Instant::now();
-                    self.is_linked = None;
-                    return Ok(());
-                }
-                Err(_) if asked.elapsed() < ANSWER => thread::sleep(WAIT),
-                Err(error) => return Err(gone(&error)),
-            }
-        }
     }
 
     /// Puts a question and waits for its answer; `watched` is whether the daemon must be there
@@ -618,6 +368,8 @@ impl Bench for LiveBench {
                 .map_err(|error| refused(&error))?;
             return Err(error);
         }
+        self.known = edit;
+        self.report("changed").map_err(|error| refused(&error))?;
         self.config = Config::read(&self.path).map_err(|error| refused(&error))?;
         self.has_reference = false;
         Ok(())

@@ -1,7 +1,8 @@
 //! A procedure at the terminal: steps, findings, page.
 
 use std::{
-    fs, io,
+    fs::{self, File, TryLockError},
+    io,
     path::{Path, PathBuf},
     process::ExitCode,
 };
@@ -42,9 +43,21 @@ const FAILED: u8 = 3;
 ///
 /// It was interrupted, or files can't be read or written.
 pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchError> {
-    let mut bench = LiveBench::open(args)?;
+    let mut bench = LiveBench::open(procedure.name, args)?;
     let folder = args.state.clone().unwrap_or_else(|| beside(&args.config));
-    fs::create_dir_all(&folder)?;
+    let lock = lock(&folder);
+    if matches!(lock, Ok(None)) {
+        return Err(BenchError::Busy);
+    }
+    // Before a quarter of an hour of measurements is lost.
+    bench
+        .before
+        .rehearse(&args.config)
+        .map_err(BenchError::ReadOnly)?;
+    let _lock = lock.map_err(|source| BenchError::State {
+        path: folder.clone(),
+        source,
+    })?;
     bench.pictures = folder.join(procedure.name);
     let mut journal = SessionJournal {
         file: FileJournal::open(
@@ -73,7 +86,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
         .steps
         .iter()
         .any(|step| journal.file.found(step.name).is_some());
-    bench.report(procedure.name, if is_resumed { "resumed" } else { "begun" })?;
+    bench.report(if is_resumed { "resumed" } else { "begun" })?;
     bench.terminal.say(procedure.about);
     for step in procedure.steps {
         if let Some(finding) = journal.file.found(step.name) {
@@ -92,7 +105,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     let failed = findings
         .iter()
         .any(|finding| finding.verdict == Verdict::Failed);
-    bench.report(procedure.name, if failed { "failed" } else { "passed" })?;
+    bench.report(if failed { "failed" } else { "passed" })?;
     if failed {
         bench.terminal.say(&format!(
             "Correct what failed, and run `singletrack {}` again: it goes on with that step.",
@@ -112,6 +125,18 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     } else {
         ExitCode::SUCCESS
     })
+}
+
+/// Makes the folder and locks it until the file is closed: two procedures would write the same
+/// files. None if another one has locked it.
+fn lock(folder: &Path) -> io::Result<Option<File>> {
+    fs::create_dir_all(folder)?;
+    let file = File::create(folder.join("lock"))?;
+    match file.try_lock() {
+        Ok(()) => Ok(Some(file)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
 }
 
 /// The folder for a configuration.
@@ -233,5 +258,23 @@ impl Report {
         if self.json {
             println!("{}", report::to_json(finding));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_locked_for_one_procedure_at_a_time() {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("car.toml.commissioning");
+        let first = lock(&folder).unwrap();
+        assert!(first.is_some());
+        assert!(lock(&folder).unwrap().is_none());
+        drop(first);
+        assert!(lock(&folder).unwrap().is_some());
+        // A file is in the way.
+        assert!(lock(&folder.join("lock")).is_err());
     }
 }

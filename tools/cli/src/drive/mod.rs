@@ -11,6 +11,7 @@ use std::{
     os::fd::AsFd as _,
     path::{Path, PathBuf},
     process::ExitCode,
+    thread,
     time::{Duration, Instant},
 };
 
@@ -120,6 +121,10 @@ const SETTLE: Duration = Duration::from_secs(5);
 /// The longest wait for the end of a drive that was stopped.
 const END: Duration = Duration::from_secs(10);
 
+/// How long the reference of the configuration is asked for at the end, and how often.
+const RESTORE: Duration = Duration::from_secs(3);
+const AGAIN: Duration = Duration::from_millis(300);
+
 /// Time-out of the set-points of the sticks: they come every 20 ms.
 const SETPOINT_TIMEOUT_MS: u32 = 100;
 
@@ -157,8 +162,9 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         watch,
         socket: &args.control.socket,
         stage: Stage::Off,
-        // Whether the reference of the configuration is still in force.
-        in_force: reference.is_none().then_some(Driver::Pilot),
+        is_asked: false,
+        // Another program may have replaced the reference of the configuration.
+        in_force: None,
         reference,
         uncalibrated: args.uncalibrated,
         car: None,
@@ -170,7 +176,14 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         Some(name) => format!("{name}: hold a shoulder button to drive"),
         None => "hold a shoulder button to drive".to_owned(),
     })?;
-    shell.attend(source, &interrupt)
+    let result = shell.attend(source, &interrupt);
+    let is_external = matches!(shell.in_force, Some((Driver::Sticks, _)));
+    // Ends a drive that goes on after an error.
+    drop(shell);
+    if is_external {
+        restore(&args.control.socket);
+    }
+    result
 }
 
 /// How far a drive is.
@@ -178,7 +191,8 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
 enum Stage {
     /// No button is held.
     Off,
-    /// The daemon has been asked for the reference of this driver.
+    /// The daemon has been asked which configuration is in force, or for the reference of this
+    /// driver.
     Changing(Driver),
     /// The car gets ready; since then.
     Settling(Driver, Instant),
@@ -188,6 +202,16 @@ enum Stage {
     Driving(Driver),
     /// The car has been asked to stop; since then.
     Ending(Instant),
+}
+
+impl Stage {
+    /// After a request to stop: a drive has still to end.
+    fn stopped(self) -> Self {
+        match self {
+            Self::Arming(_) | Self::Driving(_) | Self::Ending(_) => Self::Ending(Instant::now()),
+            Self::Off | Self::Changing(_) | Self::Settling(..) => Self::Off,
+        }
+    }
 }
 
 /// The car in its last tick.
@@ -207,8 +231,10 @@ struct Shell<'a> {
     watch: Connection,
     socket: &'a Path,
     stage: Stage,
-    /// The driver whose reference is in force; `None` if unknown.
-    in_force: Option<Driver>,
+    /// An answer about the configuration is still to come.
+    is_asked: bool,
+    /// The driver whose reference was put in force last, and the number of that configuration.
+    in_force: Option<(Driver, u64)>,
     /// The reference of the pilot, if one was given.
     reference: Option<Value>,
     uncalibrated: bool,
@@ -216,7 +242,11 @@ struct Shell<'a> {
 }
 
 impl Shell<'_> {
-    fn attend(mut self, mut source: Source, interrupt: &Interrupt) -> Result<ExitCode, DriveError> {
+    fn attend(
+        &mut self,
+        mut source: Source,
+        interrupt: &Interrupt,
+    ) -> Result<ExitCode, DriveError> {
         let mut events = Vec::new();
         let mut is_leaving = false;
         let mut was_driving = false;
@@ -293,9 +323,7 @@ impl Shell<'_> {
             }))?,
             PadRequest::Stop => {
                 self.send_apart(&json!({ "version": SOCKET_VERSION, "command": "stop" }))?;
-                if self.stage != Stage::Off {
-                    self.stage = Stage::Ending(Instant::now());
-                }
+                self.stage = self.stage.stopped();
                 print("stopped: neutral until the board is reset")?;
             }
             PadRequest::Note(note) => print(match note {
@@ -309,15 +337,25 @@ impl Shell<'_> {
     }
 
     fn begin(&mut self, driver: Driver) -> Result<(), DriveError> {
-        if !matches!(self.stage, Stage::Off) {
+        if matches!(self.stage, Stage::Ending(since) if since.elapsed() > END) {
+            // Nothing was said of its end.
+            self.stage = Stage::Off;
+        }
+        if self.stage != Stage::Off || self.is_asked {
             // The last drive has not ended yet.
             self.pad.ended();
             return Ok(());
         }
-        if self.in_force == Some(driver) {
-            self.stage = Stage::Settling(driver, Instant::now());
-            return Ok(());
+        self.stage = Stage::Changing(driver);
+        if self.in_force.is_some_and(|(last, _)| last == driver) {
+            // Another program may have changed it since.
+            return self.question(&json!({ "version": SOCKET_VERSION, "command": "status" }));
         }
+        self.change(driver)
+    }
+
+    /// Asks for the reference of a driver.
+    fn change(&mut self, driver: Driver) -> Result<(), DriveError> {
         let change = match (driver, &self.reference) {
             (Driver::Sticks, _) => json!({
                 "version": SOCKET_VERSION,
@@ -332,8 +370,13 @@ impl Shell<'_> {
             (Driver::Pilot, None) => json!({ "version": SOCKET_VERSION, "command": "reload" }),
         };
         self.in_force = None;
-        self.stage = Stage::Changing(driver);
-        Ok(self.session.send(&change)?)
+        self.question(&change)
+    }
+
+    /// Asks something about the configuration.
+    fn question(&mut self, line: &Value) -> Result<(), DriveError> {
+        self.is_asked = true;
+        Ok(self.session.send(line)?)
     }
 
     /// Arms a car that is ready.
@@ -362,31 +405,17 @@ impl Shell<'_> {
 
     /// Stops a drive, or what leads to one.
     fn stop(&mut self, line: &Value) -> Result<(), DriveError> {
-        match self.stage {
-            Stage::Arming(_) | Stage::Driving(_) | Stage::Ending(_) => {
-                self.stage = Stage::Ending(Instant::now());
-                self.send_apart(line)
-            }
-            Stage::Off | Stage::Changing(_) | Stage::Settling(..) => {
-                self.stage = Stage::Off;
-                Ok(())
-            }
+        self.stage = self.stage.stopped();
+        if self.stage == Stage::Off {
+            return Ok(());
         }
+        self.send_apart(line)
     }
 
     /// Sends a line on a connection of its own: the session may wait for the board to arm.
-    fn send_apart(&mut self, line: &Value) -> Result<(), DriveError> {
-        let sent = (|| -> Result<(), ClientError> {
-            let mut stream = connect(self.socket)?;
-            stream.set_write_timeout(Some(ANSWER))?;
-            stream.set_read_timeout(Some(ANSWER))?;
-            stream.write_all(format!("{line}\n").as_bytes())?;
-            let mut answer = String::new();
-            BufReader::new(stream).read_line(&mut answer)?;
-            agreed(serde_json::from_str(&answer)?).map(drop)
-        })();
+    fn send_apart(&self, line: &Value) -> Result<(), DriveError> {
         // The end of this program ends the session, and with it the drive.
-        Ok(sent?)
+        Ok(ask(self.socket, line)?)
     }
 
     fn refused(&mut self, error: &str) -> Result<(), DriveError> {
@@ -409,15 +438,26 @@ impl Shell<'_> {
         if line.get("drive").is_some() {
             return Ok(());
         }
+        // The answer of a button that was released meanwhile.
+        let is_asked = std::mem::take(&mut self.is_asked);
+        let other_steers = line
+            .get("rejected")
+            .is_some_and(|word| word == "other-source");
         match (agreed(line), self.stage) {
-            (Ok(_), Stage::Changing(driver)) => {
-                self.in_force = Some(driver);
+            (Ok(answer), Stage::Changing(driver)) => {
+                if let Some(number) = answer.get("configuration").and_then(Value::as_u64) {
+                    self.in_force = Some((driver, number));
+                } else {
+                    let number = answer.pointer("/status/configuration/number");
+                    let number = number.and_then(Value::as_u64);
+                    if self.in_force.map(|(_, ours)| ours) != number {
+                        return self.change(driver);
+                    }
+                }
                 self.stage = Stage::Settling(driver, Instant::now());
             }
-            (Ok(answer), Stage::Off) if answer.get("configuration").is_some() => {
-                // The button was released while the reference changed: ask again next time.
-                self.in_force = None;
-            }
+            // The reference may have changed: ask again next time.
+            (_, Stage::Off) if is_asked => self.in_force = None,
             (Ok(_), Stage::Arming(driver)) => {
                 self.stage = Stage::Driving(driver);
                 print(match driver {
@@ -426,6 +466,13 @@ impl Shell<'_> {
                 })?;
             }
             (Ok(_), _) => {}
+            (Err(error), Stage::Driving(Driver::Sticks)) if other_steers => {
+                // The sticks have no effect: a program drives the car.
+                print(&error.to_string())?;
+                self.stop(&json!({
+                    "version": SOCKET_VERSION, "command": "disarm", "at_once": true,
+                }))?;
+            }
             // A set-point without a reference for it, or a late renewal.
             (Err(_), Stage::Driving(_)) => {}
             (Err(error), _) => self.refused(&error.to_string())?,
@@ -463,6 +510,26 @@ impl Shell<'_> {
             "velocity_m_s": [velocity.x, velocity.y],
             "time_ns": monotonic_ns(),
         }))?)
+    }
+}
+
+/// Asks on a connection of its own, for not too long.
+fn ask(socket: &Path, line: &Value) -> Result<(), ClientError> {
+    let mut stream = connect(socket)?;
+    stream.set_write_timeout(Some(ANSWER))?;
+    stream.set_read_timeout(Some(ANSWER))?;
+    stream.write_all(format!("{line}\n").as_bytes())?;
+    let mut answer = String::new();
+    BufReader::new(stream).read_line(&mut answer)?;
+    agreed(serde_json::from_str(&answer)?).map(drop)
+}
+
+/// Puts the reference of the configuration in force again, as soon as the car stands.
+fn restore(socket: &Path) {
+    let begun = Instant::now();
+    let reload = json!({ "version": SOCKET_VERSION, "command": "reload" });
+    while ask(socket, &reload).is_err() && begun.elapsed() < RESTORE {
+        thread::sleep(AGAIN);
     }
 }
 

@@ -175,6 +175,8 @@ pub struct Pad {
     is_lost: bool,
     /// The last note, so that each is given once.
     note: Option<PadNote>,
+    /// The pad was silent, which is still to be said.
+    was_silent: bool,
 }
 
 impl Pad {
@@ -191,6 +193,7 @@ impl Pad {
             held: None,
             is_lost: false,
             note: None,
+            was_silent: false,
         }
     }
 
@@ -275,7 +278,7 @@ impl Pad {
         };
         if since(now, self.heard) > self.options.silence {
             self.ended();
-            self.note = Some(PadNote::Silent);
+            self.was_silent = true;
             return Some(PadRequest::Halt);
         }
         if since(now, held.renewed) >= RENEWAL {
@@ -292,6 +295,10 @@ impl Pad {
     }
 
     fn begin(&mut self, now: Time) -> Option<PadRequest> {
+        if std::mem::take(&mut self.was_silent) {
+            self.note = Some(PadNote::Silent);
+            return Some(PadRequest::Note(PadNote::Silent));
+        }
         let driver = match (self.drive.pressed, self.sticks.pressed) {
             (false, false) => {
                 self.note = None;

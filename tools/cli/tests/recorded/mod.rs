@@ -237,6 +237,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
                 steering_rate: 0.0,
             },
             turning_round: false,
+            looked_ahead: None,
             command: time.map(|_| DriveCommand {
                 rear_speed: 0.4,
                 steering: 0.33,
@@ -247,6 +248,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             proved: false,
             disproved: false,
             braking_measured: None,
+            setpoint_refused: None,
             setpoint: None,
             preflight: None,
             jog: None,

@@ -113,7 +113,10 @@ fn a_silent_pad_halts_the_car_and_any_event_keeps_it_going() {
     assert_eq!(polled(&mut pad, at(4_900)), [PadRequest::Hold]);
     pad.handle(at(4_900), PadEvent::Other);
     assert_eq!(polled(&mut pad, at(9_900)), [PadRequest::Hold]);
-    assert_eq!(polled(&mut pad, at(9_901))[0], PadRequest::Halt);
+    assert_eq!(
+        polled(&mut pad, at(9_901)),
+        [PadRequest::Halt, PadRequest::Note(PadNote::Silent)]
+    );
     assert_eq!(pad.driver(), None);
     // The button is still pressed, and was not released.
     assert_eq!(polled(&mut pad, at(9_910)), []);

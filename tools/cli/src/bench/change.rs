@@ -1,0 +1,107 @@
+//! Changes of the configuration's file, and of what is in force.
+
+use std::{io, thread, time::Instant};
+
+use jiff::Timestamp;
+use serde_json::json;
+use singletrack_client::{ClientError, ask};
+use singletrack_commissioning::{
+    Answer, Answers, Question, Refused,
+    edit::{Edit, EditError},
+};
+use singletrackd::SOCKET_VERSION;
+
+use super::{ANSWER, LiveBench, WAIT, command, watch};
+
+impl LiveBench {
+    /// What has changed in the configuration's file since the start, as a unified diff.
+    pub(super) fn diff(&self) -> Result<String, EditError> {
+        let now = Edit::read(&self.path)?;
+        Ok(self
+            .before
+            .until(&now)
+            .diff(&self.path.display().to_string()))
+    }
+
+    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
+    pub(super) fn report(&self, result: &str) -> Result<(), ClientError> {
+        let line = json!({
+            "version": SOCKET_VERSION,
+            "command": "commissioned",
+            "procedure": self.procedure,
+            "result": result,
+        });
+        ask(&line, &self.socket).map(drop)
+    }
+
+    /// Writes new values to the file and prints what changes. Gives the change for taking it
+    /// back, or none if there is none.
+    pub(super) fn write(
+        &mut self,
+        values: &[(&str, toml_edit::Value)],
+    ) -> Result<Option<Edit>, EditError> {
+        let mut edit = Edit::read(&self.path)?;
+        if edit.text() != self.known.text() {
+            // What was measured may not hold with what somebody else has changed.
+            return Err(EditError::File {
+                path: self.path.clone(),
+                source: io::Error::other("it was changed by somebody else meanwhile"),
+            });
+        }
+        for (key, value) in values {
+            edit.set(key, value)?;
+        }
+        let date = Timestamp::now().strftime("%Y-%m-%dT%H%M%SZ").to_string();
+        let Some(kept) = edit.write(&self.path, &date)? else {
+            return Ok(None);
+        };
+        let diff = edit.diff(&self.path.display().to_string());
+        self.terminal
+            .say(&format!("{diff}The old file is {}.", kept.display()));
+        let _ = self
+            .terminal
+            .tell(&json!({ "changed": diff, "kept": kept }));
+        Ok(Some(edit))
+    }
+
+    /// Has the daemon read its file again. What takes a restart is done by the operator.
+    pub(super) fn reload(&mut self) -> Result<(), Refused> {
+        match ask(&command("reload"), &self.socket) {
+            Ok(_) => Ok(()),
+            Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
+            Err(error) => Err(Refused(error.to_string())),
+        }
+    }
+
+    /// Asks the operator to restart the daemon, until it is there again.
+    fn restart(&mut self) -> Result<(), Refused> {
+        let question = Question {
+            id: "restart-daemon",
+            text: "These values take a restart of the daemon: sudo systemctl restart \
+                   singletrackd. Press Enter when that is done."
+                .to_owned(),
+            answers: Answers::Begin,
+        };
+        let gone = |error: &dyn std::fmt::Display| Refused(error.to_string());
+        match self
+            .ask_of(&question, false)
+            .map_err(|error| gone(&error))?
+        {
+            Answer::Skip => return Err(Refused("the daemon was not restarted".to_owned())),
+            _ => self.terminal.say("Waiting for the daemon..."),
+        }
+        let asked = Instant::now();
+        loop {
+            match watch(&self.socket) {
+                Ok(watch) => {
+                    self.watch = watch;
+                    self.heard = Instant::now();
+                    self.is_linked = None;
+                    return Ok(());
+                }
+                Err(_) if asked.elapsed() < ANSWER => thread::sleep(WAIT),
+                Err(error) => return Err(gone(&error)),
+            }
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! A drive that a connection holds, and the key that holds it.
+
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use singletrack_client::{ClientError, Connection, agreed};
+use singletrack_commissioning::{Attendance, Refused};
+use singletrackd::SOCKET_VERSION;
+
+use super::{AGAIN, ANSWER, LiveBench, PATIENCE, command};
+
+/// Interval of the renewals of a held drive. The daemon stops the car 0.5 s after the last one.
+const RENEWAL: Duration = Duration::from_millis(100);
+
+/// Interval of the set-points of a car that stands, and how long they come before it is armed.
+const SETPOINT: Duration = Duration::from_millis(50);
+const SETTLES: Duration = Duration::from_millis(400);
+
+/// A drive that a connection holds.
+pub(super) struct HeldDrive {
+    pub(super) connection: Connection,
+    renewed: Instant,
+    /// Why it has ended.
+    pub(super) ended: Option<String>,
+}
+
+/// Why a car was not armed.
+pub(super) enum NotArmed {
+    /// The operator let go of the space bar before.
+    LetGo,
+    /// The daemon's reason.
+    Refused(Refused),
+}
+
+impl LiveBench {
+    /// Renews a held drive while its key is held, and takes what the daemon says of it.
+    pub(super) fn renew(&mut self) {
+        let Some(drive) = &mut self.drive else { return };
+        if drive.ended.is_some() {
+            return;
+        }
+        match self.terminal.is_released() {
+            Ok(false) => {}
+            Ok(true) => drive.ended = Some("the space bar was released".to_owned()),
+            Err(error) => drive.ended = Some(format!("the space bar can't be read: {error}")),
+        }
+        if drive.ended.is_some() {
+            // Without a renewal it would end half a second later.
+            let _ = drive.connection.send(&command("disarm"));
+            return;
+        }
+        if drive.renewed.elapsed() >= RENEWAL {
+            drive.renewed = Instant::now();
+            if let Err(error) = drive.connection.send(&command("hold")) {
+                drive.ended = Some(error.to_string());
+            }
+        }
+        loop {
+            match drive.connection.receive() {
+                Ok(None) => return,
+                Ok(Some(line)) => {
+                    if let Some(ended) = line.get("ended") {
+                        let word = ended.get("reason").and_then(Value::as_str);
+                        drive.ended = Some(word.unwrap_or("the drive has ended").to_owned());
+                    } else if let Some(error) = line.get("error").and_then(Value::as_str) {
+                        drive.ended = Some(error.to_owned());
+                    }
+                }
+                Err(error) => {
+                    drive.ended = Some(error.to_string());
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Sends a command to the drive that is held.
+    pub(super) fn command_drive(&mut self, line: &Value) -> Result<(), Refused> {
+        self.renew();
+        let Some(drive) = &mut self.drive else {
+            return Err(Refused("the car is not armed".to_owned()));
+        };
+        if let Some(ended) = &drive.ended {
+            return Err(Refused(ended.clone()));
+        }
+        drive
+            .connection
+            .send(line)
+            .map_err(|error| Refused(error.to_string()))
+    }
+
+    /// Waits until the operator holds the space bar, which must have been released before.
+    pub(super) fn wait_for_key(&mut self) -> Result<(), Refused> {
+        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
+        self.terminal.await_release();
+        let mut is_told = false;
+        while !self
+            .terminal
+            .is_released()
+            .map_err(|error| refused(&error))?
+        {
+            if !is_told && self.terminal.was_pressed() {
+                is_told = true;
+                self.terminal.say("Let go of the space bar first.");
+            }
+            self.pump().map_err(|error| refused(&error))?;
+        }
+        self.terminal.await_press();
+        self.terminal
+            .say("Hold the space bar: the car is armed while it is held.");
+        while !self
+            .terminal
+            .is_pressed()
+            .map_err(|error| refused(&error))?
+        {
+            self.pump().map_err(|error| refused(&error))?;
+        }
+        Ok(())
+    }
+
+    /// Ends the time in which the space bar is the dead-man switch.
+    pub(super) fn release_key(&mut self) {
+        if self.terminal.holds_key() {
+            self.terminal.release_key();
+            self.terminal.say("Let go of the space bar.");
+        }
+    }
+
+    /// Arms with a connection that holds the drive.
+    pub(super) fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
+        let refused = |error: ClientError| NotArmed::Refused(Refused(error.to_string()));
+        let mut line = command("arm");
+        if let Some(line) = line.as_object_mut() {
+            line.insert("attendance".to_owned(), "hold".into());
+            let key = match attendance {
+                Attendance::Jog => "jog",
+                Attendance::Drive => "uncalibrated",
+            };
+            line.insert(key.to_owned(), true.into());
+        }
+        let stand = json!({
+            "version": SOCKET_VERSION,
+            "command": "setpoint",
+            "velocity_m_s": [0.0, 0.0],
+        });
+        let mut connection = Connection::open(&self.socket, PATIENCE).map_err(refused)?;
+        let begun = Instant::now();
+        let mut asked: Option<Instant> = None;
+        let mut again = begun;
+        let mut sent = begun - SETPOINT;
+        loop {
+            if sent.elapsed() >= SETPOINT {
+                sent = Instant::now();
+                let mut lines = Vec::new();
+                if attendance == Attendance::Drive {
+                    // Without set-points the car can't be armed.
+                    lines.push(&stand);
+                }
+                let settled =
+                    (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
+                let hold = command("hold");
+                if asked.is_some() {
+                    lines.push(&hold);
+                } else if settled {
+                    asked = Some(sent);
+                    lines.push(&line);
+                }
+                for line in lines {
+                    connection.send(line).map_err(refused)?;
+                }
+            }
+            if let Some(answer) = connection.receive().map_err(refused)? {
+                match agreed(answer) {
+                    Ok(_) => {
+                        return Ok(HeldDrive {
+                            connection,
+                            renewed: Instant::now(),
+                            ended: None,
+                        });
+                    }
+                    // Renewals that came after a refusal.
+                    Err(ClientError::Refused(reason)) if reason.starts_with("hold renews") => {}
+                    // The board is configured again after a reset and with another reference, and
+                    // the estimate restarts. The operator need not let go for that.
+                    Err(ClientError::Refused(_)) if begun.elapsed() < ANSWER => {
+                        asked = None;
+                        again = Instant::now() + AGAIN;
+                    }
+                    Err(error) => return Err(refused(error)),
+                }
+            }
+            // The connection ends with either, and with it the request.
+            if self.terminal.is_released().unwrap_or(true) {
+                return Err(NotArmed::LetGo);
+            }
+            if asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
+                return Err(NotArmed::Refused(Refused(
+                    "the daemon does not answer".to_owned(),
+                )));
+            }
+            self.pump()
+                .map_err(|error| NotArmed::Refused(Refused(error.to_string())))?;
+        }
+    }
+}

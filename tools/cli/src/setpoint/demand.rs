@@ -1,0 +1,213 @@
+//! A set-point of the options.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use serde_json::{Map, Value};
+
+/// What the car should do; without any of these, the set-points of standard input.
+#[derive(Clone, Debug, Default, Args)]
+pub(super) struct DemandArgs {
+    /// Velocity of P, in m/s, in the frame of the cameras
+    #[arg(
+        long,
+        num_args = 2,
+        value_names = ["VX", "VY"],
+        value_parser = finite,
+        allow_negative_numbers = true,
+        conflicts_with_all = ["steers", "drives", "trajectory"]
+    )]
+    velocity: Option<Vec<f64>>,
+
+    /// Position of P as well, in m: the outer loop tracks it
+    #[arg(
+        long,
+        num_args = 2,
+        value_names = ["X", "Y"],
+        value_parser = finite,
+        allow_negative_numbers = true,
+        requires = "velocity"
+    )]
+    position: Option<Vec<f64>>,
+
+    /// Steering angle in place of the law, in rad; positive to the left
+    #[arg(
+        long,
+        value_name = "RAD",
+        value_parser = finite,
+        allow_negative_numbers = true,
+        group = "steers",
+        requires = "drives",
+        conflicts_with = "trajectory"
+    )]
+    steering: Option<f64>,
+
+    /// Steering rate in place of the angle, in rad/s
+    #[arg(
+        long,
+        value_name = "RAD_S",
+        value_parser = finite,
+        allow_negative_numbers = true,
+        group = "steers",
+        requires = "drives",
+        conflicts_with = "trajectory"
+    )]
+    steering_rate: Option<f64>,
+
+    /// Speed of the centre of mass, in m/s; negative in reverse
+    #[arg(
+        long,
+        value_name = "M_S",
+        value_parser = finite,
+        allow_negative_numbers = true,
+        group = "drives",
+        requires = "steers"
+    )]
+    speed: Option<f64>,
+
+    /// Change of the speed in place of the speed, in m/s2
+    #[arg(
+        long,
+        value_name = "M_S2",
+        value_parser = finite,
+        allow_negative_numbers = true,
+        group = "drives",
+        requires = "steers"
+    )]
+    acceleration: Option<f64>,
+
+    /// File of a trajectory of P, CSV or JSON
+    #[arg(long, value_name = "FILE")]
+    pub(super) trajectory: Option<PathBuf>,
+
+    /// How long the set-point is sent, in s; otherwise until Ctrl-C
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds, conflicts_with = "trajectory")]
+    pub(super) lasts: Option<Duration>,
+}
+
+impl DemandArgs {
+    /// The keys of the socket's command; `None` if the options have no set-point.
+    pub(super) fn keys(&self) -> Option<Value> {
+        let pair = |values: &Option<Vec<f64>>| values.clone().map(Value::from);
+        let keys: Map<String, Value> = [
+            ("velocity_m_s", pair(&self.velocity)),
+            ("position_m", pair(&self.position)),
+            ("steering_rad", self.steering.map(Value::from)),
+            ("steering_rate_rad_s", self.steering_rate.map(Value::from)),
+            ("speed_m_s", self.speed.map(Value::from)),
+            ("acceleration_m_s2", self.acceleration.map(Value::from)),
+        ]
+        .into_iter()
+        .filter_map(|(key, value)| Some((key.to_owned(), value?)))
+        .collect();
+        (!keys.is_empty()).then_some(Value::Object(keys))
+    }
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err("write a finite number, such as 0.5".to_owned()),
+    }
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    finite(text)
+        .ok()
+        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
+        .ok_or_else(|| "write a time in s, such as 2.5".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{Parser, error::ErrorKind};
+    use serde_json::json;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        demand: DemandArgs,
+    }
+
+    fn parse(options: &str) -> Result<DemandArgs, clap::Error> {
+        let program = Program::try_parse_from(["setpoint"].into_iter().chain(options.split(' ')));
+        program.map(|program| program.demand)
+    }
+
+    #[test]
+    fn every_level_has_its_options() {
+        for (options, keys) in [
+            (
+                "--velocity 0.4 -0.1",
+                json!({ "velocity_m_s": [0.4, -0.1] }),
+            ),
+            (
+                "--velocity 0 0 --position -1 2.5",
+                json!({ "velocity_m_s": [0.0, 0.0], "position_m": [-1.0, 2.5] }),
+            ),
+            (
+                "--steering -0.1 --speed 0.5",
+                json!({ "steering_rad": -0.1, "speed_m_s": 0.5 }),
+            ),
+            (
+                "--steering-rate 0.2 --acceleration -0.5 --for 2",
+                json!({ "steering_rate_rad_s": 0.2, "acceleration_m_s2": -0.5 }),
+            ),
+        ] {
+            assert_eq!(parse(options).unwrap().keys(), Some(keys), "{options}");
+        }
+        assert_eq!(parse("--for 2").unwrap().keys(), None);
+        let way = parse("--trajectory way.csv").unwrap();
+        assert_eq!((way.keys(), way.trajectory), (None, Some("way.csv".into())));
+    }
+
+    #[test]
+    fn half_a_set_point_and_two_at_once_are_refused_with_the_options_that_are_missing() {
+        for (options, kind, part) in [
+            (
+                "--steering 0.1",
+                ErrorKind::MissingRequiredArgument,
+                "--speed",
+            ),
+            (
+                "--speed 0.1",
+                ErrorKind::MissingRequiredArgument,
+                "--steering",
+            ),
+            (
+                "--position 1 1",
+                ErrorKind::MissingRequiredArgument,
+                "--velocity",
+            ),
+            ("--velocity 1", ErrorKind::WrongNumberOfValues, "2 values"),
+            (
+                "--velocity 1 0 --steering 0.1 --speed 1",
+                ErrorKind::ArgumentConflict,
+                "--velocity",
+            ),
+            (
+                "--trajectory a.csv --velocity 1 0",
+                ErrorKind::ArgumentConflict,
+                "--trajectory",
+            ),
+            (
+                "--steering 0.1 --steering-rate 0.1 --speed 1",
+                ErrorKind::ArgumentConflict,
+                "--steering-rate",
+            ),
+            (
+                "--velocity nan 0",
+                ErrorKind::ValueValidation,
+                "finite number",
+            ),
+            ("--velocity 1 0 --for -1", ErrorKind::UnknownArgument, "-1"),
+        ] {
+            let error = parse(options).unwrap_err();
+            let text = error.to_string();
+            assert!(text.contains(part), "{options}: {text}");
+            assert_eq!(error.kind(), kind, "{options}: {text}");
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! The file of a trajectory, and the part of it that is sent now.
+
+use std::{fs, io, path::Path};
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+/// Points that are sent at once: in two ticks they are with the pilot.
+const WINDOW: usize = 40;
+
+/// The least time of so many points, s: longer than the usual time-out of a set-point.
+const LEAST_SPAN: f64 = 0.3;
+
+/// The points of a file, in order of time.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct TrajectoryFile(Vec<Point>);
+
+/// Why a file is no trajectory.
+#[derive(Debug, thiserror::Error)]
+pub enum TrajectoryFileError {
+    /// It can't be read.
+    #[error("{0}; give the path of a CSV or JSON file")]
+    File(#[from] io::Error),
+    /// It is not CSV with these columns.
+    #[error(
+        "{0}; the first line names the columns t_s,x_m,y_m (and vx_m_s,vy_m_s), the others have a \
+         number for each"
+    )]
+    Csv(#[from] csv::Error),
+    /// It is not JSON with these keys.
+    #[error(
+        "{0}; write a list of {{\"t_s\":0.0,\"position_m\":[0.0,0.0]}}, with \"velocity_m_s\" or \
+         without"
+    )]
+    Json(#[from] serde_json::Error),
+    /// A trajectory has at least two points.
+    #[error("it has {0} points; write two at least")]
+    TooShort(usize),
+    /// A number is infinite or none.
+    #[error("point {0}: write finite numbers")]
+    NotFinite(usize),
+    /// A point is not later than the one before.
+    #[error("point {0} is not later than the one before; put the points in order of time")]
+    Order(usize),
+    /// Only one component of a velocity.
+    #[error("point {0} has half a velocity; write vx_m_s and vy_m_s, or neither")]
+    HalfVelocity(usize),
+    /// The points are too close together to be sent in time.
+    #[error(
+        "points {0} to {1} take {2:.3} s; leave points out, so that 40 take at least 0.3 s: 100 a \
+         second will do"
+    )]
+    TooDense(usize, usize, f64),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Point {
+    time: f64,
+    position: [f64; 2],
+    velocity: [f64; 2],
+}
+
+/// A line of a CSV file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Row {
+    t_s: f64,
+    x_m: f64,
+    y_m: f64,
+    vx_m_s: Option<f64>,
+    vy_m_s: Option<f64>,
+}
+
+/// A point of a JSON file, and of either before its velocity is known.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    t_s: f64,
+    position_m: [f64; 2],
+    velocity_m_s: Option<[f64; 2]>,
+}
+
+impl TrajectoryFile {
+    /// Reads a file: JSON if it begins with a bracket, else CSV.
+    pub(super) fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
+        Self::parse(&fs::read_to_string(path)?)
+    }
+
+    fn parse(text: &str) -> Result<Self, TrajectoryFileError> {
+        use TrajectoryFileError::{HalfVelocity, NotFinite, Order, TooDense, TooShort};
+        let written: Vec<Written> = if text.trim_start().starts_with(['[', '{']) {
+            serde_json::from_str(text)?
+        } else {
+            let mut reader = csv::ReaderBuilder::new()
+                .trim(csv::Trim::All)
+                .comment(Some(b'#'))
+                .from_reader(text.as_bytes());
+            let rows = reader.deserialize().collect::<Result<Vec<Row>, _>>()?;
+            let rows = (1..).zip(rows).map(|(number, row)| {
+                Ok(Written {
+                    t_s: row.t_s,
+                    position_m: [row.x_m, row.y_m],
+                    velocity_m_s: match (row.vx_m_s, row.vy_m_s) {
+                        (Some(x), Some(y)) => Some([x, y]),
+                        (None, None) => None,
+                        _ => return Err(HalfVelocity(number)),
+                    },
+                })
+            });
+            rows.collect::<Result<_, _>>()?
+        };
+        if written.len() < 2 {
+            return Err(TooShort(written.len()));
+        }
+        for (number, point) in (1..).zip(&written) {
+            let velocity = point.velocity_m_s.unwrap_or_default();
+            let [x, y] = point.position_m;
+            let numbers = [point.t_s, x, y].into_iter().chain(velocity);
+            if !numbers.into_iter().all(f64::is_finite) {
+                return Err(NotFinite(number));
+            }
+        }
+        for (number, pair) in (2..).zip(written.windows(2)) {
+            if matches!(pair, [before, after] if after.t_s <= before.t_s) {
+                return Err(Order(number));
+            }
+        }
+        for (number, window) in (1..).zip(written.windows(WINDOW)) {
+            if let [first, .., last] = window
+                && last.t_s - first.t_s < LEAST_SPAN
+            {
+                let span = last.t_s - first.t_s;
+                return Err(TooDense(number, number + WINDOW - 1, span));
+            }
+        }
+        let points = written.iter().enumerate().map(|(index, point)| Point {
+            time: point.t_s,
+            position: point.position_m,
+            velocity: point.velocity_m_s.unwrap_or_else(|| {
+                let before = index.checked_sub(1).and_then(|before| written.get(before));
+                let after = written.get(index + 1);
+                slope(before.unwrap_or(point), after.unwrap_or(point))
+            }),
+        });
+        Ok(Self(points.collect()))
+    }
+
+    /// The set-point at `now_ns` of a trajectory that began at `begin_ns` with its first point:
+    /// that of now and those after it; `None` when the last one is over.
+    pub(super) fn window(&self, begin_ns: u64, now_ns: u64) -> Option<Value> {
+        let Self(points) = self;
+        let first = points.first()?;
+        let time_ns = |point: &Point| begin_ns + ((point.time - first.time) * 1e9) as u64;
+        if time_ns(points.last()?) < now_ns {
+            return None;
+        }
+        let over = points.partition_point(|point| time_ns(point) <= now_ns);
+        // The curve from the last point that is over goes through now. Two make a trajectory.
+        let from = over.saturating_sub(1).min(points.len().saturating_sub(2));
+        let window = points.iter().skip(from).take(WINDOW).map(|point| {
+            json!({
+                "time_ns": time_ns(point),
+                "position_m": point.position,
+                "velocity_m_s": point.velocity,
+            })
+        });
+        Some(json!({ "trajectory": window.collect::<Vec<_>>() }))
+    }
+}
+
+/// The velocity from one point to another.
+fn slope(from: &Written, to: &Written) -> [f64; 2] {
+    let ([x, y], [to_x, to_y]) = (from.position_m, to.position_m);
+    let time = to.t_s - from.t_s;
+    [(to_x - x) / time, (to_y - y) / time]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn times(keys: &Value) -> Vec<u64> {
+        let points = keys["trajectory"].as_array().unwrap();
+        let time = |point: &Value| point["time_ns"].as_u64().unwrap();
+        points.iter().map(time).collect()
+    }
+
+    #[test]
+    fn csv_and_json_are_the_same_trajectory_with_the_velocities_between_neighbours() {
+        let csv = TrajectoryFile::parse("t_s, x_m, y_m\n2, 0, 0\n3, 1, 0\n5, 1, 2\n").unwrap();
+        let json = r#"[{"t_s":2,"position_m":[0,0],"velocity_m_s":[1,0]},
+            {"t_s":3,"position_m":[1,0]},{"t_s":5,"position_m":[1,2]}]"#;
+        assert_eq!(csv, TrajectoryFile::parse(json).unwrap());
+        let velocities: Vec<_> = csv.0.iter().map(|point| point.velocity).collect();
+        assert_eq!(velocities, [[1.0, 0.0], [1.0 / 3.0, 2.0 / 3.0], [0.0, 1.0]]);
+        let given = "t_s,vx_m_s,vy_m_s,x_m,y_m\n0,5,6,0,0\n1,7,8,1,1\n";
+        let given = TrajectoryFile::parse(given).unwrap();
+        assert_eq!(given.0.first().unwrap().velocity, [5.0, 6.0]);
+    }
+
+    #[test]
+    fn the_points_of_now_and_later_are_sent_until_the_last_is_over() {
+        const SECOND: u64 = 1_000_000_000;
+        let rows: String = (0..100)
+            .map(|t| format!("{},{t},0\n", f64::from(t) + 7.0))
+            .collect();
+        let way = TrajectoryFile::parse(&format!("t_s,x_m,y_m\n{rows}")).unwrap();
+        let begin = 50 * SECOND;
+        let sent = |now| way.window(begin, now).map(|keys| times(&keys));
+        let from = |first: u64, count: u64| {
+            let second = |index| begin + (first + index) * SECOND;
+            Some((0..count).map(second).collect::<Vec<_>>())
+        };
+        assert_eq!(sent(begin - SECOND / 2), from(0, 40));
+        assert_eq!(sent(begin), from(0, 40));
+        assert_eq!(sent(begin + SECOND), from(1, 40));
+        assert_eq!(sent(begin + 2 * SECOND - 1), from(1, 40));
+        assert_eq!(sent(begin + 90 * SECOND), from(90, 10));
+        assert_eq!(sent(begin + 99 * SECOND), from(98, 2));
+        assert_eq!(sent(begin + 99 * SECOND + 1), None);
+    }
+
+    #[test]
+    fn a_file_that_is_no_trajectory_is_refused_with_what_to_write() {
+        let dense: String = (0..40)
+            .map(|t| format!("{},0,0\n", 0.007 * f64::from(t)))
+            .collect();
+        for (text, part) in [
+            ("", "it has 0 points; write two"),
+            ("t_s,x_m,y_m\n0,0,0\n", "it has 1 points"),
+            ("t,x,y\n0,0,0\n1,0,0\n", "names the columns t_s,x_m,y_m"),
+            ("t_s,x_m,y_m\n0,0\n", "a number for each"),
+            ("t_s,x_m,y_m\n0,0,left\n", "a number for each"),
+            ("t_s,x_m,y_m\n0,0,0\n0,1,0\n", "point 2 is not later"),
+            ("t_s,x_m,y_m\n0,0,0\n1,inf,0\n", "point 2: write finite"),
+            (
+                "t_s,x_m,y_m,vx_m_s,vy_m_s\n0,0,0,1,\n",
+                "point 1 has half a velocity",
+            ),
+            ("[{\"t_s\":0}]", "write a list of"),
+            (
+                &format!("t_s,x_m,y_m\n{dense}"),
+                "points 1 to 40 take 0.273 s; leave points out",
+            ),
+        ] {
+            let error = TrajectoryFile::parse(text).unwrap_err().to_string();
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}
