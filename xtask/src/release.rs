@@ -4,12 +4,7 @@
 //! workspace, which are then compiled again. All checks therefore name the same
 //! packages, features and targets, and cargo builds nothing twice.
 
-use std::{
-    ffi::OsStr,
-    os::unix::process::CommandExt,
-    path::{Path, PathBuf},
-    process::Command,
-};
+use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use crate::{
     image::{self, Image, Progress},
@@ -29,9 +24,6 @@ pub(crate) struct Release {
 /// The hardware-in-the-loop test target.
 const SUITE: &str = "hil";
 
-/// The onboarding campaign.
-const ONBOARD: &str = "tests/onboard";
-
 /// Features that need simavr and the image.
 const UNO_FEATURES: &str = "singletrack-simavr/simavr,singletrack-sim/uno";
 
@@ -44,33 +36,16 @@ impl Release {
     /// Cargo's arguments that name the packages and their features.
     fn selection(self) -> Vec<&'static str> {
         let mut arguments = vec!["--release", "--workspace"];
-        // These run only in debug builds.
-        arguments.extend(["--exclude", "xtask", "--exclude", "singletrack-fuzz"]);
         arguments.extend(features(self.uno));
         arguments
     }
 
-    /// The tests in virtual time, as debug builds, which check for overflow; without
-    /// [`Self::onboard_tests`].
-    pub(crate) fn debug_tests(self) -> Command {
-        let mut tests = cargo();
-        tests
-            .args(["test", "--workspace", "--exclude", "singletrack-hil"])
-            .args(["--exclude", "singletrack-onboard"])
-            .args(features(self.uno));
-        tests
-    }
-
-    /// The tests of the onboarding campaign, as release builds: in debug builds they take minutes,
-    /// and other tests check the same libraries for overflow. Tests of the same names in other
-    /// packages run too: cargo can't select one package without other features.
-    pub(crate) fn onboard_tests(self) -> Result<Command, Failure> {
+    /// The tests in virtual time. The hardware in the loop is a test target too, which runs only
+    /// when it is named.
+    pub(crate) fn tests(self) -> Command {
         let mut tests = cargo();
         tests.arg("test").args(self.selection());
-        for name in test_names(&root().join(ONBOARD).join("tests"))? {
-            tests.args(["--test", &name]);
-        }
-        Ok(tests)
+        tests
     }
 
     /// Builds all programs and the hardware-in-the-loop suite.
@@ -137,25 +112,6 @@ pub(crate) fn run(package: &str, needs_image: bool, arguments: &[String]) -> Res
     )))
 }
 
-/// The names of the integration tests in a folder.
-fn test_names(folder: &Path) -> Result<Vec<String>, Failure> {
-    let failed = |error| Failure::new(format!("{}: {error}", folder.display()));
-    let mut names = Vec::new();
-    for entry in folder.read_dir().map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        let is_test =
-            path.extension().is_some_and(|end| end == "rs") || path.join("main.rs").is_file();
-        names.extend(
-            path.file_stem()
-                .and_then(OsStr::to_str)
-                .filter(|_| is_test)
-                .map(str::to_owned),
-        );
-    }
-    names.sort();
-    Ok(names)
-}
-
 /// The features of the workspace for the checks.
 pub(crate) fn features(uno: bool) -> impl IntoIterator<Item = &'static str> {
     if uno {
@@ -165,29 +121,4 @@ pub(crate) fn features(uno: bool) -> impl IntoIterator<Item = &'static str> {
     }
     .iter()
     .copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use std::fs;
-
-    use super::*;
-
-    #[test]
-    fn every_test_of_the_campaign_is_named() {
-        let folder = root().join(ONBOARD);
-        let names = test_names(&folder.join("tests")).unwrap();
-        for name in ["bring_up", "campaign", "doctor"] {
-            assert!(names.iter().any(|other| other == name), "{names:?}");
-        }
-    }
-
-    #[test]
-    fn the_campaign_has_no_unit_tests_which_would_not_run() {
-        for entry in root().join(ONBOARD).join("src").read_dir().unwrap() {
-            let path = entry.unwrap().path();
-            let text = fs::read_to_string(&path).unwrap();
-            assert!(!text.contains("#[test]"), "{}", path.display());
-        }
-    }
 }

@@ -7,7 +7,7 @@ use crate::{
     process::{Failure, check as check_command, output},
     release::Release,
     target,
-    workspace::root,
+    workspace::{cargo, root},
 };
 
 /// One scenario per plant.
@@ -18,10 +18,10 @@ pub(crate) const SCENARIOS: [&str; 3] = [
 ];
 
 pub(crate) fn check(release: Release) -> Result<(), Failure> {
-    let debug = debug_program(release)?;
+    let debug = debug_program()?;
     for scenario in SCENARIOS {
         let mut debug = Command::new(&debug);
-        debug.current_dir(root()).args(["simulate", scenario]);
+        debug.current_dir(root()).arg(scenario);
         compare(
             scenario,
             ("debug", &mut debug),
@@ -31,11 +31,14 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The debug build of the tests. Built alone, it would have other features, and all
-/// its libraries would be built again.
-fn debug_program(release: Release) -> Result<PathBuf, Failure> {
-    check_command(release.debug_tests().args(["--no-run", "--quiet"]))?;
-    Ok(target::folder()?.join("debug").join("singletrack"))
+/// A debug build that simulates: of an example, which needs few packages.
+fn debug_program() -> Result<PathBuf, Failure> {
+    check_command(
+        cargo()
+            .args(["build", "--quiet", "--package", "singletrack-scenario"])
+            .args(["--example", "trajectory"]),
+    )?;
+    Ok(target::folder()?.join("debug/examples/trajectory"))
 }
 
 /// Simulates a scenario with the release build of this machine.

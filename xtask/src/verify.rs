@@ -243,14 +243,12 @@ fn program_steps(release: Release) -> Vec<Step> {
                 "unit, property and virtual-time tests, without the Arduino's image"
             },
             move || {
-                for mut tests in [release.debug_tests(), release.onboard_tests()?] {
-                    if release.uno {
-                        with_image(release, &mut tests)?;
-                    } else {
-                        check(&mut tests)?;
-                    }
+                let mut tests = release.tests();
+                if release.uno {
+                    with_image(release, &mut tests)
+                } else {
+                    check(&mut tests)
                 }
-                Ok(())
             },
         )
         .needing(release.part()),
