@@ -49,7 +49,7 @@ mod vehicle;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
-pub use axles::{AxleForces, Axles, Tyres};
+pub use axles::{AxleForces, Axles, SlipAngles, Tyres};
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimate::Estimate;
