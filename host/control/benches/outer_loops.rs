@@ -129,6 +129,7 @@ fn hostile() -> Option<impl FnMut() -> Velocity> {
         speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,
+        slip: 0.0,
         wheelbase: 0.26,
     })
     .ok()?;

@@ -37,6 +37,7 @@ fn config(area: ConvexArea) -> SafetyConfig {
         speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,
+        slip: 0.0,
         wheelbase: WHEELBASE,
     }
 }

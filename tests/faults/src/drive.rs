@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
-use singletrack_pilot::{Filtering, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, ReceivedMessage, World};
@@ -65,16 +65,29 @@ pub struct FilterTicks {
     pub scaled: u64,
     /// Those in which it slowed the car down.
     pub stopped: u64,
+    /// Drives that ended because the car came to stand by it.
+    pub cornered: u64,
+    /// Drives that the supervisor's geofence ended.
+    pub fenced: u64,
 }
 
 impl FilterTicks {
-    fn count(&mut self, filtering: Filtering) {
-        self.driving += 1;
-        match filtering {
-            Filtering::None => {}
-            Filtering::Limited => self.limited += 1,
-            Filtering::Scaled => self.scaled += 1,
-            Filtering::Stopped => self.stopped += 1,
+    /// Counts a tick; `last` is what the filter did in the tick before, if that drove.
+    fn count(&mut self, output: &Output, last: Option<Filtering>) {
+        if output.mode == Mode::Driving {
+            self.driving += 1;
+            match output.filtering {
+                Filtering::None => {}
+                Filtering::Limited => self.limited += 1,
+                Filtering::Scaled => self.scaled += 1,
+                Filtering::Stopped => self.stopped += 1,
+            }
+        } else if output.mode == Mode::Stopping && output.reason == Some(Reason::OutsideFence) {
+            match last {
+                None => {}
+                Some(Filtering::Stopped) => self.cornered += 1,
+                Some(_) => self.fenced += 1,
+            }
         }
     }
 }
@@ -85,6 +98,8 @@ impl AddAssign for FilterTicks {
         self.limited += other.limited;
         self.scaled += other.scaled;
         self.stopped += other.stopped;
+        self.cornered += other.cornered;
+        self.fenced += other.fenced;
     }
 }
 
@@ -173,6 +188,8 @@ struct Drive<'a> {
     driven_ms: u32,
     reasons: BTreeSet<&'static str>,
     filter: FilterTicks,
+    /// What the safety filter did in the last tick, if that drove.
+    filtering: Option<Filtering>,
     board_since_us: Option<u64>,
     was_running: bool,
     resets: u64,
@@ -243,6 +260,7 @@ impl<'a> Drive<'a> {
             driven_ms: 0,
             reasons: BTreeSet::new(),
             filter: FilterTicks::default(),
+            filtering: None,
             board_since_us: None,
             was_running: false,
             resets: 0,
@@ -650,9 +668,12 @@ impl<'a> Drive<'a> {
         self.reasons.extend(reason.map(Reason::name));
         if let Some(tick) = observation.tick
             && self.schedule.situation.safety_filter
-            && tick.output.mode == Mode::Driving
         {
-            self.filter.count(tick.output.filtering);
+            let output = &tick.output;
+            let drives = output.mode == Mode::Driving;
+            let last = drives.then_some(output.filtering);
+            let last = core::mem::replace(&mut self.filtering, last);
+            self.filter.count(output, last);
         }
         self.digest.add(&observation);
         for pulse in observation.pulses {

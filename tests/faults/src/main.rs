@@ -182,11 +182,13 @@ fn print_filter(
     let percent = |part: u64| 100.0 * part as f64 / ticks.driving as f64;
     writeln!(
         out,
-        "safety filter before {loops} outer loops: {schedules} schedules, {} ticks, limited {:.2} %, scaled {:.2} %, stopped {:.2} %",
+        "safety filter before {loops} outer loops: {schedules} schedules, {} ticks, limited {:.2} %, scaled {:.2} %, stopped {:.2} %; drives ended: {} by it, {} by the geofence",
         ticks.driving,
         percent(ticks.limited),
         percent(ticks.scaled),
-        percent(ticks.stopped)
+        percent(ticks.stopped),
+        ticks.cornered,
+        ticks.fenced
     )
 }
 

@@ -2,8 +2,9 @@
 //! inside its area.
 //!
 //! Two stages. The first is a quadratic program: of the velocities that keep P able to stop
-//! before each side, with speed and lateral acceleration in bounds, the one nearest to what is
-//! wanted. It makes the filter gentle, and the claim does not rest on it. The second tries the
+//! before each side, the one nearest to what is wanted; and if that one does not pass, of those
+//! that keep the lateral acceleration in bounds too. It makes the filter gentle, and the claim
+//! does not rest on it. The second tries the
 //! law with that velocity, and with slower ones, and takes the first after which every stop
 //! that the car may make stays inside. If there is none, the car stops, which the tick before
 //! has proved to stay inside. `docs/safety-filter.md` states the claim with its assumptions.
@@ -19,7 +20,7 @@ use self::{
     stop_way::{Range, StopWay, Wheels},
 };
 use crate::{
-    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Singularity, Velocity, direction,
+    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Velocity, direction,
 };
 
 /// The number of ticks whose steering commands may still be on their way to the wheels.
@@ -57,6 +58,8 @@ pub struct SafetyConfig {
     pub max_speed: f64,
     /// The largest lateral acceleration, m/s².
     pub max_lateral_acceleration: f64,
+    /// The part of the steering angle that the tyres' slip takes at that limit, rad.
+    pub slip: f64,
     /// Distance between the axles, m.
     pub wheelbase: f64,
 }
@@ -143,6 +146,7 @@ impl SafetyFilter {
             ("speed_error", config.speed_error),
             ("max_speed", config.max_speed),
             ("max_lateral_acceleration", config.max_lateral_acceleration),
+            ("slip", config.slip),
             ("wheelbase", config.wheelbase),
             (
                 "steering_ticks",
@@ -215,18 +219,28 @@ impl SafetyFilter {
         } else {
             *wanted
         };
-        let gentle = self.gentle(input, &limited);
+        let mut planes = self.towards_sides(input);
+        let near = nearest(&limited, &planes, self.config.max_speed);
+        if near == limited {
+            if passes(wanted) {
+                return Filtered::Unchanged;
+            }
+        } else if passes(&near) {
+            return Filtered::Limited(near);
+        }
+        for plane in self.in_bends(input) {
+            if plane.most.is_finite() {
+                // There is room for the sides and for these.
+                let _ = planes.push(plane);
+            }
+        }
+        let near = nearest(&limited, &planes, self.config.max_speed);
         for share in SLOWER {
-            let whole = share == 1.0;
-            if whole && gentle == limited {
-                if passes(wanted) {
-                    return Filtered::Unchanged;
-                }
-            } else if passes(&(gentle * share)) {
-                return if whole {
-                    Filtered::Limited(gentle)
+            if passes(&(near * share)) {
+                return if share == 1.0 {
+                    Filtered::Limited(near)
                 } else {
-                    Filtered::Scaled(gentle * share)
+                    Filtered::Scaled(near * share)
                 };
             }
         }
@@ -257,28 +271,21 @@ impl SafetyFilter {
         FilteredDemand::Stop
     }
 
-    /// The velocity nearest to `wanted` with which P can stop before each side, and the car is
-    /// not too fast for its bend.
-    fn gentle(&self, input: &SafetyInput<'_>, wanted: &Velocity) -> Velocity {
+    /// The bounds that leave P able to stop before each side.
+    fn towards_sides(&self, input: &SafetyInput<'_>) -> Vec<HalfPlane, MOST> {
         let estimate = input.estimate;
-        let law = input.law.law();
-        let point = law.point(estimate.position, estimate.yaw, input.wheels);
-        let mut planes = Vec::<HalfPlane, MOST>::new();
-        for side in self.config.area.sides() {
+        let point = input
+            .law
+            .law()
+            .point(estimate.position, estimate.yaw, input.wheels);
+        let bound = |side: &Side| {
             let room = side.distance(&point) - self.config.position_error - input.blind;
-            let plane = HalfPlane {
+            HalfPlane {
                 along: side.outward,
                 most: self.approach(input, room),
-            };
-            // There is room for every side and for the bends.
-            let _ = planes.push(plane);
-        }
-        for plane in self.in_bends(input) {
-            if plane.most.is_finite() {
-                let _ = planes.push(plane);
             }
-        }
-        nearest(wanted, &planes, self.config.max_speed)
+        };
+        self.config.area.sides().iter().map(bound).collect()
     }
 
     /// The speed towards a side from which P can stop within `room` (m): it goes on for the
@@ -300,8 +307,10 @@ impl SafetyFilter {
         let cosine = cos(estimate.sideslip - steering);
         let axle = estimate.yaw_rate * law.front_axle_distance();
         // v cos(β - δ) = v_P·(direction of the wheels) - r l_f sin δ.
-        let sharpest = self.present_curvatures(input);
-        let sharpest = fabs(sharpest.least).max(fabs(sharpest.most));
+        let sharpest = self
+            .measured_curvature(input)
+            .map_or(0.0, fabs)
+            .max(self.curvature(self.sharpest_rolling(input)));
         let fastest = sqrt(self.config.max_lateral_acceleration / sharpest);
         // u_δ p cos(β - δ) = v_P·(left of the course) - r l_f cos β - r p cos(β - δ).
         let course = direction(estimate.yaw + estimate.sideslip);
@@ -331,7 +340,13 @@ impl SafetyFilter {
     /// car may have, rad.
     fn widest_steering(&self) -> f64 {
         let curvature = self.config.max_lateral_acceleration / (self.pace * self.pace);
-        atan(curvature * self.config.wheelbase)
+        atan(curvature * self.config.wheelbase) + self.config.slip
+    }
+
+    /// The sharpest angle at which the wheels may stand, without the tyres' slip, rad.
+    fn sharpest_rolling(&self, input: &SafetyInput<'_>) -> f64 {
+        let Range { least, most } = self.on_their_way.widened(input.wave);
+        (fabs(least).max(fabs(most)) - self.config.slip).max(0.0)
     }
 
     /// The curvatures between which the path bends now, 1/m: those of the angles between which

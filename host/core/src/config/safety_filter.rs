@@ -81,6 +81,7 @@ impl SafetyFilterSection {
         let reaction_ms = self
             .reaction_ms
             .unwrap_or(actuators.speed_dead_time_ms + actuators.speed_lag_ms + 2.0 * LINE_MS);
+        let limits = config.limits.limits(config.vehicle.wheelbase_m());
         SafetyFilter::new(SafetyConfig {
             area,
             reaction: 1e-3 * reaction_ms,
@@ -92,6 +93,7 @@ impl SafetyFilterSection {
             max_speed: config.limits.max_speed_m_s,
             // The law keeps to the configured limit. Beyond that of the tyres they slide.
             max_lateral_acceleration: config.vehicle.friction * GRAVITY,
+            slip: limits.with_tyres(&config.vehicle).slip.max(0.0),
             wheelbase: config.vehicle.wheelbase_m(),
         })
         .map(Some)

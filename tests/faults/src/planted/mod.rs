@@ -302,11 +302,6 @@ bugs! {
                 *y *= 3.0;
             }
         });
-    Host "has a safety filter that passes everything", "filter",
-        "reference external; safety_filter true; speed_mm_s 1500; fence_mm 1000; \
-         truth rolling-mm-s2 1000; truth viscous-permille 0; truth esc-dead-time-ms 60; \
-         truth motor-lag-ms 100; fault loop-at-fence at 3300 for 5000 severity 1000",
-        |_| Host(|config: &mut Config| config.safety_filter.enabled = false);
     Host "has a safety filter that passes everything, and no geofence", "filter",
         "reference external; safety_filter true; fault loop-at-fence at 4000 for 5000 severity 1000",
         |_| Host(|config: &mut Config| {
