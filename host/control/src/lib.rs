@@ -74,7 +74,8 @@ pub use reference::{
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};
 pub use safety_filter::{
-    Filtered, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter, SafetyInput,
+    Filtered, FilteredDemand, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter,
+    SafetyInput,
 };
 pub use setpoint::{
     Demand, MAX_TRAJECTORY_POINTS, Setpoint, SetpointError, SetpointStamp, SpeedDemand,
