@@ -7,6 +7,8 @@ use std::net::Ipv4Addr;
 
 use serde::{Deserialize, Serialize};
 
+use singletrack_control::{SlipAngles, Tyres};
+
 use crate::{
     cameras::UpAxis,
     car::{EscKind, Push},
@@ -37,6 +39,8 @@ impl Numbers for bool {}
 impl Numbers for String {}
 impl Numbers for EscKind {}
 impl Numbers for UpAxis {}
+impl Numbers for Tyres {}
+impl Numbers for SlipAngles {}
 
 macro_rules! numbers {
     ($($type:ty => |$value:ident| $numbers:expr;)+) => {
@@ -150,6 +154,15 @@ truth! {
         /// Cornering stiffness of the rear axle.
         rear_cornering_stiffness_n_rad: f64, in 0.1 to 10000.0
             => |c, v| c.car.vehicle.rear_cornering_stiffness_n_rad = v;
+        /// Curve of an axle's lateral force over its slip angle. "saturating": a hyperbolic
+        /// tangent up to friction times load (the default). "magic-formula": Pacejka's
+        /// D sin(C atan(B α)) with the same stiffness and peak and C = 1.3: beyond the peak it
+        /// falls, to 0.89 of it. "linear": without a limit.
+        tyre_curve: Tyres => |c, v| c.car.tyre_curve = v;
+        /// "small": those of the paper's equation 1, sin x = x and cos x = 1 (the default).
+        /// "exact": the angles between the wheels and the velocities of their axles, and cos δ
+        /// of the front force acts across the car.
+        slip_angles: SlipAngles => |c, v| c.car.slip_angles = v;
     }
 
     /// The steering servo.

@@ -419,3 +419,64 @@ fn the_kinds_have_the_names_of_the_configuration() {
         assert_eq!(parameters.motor.kind, kind);
     }
 }
+
+/// A force over the force of a linear tyre, both over the limit.
+type Curve = fn(f64) -> f64;
+
+/// In a steady bend the forces of the axles are in balance with the curve and the slip angles
+/// that the truth names, and with no others.
+#[test]
+fn the_tyres_have_the_curve_and_the_slip_angles_of_the_truth() {
+    let curves: [(&str, Curve); 3] = [
+        ("saturating", f64::tanh),
+        ("linear", |x| x),
+        ("magic-formula", |x| (1.3 * (x / 1.3).atan()).sin()),
+    ];
+    for (curve, force) in curves {
+        for angles in ["small", "exact"] {
+            let truth =
+                format!("[vehicle]\ntyre_curve = \"{curve}\"\nslip_angles = \"{angles}\"\n");
+            let mut bench = Bench::armed(&truth);
+            bench.drive(8.0, 1_290, 1_670);
+            let truth = bench.car.truth();
+            let vehicle = bench.car.parameters().vehicle;
+            let (l_f, l_r) = (vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
+            let weight = vehicle.friction * vehicle.mass_kg * 9.806_65 / (l_f + l_r);
+            let unbalanced = |exact: bool, force: Curve| {
+                let (across, along) = truth.sideslip.sin_cos();
+                let [across, along] = [across, along].map(|part| part * truth.speed);
+                let (front, rear) = if exact {
+                    (
+                        truth.steering - (across + l_f * truth.yaw_rate).atan2(along),
+                        -(across - l_r * truth.yaw_rate).atan2(along),
+                    )
+                } else {
+                    let turn = truth.yaw_rate / truth.speed;
+                    (
+                        truth.steering - truth.sideslip - l_f * turn,
+                        -truth.sideslip + l_r * turn,
+                    )
+                };
+                let axle =
+                    |slip: f64, stiffness: f64, limit: f64| force(slip * stiffness / limit) * limit;
+                let front = axle(front, vehicle.front_cornering_stiffness_n_rad, weight * l_r);
+                let rear = axle(rear, vehicle.rear_cornering_stiffness_n_rad, weight * l_f);
+                let turned = if exact { truth.steering.cos() } else { 1.0 };
+                let moment = front * turned * l_f - rear * l_r;
+                let across = front * turned + rear;
+                let speed = if exact { along } else { truth.speed };
+                let needed = vehicle.mass_kg * truth.yaw_rate * speed;
+                moment.abs() / l_f + (across - needed).abs()
+            };
+            assert!(truth.yaw_rate > 0.7 && truth.speed > 0.6, "{truth:?}");
+            let own = unbalanced(angles == "exact", force);
+            assert!(own < 1e-3, "{curve} {angles}: {own} N");
+            let other = unbalanced(angles != "exact", force);
+            assert!(other > 5e-3, "{curve} {angles}: {other} N");
+            for (name, force) in curves.iter().filter(|(name, _)| *name != curve) {
+                let other = unbalanced(angles == "exact", *force);
+                assert!(other > 5e-3, "{name} for {curve}: {other} N");
+            }
+        }
+    }
+}

@@ -91,7 +91,7 @@ impl Model {
                     steering,
                 };
                 let forces = axles.forces::<Libm, f64>(&motion);
-                state.derivative::<Libm>(speed, axles.lateral(&motion, &forces))
+                state.derivative::<Libm>(speed, axles.lateral::<Libm, f64>(&motion, &forces))
             }
         }
     }

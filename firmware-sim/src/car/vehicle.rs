@@ -5,7 +5,8 @@ use std::collections::VecDeque;
 use libm::{cos, sin, tan};
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
-    RelaxedSingleTrack, SingleTrackDerivative, SingleTrackState, VehicleParameters,
+    Axles, RelaxedSingleTrack, SingleTrackDerivative, SingleTrackState, SlipAngles, Tyres,
+    VehicleParameters,
 };
 
 use super::{
@@ -24,6 +25,10 @@ use crate::epoch::Epoch;
 pub struct CarParameters {
     /// Masses, lengths, tyres.
     pub vehicle: VehicleParameters,
+    /// The curve of the lateral forces over the slip angles.
+    pub tyre_curve: Tyres,
+    /// How slip angles and forces follow from sideslip and steering.
+    pub slip_angles: SlipAngles,
     /// The steering servo.
     pub servo: ServoParameters,
     /// ESC, motor and gears.
@@ -38,6 +43,14 @@ pub struct CarParameters {
     pub start: StartPose,
     /// The plugs of servo and ESC have been exchanged: each gets the other's pulses.
     pub swapped_wires: bool,
+}
+
+impl CarParameters {
+    /// The vehicle model.
+    fn model(&self) -> RelaxedSingleTrack {
+        let axles = Axles::new(self.vehicle, self.tyre_curve);
+        RelaxedSingleTrack::with_axles(axles.with_slip_angles(self.slip_angles))
+    }
 }
 
 /// Initial pose of the car.
@@ -218,7 +231,7 @@ impl Car {
     #[must_use]
     pub fn new(parameters: CarParameters) -> Self {
         let mut car = Self {
-            model: RelaxedSingleTrack::new(parameters.vehicle),
+            model: parameters.model(),
             now_us: 0,
             state: State::default(),
             servo_target: 0.0,

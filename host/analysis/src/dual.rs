@@ -25,6 +25,10 @@ impl<D: Dual> Functions<D> for DualFunctions {
         let square = (x * 2.0).exp();
         (square - 1.0) / (square + 1.0)
     }
+
+    fn atan2(y: D, x: D) -> D {
+        y.atan2(x)
+    }
 }
 
 #[cfg(test)]

@@ -126,8 +126,10 @@ fn hostile() -> Option<impl FnMut() -> Velocity> {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,
+        slip: 0.0,
         wheelbase: 0.26,
     })
     .ok()?;
@@ -148,13 +150,18 @@ fn hostile() -> Option<impl FnMut() -> Velocity> {
         let input = SafetyInput {
             estimate: &estimate,
             law: &law,
-            pace: 0.8,
+            wheels: 0.0,
+            wave: 0.0,
             blind: 0.01,
             braking: 0.9,
             period: PERIOD,
         };
-        match filter.step(&input, &Velocity::new(1.0, 1.1)) {
-            Filtered::Changed(velocity) => velocity,
+        filter.observe(0.8, 0.0, 0.9, PERIOD);
+        let wanted = Velocity::new(1.0, 1.1);
+        match filter.step(&input, &wanted, |law, velocity| {
+            law.step(&estimate.motion(), estimate.speed, velocity, PERIOD)
+        }) {
+            Filtered::Limited(velocity) | Filtered::Scaled(velocity) => velocity,
             _ => Velocity::zeros(),
         }
     })

@@ -49,7 +49,7 @@ mod vehicle;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
-pub use axles::{AxleForces, Axles, Tyres};
+pub use axles::{AxleForces, Axles, SlipAngles, Tyres};
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimate::Estimate;
@@ -74,7 +74,8 @@ pub use reference::{
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};
 pub use safety_filter::{
-    Filtered, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter, SafetyInput,
+    Filtered, FilteredDemand, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter,
+    SafetyInput,
 };
 pub use setpoint::{
     Demand, MAX_TRAJECTORY_POINTS, Setpoint, SetpointError, SetpointStamp, SpeedDemand,

@@ -50,6 +50,9 @@ pub trait Functions<N> {
 
     /// Hyperbolic tangent.
     fn tanh(x: N) -> N;
+
+    /// Angle of the point (x, y) from the x axis, in rad.
+    fn atan2(y: N, x: N) -> N;
 }
 
 /// The functions of `f64` by `libm`: the same bits on every platform and in every build.
@@ -63,5 +66,9 @@ impl Functions<f64> for Libm {
 
     fn tanh(x: f64) -> f64 {
         libm::tanh(x)
+    }
+
+    fn atan2(y: f64, x: f64) -> f64 {
+        libm::atan2(y, x)
     }
 }

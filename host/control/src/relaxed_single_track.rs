@@ -20,7 +20,7 @@ const RELAXATION_TIME: f64 = 0.02;
 ///   where the dynamic one is stiff (RK4 at 1 kHz is unstable below 0.054 m/s)
 ///   and at standstill undefined;
 /// - the slip angles are formed with |v|, so that reversing is damped too;
-/// - the lateral force of an axle saturates smoothly at μ times its load.
+/// - the lateral force of an axle saturates smoothly at μ times its load, or has another curve.
 ///
 /// At higher speeds forward it is equation 1 to first order in the slip angles.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,9 +32,13 @@ impl RelaxedSingleTrack {
     /// The model of `vehicle`.
     #[must_use]
     pub fn new(vehicle: VehicleParameters) -> Self {
-        Self {
-            axles: Axles::new(vehicle, Tyres::Saturating),
-        }
+        Self::with_axles(Axles::new(vehicle, Tyres::Saturating))
+    }
+
+    /// The model with these axles.
+    #[must_use]
+    pub const fn with_axles(axles: Axles) -> Self {
+        Self { axles }
     }
 
     /// The parameters of the vehicle.
@@ -80,7 +84,7 @@ impl RelaxedSingleTrack {
         }
     }
 
-    /// Newton's equations with saturating axle forces.
+    /// Newton's equations with the forces of the axles.
     fn dynamic(&self, state: &SingleTrackState, speed: f64, steering: f64) -> LateralRate {
         // The equations divide by the speed; below this one the kinematic model alone counts.
         let pace = speed.abs().max(KINEMATIC_BELOW);
@@ -91,7 +95,7 @@ impl RelaxedSingleTrack {
             steering,
         };
         let forces = self.axles.forces::<Libm, f64>(&motion);
-        self.axles.lateral(&motion, &forces)
+        self.axles.lateral::<Libm, f64>(&motion, &forces)
     }
 }
 

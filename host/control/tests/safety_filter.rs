@@ -34,8 +34,10 @@ fn config(area: ConvexArea) -> SafetyConfig {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,
+        slip: 0.0,
         wheelbase: WHEELBASE,
     }
 }
@@ -159,14 +161,25 @@ fn drive(
         let input = SafetyInput {
             estimate: &estimate,
             law: &law,
-            pace: estimate.speed.max(law.actuation().speed),
+            wheels: law.actuation().steering,
+            wave: 0.0,
             blind: 0.0,
             braking: BRAKING,
             period: PERIOD,
         };
-        let velocity = match filter.step(&input, &wanted) {
+        let last = law.actuation();
+        filter.observe(
+            estimate.speed.max(last.speed),
+            last.steering,
+            BRAKING,
+            PERIOD,
+        );
+        let filtered = filter.step(&input, &wanted, |law, velocity| {
+            law.step(&estimate.motion(), estimate.speed, velocity, PERIOD)
+        });
+        let velocity = match filtered {
             Filtered::Unchanged => Some(wanted),
-            Filtered::Changed(velocity) => {
+            Filtered::Limited(velocity) | Filtered::Scaled(velocity) => {
                 result.changed += 1;
                 Some(velocity)
             }

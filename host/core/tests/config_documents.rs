@@ -271,7 +271,7 @@ fn table() -> String {
 
 /// The unit that a key's name ends with.
 fn unit(name: &str) -> &'static str {
-    const UNITS: [(&str, &str); 22] = [
+    const UNITS: [(&str, &str); 23] = [
         ("_rad_s_per_sqrt_hz", "rad/s/√Hz"),
         ("_rad_s2_per_sqrt_hz", "rad/s²/√Hz"),
         ("_m_s2_per_sqrt_hz", "m/s²/√Hz"),
@@ -280,6 +280,7 @@ fn unit(name: &str) -> &'static str {
         ("_us_per_m_s", "µs per m/s"),
         ("_us_per_rad", "µs/rad"),
         ("_us_per_m", "µs/m"),
+        ("_per_m", "1/m"),
         ("_kg_m2", "kg m²"),
         ("_n_rad", "N/rad"),
         ("_rad_s", "rad/s"),

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint};
 use singletrack_core::diagnosis::Diagnosis;
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Filtering, Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
@@ -61,6 +61,10 @@ pub struct TickView {
     pub drive_time_s: Option<f64>,
     /// How far ahead the state was predicted to which the command belongs, in s.
     pub looked_ahead_s: Option<f64>,
+    /// What the safety filter did in the tick.
+    pub filtering: Filtering,
+    /// The number of ticks of the drive, or of the last one, in which it did anything.
+    pub filtered_ticks: u32,
     /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
     /// Position of P, in m.
@@ -86,6 +90,8 @@ impl From<&TickRecord> for TickView {
             held: output.held,
             drive_time_s: output.drive_time,
             looked_ahead_s: output.looked_ahead,
+            filtering: output.filtering,
+            filtered_ticks: output.filtered_ticks,
             estimate: output.estimate,
             point: output.point,
             reference: output.reference,
@@ -119,6 +125,8 @@ impl Snapshot {
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
             "looked_ahead_s": tick.and_then(|tick| tick.looked_ahead_s),
+            "filtering": tick.map(|tick| tick.filtering.name()),
+            "filtered_ticks": tick.map(|tick| tick.filtered_ticks),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
                 "x_m": estimate.position.x,
                 "y_m": estimate.position.y,

@@ -45,6 +45,7 @@ struct StateLine {
     board_age: Option<f64>,
     setpoint: Option<SetpointInForce>,
     setpoint_refused: Option<&'static str>,
+    filtering: &'static str,
 }
 
 #[derive(Debug, Serialize)]
@@ -102,6 +103,7 @@ impl StateLines {
                 age: since(stamp.time.0),
             }),
             setpoint_refused: output.setpoint_refused.map(SetpointRefusal::name),
+            filtering: output.filtering.name(),
         };
         serde_json::to_string(&line).ok()
     }

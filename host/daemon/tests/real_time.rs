@@ -17,7 +17,8 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_pilot::Mode;
+use singletrack_pilot::{Filtering, Mode};
+use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
 
 use simulated_drive::SimulatedDrive;
@@ -129,6 +130,26 @@ fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
         drive.after_tick();
     }
     assert_eq!(total, 0, "allocations");
+}
+
+#[test]
+fn a_tick_of_the_safety_filter_allocates_nothing() {
+    let mut config = SimulatedDrive::new().config();
+    config.safety_filter.enabled = true;
+    // P is to leave the geofence on every round.
+    for [x, _] in &mut config.fence.corners_m {
+        *x = x.min(0.6);
+    }
+    let mut drive = SimulatedDrive::with(config, SimulationConfig::default());
+    let (mut total, mut filtered) = (0, 0);
+    for index in 1..=3_000 {
+        drive.run_until_tick(index);
+        total += allocations(|| drive.tick(index));
+        let output = drive.output().unwrap();
+        filtered += u64::from(output.filtering != Filtering::None);
+    }
+    assert_eq!(total, 0, "allocations");
+    assert!(filtered > 50, "only {filtered} interventions");
 }
 
 #[test]

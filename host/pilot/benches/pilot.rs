@@ -33,6 +33,7 @@ fn pilot() -> Option<Pilot> {
         braking: 1.5,
         stop_deceleration: 1.5,
         compensation: Compensation::off(vehicle),
+        safety: None,
         period: 0.01,
     }))
 }

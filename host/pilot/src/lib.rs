@@ -31,7 +31,7 @@ pub use event::{
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
-pub use pilot::{Compensation, DriveCommand, Output, Pilot, PilotConfig, Underway};
+pub use pilot::{Compensation, DriveCommand, Filtering, Output, Pilot, PilotConfig, Underway};
 pub use refusal::SetpointRefusal;
 pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,

@@ -134,7 +134,8 @@ pub(crate) mod tests {
         Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Velocity,
     };
     use singletrack_pilot::{
-        BoardSample, BoardState, DriveCommand, LinkState, Mode, PilotRequest, PoseMissing, Reason,
+        BoardSample, BoardState, DriveCommand, Filtering, LinkState, Mode, PilotRequest,
+        PoseMissing, Reason,
     };
 
     use super::*;
@@ -168,6 +169,8 @@ pub(crate) mod tests {
                 disproved: false,
                 braking_measured: None,
                 setpoint_refused: None,
+                filtering: Filtering::None,
+                filtered_ticks: 0,
                 preflight: None,
                 jog: None,
                 setpoint: None,
@@ -252,6 +255,8 @@ pub(crate) mod tests {
                 disproved: false,
                 braking_measured: None,
                 setpoint_refused: None,
+                filtering: Filtering::None,
+                filtered_ticks: 0,
                 preflight: None,
                 jog: None,
                 setpoint: None,

@@ -12,7 +12,7 @@ use singletrack_campaign::Experiment;
 use singletrack_sim::{BoardKind, Installation};
 
 use crate::{
-    DriveOutcome, SetupError, Untampered, Until, Violation, drive, invariant,
+    DriveOutcome, FilterTicks, SetupError, Untampered, Until, Violation, drive, invariant,
     schedule::{Schedule, ScheduleError},
     tamper::Tamper,
 };
@@ -47,6 +47,10 @@ pub struct SeedOutcome {
     pub reasons: BTreeSet<String>,
     /// The names of the violated invariants.
     pub violated: BTreeSet<String>,
+    /// Whether the schedule has a hostile outer loop.
+    pub hostile: bool,
+    /// What the safety filter did.
+    pub filter: FilterTicks,
     /// The first violation, if there was one.
     pub failure: Option<SeedFailure>,
 }
@@ -89,6 +93,9 @@ pub struct CampaignOutcome {
     pub simulated_s: f64,
     /// Number of schedules in which each of the host's reasons not to drive occurred.
     pub reasons: BTreeMap<String, u64>,
+    /// What the safety filter did, without a hostile outer loop and with one; and in how many
+    /// schedules it drove.
+    pub filter: [(u64, FilterTicks); 2],
 }
 
 /// Why a result can't be read.
@@ -165,6 +172,11 @@ impl SeedOutcome {
             end_ms: schedule.end_ms,
             driven_ms: outcome.driven_ms,
             reasons: names(outcome.reasons),
+            hostile: schedule
+                .faults
+                .iter()
+                .any(|fault| fault.kind.is_hostile_loop()),
+            filter: outcome.filter,
             violated: names(outcome.violated),
             failure: outcome.violation.map(|violation| SeedFailure {
                 schedule: schedule.in_one_line(),
@@ -208,6 +220,10 @@ impl CampaignOutcome {
         for outcome in outcomes {
             sum.count += 1;
             sum.driven_s += f64::from(outcome.driven_ms) * 1e-3;
+            let [tame, hostile] = &mut sum.filter;
+            let (schedules, ticks) = if outcome.hostile { hostile } else { tame };
+            *schedules += u64::from(outcome.filter.driving > 0);
+            *ticks += outcome.filter;
             sum.simulated_s += f64::from(outcome.end_ms) * 1e-3;
             for (counts, names) in [
                 (&mut sum.violated, &outcome.violated),
@@ -250,6 +266,7 @@ pub(crate) fn attempt_until(
                 details: message(payload.as_ref()),
             }),
             driven_ms: 0,
+            filter: FilterTicks::default(),
         })
     })
 }

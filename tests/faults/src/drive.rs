@@ -1,11 +1,12 @@
 //! One drive: world, network, port and daemon in step, checked by every invariant.
 
+use core::ops::AddAssign;
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, ReceivedMessage, World};
@@ -48,6 +49,58 @@ pub struct DriveOutcome {
     pub driven_ms: u32,
     /// The names of the reasons for which the host did not drive.
     pub reasons: BTreeSet<&'static str>,
+    /// What the safety filter did.
+    pub filter: FilterTicks,
+}
+
+/// Numbers of ticks that followed an outer loop with the safety filter on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterTicks {
+    /// All of them.
+    pub driving: u64,
+    /// Those in which it limited the velocity of P.
+    pub limited: u64,
+    /// Those in which it scaled what was wanted.
+    pub scaled: u64,
+    /// Those in which it slowed the car down.
+    pub stopped: u64,
+    /// Drives that ended because the car came to stand by it.
+    pub cornered: u64,
+    /// Drives that the supervisor's geofence ended.
+    pub fenced: u64,
+}
+
+impl FilterTicks {
+    /// Counts a tick; `last` is what the filter did in the tick before, if that drove.
+    fn count(&mut self, output: &Output, last: Option<Filtering>) {
+        if output.mode == Mode::Driving {
+            self.driving += 1;
+            match output.filtering {
+                Filtering::None => {}
+                Filtering::Limited => self.limited += 1,
+                Filtering::Scaled => self.scaled += 1,
+                Filtering::Stopped => self.stopped += 1,
+            }
+        } else if output.mode == Mode::Stopping && output.reason == Some(Reason::OutsideFence) {
+            match last {
+                None => {}
+                Some(Filtering::Stopped) => self.cornered += 1,
+                Some(_) => self.fenced += 1,
+            }
+        }
+    }
+}
+
+impl AddAssign for FilterTicks {
+    fn add_assign(&mut self, other: Self) {
+        self.driving += other.driving;
+        self.limited += other.limited;
+        self.scaled += other.scaled;
+        self.stopped += other.stopped;
+        self.cornered += other.cornered;
+        self.fenced += other.fenced;
+    }
 }
 
 /// A violation of an invariant.
@@ -134,6 +187,9 @@ struct Drive<'a> {
     digest: Digest,
     driven_ms: u32,
     reasons: BTreeSet<&'static str>,
+    filter: FilterTicks,
+    /// What the safety filter did in the last tick, if that drove.
+    filtering: Option<Filtering>,
     board_since_us: Option<u64>,
     was_running: bool,
     resets: u64,
@@ -203,6 +259,8 @@ impl<'a> Drive<'a> {
             digest: Digest::default(),
             driven_ms: 0,
             reasons: BTreeSet::new(),
+            filter: FilterTicks::default(),
+            filtering: None,
             board_since_us: None,
             was_running: false,
             resets: 0,
@@ -230,6 +288,7 @@ impl<'a> Drive<'a> {
             violated: self.violated,
             driven_ms: self.driven_ms,
             reasons: self.reasons,
+            filter: self.filter,
         }
     }
 
@@ -390,6 +449,7 @@ impl<'a> Drive<'a> {
             let truth = self.world.truth();
             let sight = Sight {
                 position: Position::new(truth.x, truth.y),
+                yaw: truth.yaw,
                 drive_time_s: self.drive_time_s,
             };
             let mut faults = self.faults.iter().copied();
@@ -606,6 +666,15 @@ impl<'a> Drive<'a> {
         let has_ticked = observation.tick.is_some();
         let reason = observation.tick.and_then(|tick| tick.output.reason);
         self.reasons.extend(reason.map(Reason::name));
+        if let Some(tick) = observation.tick
+            && self.schedule.situation.safety_filter
+        {
+            let output = &tick.output;
+            let drives = output.mode == Mode::Driving;
+            let last = drives.then_some(output.filtering);
+            let last = core::mem::replace(&mut self.filtering, last);
+            self.filter.count(output, last);
+        }
         self.digest.add(&observation);
         for pulse in observation.pulses {
             self.driven_ms += 20 * u32::from(pulse.drives());

@@ -9,8 +9,8 @@ use std::{
 use clap::Parser;
 use singletrack_campaign::{CampaignArgs, CampaignError, Shard};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, ReadError, Recording, RecordingError, SeedOutcome,
-    SetupError, Untampered, Until, attempt, planted,
+    Campaign, CampaignOutcome, Failure, FilterTicks, ReadError, Recording, RecordingError,
+    SeedOutcome, SetupError, Untampered, Until, attempt, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -157,6 +157,9 @@ fn run(options: &Options) -> Result<bool, Error> {
         "the car was driven for {:.0} s of {:.0} s",
         outcome.driven_s, outcome.simulated_s
     )?;
+    for (name, (schedules, ticks)) in ["other", "hostile"].iter().zip(outcome.filter) {
+        print_filter(out, name, schedules, ticks)?;
+    }
     writeln!(
         out,
         "{} schedules, {} violations",
@@ -164,6 +167,29 @@ fn run(options: &Options) -> Result<bool, Error> {
         outcome.failures.len()
     )?;
     Ok(outcome.failures.is_empty())
+}
+
+/// How often the safety filter intervened.
+fn print_filter(
+    out: &mut impl Write,
+    loops: &str,
+    schedules: u64,
+    ticks: FilterTicks,
+) -> io::Result<()> {
+    if ticks.driving == 0 {
+        return Ok(());
+    }
+    let percent = |part: u64| 100.0 * part as f64 / ticks.driving as f64;
+    writeln!(
+        out,
+        "safety filter before {loops} outer loops: {schedules} schedules, {} ticks, limited {:.2} %, scaled {:.2} %, stopped {:.2} %; drives ended: {} by it, {} by the geofence",
+        ticks.driving,
+        percent(ticks.limited),
+        percent(ticks.scaled),
+        percent(ticks.stopped),
+        ticks.cornered,
+        ticks.fenced
+    )
 }
 
 fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {

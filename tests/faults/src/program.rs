@@ -27,12 +27,15 @@ const LOCK: f64 = 1.5;
 pub(crate) struct Program {
     next_us: u64,
     random: Random,
+    /// The velocity of a loop that wants P to move anywhere, and until when.
+    anywhere: (Velocity, u64),
 }
 
 /// What the program knows of the car.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sight {
     pub(crate) position: Position,
+    pub(crate) yaw: f64,
     /// Time since the drive began, in s; `None` while the car does not drive.
     pub(crate) drive_time_s: Option<f64>,
 }
@@ -62,6 +65,7 @@ impl Program {
         Self {
             next_us: 0,
             random: Random::new(seed, Stream::Program),
+            anywhere: (Velocity::zeros(), 0),
         }
     }
 
@@ -132,12 +136,57 @@ impl Program {
                 let stamp = good(now).stamp;
                 vec![Sent::Trajectory(Box::new(Trajectory { stamp, points }))]
             }
+            kind if kind.is_hostile_loop() => {
+                let velocity = self.hostile_loop(now_us, kind, severity, sight);
+                one(Setpoint::point(now, None, velocity))
+            }
             _ => {
                 // Without a pause.
                 self.next_us = now_us;
                 (0..FLOOD).map(|_| Sent::Setpoint(self.any(now))).collect()
             }
         }
+    }
+
+    /// The velocity of P that a hostile outer loop wants, in m/s.
+    fn hostile_loop(
+        &mut self,
+        now_us: u64,
+        kind: FaultKind,
+        severity: u64,
+        sight: Sight,
+    ) -> Velocity {
+        let Position { coords, .. } = sight.position;
+        // The geofence is a square around the origin.
+        let outward = if coords.x.abs() > coords.y.abs() {
+            Velocity::new(coords.x.signum(), 0.0)
+        } else {
+            Velocity::new(0.0, coords.y.signum())
+        };
+        let turn = now_us / 1_000 / severity;
+        let wanted = match kind {
+            FaultKind::LoopBangBang => {
+                let side = if turn.is_multiple_of(2) { 1.2 } else { -1.2 };
+                direction(sight.yaw + side)
+            }
+            FaultKind::LoopFeint if !turn.is_multiple_of(4) => {
+                // The way that the car already goes.
+                let along = Velocity::new(-outward.y, outward.x);
+                along * along.dot(&direction(sight.yaw)).signum()
+            }
+            FaultKind::LoopRandom => {
+                let (velocity, until_us) = self.anywhere;
+                if now_us < until_us {
+                    return velocity;
+                }
+                let angle = f64::from(self.random.between(0, 6_283)) * 1e-3;
+                let speed = f64::from(self.random.between(0, 3_000)) * 1e-3;
+                self.anywhere = (speed * direction(angle), now_us + severity * 1_000);
+                return self.anywhere.0;
+            }
+            _ => outward,
+        };
+        FAST * wanted
     }
 
     /// Any set-point at all.

@@ -15,6 +15,8 @@ pub(crate) enum Stream {
     Program = 4,
     /// Its faults in a schedule.
     ProgramFaults = 5,
+    /// The safety filter and hostile outer loops of a schedule.
+    HostileLoops = 6,
 }
 
 impl Random {

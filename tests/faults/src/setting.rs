@@ -99,9 +99,11 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
          margin_m = 0.0\nbraking_m_s2 = {}\n\
          [supervisor]\nprove_first_metre = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
+         [safety_filter]\nenabled = {}\n\
          {BOARD}",
         f64::from(situation.braking_mm_s2) * 1e-3,
-        !situation.proved
+        !situation.proved,
+        situation.safety_filter
     );
     let mut config = Config::from_toml(&text).map_err(SetupError::Config)?;
     // A kill output takes the supply, without which nothing brakes.

@@ -9,8 +9,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FailsafeKind, FenceSection, LawKind, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SerialSection,
-    SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
+    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection,
+    SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -54,6 +54,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         fence: FenceSection::square(FENCE_WIDTH_M, BRAKING_M_S2),
         actuators: ActuatorsSection::default(),
         compensation: CompensationSection::default(),
+        safety_filter: SafetyFilterSection::default(),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())

@@ -11,7 +11,7 @@ use singletrack::dump::{DumpArgs, Format, dump};
 use singletrack_control::{
     Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
-use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Mode, Output};
+use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output};
 use singletrack_protocol::{BoardMode, ImuState, Sequence, StopCause, Telemetry};
 use singletrack_record::{
     ClockMapping, DriveWrite, Entry, LinkPhase, Meta, Recorder, TelemetryRecord, TickRecord,
@@ -105,6 +105,8 @@ fn tick(index: u64) -> Entry {
             disproved: false,
             braking_measured: None,
             setpoint_refused: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
             setpoint: None,
             preflight: None,
             jog: None,

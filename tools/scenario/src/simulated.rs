@@ -6,8 +6,8 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FenceSection, LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection,
-    OuterLoopSection, RecordSection, ReferenceSection, SerialSection, SocketSection, StateSection,
-    SupervisorSection, UpAxisKind, WatchSection,
+    OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection, SerialSection,
+    SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -86,6 +86,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         board: BoardSection::from(&default_board_configuration()),
         actuators: ActuatorsSection::default(),
         compensation: CompensationSection::default(),
+        safety_filter: SafetyFilterSection::default(),
         control: ControlSection::default(),
         record: RecordSection::default(),
         state: StateSection::default(),

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use singletrack_control::{SlipAngles, Tyres};
 use singletrack_core::config::UpAxisKind;
 use singletrack_scenario::simulate::{
     RunOptions, Scenario, Simulation, Summary, simulate, simulate_with, virtual_drive_config,
@@ -203,6 +204,55 @@ fn a_section_of_the_daemon_may_be_given_in_part() {
     assert_eq!(config.control.period_ms, 10);
 }
 
+/// The sections of the simulator's file: what they leave out follows the belief, and `[truth]`
+/// replaces what they say.
+#[test]
+fn a_scenario_takes_the_sections_of_the_simulator() {
+    let scenario = scenario(
+        r#"
+        [simulation.car]
+        tyre_curve = "magic-formula"
+        slip_angles = "exact"
+        [simulation.car.vehicle]
+        friction = 0.6
+        [simulation.car.servo]
+        lag_s = 0.06
+        dead_time_us = 5000
+        [simulation.car.motor]
+        lag_s = 0.2
+        neutral_us = 1510
+        [simulation.car.imu]
+        gyro_noise_rad_s = 0.01
+        [simulation.board]
+        clock_skew_ppm = -200
+        [simulation.cameras]
+        orientation_noise_rad = 0.004
+        [simulation.wire.faults]
+        drop = 0.001
+        [board.servo]
+        gain_us_per_rad = -700
+        [truth.esc]
+        neutral_us = 1520
+        "#,
+    );
+    let (config, simulation) = virtual_drive_config(&scenario).unwrap();
+    let car = &simulation.car;
+    assert_eq!(car.tyre_curve, Tyres::MagicFormula);
+    assert_eq!(car.slip_angles, SlipAngles::Exact);
+    assert_eq!(car.vehicle.friction, 0.6);
+    assert_eq!((car.servo.lag_s, car.servo.dead_time_us), (0.06, 5_000));
+    assert_eq!((car.motor.lag_s, car.motor.neutral_us), (0.2, 1_520));
+    assert_eq!(car.imu.gyro_noise_rad_s, 0.01);
+    assert_eq!(simulation.board.clock_skew_ppm, -200);
+    assert_eq!(simulation.cameras.orientation_noise_rad, 0.004);
+    assert_eq!(simulation.wire.faults.drop, 0.001);
+    // As believed, because nothing says otherwise.
+    assert_eq!(car.servo.gain_us_per_rad, -700.0);
+    assert_eq!(config.vehicle, scenario.vehicle);
+    // A car that may differ has to prove itself.
+    assert!(config.supervisor.prove_first_metre);
+}
+
 #[test]
 fn unknown_keys_and_bad_values_are_named() {
     for (adds, words) in [
@@ -221,6 +271,32 @@ fn unknown_keys_and_bad_values_are_named() {
         (
             "[truth.drive_train]\nslip = 1.0",
             ["truth.drive_train.slip", "1"],
+        ),
+        (
+            "[truth.vehicle]\ntyre_curve = \"round\"",
+            ["round", "magic-formula"],
+        ),
+        (
+            "[truth.vehicle]\nslip_angles = \"round\"",
+            ["round", "exact"],
+        ),
+        ("[simulation]\ncolour = 1", ["simulation", "colour"]),
+        (
+            "[simulation.car.servo]\ncolour = 1",
+            ["simulation", "colour"],
+        ),
+        (
+            "[simulation.cameras]\nperiod_us = 1",
+            ["cameras.period_us", "1"],
+        ),
+        ("[simulation]\nseed = 1", ["simulation.seed", "run.seed"]),
+        (
+            "[simulation.car.start]\nx_m = 1.0",
+            ["simulation.car.start", "[start]"],
+        ),
+        (
+            "[simulation.board]\nkind = \"uno\"",
+            ["simulation.board.kind", "plant.board"],
         ),
         ("[operator]\ncolour = 1", ["unplug_at_s", "colour"]),
         (
@@ -242,6 +318,7 @@ fn unknown_keys_and_bad_values_are_named() {
 fn the_ideal_plant_has_none_of_it() {
     for adds in [
         "[truth]",
+        "[simulation]",
         "[operator]",
         "[board]",
         "[fence]",

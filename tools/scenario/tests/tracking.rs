@@ -62,6 +62,48 @@ fn p_follows_within_millimetres() {
     }
 }
 
+/// A car whose structure is not that of the model in the controller: Pacejka's tyres, exact slip
+/// angles.
+#[test]
+fn p_follows_as_closely_on_a_car_of_another_structure() {
+    const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
+    const OTHER: &str =
+        "[truth.vehicle]\ntyre_curve = \"magic-formula\"\nslip_angles = \"exact\"\n";
+    for (name, most) in [
+        ("circle-1.0", 0.5),
+        ("circle-1.5", 1.0),
+        ("eight-4x2", 1.5),
+        ("eight-6x3", 2.2),
+    ] {
+        let text = with(&best(name), &[], PROVED);
+        let own = error_mm(&with(&text, &[], "[truth]\n"));
+        let other = error_mm(&with(&text, &[], OTHER));
+        println!("{name}: {own:.3} mm, {other:.3} mm");
+        assert!(other <= most, "{name}: {other} mm");
+        assert!((other - own).abs() < 0.1, "{name}: {own} mm, {other} mm");
+        assert_ne!(own.to_bits(), other.to_bits(), "it is another car");
+    }
+}
+
+#[test]
+fn a_scenario_drives_faster_than_two_metres_per_second() {
+    let text = best("../circle-fast");
+    let error = error_mm(&text);
+    assert!(error < 4.0, "{error} mm");
+    let rows = simulate(&scenario(&text)).unwrap().rows;
+    let way: f64 = rows
+        .windows(2)
+        .filter(|pair| pair[0].t >= SETTLED)
+        .map(|pair| (pair[1].x_p - pair[0].x_p).hypot(pair[1].y_p - pair[0].y_p))
+        .sum();
+    let seconds = rows.last().unwrap().t - SETTLED;
+    assert!((way / seconds - 2.2).abs() < 0.005, "{} m/s", way / seconds);
+    // Without its sections the configuration refuses the speed, by name.
+    let slow = text.replace("[supervisor]\nhold_ms = 100\nhold_distance_m = 0.1\n", "");
+    let error = simulate(&scenario(&slow)).err().unwrap().to_string();
+    assert!(error.contains("supervisor.hold_ms"), "{error}");
+}
+
 #[test]
 fn each_compensation_is_worth_what_it_is_for() {
     let circle = with(&best("circle-1.0"), &[UNIT_GAIN], "");

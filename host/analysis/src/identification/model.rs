@@ -113,7 +113,7 @@ impl<D: Dual> Model<D> {
             yaw_rate: s.yaw_rate,
             sideslip: s.sideslip,
         };
-        let lateral = self.axles.lateral(&motion, &forces);
+        let lateral = self.axles.lateral::<DualFunctions, D>(&motion, &forces);
         let rate = state.derivative::<DualFunctions>(s.speed, lateral);
         // Perpendicular to the course, positive to the left.
         let centripetal = (forces.front + forces.rear) / self.axles.vehicle().mass_kg;

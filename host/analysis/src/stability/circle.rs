@@ -260,7 +260,7 @@ impl SteadyCircle {
         };
         let axles = Axles::new(vehicle, Tyres::Saturating);
         let forces = axles.forces::<DualFunctions, D>(&motion);
-        let lateral = axles.lateral(&motion, &forces);
+        let lateral = axles.lateral::<DualFunctions, D>(&motion, &forces);
         [
             yaw_rate - self.point_speed / radius,
             lateral.yaw_rate,

@@ -2,8 +2,9 @@
 //! inside its area.
 //!
 //! Two stages. The first is a quadratic program: of the velocities that keep P able to stop
-//! before each side, with speed and lateral acceleration in bounds, the one nearest to what is
-//! wanted. It makes the filter gentle, and the claim does not rest on it. The second tries the
+//! before each side, the one nearest to what is wanted; and if that one does not pass, of those
+//! that keep the lateral acceleration in bounds too. It makes the filter gentle, and the claim
+//! does not rest on it. The second tries the
 //! law with that velocity, and with slower ones, and takes the first after which every stop
 //! that the car may make stays inside. If there is none, the car stops, which the tick before
 //! has proved to stay inside. `docs/safety-filter.md` states the claim with its assumptions.
@@ -18,16 +19,21 @@ use self::{
     projection::{HalfPlane, MOST, nearest},
     stop_way::{Range, StopWay, Wheels},
 };
-use crate::{ConvexArea, Estimate, LimitedLaw, Position, Velocity, direction};
+use crate::{
+    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Velocity, direction,
+};
 
 /// The number of ticks whose steering commands may still be on their way to the wheels.
-pub const MAX_STEERING_TICKS: usize = 32;
+pub const MAX_STEERING_TICKS: usize = 64;
 /// Below this speed (m/s) the measured curvature is noise.
 const BENDS_FROM: f64 = 0.2;
 /// What a steering angle may exceed its bound by through rounding, rad.
 const ROUNDING: f64 = 1e-9;
 /// How much slower the velocities are that are tried one after the other.
 const SLOWER: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
+/// How much earlier steering and speed from outside are scaled than a stop must begin, s: they
+/// have no stage that makes the filter gentle.
+const EARLY: f64 = 0.1;
 
 /// What the [`SafetyFilter`] rests on.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,10 +52,14 @@ pub struct SafetyConfig {
     pub course_error: f64,
     /// The largest deviation of the path's curvature from tan(δ)/L, 1/m: slip, play and trim.
     pub curvature_error: f64,
+    /// The most by which a moving car may become faster than it was measured and commanded, m/s.
+    pub speed_error: f64,
     /// The largest speed of P, m/s.
     pub max_speed: f64,
     /// The largest lateral acceleration, m/s².
     pub max_lateral_acceleration: f64,
+    /// The part of the steering angle that the tyres' slip takes at that limit, rad.
+    pub slip: f64,
     /// Distance between the axles, m.
     pub wheelbase: f64,
 }
@@ -71,8 +81,11 @@ pub struct SafetyInput<'a> {
     pub estimate: &'a Estimate,
     /// The law as it is before this tick.
     pub law: &'a LimitedLaw,
-    /// The largest of the estimated, the measured and the commanded speed, m/s.
-    pub pace: f64,
+    /// The angle of the front wheels, as far as the law knows, rad.
+    pub wheels: f64,
+    /// The most by which the angle that is sent may differ from that of the law, rad. A stop
+    /// sends that of the law.
+    pub wave: f64,
     /// The way since the last pose, m.
     pub blind: f64,
     /// The deceleration that every stop reaches, m/s².
@@ -86,9 +99,23 @@ pub struct SafetyInput<'a> {
 pub enum Filtered {
     /// Nothing: give it to the law as it is.
     Unchanged,
-    /// Another velocity of P is to be given to the law, in m/s.
-    Changed(Velocity),
+    /// The velocity of P nearest to the wanted one within the bounds is to be given to the law,
+    /// in m/s.
+    Limited(Velocity),
+    /// A part of that one, because it would not leave the car able to stop inside, in m/s.
+    Scaled(Velocity),
     /// None keeps the car able to stop inside: slow down now, with the steering held.
+    Stop,
+}
+
+/// What the filter made of steering and speed from outside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FilteredDemand {
+    /// Nothing: obey it as it is.
+    Unchanged,
+    /// Obey this part of the speed and of the change of the steering, 0 to 1.
+    Scaled(f64),
+    /// No part keeps the car able to stop inside: slow down now, with the steering held.
     Stop,
 }
 
@@ -98,8 +125,10 @@ pub struct SafetyFilter {
     config: SafetyConfig,
     /// The speed that commands on their way may still lead to, m/s.
     pace: f64,
-    /// The steering of the last ticks, rad; the last one first.
+    /// The steering sent in the last ticks, rad; the last one first.
     steering: [f64; MAX_STEERING_TICKS],
+    /// Between these angles the wheels stand, rad.
+    on_their_way: Range,
 }
 
 impl SafetyFilter {
@@ -114,8 +143,10 @@ impl SafetyFilter {
             ("position_error", config.position_error),
             ("course_error", config.course_error),
             ("curvature_error", config.curvature_error),
+            ("speed_error", config.speed_error),
             ("max_speed", config.max_speed),
             ("max_lateral_acceleration", config.max_lateral_acceleration),
+            ("slip", config.slip),
             ("wheelbase", config.wheelbase),
             (
                 "steering_ticks",
@@ -134,66 +165,127 @@ impl SafetyFilter {
             config,
             pace: 0.0,
             steering: [0.0; MAX_STEERING_TICKS],
+            on_their_way: Range::only(0.0),
         })
     }
 
-    /// Forgets the commands of the last drive; the wheels are at `steering` (rad).
+    /// Forgets the speeds of the last drive; the wheels stand between straight ahead and
+    /// `steering` (rad), to where they were sent last.
     pub const fn reset(&mut self, steering: f64) {
         self.pace = 0.0;
         self.steering = [steering; MAX_STEERING_TICKS];
+        // A board that has restarted has set them straight.
+        self.steering[0] = 0.0;
+        self.on_their_way = Range::only(steering).with(0.0);
+    }
+
+    /// Notes what is known at a tick, before the step: the largest of the estimated, the
+    /// measured and the commanded speed (`pace`, m/s), the steering that was sent last (rad), and
+    /// the deceleration that every stop reaches (m/s²), over a period (s). To be called at every
+    /// tick of a drive, whatever drives it.
+    pub fn observe(&mut self, pace: f64, sent: f64, braking: f64, period: f64) {
+        // A pace that is not finite must not count as standstill. What was commanded may still
+        // be on its way, however slow the car is now.
+        let pace = if pace.is_finite() { pace } else { f64::MAX };
+        self.pace = pace.max(self.pace - braking * period);
+        self.steering.copy_within(..MAX_STEERING_TICKS - 1, 1);
+        self.steering[0] = sent;
+        self.on_their_way = self.steering[..=self.config.steering_ticks]
+            .iter()
+            .fold(Range::only(sent), |range, steering| range.with(*steering));
     }
 
     /// One tick: what to do in place of `wanted`, the velocity of P that an outer loop asks for
-    /// (m/s; any bits).
-    pub fn step(&mut self, input: &SafetyInput<'_>, wanted: &Velocity) -> Filtered {
-        self.observe(input);
+    /// (m/s; any bits). `advance` is the step of the law that would follow.
+    pub fn step(
+        &self,
+        input: &SafetyInput<'_>,
+        wanted: &Velocity,
+        advance: impl Fn(&mut LimitedLaw, &Velocity) -> Result<Actuation, Singularity>,
+    ) -> Filtered {
         if !(wanted.x.is_finite() && wanted.y.is_finite()) {
             return Filtered::Stop;
         }
-        let gentle = self.gentle(input, wanted);
+        let passes = |candidate: &Velocity| {
+            let mut law = input.law.clone();
+            // Where the law is singular the pilot stops the car: the stop is judged all the same.
+            let next = advance(&mut law, candidate).unwrap_or(input.law.actuation());
+            self.keeps_a_stop(input, &next, 0.0)
+        };
+        // The law limits the speed of P too.
+        let speed = wanted.norm();
+        let limited = if speed > self.config.max_speed {
+            wanted * (self.config.max_speed / speed)
+        } else {
+            *wanted
+        };
+        let mut planes = self.towards_sides(input);
+        let near = nearest(&limited, &planes, self.config.max_speed);
+        if near == limited {
+            if passes(wanted) {
+                return Filtered::Unchanged;
+            }
+        } else if passes(&near) {
+            return Filtered::Limited(near);
+        }
+        for plane in self.in_bends(input) {
+            if plane.most.is_finite() {
+                // There is room for the sides and for these.
+                let _ = planes.push(plane);
+            }
+        }
+        let near = nearest(&limited, &planes, self.config.max_speed);
         for share in SLOWER {
-            let candidate = gentle * share;
-            if self.keeps_a_stop(input, &candidate) {
-                return if candidate == *wanted {
-                    Filtered::Unchanged
+            if passes(&(near * share)) {
+                return if share == 1.0 {
+                    Filtered::Limited(near)
                 } else {
-                    Filtered::Changed(candidate)
+                    Filtered::Scaled(near * share)
                 };
             }
         }
         Filtered::Stop
     }
 
-    fn observe(&mut self, input: &SafetyInput<'_>) {
-        // What was commanded may still be on its way, however slow the car is now.
-        self.pace = input.pace.max(self.pace - input.braking * input.period);
-        self.steering.copy_within(..MAX_STEERING_TICKS - 1, 1);
-        self.steering[0] = input.law.actuation().steering;
-    }
-
-    /// The velocity nearest to `wanted` with which P can stop before each side, and the car is
-    /// not too fast for its bend.
-    fn gentle(&self, input: &SafetyInput<'_>, wanted: &Velocity) -> Velocity {
-        let estimate = input.estimate;
-        let steering = input.law.actuation().steering;
-        let law = input.law.law();
-        let point = law.point(estimate.position, estimate.yaw, steering);
-        let mut planes = Vec::<HalfPlane, MOST>::new();
-        for side in self.config.area.sides() {
-            let room = side.distance(&point) - self.config.position_error - input.blind;
-            let plane = HalfPlane {
-                along: side.outward,
-                most: self.approach(input, room),
+    /// One tick of a controller outside that demands steering and speed. `advance` is the step
+    /// that would follow, with this part of the speed and of the change of the steering.
+    pub fn demand(
+        &self,
+        input: &SafetyInput<'_>,
+        advance: impl Fn(&mut LimitedLaw, f64) -> Result<Actuation, Singularity>,
+    ) -> FilteredDemand {
+        for share in SLOWER {
+            let mut law = input.law.clone();
+            let early = if share > 0.0 { EARLY } else { 0.0 };
+            let Ok(next) = advance(&mut law, share) else {
+                return FilteredDemand::Stop;
             };
-            // There is room for every side and for the bends.
-            let _ = planes.push(plane);
-        }
-        for plane in self.in_bends(input) {
-            if plane.most.is_finite() {
-                let _ = planes.push(plane);
+            if self.keeps_a_stop(input, &next, early) {
+                return if share == 1.0 {
+                    FilteredDemand::Unchanged
+                } else {
+                    FilteredDemand::Scaled(share)
+                };
             }
         }
-        nearest(wanted, &planes, self.config.max_speed)
+        FilteredDemand::Stop
+    }
+
+    /// The bounds that leave P able to stop before each side.
+    fn towards_sides(&self, input: &SafetyInput<'_>) -> Vec<HalfPlane, MOST> {
+        let estimate = input.estimate;
+        let point = input
+            .law
+            .law()
+            .point(estimate.position, estimate.yaw, input.wheels);
+        let bound = |side: &Side| {
+            let room = side.distance(&point) - self.config.position_error - input.blind;
+            HalfPlane {
+                along: side.outward,
+                most: self.approach(input, room),
+            }
+        };
+        self.config.area.sides().iter().map(bound).collect()
     }
 
     /// The speed towards a side from which P can stop within `room` (m): it goes on for the
@@ -211,14 +303,14 @@ impl SafetyFilter {
     /// the velocity of P. Standing is always allowed.
     fn in_bends(&self, input: &SafetyInput<'_>) -> [HalfPlane; 3] {
         let estimate = input.estimate;
-        let (law, steering) = (input.law.law(), input.law.actuation().steering);
+        let (law, steering) = (input.law.law(), input.wheels);
         let cosine = cos(estimate.sideslip - steering);
         let axle = estimate.yaw_rate * law.front_axle_distance();
         // v cos(β - δ) = v_P·(direction of the wheels) - r l_f sin δ.
         let sharpest = self
-            .on_their_way()
-            .chain(self.measured_curvature(input))
-            .fold(0.0, |most: f64, curvature| most.max(fabs(curvature)));
+            .measured_curvature(input)
+            .map_or(0.0, fabs)
+            .max(self.curvature(self.sharpest_rolling(input)));
         let fastest = sqrt(self.config.max_lateral_acceleration / sharpest);
         // u_δ p cos(β - δ) = v_P·(left of the course) - r l_f cos β - r p cos(β - δ).
         let course = direction(estimate.yaw + estimate.sideslip);
@@ -248,14 +340,25 @@ impl SafetyFilter {
     /// car may have, rad.
     fn widest_steering(&self) -> f64 {
         let curvature = self.config.max_lateral_acceleration / (self.pace * self.pace);
-        atan(curvature * self.config.wheelbase)
+        atan(curvature * self.config.wheelbase) + self.config.slip
     }
 
-    /// The curvatures that were commanded and that the wheels may not have reached yet, 1/m.
-    fn on_their_way(&self) -> impl Iterator<Item = f64> + '_ {
-        self.steering[..=self.config.steering_ticks]
-            .iter()
-            .map(|steering| self.curvature(*steering))
+    /// The sharpest angle at which the wheels may stand, without the tyres' slip, rad.
+    fn sharpest_rolling(&self, input: &SafetyInput<'_>) -> f64 {
+        let Range { least, most } = self.on_their_way.widened(input.wave);
+        (fabs(least).max(fabs(most)) - self.config.slip).max(0.0)
+    }
+
+    /// The curvatures between which the path bends now, 1/m: those of the angles between which
+    /// the wheels stand, and the measured one.
+    fn present_curvatures(&self, input: &SafetyInput<'_>) -> Range {
+        let Range { least, most } = self.on_their_way.widened(input.wave);
+        let range = Range {
+            least: self.curvature(least),
+            most: self.curvature(most),
+        };
+        self.measured_curvature(input)
+            .map_or(range, |measured| range.with(measured))
     }
 
     fn curvature(&self, steering: f64) -> f64 {
@@ -267,21 +370,19 @@ impl SafetyFilter {
         (fabs(estimate.speed) > BENDS_FROM).then(|| estimate.yaw_rate / estimate.speed)
     }
 
-    /// Whether every stop after a tick with this velocity stays inside.
-    fn keeps_a_stop(&self, input: &SafetyInput<'_>, candidate: &Velocity) -> bool {
+    /// Whether every stop after a tick with this command stays inside, and would if it began
+    /// `early` (s) later.
+    fn keeps_a_stop(&self, input: &SafetyInput<'_>, next: &Actuation, early: f64) -> bool {
         let estimate = input.estimate;
-        let mut law = input.law.clone();
-        // Where the law is singular the pilot stops the car: the stop is judged all the same.
-        let next = law
-            .step(&estimate.motion(), estimate.speed, candidate, input.period)
-            .unwrap_or(input.law.actuation());
-        let pace = self.pace.max(fabs(next.speed));
-        let commanded = self.curvature(next.steering);
+        let pace = match self.pace.max(fabs(next.speed)) {
+            0.0 => 0.0,
+            moving => moving + self.config.speed_error,
+        };
         let now = input.law.actuation().steering;
         if fabs(next.steering) > fabs(now).max(self.widest_steering() + ROUNDING) {
             return false;
         }
-        let reaction = self.config.reaction + input.period;
+        let reaction = self.config.reaction + input.period + early;
         let (of_curvature, of_course) = (self.config.curvature_error, self.config.course_error);
         let wheels = |curvatures: Range| Wheels {
             curvatures: curvatures.widened(of_curvature),
@@ -291,9 +392,9 @@ impl SafetyFilter {
                 .widened(of_course),
         };
         let first = self
-            .on_their_way()
-            .chain(self.measured_curvature(input))
-            .fold(Range::only(commanded), Range::with);
+            .present_curvatures(input)
+            .with(self.curvature(next.steering - input.wave))
+            .with(self.curvature(next.steering + input.wave));
         // The way since the last pose may have been on any of these bends: the whole length is
         // laid ahead of the estimate.
         let forward = StopWay {
@@ -303,7 +404,7 @@ impl SafetyFilter {
             first: wheels(first),
             settles_after: input.blind
                 + pace * input.period * (self.config.steering_ticks + 1) as f64,
-            then: wheels(Range::only(commanded)),
+            then: wheels(Range::only(self.curvature(next.steering))),
         };
         let inside =
             |way: &StopWay| way.stays_inside(&self.config.area, self.config.position_error);

@@ -21,6 +21,7 @@ mod motion_capture;
 mod outer_loop;
 mod output;
 mod reference;
+mod safety_filter;
 mod section;
 mod sections;
 mod serial;
@@ -60,6 +61,7 @@ pub use motion_capture::{
 pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
+pub use safety_filter::SafetyFilterSection;
 pub use section::{Key, Section};
 pub use sections::SECTIONS;
 pub use serial::SerialSection;
@@ -106,6 +108,9 @@ pub struct Config {
     /// What the controller corrects of clocks and actuators.
     #[serde(default)]
     pub compensation: CompensationSection,
+    /// What keeps the car able to stop inside the geofence, whatever an outer loop asks for.
+    #[serde(default)]
+    pub safety_filter: SafetyFilterSection,
     /// How the controller runs.
     #[serde(default)]
     pub control: ControlSection,
@@ -199,6 +204,8 @@ impl Config {
         self.board.validate()?;
         self.actuators.check()?;
         self.compensation.check()?;
+        self.safety_filter.check()?;
+        self.safety_filter.filter(self)?;
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;
@@ -237,6 +244,7 @@ impl Config {
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             compensation: self.compensation.config(&self.actuators, &self.vehicle),
+            safety: self.safety_filter.filter(self)?,
             period: value::seconds(self.control.period_ms),
         })
     }

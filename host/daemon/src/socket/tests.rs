@@ -8,7 +8,7 @@ use std::sync::{Arc, mpsc};
 
 use rtrb::{Consumer, RingBuffer};
 use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
-use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_pilot::{Filtering, Mode, PilotRequest};
 use singletrack_record::LinkPhase;
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -100,6 +100,8 @@ impl Bench {
             held: false,
             drive_time_s: None,
             looked_ahead_s: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
             estimate: None,
             point: None,
             reference: None,

@@ -2,10 +2,10 @@
 
 use singletrack_control::{
     Actuation, Estimate, EstimatorConfig, FrontPointLaw, Limits, Position, Reference,
-    ReferencePoint, SetpointStamp, Time, TrackingLoop, Velocity,
+    ReferencePoint, SafetyFilter, SetpointStamp, Time, TrackingLoop, Velocity,
 };
 
-use super::Compensation;
+use super::{Compensation, Filtering};
 use crate::{
     event::Jog,
     fence::Fence,
@@ -40,6 +40,9 @@ pub struct PilotConfig {
     pub stop_deceleration: f64,
     /// What is compensated of clocks and actuators.
     pub compensation: Compensation,
+    /// The filter between any outer loop and the law, before its first tick; none if what they
+    /// want passes as it is.
+    pub safety: Option<SafetyFilter>,
     /// The control period, s.
     pub period: f64,
 }
@@ -104,6 +107,10 @@ pub struct Output {
     pub setpoint: Option<SetpointStamp>,
     /// Why a set-point that came in this tick is not obeyed; of several the newest.
     pub setpoint_refused: Option<SetpointRefusal>,
+    /// What the safety filter did in this tick.
+    pub filtering: Filtering,
+    /// The number of ticks of the drive, or of the last one, in which it did anything.
+    pub filtered_ticks: u32,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.

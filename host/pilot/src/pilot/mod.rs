@@ -3,6 +3,7 @@
 mod compensation;
 mod events;
 mod interface;
+mod safety;
 mod verdicts;
 
 use libm::{cos, fabs, rint};
@@ -23,9 +24,11 @@ use crate::{
 };
 
 use compensation::{Compensator, Course};
+use safety::{LawStep, Safety};
 
 pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, Underway};
+pub use safety::Filtering;
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
@@ -37,6 +40,7 @@ pub struct Pilot {
     law: LimitedLaw,
     /// None if the actuators are not compensated.
     compensator: Option<Compensator>,
+    safety: Safety,
     estimator: Estimator,
     supervisor: Supervisor,
     imu: ImuWatch,
@@ -79,6 +83,7 @@ impl Pilot {
         Self {
             law: LimitedLaw::new(config.law, config.limits),
             compensator: Compensator::of(&config.compensation),
+            safety: Safety::new(config.safety.as_ref()),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
             imu: ImuWatch::default(),
@@ -124,6 +129,7 @@ impl Pilot {
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.compensator = Compensator::of(&config.compensation);
+        self.safety = Safety::new(config.safety.as_ref());
         self.estimator = Estimator::new(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.speeds.reset();
@@ -193,6 +199,8 @@ impl Pilot {
         let speeds = self.speeds_at(now, estimate.as_ref());
         let (period, watch) = (self.config.period, &self.config.watch);
         self.blind.advance(now, pace);
+        let (sent, braking) = (self.commanded_steering, self.braking());
+        self.safety.observe(pace, sent, braking, period);
         self.ticks.tick(now, period, watch);
         let max_speed = self.config.limits.max_speed;
         let most = match &self.proving {
@@ -224,6 +232,7 @@ impl Pilot {
             speed_mismatch: self.speeds.is_mismatched(),
             overspeed: self.speeds.is_overspeed(),
             commanded_speed: self.law.actuation().speed,
+            filter: self.safety.ends,
             inside_fence: estimate.is_none_or(|estimate| self.stops_inside(&estimate, pace)),
             late: self.ticks.is_late(watch),
             setpoint_stale: match &self.config.reference {
@@ -242,6 +251,7 @@ impl Pilot {
             if let Some(compensator) = &mut self.compensator {
                 compensator.begin(self.law.actuation().steering);
             }
+            self.safety.begin(self.commanded_steering);
             self.speeds.reset();
             self.sideslip.reset();
             self.steering.reset();
@@ -304,6 +314,8 @@ impl Pilot {
                 _ => None,
             },
             setpoint_refused: self.setpoint_refused,
+            filtering: Filtering::None,
+            filtered_ticks: self.safety.ticks,
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();
@@ -364,13 +376,12 @@ impl Pilot {
             .drive_start
             .map_or(0.0, |start| now.seconds_since(start));
         let before = self.law.actuation().speed;
-        let period = self.config.period;
         let actuation = match self.config.reference.demand(now, time) {
             Demand::Point(reference) => {
                 output.reference = Some(reference);
                 self.follow(now, time, &reference, estimate, output)
             }
-            Demand::Actuation { steering, speed } => self.law.follow(steering, speed, period),
+            Demand::Actuation { steering, speed } => self.step_demand(estimate, steering, speed),
         }
         .map_err(|_| match &self.proving {
             Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
@@ -390,6 +401,7 @@ impl Pilot {
         output.drive_time = Some(time);
         output.actuation = actuation;
         output.turning_round = self.law.is_turning_round();
+        (output.filtering, output.filtered_ticks) = (self.safety.filtering, self.safety.ticks);
         let mut command = command(estimate, &actuation, false);
         if coast {
             command.rear_speed = 0.0;
@@ -430,15 +442,16 @@ impl Pilot {
             let steering = self.law.actuation().steering;
             let point = law.point(estimate.position, estimate.yaw, steering);
             let velocity = config.tracking.velocity(reference, &point);
-            output.point_velocity = Some(velocity);
             let ahead = Ahead {
                 overtaken: overtaken(reference, &point),
                 lead: None,
             };
-            let (motion, speed) = (estimate.motion(), estimate.speed);
-            return self
-                .law
-                .step_ahead(&motion, speed, &velocity, &ahead, period);
+            let step = LawStep {
+                motion: estimate.motion(),
+                wheels: steering,
+                ahead,
+            };
+            return self.step_law(estimate, &step, &velocity, output);
         };
         let course = Course {
             law: &law,
@@ -452,15 +465,18 @@ impl Pilot {
             period,
         };
         let (state, velocity, lead) = compensator.look_ahead(estimate, self.imu_time, &course)?;
-        output.point_velocity = Some(velocity);
         output.looked_ahead = Some(state.ahead);
         let point = law.point(state.position, state.motion.yaw, state.wheels);
         let ahead = Ahead {
             overtaken: overtaken(reference, &point),
             lead: Some(lead),
         };
-        self.law
-            .step_ahead(&state.motion, estimate.speed, &velocity, &ahead, period)
+        let step = LawStep {
+            motion: state.motion,
+            wheels: state.wheels,
+            ahead,
+        };
+        self.step_law(estimate, &step, &velocity, output)
     }
 
     /// A tick of the proving run: limits the speed, and returns whether the car is to roll at

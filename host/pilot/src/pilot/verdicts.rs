@@ -106,7 +106,7 @@ impl Pilot {
 
     /// The deceleration that the geofence relies on, m/s²: as configured or as measured,
     /// whichever is lower.
-    fn braking(&self) -> f64 {
+    pub(super) fn braking(&self) -> f64 {
         let known = self.config.braking.min(self.stops.lowest().max(0.05));
         if self.proving.is_some() {
             known.min(UNPROVED_BRAKING)

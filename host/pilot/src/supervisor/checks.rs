@@ -246,6 +246,7 @@ impl LatestState {
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.blind, config))
             .or_else(|| check_fence_and_deadlines(conditions))
+            .or(conditions.filter)
             .or(conditions.contradiction)
             .or(conditions.doubt)
             .or(conditions.implausible_motion)

@@ -59,6 +59,8 @@ pub struct Conditions {
     pub overspeed: bool,
     /// The speed of the last drive command, m/s.
     pub commanded_speed: f64,
+    /// Why the safety filter ends the drive.
+    pub filter: Option<Reason>,
     /// Whether the car is inside the geofence and can stop there.
     pub inside_fence: bool,
     /// Whether ticks come too late.

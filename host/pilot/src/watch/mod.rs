@@ -24,7 +24,7 @@ pub(crate) use consistency::{FrozenWatch, InnovationWatch, SideslipWatch, Steeri
 pub(crate) use gyro::GyroWatch;
 pub use imu::ImuVerdict;
 pub(crate) use imu::ImuWatch;
-pub(crate) use proving::{PROVING_SPEED, Proving};
+pub(crate) use proving::{PROVING_SPEED, Proving, WAVE};
 pub(crate) use speed::SpeedWatch;
 pub(crate) use start::StartWatch;
 pub(crate) use steps::Steps;

@@ -44,7 +44,7 @@ const MOTOR_AFTER: f64 = 0.2;
 const MOTOR_TOLERANCE: (f64, f64) = (0.02, 0.15);
 
 /// The steering follows a wave until it is proved: its amplitude, rad, and its length, m.
-const WAVE: f64 = 0.18;
+pub(crate) const WAVE: f64 = 0.18;
 const WAVE_LENGTH: f64 = 0.5;
 
 /// The way at which the car is left to roll, m, for how long at most, s, and the lowest

@@ -94,6 +94,7 @@ pub(crate) fn config() -> PilotConfig {
         braking: 1.5,
         stop_deceleration: 1.5,
         compensation: Compensation::off(vehicle),
+        safety: None,
         period: 0.01,
     }
 }

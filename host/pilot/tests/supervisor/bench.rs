@@ -213,6 +213,7 @@ impl Bench {
                 inside_fence: true,
                 late: false,
                 setpoint_stale: false,
+                filter: None,
                 reference_finished: false,
             },
             health: None,

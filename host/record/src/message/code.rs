@@ -4,7 +4,8 @@
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
 use singletrack_pilot::{
-    BoardRequest, BoardState, LinkState, Mode, PilotRequest, PoseMissing, Reason, SetpointRefusal,
+    BoardRequest, BoardState, Filtering, LinkState, Mode, PilotRequest, PoseMissing, Reason,
+    SetpointRefusal,
 };
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
 
@@ -234,6 +235,12 @@ kinds! {
 }
 
 codes! {
+    Filtering as "FILTERING" {
+        None = 1,
+        Limited = 2,
+        Scaled = 3,
+        Stopped = 4,
+    }
     Mode as "MODE" {
         Disconnected = 1,
         Idle = 2,

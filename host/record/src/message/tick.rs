@@ -1,7 +1,9 @@
 //! A control tick and all that the pilot decided in it.
 
 use singletrack_control::{Actuation, Estimate, ReferencePoint};
-use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason, SetpointRefusal};
+use singletrack_pilot::{
+    BoardRequest, DriveCommand, Filtering, Mode, Output, Reason, SetpointRefusal,
+};
 
 use super::{
     code::{Code, OptionalCode},
@@ -88,6 +90,10 @@ fields! {
         setpoint: Maybe<StampMessage>,
         /// Why a set-point that came in this tick is not obeyed; of several the newest.
         setpoint_refused: OptionalCode<SetpointRefusal>,
+        /// What the safety filter did.
+        filtering: Code<Filtering>,
+        /// The number of ticks of the drive, or of the last one, in which it did anything.
+        filtered_ticks: u32,
     }
 }
 

@@ -9,7 +9,7 @@ use singletrack_control::{
     Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
-use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Mode, Output};
+use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
 };
@@ -138,6 +138,8 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             disproved: false,
             braking_measured: None,
             setpoint_refused: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
             setpoint: None,
             preflight: None,
             jog: None,

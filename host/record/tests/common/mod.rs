@@ -10,7 +10,7 @@ use singletrack_control::{
 };
 use singletrack_mocap::{Binding, CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
 use singletrack_pilot::{
-    BoardSample, BoardState, DriveCommand, Event, Mode, Output, PoseMissing, Reason,
+    BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output, PoseMissing, Reason,
 };
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
@@ -156,6 +156,8 @@ fn output() -> impl Strategy<Value = Output> {
                 disproved: false,
                 braking_measured: None,
                 setpoint_refused: None,
+                filtering: Filtering::None,
+                filtered_ticks: 0,
                 setpoint: None,
                 preflight: None,
                 jog: None,

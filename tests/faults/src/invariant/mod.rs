@@ -6,6 +6,7 @@ mod brake;
 mod cause;
 mod configuration;
 mod fence;
+mod filter;
 mod grid;
 mod host;
 mod proving;
@@ -81,6 +82,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<grid::CameraAlignment>::default(),
         Box::<fence::Fence>::default(),
         Box::<fence::EstimateError>::default(),
+        Box::<filter::Filter>::default(),
         Box::<stand::Stands>::default(),
         Box::<stand::WeakBrakes>::default(),
         Box::<stand::StopNotObeyed>::default(),

@@ -302,6 +302,14 @@ bugs! {
                 *y *= 3.0;
             }
         });
+    Host "has a safety filter that passes everything, and no geofence", "filter",
+        "reference external; safety_filter true; fault loop-at-fence at 4000 for 5000 severity 1000",
+        |_| Host(|config: &mut Config| {
+            config.safety_filter.enabled = false;
+            for corner in config.fence.corners_m.iter_mut().flatten() {
+                *corner *= 3.0;
+            }
+        });
     Host "declares no fault", "stop-not-obeyed",
         "fault esc-stuck at 6000 for 1 severity 1; ask disarm at 6100",
         |_| Ticks(|tick: &mut TickRecord| {

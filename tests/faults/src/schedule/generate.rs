@@ -38,6 +38,7 @@ impl Default for Situation {
             fence_mm: 2_000,
             braking_mm_s2: 900,
             pulse_distance_um: 3_000,
+            safety_filter: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -83,14 +84,16 @@ impl Schedule {
             !(again && fault.kind.happens_once())
         });
         let requests = requests(random, end_ms, &faults);
-        Self {
+        let mut schedule = Self {
             seed,
             situation,
             truth,
             end_ms,
             requests,
             faults,
-        }
+        };
+        filter(&mut schedule);
+        schedule
     }
 }
 
@@ -121,6 +124,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         fence_mm: random.spread(300, 3_000) as i32,
         braking_mm_s2: 900,
         pulse_distance_um: 3_000,
+        safety_filter: false,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
@@ -307,9 +311,52 @@ fn hostile(seed: u64, end_ms: u32, faults: &mut Vec<Fault>) {
     }
 }
 
+/// The safety filter, and the hostile outer loops before it: in a part of the schedules, and in
+/// half of those nothing else is wrong. The draws are a stream of their own, so that they change
+/// nothing in the others.
+fn filter(schedule: &mut Schedule) {
+    let random = &mut Random::new(schedule.seed, Stream::HostileLoops);
+    schedule.situation.safety_filter = random.happens(300);
+    if !random.happens(250) {
+        return;
+    }
+    let situation = &mut schedule.situation;
+    situation.safety_filter = true;
+    situation.reference = ReferenceKind::External;
+    if random.happens(500) {
+        schedule.faults.clear();
+        calibrate(random, situation, &mut schedule.truth);
+    }
+    let kinds = FaultKind::ALL.iter().copied();
+    let kinds: Vec<_> = kinds.filter(|kind| kind.is_hostile_loop()).collect();
+    for _ in 0..random.between(1, 3) {
+        schedule.faults.push(Fault {
+            kind: random.choose(FaultKind::LoopAtFence, &kinds),
+            at_ms: random.between(FIRST_ARM_MS, schedule.end_ms),
+            for_ms: random.spread(500, 10_000),
+            severity: random.spread(20, Fault::WORST),
+        });
+    }
+    schedule.faults.sort_by_key(|fault| fault.at_ms);
+}
+
+/// Makes a car tolerable, with what is configured for it, and gives it room.
+fn calibrate(random: &mut Random, situation: &mut Situation, truth: &mut TrueCar) {
+    for (deviation, value) in &mut truth.deviations {
+        let tolerable = deviation.tolerable();
+        *value = (*value).clamp(*tolerable.start(), *tolerable.end());
+    }
+    truth.esc = truth.esc.filter(|kind| *kind == EscKind::LearnsNeutral);
+    situation.neutral_us = 1_500;
+    situation.braking_mm_s2 = (truth.deceleration_mm_s2() * 4 / 5).min(MAX_BRAKING_MM_S2);
+    situation.fence_mm = random.spread(300, 2_000) as i32;
+}
+
 fn fault(random: &mut Random, end_ms: u32) -> Fault {
     let kinds = FaultKind::ALL.iter().copied();
-    let kinds: Vec<_> = kinds.filter(|kind| !kind.is_hostile()).collect();
+    let kinds: Vec<_> = kinds
+        .filter(|kind| !kind.is_hostile() && !kind.is_hostile_loop())
+        .collect();
     let kind = random.choose(FaultKind::CameraUntracked, kinds.get(1..).unwrap_or(&[]));
     let early = random.happens(100);
     let at_ms = if early {

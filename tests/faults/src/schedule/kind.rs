@@ -185,6 +185,14 @@ kinds! {
     SetpointsTrajectory = "setpoints-trajectory", Host;
     /// The program sends anything, without a pause.
     SetpointsFlood = "setpoints-flood", Host;
+    /// The outer loop wants P to move anywhere, elsewhere every s ms.
+    LoopRandom = "loop-random", Host;
+    /// The outer loop wants all speed to one side of the car, to the other every s ms.
+    LoopBangBang = "loop-bang-bang", Host;
+    /// The outer loop wants all speed at the nearest side of the geofence.
+    LoopAtFence = "loop-at-fence", Host;
+    /// The outer loop wants all speed along the nearest side, and suddenly at it every s ms.
+    LoopFeint = "loop-feint", Host;
 }
 
 impl FaultKind {
@@ -237,10 +245,22 @@ impl FaultKind {
         )
     }
 
+    /// Whether an outer loop, a program that sends velocities of P, is hostile. It is in
+    /// schedules with such a loop only.
+    #[must_use]
+    pub const fn is_hostile_loop(self) -> bool {
+        matches!(
+            self,
+            Self::LoopRandom | Self::LoopBangBang | Self::LoopAtFence | Self::LoopFeint
+        )
+    }
+
     /// Whether the program sends no set-points, or others than it should.
     #[must_use]
     pub const fn changes_setpoints(self) -> bool {
-        matches!(self, Self::SetpointsGone | Self::SetpointsNotANumber) || self.is_hostile()
+        matches!(self, Self::SetpointsGone | Self::SetpointsNotANumber)
+            || self.is_hostile()
+            || self.is_hostile_loop()
     }
 
     /// Whether the host's threads run later or not at all.

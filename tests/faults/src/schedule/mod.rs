@@ -66,6 +66,8 @@ pub struct Situation {
     /// `board.speed.pulse_distance_um` of the configuration; the true distance deviates
     /// from it by [`Deviation::PulseDistance`].
     pub pulse_distance_um: u32,
+    /// Whether the safety filter is on.
+    pub safety_filter: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.

@@ -45,6 +45,7 @@ impl fmt::Display for Schedule {
             ("proved", s.proved),
             ("reset_on_open", s.reset_on_open),
             ("queue_shows", s.queue_shows),
+            ("safety_filter", s.safety_filter),
         ] {
             writeln!(out, "{key} {value}")?;
         }
@@ -147,6 +148,7 @@ impl Draft {
             ["stop_input", yes] => s.stop_input = yes.parse().ok()?,
             ["reset_on_open", yes] => s.reset_on_open = yes.parse().ok()?,
             ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
+            ["safety_filter", yes] => s.safety_filter = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
                 s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;

@@ -11,7 +11,7 @@ use singletrack_control::{
     Actuation, Estimate, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
-use singletrack_pilot::{DriveCommand, Event, Mode, Reason};
+use singletrack_pilot::{DriveCommand, Event, Filtering, Mode, Reason};
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
 };
@@ -135,6 +135,8 @@ pub(crate) fn standing_tick() -> TickRecord {
             disproved: false,
             braking_measured: None,
             setpoint_refused: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
             setpoint: None,
             preflight: None,
             jog: None,

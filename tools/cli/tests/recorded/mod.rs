@@ -15,7 +15,7 @@ use singletrack_control::{
 };
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_pilot::{
-    BoardSample, BoardState, DriveCommand, Event, Mode, Output, PoseMissing, Reason,
+    BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output, PoseMissing, Reason,
 };
 use singletrack_record::{
     ClockMapping, ConfigurationRecord, DriveWrite, Entry, Level, LinkPhase, Log, Meta, Recorder,
@@ -249,6 +249,8 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             disproved: false,
             braking_measured: None,
             setpoint_refused: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
             setpoint: None,
             preflight: None,
             jog: None,

@@ -93,6 +93,8 @@ pub enum TyreKind {
     Saturating,
     /// Linear throughout, as in the paper.
     Linear,
+    /// Pacejka's magic formula with C = 1.3: beyond its peak the force falls.
+    MagicFormula,
 }
 
 impl TyreKind {
@@ -100,6 +102,7 @@ impl TyreKind {
         match self {
             Self::Saturating => Tyres::Saturating,
             Self::Linear => Tyres::Linear,
+            Self::MagicFormula => Tyres::MagicFormula,
         }
     }
 }

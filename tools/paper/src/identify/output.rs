@@ -1,16 +1,13 @@
 //! The result for programs: JSON, and a vehicle file.
 
 use serde_json::{Value, json};
-use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames, Tyres};
+use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames};
 
 use super::{Identified, Report};
 
 pub(super) fn json(report: &Report) -> String {
     let document = json!({
-        "tyres": match report.tyres {
-            Tyres::Saturating => "saturating",
-            Tyres::Linear => "linear",
-        },
+        "tyres": report.tyres.name(),
         "start": report.vehicle,
         "taken_as_exact": taken_as_exact(report)
             .map(|(name, _)| name)

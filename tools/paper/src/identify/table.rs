@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use singletrack_analysis::identification::{Estimate, Parameter, Score, Tyres};
+use singletrack_analysis::identification::{Estimate, Parameter, Score};
 
 use super::{
     Identified, Report,
@@ -44,10 +44,7 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
         identification.seconds(),
         speeds[0],
         speeds[1],
-        match report.tyres {
-            Tyres::Saturating => "saturating",
-            Tyres::Linear => "linear",
-        },
+        report.tyres.name(),
         match identification.frames {
             singletrack_analysis::identification::ServoFrames::Even => "even",
             singletrack_analysis::identification::ServoFrames::Odd => "odd",

@@ -119,6 +119,7 @@ impl Experiment {
             vehicle: setup.vehicle,
             believed_vehicle: self.believed,
             truth: None,
+            simulation: None,
             operator: None,
             limits: None,
             estimator: None,

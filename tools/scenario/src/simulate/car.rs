@@ -10,9 +10,10 @@ use singletrack_sim::{LossWindow, SimulationConfig, Truth};
 
 use super::{
     Simulation,
+    error::ScenarioError,
     operator::{Operator, OperatorSection},
     row::{ROWS_PER_SECOND, Row},
-    scenario::{Scenario, ScenarioError, SteeringHold},
+    scenario::{Scenario, SteeringHold},
     summary::{Tally, drives},
 };
 use crate::{

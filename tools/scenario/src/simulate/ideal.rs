@@ -10,9 +10,10 @@ use singletrack_control::{
 use singletrack_core::config::LawKind;
 
 use super::{
+    error::ScenarioError,
     integrator::{IntegrationError, Integrator},
     row::{ROWS_PER_SECOND, Row},
-    scenario::{Scenario, ScenarioError, SteeringHold},
+    scenario::{Scenario, SteeringHold},
 };
 
 /// Why an ideal simulation stopped.

@@ -3,7 +3,7 @@
 use serde::{Serialize, de::DeserializeOwned};
 use toml::{Table, Value};
 
-use super::scenario::ScenarioError;
+use super::error::ScenarioError;
 
 /// Replaces the keys of a section that are written, at any depth. An unknown key is an
 /// error.

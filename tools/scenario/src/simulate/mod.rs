@@ -1,6 +1,7 @@
 //! Closed loops in virtual time, from a scenario file to a trajectory.
 
 mod car;
+mod error;
 mod ideal;
 mod integrator;
 mod layer;
@@ -12,13 +13,14 @@ mod summary;
 use std::path::Path;
 
 pub use car::{CarError, RunOptions, drive_entries, virtual_drive_config};
+pub use error::ScenarioError;
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
 pub use operator::OperatorSection;
 pub use row::{HEADER, Row, write_csv};
 pub use scenario::{
-    ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
-    StartSection, SteeringHold,
+    ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
+    SteeringHold,
 };
 pub use summary::Summary;
 

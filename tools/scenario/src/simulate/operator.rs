@@ -4,7 +4,7 @@ use serde::Deserialize;
 use singletrack_core::Stalled;
 use singletrack_pilot::PilotRequest;
 
-use super::scenario::ScenarioError;
+use super::error::ScenarioError;
 use crate::virtual_drive::VirtualDrive;
 
 /// What the operator does, and what happens to the board's cable. Times are those of the

@@ -1,6 +1,6 @@
 //! Scenario files.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 use singletrack_control::{
@@ -11,9 +11,9 @@ use singletrack_core::config::{
     Config, ConfigError, LawSection, OuterLoopSection, ReferenceSection,
 };
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
-use toml::Table;
+use toml::{Table, Value};
 
-use super::{layer::layer, operator::OperatorSection};
+use super::{error::ScenarioError, layer::layer, operator::OperatorSection};
 use crate::simulated::{self, daemon_config, follow};
 
 /// A scenario; unknown keys are refused.
@@ -47,6 +47,10 @@ pub struct Scenario {
     /// What is true of the car of plant kind "car" and differs from its configuration.
     #[serde(default)]
     pub truth: Option<CarTruth>,
+    /// Sections of the simulator's file, for plant kind "car": car, board, line, cameras and
+    /// server in the simulator's own units.
+    #[serde(default)]
+    pub simulation: Option<Table>,
     /// Who drives plant kind "car".
     #[serde(default)]
     pub operator: Option<OperatorSection>,
@@ -191,71 +195,6 @@ pub struct MarkerLoss {
 /// An upper bound of the ticks of any simulation.
 const MOST_TICKS: u64 = 1_000_000_000;
 
-/// A scenario that can't be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum ScenarioError {
-    /// The file can't be read.
-    #[error("can't read {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The file is not a scenario.
-    #[error("{}: {message}", .path.display())]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
-    /// A section of the daemon's configuration is invalid.
-    #[error(transparent)]
-    Section(#[from] ConfigError),
-    /// The law is invalid.
-    #[error("[law] {0}")]
-    Law(#[from] LawError),
-    /// The vehicle is invalid.
-    #[error("[vehicle] {0}")]
-    Vehicle(#[from] singletrack_control::VehicleParameterError),
-    /// A section of the daemon's configuration can't be read.
-    #[error("[{section}] {message}")]
-    Layer {
-        /// The section.
-        section: &'static str,
-        /// Why.
-        message: String,
-    },
-    /// The truth of the car can't be simulated.
-    #[error(transparent)]
-    Truth(#[from] singletrack_sim::ConfigError),
-    /// A value is outside its range.
-    #[error("{key} is {value}: {fix}")]
-    Value {
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// The rule that it breaks.
-        fix: &'static str,
-    },
-}
-
-impl ScenarioError {
-    pub(super) fn value(
-        key: &'static str,
-        value: impl std::fmt::Display,
-        fix: &'static str,
-    ) -> Self {
-        Self::Value {
-            key,
-            value: format!("{value}"),
-            fix,
-        }
-    }
-}
-
 impl Scenario {
     /// Reads and checks a scenario file.
     ///
@@ -373,6 +312,7 @@ impl Scenario {
         let key = match given {
             Some(&(key, _)) => Some(key),
             None if self.truth.is_some() => Some("truth"),
+            None if self.simulation.is_some() => Some("simulation"),
             None if self.operator.is_some() => Some("operator"),
             None => None,
         };
@@ -421,7 +361,7 @@ impl Scenario {
         config.control.period_ms = self.control.period_ms;
         config.control.align_to_cameras = self.control.align_to_cameras;
         // A car that may differ from its configuration is not known to be as configured.
-        config.supervisor.prove_first_metre = self.truth.is_some();
+        config.supervisor.prove_first_metre = self.differs();
         let Config {
             limits,
             board,
@@ -452,8 +392,46 @@ impl Scenario {
         Ok(config)
     }
 
-    /// The simulation: what is true of the car. What `[truth]` leaves out is as the
-    /// daemon's configuration says.
+    /// Whether the simulated car may differ from its configuration.
+    const fn differs(&self) -> bool {
+        self.truth.is_some() || self.simulation.is_some()
+    }
+
+    /// Refuses keys of the simulator that the scenario has elsewhere.
+    fn check_simulation(&self) -> Result<(), ScenarioError> {
+        let Some(simulation) = &self.simulation else {
+            return Ok(());
+        };
+        let has = |section: &str, key: &str| {
+            let section = simulation.get(section).and_then(Value::as_table);
+            section.is_some_and(|section| section.contains_key(key))
+        };
+        for (key, given, fix) in [
+            (
+                "simulation.seed",
+                simulation.contains_key("seed"),
+                "the seed of a scenario is run.seed; set that one",
+            ),
+            (
+                "simulation.car.start",
+                has("car", "start"),
+                "a scenario starts where [start] says; remove it",
+            ),
+            (
+                "simulation.board.kind",
+                has("board", "kind"),
+                "the board of a scenario is plant.board; set that one",
+            ),
+        ] {
+            if given {
+                return Err(ScenarioError::value(key, "given", fix));
+            }
+        }
+        Ok(())
+    }
+
+    /// The simulation: what is true of the car. What `[simulation]` and `[truth]` leave out
+    /// is as the daemon's configuration says.
     pub(super) fn simulation(&self, believed: &Config) -> Result<SimulationConfig, ScenarioError> {
         let mut simulation = SimulationConfig {
             seed: self.run.seed,
@@ -462,6 +440,9 @@ impl Scenario {
         simulation.car.vehicle = self.vehicle;
         simulation.board.kind = self.plant.board;
         follow(believed, &mut simulation);
+        self.check_simulation()?;
+        layer("simulation", &mut simulation, self.simulation.as_ref())?;
+        simulation.validate()?;
         if let Some(truth) = &self.truth {
             truth.apply(&mut simulation)?;
         }
@@ -479,7 +460,7 @@ impl Scenario {
 
     /// Whether a drive that does not start, or ends, is a result rather than an error.
     pub(super) const fn expects_any_end(&self) -> bool {
-        self.truth.is_some() || self.operator.is_some()
+        self.differs() || self.operator.is_some()
     }
 
     pub(crate) fn front_point_law(&self) -> Result<FrontPointLaw, LawError> {

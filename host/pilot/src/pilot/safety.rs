@@ -1,0 +1,215 @@
+//! The safety filter between the outer loop, ours or one outside, and the law.
+
+use singletrack_control::{
+    Actuation, Ahead, Estimate, Filtered, FilteredDemand, LimitedLaw, Motion, SafetyFilter,
+    SafetyInput, Singularity, SpeedDemand, SteeringDemand, Velocity,
+};
+
+use super::{Output, Pilot};
+use crate::{
+    supervisor::Reason,
+    watch::{PROVING_SPEED, WAVE},
+    words::words,
+};
+
+words! {
+    /// What the safety filter did in a tick.
+    pub enum Filtering {
+        /// Nothing, or there is no filter.
+        None = "none",
+        /// It gave the law the nearest velocity of P within its bounds.
+        Limited = "limited",
+        /// It gave the law a part of what was wanted.
+        Scaled = "scaled",
+        /// It slowed the car down, with the steering held.
+        Stopped = "stopped",
+    }
+}
+
+/// The filter's state in the pilot.
+#[derive(Clone, Debug)]
+pub(super) struct Safety {
+    filter: Option<SafetyFilter>,
+    /// What it did in this tick.
+    pub(super) filtering: Filtering,
+    /// The number of ticks of the drive in which it did anything.
+    pub(super) ticks: u32,
+    /// Why the drive is to end at the next tick.
+    pub(super) ends: Option<Reason>,
+}
+
+/// What the law is given besides a velocity.
+pub(super) struct LawStep {
+    pub(super) motion: Motion,
+    /// The angle of the front wheels that the law reckons with, rad.
+    pub(super) wheels: f64,
+    pub(super) ahead: Ahead,
+}
+
+impl Safety {
+    pub(super) fn new(filter: Option<&SafetyFilter>) -> Self {
+        Self {
+            filter: filter.cloned(),
+            filtering: Filtering::None,
+            ticks: 0,
+            ends: None,
+        }
+    }
+
+    /// A drive begins, with the servo at `steering` (rad).
+    pub(super) const fn begin(&mut self, steering: f64) {
+        if let Some(filter) = &mut self.filter {
+            filter.reset(steering);
+        }
+        self.ticks = 0;
+        self.ends = None;
+    }
+
+    /// A tick begins: see [`SafetyFilter::observe`].
+    pub(super) fn observe(&mut self, pace: f64, sent: f64, braking: f64, period: f64) {
+        self.filtering = Filtering::None;
+        if let Some(filter) = &mut self.filter {
+            filter.observe(pace, sent, braking, period);
+        }
+    }
+
+    fn note(&mut self, filtering: Filtering) {
+        self.filtering = filtering;
+        self.ticks = self.ticks.saturating_add(1);
+    }
+}
+
+impl Pilot {
+    fn safety_input<'a>(&'a self, estimate: &'a Estimate, wheels: f64) -> SafetyInput<'a> {
+        SafetyInput {
+            estimate,
+            law: &self.law,
+            wheels,
+            wave: if self.proving.is_some() { WAVE } else { 0.0 },
+            blind: self.blind.distance(),
+            braking: self.braking(),
+            period: self.config.period,
+        }
+    }
+
+    /// The most that the first metre leaves of a speed, m/s.
+    const fn speed_cap(&self) -> f64 {
+        if self.proving.is_some() {
+            PROVING_SPEED
+        } else {
+            f64::INFINITY
+        }
+    }
+
+    /// A step of the law towards the wanted velocity of P (m/s), or towards what the filter
+    /// leaves of it.
+    ///
+    /// # Errors
+    ///
+    /// Where the law is singular.
+    pub(super) fn step_law(
+        &mut self,
+        estimate: &Estimate,
+        step: &LawStep,
+        wanted: &Velocity,
+        output: &mut Output,
+    ) -> Result<Actuation, Singularity> {
+        output.point_velocity = Some(*wanted);
+        let (period, cap) = (self.config.period, self.speed_cap());
+        let advance = |law: &mut LimitedLaw, velocity: &Velocity| {
+            law.step_ahead(&step.motion, estimate.speed, velocity, &step.ahead, period)
+        };
+        let Some(filter) = &self.safety.filter else {
+            return advance(&mut self.law, wanted);
+        };
+        let trial = |law: &mut LimitedLaw, velocity: &Velocity| {
+            advance(law, velocity)?;
+            law.cap_speed(cap);
+            Ok(law.actuation())
+        };
+        let input = self.safety_input(estimate, step.wheels);
+        let (filtering, velocity) = match filter.step(&input, wanted, trial) {
+            Filtered::Unchanged => return advance(&mut self.law, wanted),
+            Filtered::Limited(velocity) => (Filtering::Limited, velocity),
+            Filtered::Scaled(velocity) => (Filtering::Scaled, velocity),
+            Filtered::Stop => {
+                output.point_velocity = None;
+                return Ok(self.stop_by_filter(wanted.norm().is_finite()));
+            }
+        };
+        self.safety.note(filtering);
+        output.point_velocity = Some(velocity);
+        advance(&mut self.law, &velocity)
+    }
+
+    /// A step towards steering and speed that a controller outside demands, or towards what the
+    /// filter leaves of them.
+    ///
+    /// # Errors
+    ///
+    /// [`Singularity::NotFinite`] for a demand that is not finite, without a filter.
+    pub(super) fn step_demand(
+        &mut self,
+        estimate: &Estimate,
+        steering: SteeringDemand,
+        speed: SpeedDemand,
+    ) -> Result<Actuation, Singularity> {
+        let (period, cap) = (self.config.period, self.speed_cap());
+        let Some(filter) = &self.safety.filter else {
+            return self.law.follow(steering, speed, period);
+        };
+        let now = self.law.actuation();
+        // The whole is the demand itself, to the bit.
+        let part = |share: f64| match share {
+            1.0 => (steering, speed),
+            share => (
+                match steering {
+                    SteeringDemand::Angle(angle) => {
+                        SteeringDemand::Angle(now.steering + share * (angle - now.steering))
+                    }
+                    SteeringDemand::Rate(rate) => SteeringDemand::Rate(share * rate),
+                },
+                SpeedDemand::Speed(match speed {
+                    SpeedDemand::Speed(speed) => share * speed,
+                    SpeedDemand::Acceleration(change) => share * (now.speed + change * period),
+                }),
+            ),
+        };
+        let trial = |law: &mut LimitedLaw, share: f64| {
+            let (steering, speed) = part(share);
+            law.follow(steering, speed, period)?;
+            law.cap_speed(cap);
+            Ok(law.actuation())
+        };
+        let input = self.safety_input(estimate, now.steering);
+        let share = match filter.demand(&input, trial) {
+            FilteredDemand::Unchanged => 1.0,
+            FilteredDemand::Scaled(share) => {
+                self.safety.note(Filtering::Scaled);
+                share
+            }
+            FilteredDemand::Stop => {
+                let is_finite = self.law.clone().follow(steering, speed, period).is_ok();
+                return Ok(self.stop_by_filter(is_finite));
+            }
+        };
+        let (steering, speed) = part(share);
+        self.law.follow(steering, speed, period)
+    }
+
+    /// A tick of the pilot's stop. The drive ends if the car comes to stand by it, or was to
+    /// follow no number; otherwise it goes on once a step leaves the car able to stop again.
+    fn stop_by_filter(&mut self, is_finite: bool) -> Actuation {
+        let config = &self.config;
+        let actuation = self.law.slow_down(config.stop_deceleration, config.period);
+        self.safety.note(Filtering::Stopped);
+        self.safety.ends = if !is_finite {
+            Some(Reason::LawSingular)
+        } else if actuation.speed == 0.0 {
+            Some(Reason::OutsideFence)
+        } else {
+            None
+        };
+        actuation
+    }
+}

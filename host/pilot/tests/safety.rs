@@ -1,0 +1,308 @@
+//! The safety filter in the pilot.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+mod bench;
+
+use singletrack_control::{
+    Circle, ConvexArea, External, FigureOfEight, OpenLoop, Position, Reference, SafetyConfig,
+    SafetyFilter, Setpoint, SpeedDemand, SteeringDemand, TrackingLoop, Velocity, VelocityStep,
+    VelocitySteps, direction,
+};
+use singletrack_pilot::{
+    Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason, SupervisorConfig,
+};
+
+use bench::{Bench, config};
+
+/// Half the width of the geofence, m.
+const HALF: f64 = 2.0;
+
+fn square(half: f64) -> [Position; 4] {
+    let corner = |x: f64, y: f64| Position::new(x * half, y * half);
+    [
+        corner(-1.0, -1.0),
+        corner(1.0, -1.0),
+        corner(1.0, 1.0),
+        corner(-1.0, 1.0),
+    ]
+}
+
+/// The bench's car follows every command at once.
+fn safety() -> SafetyConfig {
+    SafetyConfig {
+        area: ConvexArea::new(&square(HALF)).unwrap(),
+        reaction: 0.15,
+        steering_ticks: 5,
+        position_error: 0.01,
+        course_error: 0.02,
+        curvature_error: 0.1,
+        speed_error: 0.05,
+        max_speed: config().limits.max_speed,
+        max_lateral_acceleration: 2.45,
+        slip: 0.0,
+        wheelbase: 0.26,
+    }
+}
+
+fn filter() -> SafetyFilter {
+    SafetyFilter::new(safety()).unwrap()
+}
+
+fn with(reference: Reference, filter: Option<SafetyFilter>) -> PilotConfig {
+    PilotConfig {
+        reference,
+        fence: Fence::new(&square(HALF), 0.0).unwrap(),
+        safety: filter,
+        ..config()
+    }
+}
+
+fn external() -> Reference {
+    Reference::External(External::new(0.2).unwrap())
+}
+
+/// A bench that drives by the set-points of `wanted`.
+struct Outside {
+    bench: Bench,
+    /// The least distance from the geofence, m.
+    clearance: f64,
+}
+
+impl Outside {
+    fn new(filter: Option<SafetyFilter>) -> Self {
+        let mut bench = Bench::with(with(external(), filter));
+        for tick in 0..200 {
+            let setpoint = Setpoint::point(bench.now(), None, Velocity::zeros());
+            bench.extra.push(Event::Setpoint(setpoint));
+            if tick == 100 {
+                bench.extra.push(Event::Request(PilotRequest::Arm));
+            }
+            bench.step();
+        }
+        assert_eq!(bench.pilot.mode(), Mode::Driving);
+        Self {
+            bench,
+            clearance: HALF,
+        }
+    }
+
+    fn step(&mut self, setpoint: Setpoint) -> Output {
+        self.bench.extra.push(Event::Setpoint(setpoint));
+        let output = self.bench.step();
+        let Position { coords, .. } = self.bench.position;
+        self.clearance = self.clearance.min(HALF - coords.amax());
+        output
+    }
+
+    fn velocity(&mut self, velocity: Velocity) -> Output {
+        self.step(Setpoint::point(self.bench.now(), None, velocity))
+    }
+
+    fn actuation(&mut self, steering: f64, speed: f64) -> Output {
+        let (steering, speed) = (SteeringDemand::Angle(steering), SpeedDemand::Speed(speed));
+        self.step(Setpoint::actuation(self.bench.now(), steering, speed))
+    }
+}
+
+#[test]
+fn a_drive_well_inside_has_the_same_bits_with_and_without_it() {
+    let circle = Circle::new(Position::origin(), 1.0, 0.5).unwrap();
+    let eight = FigureOfEight::new(Position::origin(), 1.4, 0.7, 0.3).unwrap();
+    let steps = [(0.5, 0.0), (0.4, 0.3), (0.0, 0.5)].map(|(x, y)| VelocityStep {
+        duration: 1.0,
+        velocity: Velocity::new(x, y),
+    });
+    let steps = VelocitySteps::new(&steps).unwrap();
+    for (reference, position, yaw, tracking) in [
+        (
+            Reference::Circle(circle),
+            Position::new(1.0, -0.4868),
+            core::f64::consts::FRAC_PI_2,
+            config().tracking,
+        ),
+        (
+            Reference::FigureOfEight(eight),
+            Position::new(-0.4, -0.2),
+            0.5,
+            config().tracking,
+        ),
+        (
+            Reference::VelocitySteps(steps),
+            Position::origin(),
+            0.0,
+            TrackingLoop::OpenLoop(OpenLoop),
+        ),
+    ] {
+        let drive = |filter| {
+            let mut bench = Bench::with(PilotConfig {
+                tracking,
+                ..with(reference.clone(), filter)
+            });
+            (bench.position, bench.yaw) = (position, yaw);
+            bench.run(100);
+            bench.step_with(Some(PilotRequest::Arm));
+            let outputs: Vec<_> = (0..1_000).map(|_| bench.step()).collect();
+            (outputs, bench.position)
+        };
+        let (with, there) = drive(Some(filter()));
+        let (without, place) = drive(None);
+        for (tick, (with, without)) in with.iter().zip(&without).enumerate() {
+            assert_eq!(with.filtering, Filtering::None, "tick {tick}: {with:?}");
+            assert_eq!(with, without, "tick {tick}");
+        }
+        assert!(with.iter().any(|output| output.actuation.speed > 0.3));
+        assert_eq!(there, place);
+    }
+}
+
+#[test]
+fn a_start_from_rest_is_no_intervention() {
+    let mut drive = Outside::new(Some(filter()));
+    for tick in 0..100 {
+        let output = drive.velocity(Velocity::new(0.5, 0.0));
+        assert_eq!(output.filtering, Filtering::None, "{tick}");
+    }
+    assert!(drive.bench.speed > 0.4);
+}
+
+#[test]
+fn a_velocity_out_of_the_geofence_is_limited_and_the_car_stays_inside() {
+    for degrees in [0.0, 30.0, 45.0, 80.0_f64] {
+        let mut drive = Outside::new(Some(filter()));
+        let wanted = 50.0 * direction(degrees.to_radians());
+        let mut kinds = Vec::new();
+        for _ in 0..1_000 {
+            let output = drive.velocity(wanted);
+            if kinds.last() != Some(&output.filtering) {
+                kinds.push(output.filtering);
+            }
+            if output.mode != Mode::Driving {
+                break;
+            }
+        }
+        assert_eq!(
+            kinds[0],
+            Filtering::None,
+            "{degrees}: the way is free first"
+        );
+        assert!(kinds.contains(&Filtering::Limited), "{degrees}: {kinds:?}");
+        assert!(drive.clearance > 0.0, "{degrees}: {}", drive.clearance);
+        assert!(drive.clearance < 0.7, "{degrees}: {}", drive.clearance);
+        assert!(drive.bench.speed < 0.05, "{degrees}: {}", drive.bench.speed);
+    }
+}
+
+#[test]
+fn its_interventions_are_counted_for_each_drive() {
+    let mut drive = Outside::new(Some(filter()));
+    let mut counted = 0;
+    for _ in 0..600 {
+        let output = drive.velocity(Velocity::new(1.5, 0.0));
+        counted += u32::from(output.filtering != Filtering::None);
+        assert_eq!(output.filtered_ticks, counted);
+    }
+    assert!(counted > 100, "{counted}");
+    drive.bench.step_with(Some(PilotRequest::Disarm));
+    let mut armed = false;
+    for _ in 0..400 {
+        armed |= drive.bench.pilot.mode() == Mode::Ready;
+        if drive.bench.pilot.mode() == Mode::Ready {
+            drive.bench.extra.push(Event::Request(PilotRequest::Arm));
+        }
+        let output = drive.velocity(Velocity::zeros());
+        let expected = if output.mode == Mode::Driving {
+            0
+        } else {
+            counted
+        };
+        assert_eq!(output.filtered_ticks, expected, "{}", output.mode);
+    }
+    assert!(armed && drive.bench.pilot.mode() == Mode::Driving);
+}
+
+#[test]
+fn steering_and_speed_out_of_the_geofence_are_scaled_and_the_car_stays_inside() {
+    for steering in [0.0, 0.1, 0.45] {
+        let mut drive = Outside::new(Some(filter()));
+        let mut intervened = false;
+        for _ in 0..1_500 {
+            let output = drive.actuation(steering, 50.0);
+            intervened |= output.filtering == Filtering::Scaled;
+            assert_ne!(output.filtering, Filtering::Limited);
+            if output.mode != Mode::Driving {
+                assert_eq!(output.reason, Some(Reason::OutsideFence));
+                break;
+            }
+        }
+        // A circle at full lock never comes near.
+        assert_eq!(intervened, steering < 0.4, "{steering}");
+        assert!(drive.clearance > 0.0, "{steering}: {}", drive.clearance);
+    }
+}
+
+#[test]
+fn steering_and_speed_well_inside_have_the_same_bits_with_and_without_it() {
+    let drive = |filter| {
+        let mut drive = Outside::new(filter);
+        let ticks = 0..800;
+        let outputs = ticks.map(|tick| drive.actuation(0.3, 0.4 + 0.1 * f64::from(tick % 3)));
+        outputs.collect::<Vec<_>>()
+    };
+    assert_eq!(drive(Some(filter())), drive(None));
+}
+
+#[test]
+fn a_demand_that_passes_no_trial_stops_the_car_and_at_standstill_the_drive() {
+    // An area so small that nothing passes: the position may be wrong by more.
+    let config = SafetyConfig {
+        position_error: 2.5,
+        ..safety()
+    };
+    let mut bench = Bench::with(with(external(), Some(SafetyFilter::new(config).unwrap())));
+    let mut last = None;
+    for tick in 0..200 {
+        let setpoint = Setpoint::point(bench.now(), None, Velocity::new(0.5, 0.0));
+        bench.extra.push(Event::Setpoint(setpoint));
+        if tick == 100 {
+            bench.extra.push(Event::Request(PilotRequest::Arm));
+        }
+        let output = bench.step();
+        if output.mode == Mode::Driving {
+            assert_eq!(output.filtering, Filtering::Stopped);
+            assert_eq!(output.actuation.speed, 0.0);
+        }
+        last = output.reason.or(last);
+    }
+    assert_eq!(last, Some(Reason::OutsideFence));
+    assert!(!bench.pilot.mode().is_underway());
+}
+
+#[test]
+fn the_first_metre_is_filtered_with_the_braking_of_an_unproved_car() {
+    // It looks farther ahead than a proved one, at a third of the speed.
+    let stands_at = |prove: bool| {
+        let mut config = with(external(), Some(filter()));
+        config.supervisor = SupervisorConfig {
+            prove,
+            ..config.supervisor
+        };
+        let mut bench = Bench::with(config);
+        bench.position = Position::new(0.9, 0.0);
+        let mut limited_at = None;
+        for tick in 0..600 {
+            let setpoint = Setpoint::point(bench.now(), None, Velocity::new(0.3, 0.0));
+            bench.extra.push(Event::Setpoint(setpoint));
+            if tick == 100 {
+                bench.extra.push(Event::Request(PilotRequest::Arm));
+            }
+            let output = bench.step();
+            if output.filtering != Filtering::None && limited_at.is_none() {
+                limited_at = Some(bench.position.x);
+            }
+        }
+        assert!(bench.position.x < HALF);
+        limited_at.unwrap()
+    };
+    assert!(stands_at(true) < stands_at(false) - 0.05);
+}
