@@ -43,6 +43,7 @@ fn mpc(iterations: usize) -> Option<MpcLoop<4, 25>> {
         acceleration_weight: 0.004,
         max_speed: 1.2,
         max_acceleration: 2.0,
+        max_deceleration: 2.0,
         area: Some(ConvexArea::new(&corners.map(|(x, y)| Position::new(x, y))).ok()?),
         iterations,
         disturbance_gain: 0.02,

@@ -158,6 +158,7 @@ fn mpc() -> Result<MpcLoop<4, 25>, MpcError> {
         acceleration_weight: 0.001,
         max_speed: 2.5,
         max_acceleration: 3.0,
+        max_deceleration: 3.0,
         area: None,
         iterations: 20,
         disturbance_gain: 0.02,

@@ -9,7 +9,7 @@ use libm::{atan, atanh, fabs, sqrt, tan};
 use crate::{
     GRAVITY, SpeedDemand, SteeringDemand, VehicleParameters,
     law::{FrontPointLaw, Motion, Singularity},
-    point::{Velocity, angle_between, direction},
+    point::{Velocity, angle_between, direction, front_point_velocity},
 };
 
 /// Limits of speed, acceleration and steering, in SI units and radians.
@@ -128,7 +128,18 @@ pub struct LimitedLaw {
     law: FrontPointLaw,
     limits: Limits,
     actuation: Actuation,
+    basis: Basis,
     turning: Option<Turn>,
+}
+
+/// What the last step of the law rested on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Basis {
+    motion: Motion,
+    /// The angle of the front wheels, rad.
+    wheels: f64,
+    /// The lead over the actuators, as far as it was used.
+    lead: Option<Lead>,
 }
 
 /// What a step may know beyond the velocity that is wanted of P.
@@ -193,6 +204,15 @@ impl LimitedLaw {
                 steering: 0.0,
                 steering_rate: 0.0,
             },
+            basis: Basis {
+                motion: Motion {
+                    yaw: 0.0,
+                    yaw_rate: 0.0,
+                    sideslip: 0.0,
+                },
+                wheels: 0.0,
+                lead: None,
+            },
             turning: None,
         }
     }
@@ -213,6 +233,34 @@ impl LimitedLaw {
     #[must_use]
     pub const fn is_turning_round(&self) -> bool {
         self.turning.is_some()
+    }
+
+    /// The velocity that the last command gives P by the law, in m/s, after every limit; the lead
+    /// over the actuators is taken off. Only after a step of the law.
+    ///
+    /// It is the wanted velocity where nothing limited that.
+    #[must_use]
+    pub fn point_velocity(&self) -> Velocity {
+        let Basis {
+            motion,
+            wheels,
+            lead,
+        } = &self.basis;
+        let Actuation {
+            speed,
+            steering,
+            steering_rate,
+        } = self.actuation;
+        let (speed, rate) = match lead {
+            None => (speed, steering_rate),
+            Some(lead) => {
+                // A lead that a limit cut does not make a car of it that drives backward.
+                let led = speed - lead.speed;
+                let speed = if led * speed < 0.0 { 0.0 } else { led };
+                (speed, (steering - lead.wheels) / lead.steering)
+            }
+        };
+        front_point_velocity(&self.law, motion, *wheels, speed, rate)
     }
 
     /// Restarts from standstill; the steering angle is kept.
@@ -266,6 +314,11 @@ impl LimitedLaw {
         } else {
             *wanted
         };
+        let mut basis = Basis {
+            motion: *motion,
+            wheels: steering,
+            lead: None,
+        };
         let (speed, rate) = if wanted_speed < limits.standstill_speed {
             self.turning = None;
             (
@@ -298,6 +351,10 @@ impl LimitedLaw {
                         forward if forward >= 0.0 => (forward + lead.speed).max(0.0),
                         backward => (backward + lead.speed).min(0.0),
                     };
+                    basis.lead = Some(Lead {
+                        speed: speed - command.speed,
+                        ..lead
+                    });
                     (speed, (angle - self.actuation.steering) / period)
                 }
             }
@@ -305,6 +362,7 @@ impl LimitedLaw {
         if !rate.is_finite() || !speed.is_finite() {
             return Err(Singularity::NotFinite);
         }
+        self.basis = basis;
         Ok(self.apply(speed, rate, period))
     }
 
@@ -508,6 +566,49 @@ mod tests {
             .step(&standing(0.0), 0.5, &Velocity::new(0.5, -0.2), PERIOD)
             .unwrap();
         assert!(after.steering < Limits::paper().max_steering);
+    }
+
+    #[test]
+    fn p_is_given_what_is_wanted_where_nothing_limits_it_and_less_elsewhere() {
+        let bend = Motion {
+            yaw: 0.4,
+            yaw_rate: 0.5,
+            sideslip: 0.05,
+        };
+        let lead = Lead {
+            wheels: 0.1,
+            steering: 0.04,
+            speed: 0.05,
+        };
+        for lead in [None, Some(lead)] {
+            let ahead = Ahead {
+                overtaken: None,
+                lead,
+            };
+            let mut law = limited(Limits::paper());
+            law.actuation.speed = 0.5;
+            law.actuation.steering = 0.1;
+            let wanted = 0.52 * direction(0.6);
+            let gentle = law.law.command(&bend, 0.1, &wanted).unwrap();
+            // As fast as that, so that the acceleration limits nothing.
+            law.actuation.speed = gentle.speed + lead.map_or(0.0, |lead| lead.speed);
+            law.step_ahead(&bend, 0.5, &wanted, &ahead, PERIOD).unwrap();
+            assert!((law.point_velocity() - wanted).norm() < 1e-12, "{lead:?}");
+            // A car that has to speed up, and one whose speed is held.
+            let fast = 1.2 * direction(0.6);
+            law.step_ahead(&bend, 0.5, &fast, &ahead, PERIOD).unwrap();
+            let given = law.point_velocity();
+            assert!(given.dot(&direction(0.6)) < 0.7, "{lead:?}: {given}");
+            law.cap_speed(0.1);
+            let held = law.point_velocity();
+            assert!(held.norm() < given.norm(), "{lead:?}: {held}");
+            // The steering angle ends.
+            let sharp = Velocity::new(0.05, 0.5);
+            for _ in 0..100 {
+                law.step_ahead(&bend, 0.5, &sharp, &ahead, PERIOD).unwrap();
+            }
+            assert!((law.point_velocity() - sharp).norm() > 0.1, "{lead:?}");
+        }
     }
 
     #[test]

@@ -60,7 +60,7 @@ pub use law::{
 };
 pub use lqi::{LqiAxis, LqiConfig, LqiError, LqiLoop};
 pub use measurement::{InertialSample, PoseSample};
-pub use mpc::{MAX_DELAY_TICKS, MpcConfig, MpcError, MpcLoop, MpcVerdict};
+pub use mpc::{DelayedMpc, MAX_DELAY_TICKS, MPC_STAGES, MpcConfig, MpcError, MpcLoop, MpcVerdict};
 pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, ProportionalLoop, TrackingLoop};
 pub use point::{

@@ -4,7 +4,7 @@
 //! paper uses a proportional one.
 
 use crate::{
-    Position, ReferencePoint, Velocity,
+    DelayedMpc, LqiLoop, Position, ReferencePoint, Velocity,
     tracking::{OuterLoop, TrackingInput},
 };
 
@@ -53,27 +53,6 @@ impl OpenLoop {
     }
 }
 
-/// The outer loop that the configuration selects.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum TrackingLoop {
-    /// See [`ProportionalLoop`].
-    Proportional(ProportionalLoop),
-    /// See [`OpenLoop`].
-    OpenLoop(OpenLoop),
-}
-
-impl TrackingLoop {
-    /// The commanded velocity of P (m/s) when P is at `point` (m).
-    #[must_use]
-    pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Velocity {
-        match self {
-            Self::Proportional(tracking) => tracking.velocity(reference, point),
-            Self::OpenLoop(tracking) => tracking.velocity(reference, point),
-        }
-    }
-}
-
 /// Without a state: the present alone decides.
 macro_rules! stateless {
     ($($kind:ty),*) => {$(
@@ -87,4 +66,54 @@ macro_rules! stateless {
     )*};
 }
 
-stateless!(ProportionalLoop, OpenLoop, TrackingLoop);
+stateless!(ProportionalLoop, OpenLoop);
+
+/// The outer loop that the configuration selects.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a controller has one or two of them, and without an allocator it cannot be boxed"
+)]
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum TrackingLoop {
+    /// See [`ProportionalLoop`].
+    Proportional(ProportionalLoop),
+    /// See [`LqiLoop`].
+    Lqi(LqiLoop),
+    /// See [`MpcLoop`](crate::MpcLoop).
+    Mpc(DelayedMpc),
+    /// See [`OpenLoop`].
+    OpenLoop(OpenLoop),
+}
+
+impl TrackingLoop {
+    /// The commanded velocity of P (m/s) when P is at `point` (m); none for a loop with a state,
+    /// which needs a tick.
+    #[must_use]
+    pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
+        match self {
+            Self::Proportional(tracking) => Some(tracking.velocity(reference, point)),
+            Self::OpenLoop(tracking) => Some(tracking.velocity(reference, point)),
+            Self::Lqi(_) | Self::Mpc(_) => None,
+        }
+    }
+
+    fn kind(&mut self) -> &mut dyn OuterLoop {
+        match self {
+            Self::Proportional(tracking) => tracking,
+            Self::Lqi(tracking) => tracking,
+            Self::Mpc(tracking) => tracking,
+            Self::OpenLoop(tracking) => tracking,
+        }
+    }
+}
+
+impl OuterLoop for TrackingLoop {
+    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
+        self.kind().step(input)
+    }
+
+    fn reset(&mut self) {
+        self.kind().reset();
+    }
+}

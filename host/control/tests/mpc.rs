@@ -4,8 +4,8 @@
 
 use proptest::prelude::*;
 use singletrack_control::{
-    Circle, ConvexArea, MpcConfig, MpcError, MpcLoop, MpcVerdict, OuterLoop, Position, Reference,
-    ReferencePoint, TrackingInput, Velocity,
+    Circle, ConvexArea, DelayedMpc, MpcConfig, MpcError, MpcLoop, MpcVerdict, OuterLoop, Position,
+    Reference, ReferencePoint, TrackingInput, Velocity,
 };
 
 const PERIOD: f64 = 0.01;
@@ -27,6 +27,7 @@ fn config() -> MpcConfig {
         acceleration_weight: 0.004,
         max_speed: 1.2,
         max_acceleration: 2.0,
+        max_deceleration: 2.0,
         area: Some(square(1.5)),
         iterations: 30,
         disturbance_gain: 0.02,
@@ -334,4 +335,24 @@ proptest! {
         let ticks = drive(&mut tracking, &mut plant, circle(1.0, 0.8), 12.0);
         prop_assert!(ticks.settled() < 0.01, "{} m", ticks.settled());
     }
+}
+
+#[test]
+fn the_dead_time_decides_on_the_stages() {
+    // Below half a stage of 30 ms it is a part of the lag.
+    for (dead_time, late, ticks) in [(0.0, false, 3), (0.014, false, 3), (0.027, true, 3)] {
+        let tracking = DelayedMpc::new(config(), dead_time).unwrap();
+        let expected = MpcConfig {
+            lag: if late { 0.08 } else { 0.08 + dead_time },
+            ticks_per_stage: ticks,
+            ..config()
+        };
+        let expected = if late {
+            DelayedMpc::Late(MpcLoop::new(expected).unwrap())
+        } else {
+            DelayedMpc::Prompt(MpcLoop::new(expected).unwrap())
+        };
+        assert_eq!(tracking, expected, "{dead_time}");
+    }
+    assert_eq!(DelayedMpc::new(config(), 0.7), Err(MpcError::Delay(70)));
 }

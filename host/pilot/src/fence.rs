@@ -108,6 +108,12 @@ impl Fence {
         &self.corners
     }
 
+    /// The distance that the centre of mass keeps from every side, in m.
+    #[must_use]
+    pub const fn margin(&self) -> f64 {
+        self.margin
+    }
+
     /// The distance from `point` to the nearest side minus the margin, in m; negative
     /// outside and inside the margin.
     #[must_use]

@@ -11,7 +11,9 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use singletrack_core::config::{Config, ReferenceSection, WaypointSection};
+use singletrack_core::config::{
+    Config, LqiWeights, MpcWeights, OuterLoopSection, ReferenceSection, WaypointSection,
+};
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, Recorder, TickRecord, part_path};
 use singletrack_scenario::{
@@ -103,6 +105,27 @@ fn a_drive_is_replayed_to_the_bit() {
     let told = stdout(&replay(&circle(&folder), &["--verify"]));
     assert!(told.contains("every output the same to the bit"), "{told}");
     assert!(told.contains("times real time"), "{told}");
+}
+
+#[test]
+fn a_drive_with_each_outer_loop_is_replayed_to_the_bit() {
+    for (name, outer_loop) in [
+        ("lqi", OuterLoopSection::Lqi(LqiWeights::default())),
+        ("mpc", OuterLoopSection::Mpc(MpcWeights::default())),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("loop.mcap");
+        // The drive slows down while the markers are lost, and goes on.
+        let losses = "[[marker_loss]]\nfirst_tick = 300\nticks = 60\n";
+        let mut scenario = scenario(losses);
+        scenario.outer_loop = outer_loop;
+        simulate_recorded(&scenario, &path).unwrap();
+        let told = stdout(&replay(&path, &["--verify"]));
+        assert!(
+            told.contains("every output the same to the bit"),
+            "{name}: {told}"
+        );
+    }
 }
 
 #[test]

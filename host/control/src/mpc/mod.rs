@@ -1,5 +1,6 @@
 //! The predictive outer loop: the best motion of P within bounds, over a horizon.
 
+mod delayed;
 mod model;
 mod solver;
 
@@ -17,6 +18,8 @@ use crate::{
     riccati::RiccatiError,
     tracking::{OuterLoop, TrackingInput},
 };
+
+pub use self::delayed::{DelayedMpc, MPC_STAGES};
 
 /// The number of ticks whose commands are kept: the longest delay.
 pub const MAX_DELAY_TICKS: usize = 63;
@@ -47,8 +50,10 @@ pub struct MpcConfig {
     pub acceleration_weight: f64,
     /// The largest commanded speed of P, in m/s.
     pub max_speed: f64,
-    /// The largest change of the commanded velocity of P, in m/s².
+    /// The largest change of the commanded velocity of P, in m/s², in any direction.
     pub max_acceleration: f64,
+    /// The deceleration with which P can stop, in m/s²; at most `max_acceleration`.
+    pub max_deceleration: f64,
     /// Where P may be.
     pub area: Option<ConvexArea>,
     /// The number of iterations in every tick.
@@ -194,6 +199,7 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
             ("acceleration_weight", config.acceleration_weight),
             ("max_speed", config.max_speed),
             ("max_acceleration", config.max_acceleration),
+            ("max_deceleration", config.max_deceleration),
             ("iterations", config.iterations as f64),
             // Zero is a value for these.
             ("lag", config.lag + 1.0),
@@ -215,6 +221,10 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
                 value: config.disturbance_gain,
             });
         }
+        let config = MpcConfig {
+            max_deceleration: config.max_deceleration.min(config.max_acceleration),
+            ..config
+        };
         let delay = (N - 3) * config.ticks_per_stage;
         if delay > MAX_DELAY_TICKS {
             return Err(MpcError::Delay(delay));
@@ -342,7 +352,7 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
             return true;
         };
         let period = self.config.period;
-        let slower = self.config.max_acceleration * period;
+        let slower = self.config.max_deceleration * period;
         let delay = self.delay();
         let speed = sqrt(first.norm_squared());
         // Until the command has gone through the delay at zero.
@@ -392,7 +402,7 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
         self.solver.reset();
         self.state.verdict = MpcVerdict::Braked;
         let now = self.state.applied[0];
-        let change = self.config.max_acceleration * self.config.period;
+        let change = self.config.max_deceleration * self.config.period;
         shorten(&now, (sqrt(now.norm_squared()) - change).max(0.0))
     }
 }

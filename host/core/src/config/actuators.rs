@@ -1,5 +1,7 @@
 //! `[actuators]`: how fast steering and motor are believed to be.
 
+use singletrack_control::ActuatorModel;
+
 use super::section::section;
 
 section! {
@@ -18,4 +20,16 @@ section! {
     speed_lag_ms: f64 = 80.0, in 0.0..=2_000.0;
     /// Time from a command to the first change of the speed.
     speed_dead_time_ms: f64 = 36.0, in 0.0..=500.0;
+}
+
+impl ActuatorsSection {
+    /// In s.
+    pub(super) fn model(&self) -> ActuatorModel {
+        ActuatorModel {
+            steering_dead_time: 1e-3 * self.steering_dead_time_ms,
+            steering_lag: 1e-3 * self.steering_lag_ms,
+            speed_dead_time: 1e-3 * self.speed_dead_time_ms,
+            speed_lag: 1e-3 * self.speed_lag_ms,
+        }
+    }
 }

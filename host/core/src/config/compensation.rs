@@ -1,6 +1,6 @@
 //! `[compensation]`: what the controller corrects of clocks and actuators.
 
-use singletrack_control::{ActuatorModel, VehicleParameters};
+use singletrack_control::VehicleParameters;
 use singletrack_pilot::Compensation;
 
 use super::{ActuatorsSection, section::section};
@@ -25,15 +25,9 @@ impl CompensationSection {
         actuators: &ActuatorsSection,
         vehicle: &VehicleParameters,
     ) -> Compensation {
-        let milli = |value: f64| 1e-3 * value;
         Compensation {
             clock: self.clock,
-            actuation: self.actuation.then(|| ActuatorModel {
-                steering_dead_time: milli(actuators.steering_dead_time_ms),
-                steering_lag: milli(actuators.steering_lag_ms),
-                speed_dead_time: milli(actuators.speed_dead_time_ms),
-                speed_lag: milli(actuators.speed_lag_ms),
-            }),
+            actuation: self.actuation.then(|| actuators.model()),
             vehicle: *vehicle,
         }
     }

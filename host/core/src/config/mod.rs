@@ -17,6 +17,7 @@ mod file;
 mod kind;
 mod law;
 mod limits;
+mod loop_model;
 mod motion_capture;
 mod outer_loop;
 mod output;
@@ -54,11 +55,12 @@ pub use estimator::{EstimatorSection, MarkerLossKind};
 pub use fence::FenceSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
+pub use loop_model::LoopModel;
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
 };
-pub use outer_loop::OuterLoopSection;
+pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
 pub use output::{LiveSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use safety_filter::SafetyFilterSection;
@@ -209,23 +211,35 @@ impl Config {
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;
-        together::validate(self)
+        together::validate(self)?;
+        self.pilot().map(drop)
     }
 
     /// The pilot's configuration; reads the waypoints.
     ///
     /// # Errors
     ///
-    /// The law or the reference is invalid.
+    /// The law, the loop or the reference is invalid.
     pub fn pilot(&self) -> Result<PilotConfig, ConfigError> {
+        let reference = self.reference.reference()?;
+        let limits = self
+            .limits
+            .limits(self.vehicle.wheelbase_m())
+            .with_tyres(&self.vehicle);
+        let fence = self.fence.fence(&self.vehicle)?;
+        let period = value::seconds(self.control.period_ms);
+        let tracking = self.outer_loop.tracking_loop(&LoopModel {
+            actuators: (!self.compensation.actuation).then(|| self.actuators.model()),
+            limits: &limits,
+            fence: Some(&fence),
+            reference: &reference,
+            period,
+        })?;
         Ok(PilotConfig {
             law: self.law.front_point_law(&self.vehicle)?,
-            tracking: self.outer_loop.tracking_loop(),
-            reference: self.reference.reference()?,
-            limits: self
-                .limits
-                .limits(self.vehicle.wheelbase_m())
-                .with_tyres(&self.vehicle),
+            tracking,
+            reference,
+            limits,
             estimator: self.estimator.config(
                 &self.vehicle,
                 self.motion_capture.marker_offset_m,
@@ -240,12 +254,12 @@ impl Config {
                 height: self.motion_capture.pose.height_m.unwrap_or(ANY_HEIGHT),
                 ..WatchConfig::paper()
             }),
-            fence: self.fence.fence(&self.vehicle)?,
+            fence,
             braking: self.fence.braking_m_s2,
             stop_deceleration: self.control.stop_deceleration_m_s2,
             compensation: self.compensation.config(&self.actuators, &self.vehicle),
             safety: self.safety_filter.filter(self)?,
-            period: value::seconds(self.control.period_ms),
+            period,
         })
     }
 

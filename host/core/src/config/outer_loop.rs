@@ -2,8 +2,15 @@
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{OpenLoop, ProportionalLoop, Reference, TrackingLoop, Velocity};
+use toml::Value;
 
-use super::{ConfigError, choice::choice, kind::Written, section::section};
+use super::{
+    ConfigError,
+    choice::choice,
+    kind::Written,
+    loop_model::LoopModel,
+    section::{Declared as _, section},
+};
 
 /// The position loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,23 +23,106 @@ pub enum OuterLoopSection {
         /// Whether the reference's velocity is added.
         feed_forward: bool,
     },
+    /// See [`LqiLoop`](singletrack_control::LqiLoop).
+    Lqi(LqiWeights),
+    /// See [`MpcLoop`](singletrack_control::MpcLoop).
+    Mpc(MpcWeights),
     /// None: the reference's velocity goes to the law.
     OpenLoop {},
 }
 
+/// The settings of the linear-quadratic loop.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LqiWeights {
+    /// Of the error's integral, (m s)⁻².
+    pub integral_weight: f64,
+    /// Of the error, m⁻².
+    pub error_weight: f64,
+    /// Of the correcting velocity, (m/s)⁻².
+    pub velocity_weight: f64,
+    /// The largest velocity that the integral adds on either axis, m/s.
+    pub integral_limit_m_s: f64,
+}
+
+impl Default for LqiWeights {
+    fn default() -> Self {
+        Self {
+            integral_weight: 3.0,
+            error_weight: ERROR_WEIGHT,
+            velocity_weight: VELOCITY_WEIGHT,
+            integral_limit_m_s: 0.3,
+        }
+    }
+}
+
+/// The settings of the predictive loop.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MpcWeights {
+    /// Of the error, m⁻².
+    pub error_weight: f64,
+    /// Of the velocity's error, (m/s)⁻².
+    pub velocity_weight: f64,
+    /// Of the acceleration beyond the reference's, (m/s²)⁻².
+    pub acceleration_weight: f64,
+    /// The share of an unexplained velocity that is believed at once.
+    pub disturbance_gain: f64,
+    /// Iterations of the solver in every tick.
+    pub iterations: u32,
+}
+
+impl Default for MpcWeights {
+    fn default() -> Self {
+        Self {
+            error_weight: ERROR_WEIGHT,
+            velocity_weight: VELOCITY_WEIGHT,
+            acceleration_weight: 0.0003,
+            disturbance_gain: 0.05,
+            iterations: 20,
+        }
+    }
+}
+
+const ERROR_WEIGHT: f64 = 1.0;
+const VELOCITY_WEIGHT: f64 = 0.03;
+
 section! {
-    /// From the position that P should have to the velocity that it should have.
+    /// From the position that P should have to the velocity that it should have. The section has
+    /// the keys of its kind, and no others; `docs/outer-loops.md` compares the kinds.
     "outer_loop" => pub(super) OuterLoopKeys;
     [];
 
-    /// The loop: "proportional", or "open-loop" for references that are velocities.
+    /// The loop: "proportional"; "lqi", linear-quadratic with an integral; "mpc", predictive,
+    /// for references that are known ahead; "open-loop" for references that are velocities.
     kind: OuterLoopKind, example OuterLoopKind::Proportional;
-    /// Gains along x and y.
+    /// Proportional: gains along x and y.
     gain_per_s: Option<[f64; 2]> = None, text "0 or above", example [1.0, 1.0];
-    /// Adds the reference's velocity: P then follows without lag. With
+    /// Proportional: adds the reference's velocity, so that P follows without lag. With
     /// `compensation.actuation` it is the velocity at the moment at which the command acts, and
-    /// the reference's acceleration leads the speed by the motor's lag.
+    /// the reference's acceleration leads the speed by the motor's lag. The other loops always
+    /// do that.
     feed_forward: Option<bool> = None, otherwise false;
+    /// LQI: weight of the error's integral, in (m s)⁻².
+    integral_weight: Option<f64> = None, in up_to(1e6),
+        otherwise LqiWeights::default().integral_weight;
+    /// LQI, MPC: weight of the error, in m⁻². Only the ratios of the weights matter.
+    error_weight: Option<f64> = None, in up_to(1e6), otherwise ERROR_WEIGHT;
+    /// LQI: weight of the correcting velocity, in (m/s)⁻². MPC: weight of the velocity's error.
+    velocity_weight: Option<f64> = None, in up_to(1e6), otherwise VELOCITY_WEIGHT;
+    /// LQI: the largest velocity that the integral adds along and across the path.
+    integral_limit_m_s: Option<f64> = None, in 0.0..=5.0,
+        otherwise LqiWeights::default().integral_limit_m_s;
+    /// MPC: weight of the acceleration beyond the reference's, in (m/s²)⁻².
+    acceleration_weight: Option<f64> = None, in up_to(1e6),
+        otherwise MpcWeights::default().acceleration_weight;
+    /// MPC: the share of an unexplained velocity of P that is believed at once. With 0 a drift
+    /// stays as an error.
+    disturbance_gain: Option<f64> = None, in 0.0..=1.0,
+        otherwise MpcWeights::default().disturbance_gain;
+    /// MPC: iterations of the solver in every tick; about 13,000 instructions each, four times
+    /// that with `compensation.actuation`.
+    iterations: Option<u32> = None, in 1..=200, otherwise MpcWeights::default().iterations;
 }
 
 choice! {
@@ -40,6 +130,10 @@ choice! {
     pub(super) OuterLoopKind;
     /// See [`OuterLoopSection::Proportional`].
     Proportional = "proportional";
+    /// See [`OuterLoopSection::Lqi`].
+    Lqi = "lqi";
+    /// See [`OuterLoopSection::Mpc`].
+    Mpc = "mpc";
     /// See [`OuterLoopSection::OpenLoop`].
     OpenLoop = "open-loop";
 }
@@ -48,71 +142,117 @@ impl TryFrom<OuterLoopKeys> for OuterLoopSection {
     type Error = String;
 
     fn try_from(keys: OuterLoopKeys) -> Result<Self, String> {
-        Ok(match keys.kind {
+        let written = Written::of(&keys)?;
+        let section = match keys.kind {
             OuterLoopKind::Proportional => Self::Proportional {
-                gain_per_s: Written::of(&keys)?.need("gain_per_s", keys.gain_per_s)?,
+                gain_per_s: written.need("gain_per_s", keys.gain_per_s)?,
                 feed_forward: keys.feed_forward.unwrap_or_default(),
             },
+            OuterLoopKind::Lqi => {
+                let default = LqiWeights::default();
+                Self::Lqi(LqiWeights {
+                    integral_weight: keys.integral_weight.unwrap_or(default.integral_weight),
+                    error_weight: keys.error_weight.unwrap_or(default.error_weight),
+                    velocity_weight: keys.velocity_weight.unwrap_or(default.velocity_weight),
+                    integral_limit_m_s: keys
+                        .integral_limit_m_s
+                        .unwrap_or(default.integral_limit_m_s),
+                })
+            }
+            OuterLoopKind::Mpc => {
+                let default = MpcWeights::default();
+                Self::Mpc(MpcWeights {
+                    error_weight: keys.error_weight.unwrap_or(default.error_weight),
+                    velocity_weight: keys.velocity_weight.unwrap_or(default.velocity_weight),
+                    acceleration_weight: keys
+                        .acceleration_weight
+                        .unwrap_or(default.acceleration_weight),
+                    disturbance_gain: keys.disturbance_gain.unwrap_or(default.disturbance_gain),
+                    iterations: keys.iterations.unwrap_or(default.iterations),
+                })
+            }
             // The gains may stay in a file whose loop is opened for a while.
-            OuterLoopKind::OpenLoop => Self::OpenLoop {},
-        })
+            OuterLoopKind::OpenLoop => return Ok(Self::OpenLoop {}),
+        };
+        written.only_of::<OuterLoopKeys>(section)?;
+        Ok(section)
     }
 }
 
 impl OuterLoopSection {
-    /// The loop with these values.
-    #[must_use]
-    pub fn tracking_loop(&self) -> TrackingLoop {
-        match *self {
+    const fn kind(&self) -> &'static str {
+        match self {
+            Self::Proportional { .. } => "proportional",
+            Self::Lqi(_) => "lqi",
+            Self::Mpc(_) => "mpc",
+            Self::OpenLoop {} => "open-loop",
+        }
+    }
+
+    /// The loop with these values, around the rest of the controller.
+    ///
+    /// # Errors
+    ///
+    /// Weights, lags and turns with which a loop does not settle, or a geofence over which it
+    /// cannot plan.
+    pub fn tracking_loop(&self, model: &LoopModel<'_>) -> Result<TrackingLoop, ConfigError> {
+        Ok(match self {
             Self::Proportional {
                 gain_per_s: [x, y],
                 feed_forward,
             } => TrackingLoop::Proportional(ProportionalLoop {
-                gain: Velocity::new(x, y),
-                feed_forward,
+                gain: Velocity::new(*x, *y),
+                feed_forward: *feed_forward,
             }),
+            Self::Lqi(weights) => TrackingLoop::Lqi(model.lqi(weights)?),
+            Self::Mpc(weights) => TrackingLoop::Mpc(model.mpc(weights)?),
             Self::OpenLoop {} => TrackingLoop::OpenLoop(OpenLoop),
-        }
+        })
     }
 
-    /// Refuses gains that are negative or not finite.
+    /// Refuses values outside their ranges.
     ///
     /// # Errors
     ///
-    /// The first such gain.
+    /// The first such value.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        let Self::Proportional { gain_per_s, .. } = *self else {
-            return Ok(());
-        };
-        for gain in gain_per_s {
-            if !(gain.is_finite() && gain >= 0.0) {
-                return Err(ConfigError::value(
-                    "outer_loop.gain_per_s",
-                    gain,
-                    "each gain must be finite and not negative",
-                ));
+        if let Self::Proportional { gain_per_s, .. } = *self {
+            for gain in gain_per_s {
+                if !(gain.is_finite() && gain >= 0.0) {
+                    return Err(ConfigError::value(
+                        "outer_loop.gain_per_s",
+                        gain,
+                        "each gain must be finite and not negative",
+                    ));
+                }
             }
         }
-        Ok(())
+        match Value::try_from(self).map(Value::try_into::<OuterLoopKeys>) {
+            Ok(Ok(keys)) => keys.check(),
+            // It was read from such a value.
+            _ => Ok(()),
+        }
     }
 
-    /// Refuses a position loop for a reference without a position.
+    /// Refuses a loop for a reference without what it needs.
     ///
     /// # Errors
     ///
     /// The loop does not suit the reference.
     pub fn validate_for(&self, reference: &Reference) -> Result<(), ConfigError> {
-        // A set-point from outside may have a position; one that has none passes through.
-        if matches!(self, Self::Proportional { .. })
-            && !matches!(reference, Reference::External(_))
-            && reference.at(0.0).position.is_none()
-        {
-            return Err(ConfigError::value(
-                "outer_loop.kind",
-                "proportional",
+        let refused = |fix| Err(ConfigError::value("outer_loop.kind", self.kind(), fix));
+        match (self, reference) {
+            (Self::OpenLoop {}, _) => Ok(()),
+            (Self::Mpc(_), Reference::External(_)) => refused(
+                "it plans over the reference to come, and a set-point from outside has none; use \
+                 \"lqi\" or \"proportional\"",
+            ),
+            // A set-point from outside may have a position; one that has none passes through.
+            (_, Reference::External(_)) => Ok(()),
+            _ if reference.at(0.0).position.is_none() => refused(
                 "a reference of velocity steps has no position to follow; use \"open-loop\"",
-            ));
+            ),
+            _ => Ok(()),
         }
-        Ok(())
     }
 }

@@ -1,8 +1,8 @@
 //! The car of the judgement: it follows the commands without slip, lag and noise.
 
 use singletrack_control::{
-    LimitedLaw, Limits, Motion, Position, Reference, TrackingLoop, VehicleParameters, Velocity,
-    direction,
+    LimitedLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop, Reference,
+    TrackingInput, TrackingLoop, VehicleParameters, Velocity, direction,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
@@ -14,10 +14,14 @@ const REACTION_S: f64 = 0.13;
 /// Where on the way of a stop the geofence is checked.
 const CHECKS: u8 = 2;
 
+/// The gain of the loop that is judged in the place of a predictive one, per second.
+const INSTEAD_PER_S: f64 = 2.0;
+
 /// A standing car, and what drives it.
 pub(super) struct Car<'a> {
     law: LimitedLaw,
     tracking: TrackingLoop,
+    applied: Velocity,
     reference: &'a Reference,
     vehicle: VehicleParameters,
     limits: Limits,
@@ -76,7 +80,15 @@ impl<'a> Car<'a> {
     pub(super) fn new(pilot: &'a PilotConfig, vehicle: &VehicleParameters, stand: Stand) -> Self {
         Self {
             law: LimitedLaw::new(pilot.law, pilot.limits),
-            tracking: pilot.tracking,
+            tracking: match &pilot.tracking {
+                // A plan in every tick of every start that is tried would take minutes.
+                TrackingLoop::Mpc(_) => TrackingLoop::Proportional(ProportionalLoop {
+                    gain: Velocity::new(INSTEAD_PER_S, INSTEAD_PER_S),
+                    feed_forward: true,
+                }),
+                other => other.clone(),
+            },
+            applied: Velocity::zeros(),
             reference: &pilot.reference,
             vehicle: *vehicle,
             limits: pilot.limits,
@@ -141,11 +153,17 @@ impl<'a> Car<'a> {
             .law()
             .point(self.position, self.yaw, before.steering);
         let reference = self.reference.at(self.time);
-        let wanted = self.tracking.velocity(&reference, &point);
+        let wanted = self.tracking.step(&TrackingInput {
+            point,
+            reference: &|ahead| self.reference.at(self.time + ahead),
+            applied: self.applied,
+            period: self.period,
+        });
         let actuation = self
             .law
             .step(&motion, before.speed, &wanted, self.period)
             .ok()?;
+        self.applied = self.law.point_velocity();
         let (sideslip, curvature) = self.rolls(actuation.steering);
         let way = actuation.speed * self.period;
         let turned = way * curvature;

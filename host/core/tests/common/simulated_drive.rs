@@ -106,6 +106,11 @@ impl SimulatedDrive {
     /// The configuration of the example file on a larger carpet. The car arms as soon as the
     /// pilot is ready.
     pub(crate) fn new() -> Self {
+        Self::with(Self::example(), SimulationConfig::default())
+    }
+
+    /// That configuration.
+    pub(crate) fn example() -> Config {
         let mut config =
             Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
         // These drives are not about the first metre of an unproved car.
@@ -113,7 +118,7 @@ impl SimulatedDrive {
         config.fence.braking_m_s2 = BRAKING_M_S2;
         // From the default start the car turns round first.
         config.fence.corners_m = vec![[-3.0, -3.0], [3.0, -3.0], [3.0, 3.0], [-3.0, 3.0]];
-        Self::with(config, SimulationConfig::default())
+        config
     }
 
     /// The configuration with the simulated cameras, and a simulated car. It arms as soon as

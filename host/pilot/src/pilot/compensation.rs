@@ -3,8 +3,9 @@
 use heapless::Deque;
 use libm::fabs;
 use singletrack_control::{
-    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, Predicted, Predictor,
-    Reference, Singularity, Time, TrackingLoop, VehicleParameters, Velocity,
+    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, OuterLoop, Predicted,
+    Predictor, Reference, Singularity, Time, TrackingInput, TrackingLoop, VehicleParameters,
+    Velocity, front_point_velocity,
 };
 
 /// What the pilot compensates, and by which model.
@@ -74,7 +75,6 @@ pub(super) struct Compensator {
 /// Where P should go, as the outer loop says.
 pub(super) struct Course<'a> {
     pub(super) law: &'a FrontPointLaw,
-    pub(super) tracking: &'a TrackingLoop,
     pub(super) reference: &'a Reference,
     pub(super) max_speed: f64,
     pub(super) max_steering_rate: f64,
@@ -86,16 +86,28 @@ pub(super) struct Course<'a> {
 }
 
 impl Course<'_> {
-    /// The wanted velocity of P in this state, and the law's command for it.
-    fn at(&self, state: &Predicted) -> Result<(Velocity, FrontPointCommand), Singularity> {
-        let reference = self
-            .reference
-            .point_ahead(self.now, self.time, state.ahead)
-            .ok_or(Singularity::NotFinite)?;
+    /// The wanted velocity of P in this state, and the law's command for it. `applied` is the
+    /// velocity that P was given a period before.
+    fn at(
+        &self,
+        state: &Predicted,
+        tracking: &mut TrackingLoop,
+        applied: Velocity,
+    ) -> Result<(Velocity, FrontPointCommand), Singularity> {
+        let reference = |later: f64| {
+            self.reference
+                .point_ahead(self.now, self.time, state.ahead + later)
+        };
+        let present = reference(0.0).ok_or(Singularity::NotFinite)?;
         let point = self
             .law
             .point(state.position, state.motion.yaw, state.wheels);
-        let wanted = self.tracking.velocity(&reference, &point);
+        let wanted = tracking.step(&TrackingInput {
+            point,
+            reference: &|later| reference(later).unwrap_or(present),
+            applied,
+            period: self.period,
+        });
         let pace = wanted.norm();
         let limited = if pace > self.max_speed {
             wanted * (self.max_speed / pace)
@@ -106,15 +118,16 @@ impl Course<'_> {
         Ok((wanted, command))
     }
 
-    /// The state after a period with this command.
-    fn next(&self, state: &Predicted, command: &FrontPointCommand) -> Predicted {
+    /// The state after a period with this command, and the velocity that P is given in it.
+    fn next(&self, state: &Predicted, command: &FrontPointCommand) -> (Predicted, Velocity) {
         let most = self.max_steering_rate;
         let rate = command.steering_rate.clamp(-most, most);
         let change = self.max_acceleration * self.period;
         let speed = command
             .speed
             .clamp(state.speed - change, state.speed + change);
-        state.after(self.period, rate, speed)
+        let applied = front_point_velocity(self.law, &state.motion, state.wheels, speed, rate);
+        (state.after(self.period, rate, speed), applied)
     }
 }
 
@@ -162,7 +175,8 @@ impl Compensator {
     }
 
     /// The state at which the command acts, the wanted velocity of P there, and the lead over
-    /// the actuators. The yaw rate was measured at `measured`.
+    /// the actuators. The yaw rate was measured at `measured`; `applied` is the velocity that P
+    /// was given in the last tick.
     ///
     /// # Errors
     ///
@@ -172,18 +186,24 @@ impl Compensator {
         estimate: &Estimate,
         measured: Option<Time>,
         course: &Course<'_>,
+        tracking: &mut TrackingLoop,
+        applied: Velocity,
     ) -> Result<(Predicted, Velocity, Lead), Singularity> {
         let state = self.predictor.predict(estimate, measured);
-        let (wanted, first) = course.at(&state)?;
+        let (wanted, first) = course.at(&state, tracking, applied)?;
         let model = *self.predictor.model();
-        // The motor acts later than the wheels: the speed is the one that is wanted then.
+        // The motor acts later than the wheels: the speed is the one that is wanted then. The
+        // loop's steps until then are only imagined, so they are those of a copy.
+        let mut imagined = tracking.clone();
         let (mut later, mut command) = (state, first);
         let far = model.speed_dead_time.min(FARTHEST);
         while later.ahead + 0.5 * course.period < far {
-            later = course.next(&later, &command);
-            command = course.at(&later)?.1;
+            let (after, given) = course.next(&later, &command);
+            later = after;
+            command = course.at(&later, &mut imagined, given)?.1;
         }
-        let (_, next) = course.at(&course.next(&later, &command))?;
+        let (after, given) = course.next(&later, &command);
+        let (_, next) = course.at(&after, &mut imagined, given)?;
         let most = course.max_acceleration;
         let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
         let correction = self.correction(course, estimate.speed);

@@ -8,8 +8,8 @@ mod verdicts;
 
 use libm::{cos, fabs, rint};
 use singletrack_control::{
-    Actuation, Ahead, Demand, Estimate, Estimator, LimitedLaw, Position, Reference, ReferencePoint,
-    Singularity, Time, Velocity,
+    Actuation, Ahead, Demand, Estimate, Estimator, LimitedLaw, OuterLoop, Position, Reference,
+    ReferencePoint, Singularity, Time, TrackingInput, TrackingLoop, Velocity, front_point_velocity,
 };
 
 use crate::{
@@ -38,6 +38,10 @@ pub use safety::Filtering;
 pub struct Pilot {
     config: PilotConfig,
     law: LimitedLaw,
+    /// With its state; the configuration's has none yet.
+    tracking: TrackingLoop,
+    /// The velocity that P was given in the last tick, after every limit, m/s.
+    applied: Velocity,
     /// None if the actuators are not compensated.
     compensator: Option<Compensator>,
     safety: Safety,
@@ -82,6 +86,8 @@ impl Pilot {
     pub fn new(config: PilotConfig) -> Self {
         Self {
             law: LimitedLaw::new(config.law, config.limits),
+            tracking: config.tracking.clone(),
+            applied: Velocity::zeros(),
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
             estimator: Estimator::new(config.estimator),
@@ -128,6 +134,7 @@ impl Pilot {
         }
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
+        self.tracking.clone_from(&config.tracking);
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
         self.estimator = Estimator::new(config.estimator);
@@ -248,6 +255,8 @@ impl Pilot {
         if mode == Mode::Driving && was == Mode::Arming {
             self.drive_start = Some(now);
             self.law.reset();
+            self.tracking.reset();
+            self.applied = Velocity::zeros();
             if let Some(compensator) = &mut self.compensator {
                 compensator.begin(self.law.actuation().steering);
             }
@@ -342,6 +351,9 @@ impl Pilot {
                     let actuation = self
                         .law
                         .slow_down(self.config.stop_deceleration, periods * period);
+                    // P leaves its reference here; a drive that goes on begins to follow anew.
+                    self.tracking.reset();
+                    self.applied = self.given_by(estimate, &actuation);
                     output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
                     output.actuation = actuation;
                     output.command = Some(command(estimate, &actuation, true));
@@ -381,7 +393,10 @@ impl Pilot {
                 output.reference = Some(reference);
                 self.follow(now, time, &reference, estimate, output)
             }
-            Demand::Actuation { steering, speed } => self.step_demand(estimate, steering, speed),
+            Demand::Actuation { steering, speed } => {
+                self.tracking.reset();
+                self.step_demand(estimate, steering, speed)
+            }
         }
         .map_err(|_| match &self.proving {
             Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
@@ -395,6 +410,10 @@ impl Pilot {
             actuation
         };
         let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
+        self.applied = match output.reference {
+            Some(_) => self.law.point_velocity(),
+            None => self.given_by(estimate, &actuation),
+        };
         if let Some(compensator) = &mut self.compensator {
             compensator.sent(actuation.speed);
         }
@@ -412,6 +431,17 @@ impl Pilot {
         }
         output.command = Some(command);
         Ok(())
+    }
+
+    /// The velocity (m/s) that a command gives P which the law has not computed.
+    fn given_by(&self, estimate: &Estimate, actuation: &Actuation) -> Velocity {
+        front_point_velocity(
+            self.law.law(),
+            &estimate.motion(),
+            self.wheels(),
+            actuation.speed,
+            actuation.steering_rate,
+        )
     }
 
     /// The angle of the front wheels, as far as is known, in rad.
@@ -441,7 +471,15 @@ impl Pilot {
         let Some(compensator) = compensator.filter(|_| self.proving.is_none()) else {
             let steering = self.law.actuation().steering;
             let point = law.point(estimate.position, estimate.yaw, steering);
-            let velocity = config.tracking.velocity(reference, &point);
+            let velocity = self.tracking.step(&TrackingInput {
+                point,
+                reference: &|ahead| {
+                    let point = config.reference.point_ahead(now, time, ahead);
+                    point.unwrap_or(*reference)
+                },
+                applied: self.applied,
+                period,
+            });
             let ahead = Ahead {
                 overtaken: overtaken(reference, &point),
                 lead: None,
@@ -455,7 +493,6 @@ impl Pilot {
         };
         let course = Course {
             law: &law,
-            tracking: &config.tracking,
             reference: &config.reference,
             max_speed: limits.max_speed,
             max_steering_rate: limits.max_steering_rate,
@@ -464,7 +501,9 @@ impl Pilot {
             time,
             period,
         };
-        let (state, velocity, lead) = compensator.look_ahead(estimate, self.imu_time, &course)?;
+        let (tracking, measured) = (&mut self.tracking, self.imu_time);
+        let (state, velocity, lead) =
+            compensator.look_ahead(estimate, measured, &course, tracking, self.applied)?;
         output.looked_ahead = Some(state.ahead);
         let point = law.point(state.position, state.motion.yaw, state.wheels);
         let ahead = Ahead {

@@ -3,9 +3,9 @@
 
 use nalgebra::SVector;
 use singletrack_control::{
-    FrontPointLaw, LawError, Motion, Position, Reference, ReferencePoint, SingleTrack,
-    SingleTrackState, Singularity, TrackingLoop, Velocity, VelocityPointLaw, direction,
-    front_point, velocity_point,
+    FrontPointLaw, LawError, Motion, OuterLoop as _, Position, Reference, ReferencePoint,
+    SingleTrack, SingleTrackState, Singularity, TrackingInput, TrackingLoop, Velocity,
+    VelocityPointLaw, direction, front_point, velocity_point,
 };
 use singletrack_core::config::LawKind;
 
@@ -150,7 +150,7 @@ impl<'a> Simulation<'a> {
             scenario,
             model,
             law,
-            tracking: scenario.tracking_loop(),
+            tracking: scenario.tracking_loop().map_err(ScenarioError::from)?,
             reference: scenario.reference().map_err(ScenarioError::from)?,
             start,
             initial: Vector::from([centre.x, centre.y, yaw, 0.0, 0.0, 0.0]),
@@ -214,6 +214,8 @@ impl<'a> Simulation<'a> {
         let mut measured = split(&vector).0;
         let mut waiting = std::collections::VecDeque::with_capacity(delay + 1);
         let mut acting = Acting::default();
+        let mut tracking = self.tracking.clone();
+        let mut applied = Velocity::zeros();
 
         for tick in 0.. {
             let (begin, end) = (tick_time(tick), tick_time(tick + 1));
@@ -232,10 +234,14 @@ impl<'a> Simulation<'a> {
                 time: begin,
                 source,
             };
-            let velocity = self.tracking.velocity(
-                &self.reference_at(begin),
-                &self.law.point(&measured, steering),
-            );
+            // Nothing limits the ideal car: P is given what was wanted.
+            applied = tracking.step(&TrackingInput {
+                point: self.law.point(&measured, steering),
+                reference: &|ahead| self.reference_at(begin + ahead),
+                applied,
+                period,
+            });
+            let velocity = applied;
             let command = self
                 .law
                 .command(&measured, steering, &velocity)
@@ -307,7 +313,9 @@ impl<'a> Simulation<'a> {
         let (state, steering) = split(vector);
         let velocity = self
             .tracking
-            .velocity(reference, &self.law.point(&state, steering));
+            .velocity(reference, &self.law.point(&state, steering))
+            // A loop with a state is refused where there are no ticks.
+            .unwrap_or(reference.velocity);
         let command = self
             .law
             .command(&state, steering, &velocity)

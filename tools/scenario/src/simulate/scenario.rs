@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::Deserialize;
 use singletrack_control::{
-    FrontPointLaw, LawError, Position, Reference, TrackingLoop, VehicleParameters,
+    FrontPointLaw, LawError, Limits, Position, Reference, TrackingLoop, VehicleParameters,
     VelocityPointLaw, direction,
 };
 use singletrack_core::config::{
-    Config, ConfigError, LawSection, OuterLoopSection, ReferenceSection,
+    Config, ConfigError, LawSection, LoopModel, OuterLoopSection, ReferenceSection,
 };
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
@@ -280,6 +280,17 @@ impl Scenario {
                     "continuous control (period_ms = 0) has no ticks to delay; use 0, or a period",
                 ));
             }
+            if matches!(
+                self.outer_loop,
+                OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_)
+            ) {
+                return Err(ScenarioError::value(
+                    "control.period_ms",
+                    0,
+                    "outer_loop.kind \"lqi\" and \"mpc\" have a state that goes on in ticks; set a \
+                     period",
+                ));
+            }
             if !self.marker_loss.is_empty() {
                 return Err(ScenarioError::value(
                     "marker_loss",
@@ -472,8 +483,15 @@ impl Scenario {
         self.law.velocity_point_law(believed)
     }
 
-    pub(crate) fn tracking_loop(&self) -> TrackingLoop {
-        self.outer_loop.tracking_loop()
+    /// The loop of plant kind "ideal", whose car has neither lags nor bounds.
+    pub(crate) fn tracking_loop(&self) -> Result<TrackingLoop, ConfigError> {
+        self.outer_loop.tracking_loop(&LoopModel {
+            actuators: None,
+            limits: &Limits::paper(),
+            fence: None,
+            reference: &self.reference()?,
+            period: f64::from(self.control.period_ms) / 1_000.0,
+        })
     }
 
     /// The reference, with waypoints read from their file.
