@@ -19,7 +19,7 @@ use serde_json::Value;
 use singletrack_analysis::identification::Parameter;
 use singletrack_control::VehicleParameters;
 use singletrack_paper::{
-    identify::study::{SCENARIO, run_study},
+    identify::study::{SCENARIO, StudyPlan, run_study},
     vehicle_file,
 };
 use singletrack_record::{Entry, Reader, Recorder};
@@ -166,7 +166,15 @@ fn the_table_is_for_a_person_and_warns_of_a_short_drive() {
 
 #[test]
 fn the_estimates_are_within_the_targets_and_near_what_is_possible() {
-    let study = run_study(&[1], |_| {}).unwrap();
+    let study = run_study(
+        &StudyPlan {
+            first_seed: 1,
+            count: 1,
+            ..StudyPlan::default()
+        },
+        |_| {},
+    )
+    .unwrap();
     for (summary, within) in study.summaries().iter().zip([0.1, 0.03, 0.1]) {
         let name = summary.parameter;
         assert!(

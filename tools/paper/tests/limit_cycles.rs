@@ -15,16 +15,47 @@ const STEPS: [(f64, f64); 3] = [(0.75, 3.5), (0.85, 2.0), (1.12, 5.0)];
 /// The end of each step that is looked at, in s.
 const WINDOW_S: f64 = 1.2;
 
-/// Straight on, with P at a distance: a start at the first speed, then each of the others.
+/// What the speeds near the first unstable ones need.
+const USUAL: &str = r"
+[limits]
+max_speed_m_s = 1.85
+max_steering_rad = 0.45
+
+[board.speed]
+max_forward_mm_s = 2600
+";
+
+/// What the top speed of the simulated motor needs.
+const FAST: &str = r"
+stop_deceleration_m_s2 = 3.0
+
+[limits]
+max_speed_m_s = 2.3
+max_steering_rad = 0.45
+
+[board.esc]
+max_us = 2000
+
+[board.speed]
+feed_forward_us_per_m_s = 150
+max_forward_mm_s = 3000
+";
+
+/// Straight on, with P at a distance: a start at the first speed, in m/s, then each of the
+/// others, each for its time, in s.
 ///
 /// The speed changes in small steps, since a large disturbance, such as that of a start, can
 /// throw the car into the limit cycle below the first unstable speed.
-fn straight_on(point_distance: f64, first_unstable: f64, compensated: bool) -> Scenario {
-    let steps = STEPS.map(|(part, duration)| {
-        let speed = part * first_unstable;
+fn straight_on(
+    point_distance: f64,
+    steps: [(f64, f64); 3],
+    compensated: bool,
+    adds: &str,
+) -> Scenario {
+    let duration = steps.iter().map(|(_, duration)| duration).sum::<f64>() - 0.1;
+    let steps = steps.map(|(speed, duration)| {
         format!("{{ duration_s = {duration}, v_x_m_s = {speed}, v_y_m_s = 0.0 }}")
     });
-    let duration = STEPS.iter().map(|(_, duration)| duration).sum::<f64>() - 0.1;
     let text = format!(
         r#"
 [law]
@@ -43,20 +74,11 @@ steps = [{}]
 point_p_m = [-9.0, 0.0]
 yaw_deg = 0.0
 
-[control]
-period_ms = 10
-
-[limits]
-max_speed_m_s = 1.85
-max_steering_rad = 0.45
-
 [board]
 max_pose_age_ms = 1000
 
-[board.speed]
-max_forward_mm_s = 2600
-
 [supervisor]
+prove_first_metre = false
 hold_ms = 100
 hold_distance_m = 0.1
 blind_ms = 100
@@ -71,6 +93,10 @@ kind = "car"
 
 [run]
 duration_s = {duration}
+
+[control]
+period_ms = 10
+{adds}
 "#,
         steps.join(", ")
     );
@@ -78,9 +104,9 @@ duration_s = {duration}
 }
 
 /// The standard deviation of the wheels' angle at the end of each step, in rad.
-fn oscillation(rows: &[Row]) -> [f64; 3] {
+fn oscillation(rows: &[Row], steps: [(f64, f64); 3]) -> [f64; 3] {
     let mut end = -0.1;
-    STEPS.map(|(_, duration)| {
+    steps.map(|(_, duration)| {
         end += duration;
         let angles: Vec<f64> = rows
             .iter()
@@ -92,6 +118,13 @@ fn oscillation(rows: &[Row]) -> [f64; 3] {
         let square: f64 = angles.iter().map(|angle| (angle - mean).powi(2)).sum();
         (square / count).sqrt()
     })
+}
+
+/// Drives a scenario to its end.
+fn swings(scenario: &Scenario, steps: [(f64, f64); 3]) -> [f64; 3] {
+    let simulation = simulate(scenario).unwrap();
+    assert!(simulation.notes.is_empty(), "{:?}", simulation.notes);
+    oscillation(&simulation.rows, steps)
 }
 
 #[test]
@@ -108,9 +141,8 @@ fn limit_cycles_begin_at_the_first_unstable_speeds_of_the_linear_loop() {
             .unwrap()
             .unwrap();
         let [plain, compensated] = [false, true].map(|compensated| {
-            let simulation = simulate(&straight_on(p, first, compensated)).unwrap();
-            assert!(simulation.notes.is_empty(), "{:?}", simulation.notes);
-            oscillation(&simulation.rows)
+            let steps = STEPS.map(|(part, duration)| (part * first, duration));
+            swings(&straight_on(p, steps, compensated, USUAL), steps)
         });
         println!("p = {p} m: first unstable at {first:.3} m/s; {plain:.4?} rad");
         // Noise below, a limit cycle above.
@@ -121,5 +153,50 @@ fn limit_cycles_begin_at_the_first_unstable_speeds_of_the_linear_loop() {
             compensated.iter().all(|swing| *swing < 0.04),
             "{compensated:?}"
         );
+    }
+}
+
+/// A car of another structure: Pacejka's tyres, exact slip angles.
+const OTHER: &str = r#"
+[truth.vehicle]
+tyre_curve = "magic-formula"
+slip_angles = "exact"
+"#;
+
+/// Beyond the first unstable speed of the loop without a prediction, as fast as the simulated
+/// motor drives, the compensated car is as quiet as below it, also with tyres and slip angles
+/// that its model does not have. Without compensation it is in a limit cycle there.
+#[test]
+fn with_compensation_there_is_no_limit_cycle_up_to_the_top_speed_of_the_car() {
+    let steps = [(1.0, 2.0), (1.6, 2.0), (2.2, 4.5)];
+    for (p, unstable_from) in [(0.05, 1.3), (0.1, 1.9)] {
+        let subject = Subject {
+            vehicle: VehicleParameters::paper(),
+            law: Law::FrontPoint,
+            belief: Belief::CentreOfMass,
+            point_distance: p,
+        };
+        let first = |timing| first_unstable(&subject, timing, &[0.0], p).unwrap();
+        let plain = first(TimingArgs::simulated_car());
+        assert!(
+            plain.is_some_and(|speed| speed < unstable_from),
+            "{plain:?}"
+        );
+        let predicting = TimingArgs {
+            predict: true,
+            ..TimingArgs::simulated_car()
+        };
+        assert_eq!(first(predicting), None);
+        for adds in [FAST.to_owned(), format!("{FAST}{OTHER}")] {
+            let compensated = swings(&straight_on(p, steps, true, &adds), steps);
+            println!("p = {p} m: compensated {compensated:.4?} rad");
+            assert!(
+                compensated.iter().all(|swing| *swing < 0.01),
+                "{compensated:?}"
+            );
+        }
+        let plain = swings(&straight_on(p, steps, false, FAST), steps);
+        println!("p = {p} m: plain {plain:.4?} rad");
+        assert!(plain[2] > 0.06, "{plain:?}");
     }
 }

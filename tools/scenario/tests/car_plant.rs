@@ -136,3 +136,28 @@ fn coasting_through_200_ms_losses_loses_less_than_holding() {
     assert!(coast.worst_position_m < 0.01, "{coast:?}");
     assert!(hold.worst_position_m > 0.05, "{hold:?}");
 }
+
+/// With exact slip angles and cos δ the car needs 0.3226 rad on the circle of 0.894 m, with small
+/// ones 0.3286 rad (the reproduction computes both).
+#[test]
+fn exact_slip_angles_need_less_steering_on_the_circle() {
+    let steering = |slip_angles: &str| {
+        let mut scenario = circle();
+        let truth = format!("[vehicle]\ntyre_curve = \"linear\"\nslip_angles = \"{slip_angles}\"");
+        scenario.truth = Some(toml::from_str(&truth).unwrap());
+        scenario.supervisor = Some(toml::from_str("prove_first_metre = false").unwrap());
+        let rows = simulate(&scenario).unwrap().rows;
+        // Two turns of 12.57 s.
+        let end = rows.last().unwrap().t;
+        let last = rows.iter().filter(|row| row.t > end - 25.13);
+        let [count, sum] = last.fold([0.0, 0.0], |[count, sum], row| {
+            [count + 1.0, sum + row.steering]
+        });
+        sum / count
+    };
+    let [small, exact] = ["small", "exact"].map(steering);
+    println!("{small} {exact}");
+    assert!((small - 0.328_6).abs() < 0.001, "{small} rad");
+    assert!((exact - 0.322_6).abs() < 0.001, "{exact} rad");
+    assert!((small - exact - 0.006).abs() < 0.000_3, "{small} {exact}");
+}

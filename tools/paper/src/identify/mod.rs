@@ -87,9 +87,10 @@ pub struct IdentifyArgs {
 }
 
 /// The tyres' force over their slip.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum TyreKind {
     /// Linear for small slip, at most the friction's share of the load.
+    #[default]
     Saturating,
     /// Linear throughout, as in the paper.
     Linear,
@@ -200,7 +201,7 @@ pub enum IdentifyError {
 /// When a record can't be used, or a file can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     if args.study.is_meant() {
-        return print(&study_command::report(&args.study)?);
+        return print(&study_command::report(&args.study, args.tyres)?);
     }
     if let Some(folder) = &args.out {
         prepare(folder)?;

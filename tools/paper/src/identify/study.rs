@@ -11,10 +11,10 @@ use singletrack_analysis::identification::{
     self, DriveData, IdentificationError, NoiseLevels, Parameter, Settings, Values,
 };
 use singletrack_campaign::{Experiment, run_units, thread_count};
-use singletrack_control::VehicleParameters;
+use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
 use singletrack_core::{Config, ConfigError};
 use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
-use singletrack_sim::{CameraParameters, ImuParameters, ServoParameters};
+use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
 
 use super::Collector;
 
@@ -27,14 +27,24 @@ pub const VALIDATION: &str = include_str!("../../../scenarios/identify-car-valid
 ///
 /// Each unit simulates the drive for identification, identifies the car from it and
 /// validates that on the other drive under another seed. Every fit starts from a car that is
-/// wrong by 30 to 40 %.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// wrong by 30 to 40 %. The car that is driven may have another structure than the model that
+/// is fitted, whose slip angles are small.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudyPlan {
     /// The first seed.
     pub first_seed: u64,
     /// The number of seeds.
     pub count: u64,
+    /// The tyres of the car that is driven.
+    #[serde(default)]
+    pub tyre_curve: Tyres,
+    /// The slip angles of the car that is driven.
+    #[serde(default)]
+    pub slip_angles: SlipAngles,
+    /// The tyres of the model that is fitted.
+    #[serde(default)]
+    pub fitted_tyres: Tyres,
 }
 
 /// The results of the study.
@@ -142,25 +152,26 @@ impl Experiment for StudyPlan {
     }
 
     fn run(&self, unit: u64) -> Result<SeedResult, StudyError> {
-        one(self.first_seed.wrapping_add(unit))
+        one(self, self.first_seed.wrapping_add(unit))
     }
 }
 
-/// Runs the study for these seeds, on all cores. `progress` gets the number of completed
-/// seeds, on any thread.
+/// Runs the study on all cores. `progress` gets the number of completed seeds, on any thread.
 ///
 /// # Errors
 ///
 /// The first drive that does not determine the parameters.
-pub fn run_study(seeds: &[u64], progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
+pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
     let done = AtomicUsize::new(0);
-    let results = run_units(seeds, thread_count(), one, || {
+    let units: Vec<u64> = (0..plan.count).collect();
+    let run = |unit| plan.run(unit);
+    let results = run_units(&units, thread_count(), run, || {
         progress(done.fetch_add(1, Ordering::Relaxed) + 1);
     })?;
     Study::of(results.into_iter().map(|(_, result)| result).collect())
 }
 
-fn one(seed: u64) -> Result<SeedResult, StudyError> {
+fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
     let truth = scenario(SCENARIO, 0)?.vehicle;
     let start = VehicleParameters {
         front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
@@ -168,12 +179,15 @@ fn one(seed: u64) -> Result<SeedResult, StudyError> {
         yaw_inertia_kg_m2: 1.4 * truth.yaw_inertia_kg_m2,
         ..truth
     };
-    let settings = Settings::default();
+    let settings = Settings {
+        tyres: plan.fitted_tyres,
+        ..Settings::default()
+    };
     let failed = |source| StudyError::Identification {
         seed,
         source: Box::new(source),
     };
-    let data = simulated(SCENARIO, seed)?;
+    let data = simulated(plan, SCENARIO, seed)?;
     let identification = identification::identify(&data, &start, &settings).map_err(failed)?;
     let bounds = identification::cramer_rao(
         &data,
@@ -184,7 +198,7 @@ fn one(seed: u64) -> Result<SeedResult, StudyError> {
     )
     .map_err(failed)?;
     // A seed that no other drive of the study has.
-    let other = simulated(VALIDATION, seed ^ 1 << 40)?;
+    let other = simulated(plan, VALIDATION, seed ^ 1 << 40)?;
     let validation =
         identification::validate(&other, &identification, &settings).map_err(failed)?;
     let mut of_vehicle = bounds.into_iter();
@@ -214,8 +228,15 @@ fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
 }
 
 /// The data that a record of the drive would have, without a file.
-fn simulated(text: &str, seed: u64) -> Result<DriveData, StudyError> {
-    let scenario = scenario(text, seed)?;
+fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData, StudyError> {
+    let mut scenario = scenario(text, seed)?;
+    let mut truth = CarTruth::default();
+    truth.vehicle.tyre_curve = Some(plan.tyre_curve);
+    truth.vehicle.slip_angles = Some(plan.slip_angles);
+    scenario.truth = Some(truth);
+    // The car differs, and yet it has proved its configuration.
+    let proved = [("prove_first_metre".to_owned(), false.into())];
+    scenario.supervisor.get_or_insert_default().extend(proved);
     let mut entries = Vec::new();
     let drive = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()));
     let config: Config = drive.map_err(|source| StudyError::Drive {

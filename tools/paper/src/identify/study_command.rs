@@ -2,11 +2,12 @@
 
 use std::fmt::Write as _;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use singletrack_campaign::{Campaign, CampaignArgs};
+use singletrack_control::SlipAngles;
 
 use super::{
-    IdentifyError,
+    IdentifyError, TyreKind,
     study::{Study, StudyPlan},
 };
 
@@ -18,8 +19,7 @@ pub struct StudyArgs {
     #[arg(
         long,
         conflicts_with_all = [
-            "record", "validate", "vehicle", "parameters", "tyres", "drive", "least_speed", "out",
-            "format",
+            "record", "validate", "vehicle", "parameters", "drive", "least_speed", "out", "format",
         ]
     )]
     pub study: bool,
@@ -32,9 +32,36 @@ pub struct StudyArgs {
     #[arg(long, value_name = "M", default_value_t = 10, requires = "study")]
     pub count: u64,
 
+    /// Tyres of the car that is driven; `--tyres` are those of the fit.
+    #[arg(long, value_enum, default_value_t, requires = "study")]
+    pub tyre_curve: TyreKind,
+
+    /// Slip angles of the car that is driven; those of the fit are small.
+    #[arg(long, value_enum, default_value_t, requires = "study")]
+    pub slip_angles: SlipKind,
+
     /// How it is run.
     #[command(flatten)]
     pub campaign: CampaignArgs,
+}
+
+/// Slip angles of a simulated car.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SlipKind {
+    /// Of equation 1: sin x = x and cos x = 1.
+    #[default]
+    Small,
+    /// Between the wheels and the velocities of their axles, with cos δ of the front force.
+    Exact,
+}
+
+impl SlipKind {
+    const fn slip_angles(self) -> SlipAngles {
+        match self {
+            Self::Small => SlipAngles::Small,
+            Self::Exact => SlipAngles::Exact,
+        }
+    }
 }
 
 impl StudyArgs {
@@ -52,10 +79,13 @@ impl StudyArgs {
 }
 
 /// Runs the study, and returns its table.
-pub(super) fn report(arguments: &StudyArgs) -> Result<String, IdentifyError> {
+pub(super) fn report(arguments: &StudyArgs, tyres: TyreKind) -> Result<String, IdentifyError> {
     let plan = StudyPlan {
         first_seed: arguments.first_seed,
         count: arguments.count,
+        tyre_curve: arguments.tyre_curve.tyres(),
+        slip_angles: arguments.slip_angles.slip_angles(),
+        fitted_tyres: tyres.tyres(),
     };
     let campaign = Campaign::obtain(plan, &arguments.campaign)?;
     let results = campaign.results.into_iter();

@@ -38,9 +38,20 @@ pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
     add("assumptions.direction", direction_matters(setup).ok());
     add("assumptions.any-p", error_of_any_p(setup).ok());
     add("assumptions.measured-point", measured_point(setup).ok());
+    let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    let inside = with_position_loop(setup, [from, to]);
     add(
         "assumptions.unstable-with-position-loop",
-        unstable_with_position_loop(setup),
+        inside.map(|[unstable, _, _]| unstable),
+    );
+    let outside = with_position_loop(setup, [5.0 * from, from]);
+    add(
+        "assumptions.unstable-motions",
+        outside.map(|[_, unstable, _]| unstable),
+    );
+    add(
+        "assumptions.stable-only-with-position-loop",
+        outside.map(|[_, _, rescued]| rescued),
     );
     add(
         "assumptions.reference-diameter",
@@ -287,12 +298,11 @@ fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
     Ok(largest)
 }
 
-/// Unstable steady motions over the meaningful range with the paper's position loop around the
-/// law, whose states are the position of P as well; in ticks of 1 ms. None if one can't be
-/// studied.
-fn unstable_with_position_loop(setup: &Setup) -> Option<f64> {
-    let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let mut unstable = 0.0;
+/// Steady motions over a range of dl: how many are unstable with the paper's position loop
+/// around the law, whose states are the position of P as well; how many are without it; and how
+/// many of these are stable with it. In ticks of 1 ms. None if one can't be studied.
+fn with_position_loop(setup: &Setup, [from, to]: [f64; 2]) -> Option<[f64; 3]> {
+    let mut counts = [0.0; 3];
     for speed in SPEEDS.map(|speed| speed * setup.scale()) {
         for step in 0..=20 {
             let deviation = from + (to - from) * f64::from(step) / 20.0;
@@ -305,16 +315,18 @@ fn unstable_with_position_loop(setup: &Setup) -> Option<f64> {
             )
             .ok()?
             .believing(Belief::CentreOfMass);
-            let sampled = SampledLoop::new(closed_loop, 1e-3, 0.0)
-                .ok()?
-                .with_position_gain(GAIN)
-                .ok()?;
-            if !sampled.is_stable() {
-                unstable += 1.0;
+            let alone = SampledLoop::new(closed_loop, 1e-3, 0.0).ok()?;
+            let looped = alone.with_position_gain(GAIN).ok()?;
+            for (count, counts_here) in counts.iter_mut().zip([
+                !looped.is_stable(),
+                !alone.is_stable(),
+                !alone.is_stable() && looped.is_stable(),
+            ]) {
+                *count += f64::from(u8::from(counts_here));
             }
         }
     }
-    Some(unstable)
+    Some(counts)
 }
 
 #[cfg(test)]
@@ -340,6 +352,9 @@ mod tests {
         assert!(get("any-p") < 1e-12);
         assert!(get("measured-point") < 1e-12);
         assert_eq!(get("unstable-with-position-loop"), 0.0);
+        // The claim's text names the number.
+        assert_eq!(get("unstable-motions"), 47.0);
+        assert_eq!(get("stable-only-with-position-loop"), 0.0);
         assert!((get("path-diameter") - 1.788_854).abs() < 1e-6);
     }
 }

@@ -16,7 +16,7 @@ use super::{
 };
 use crate::identify::{
     self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, StudyArgs, TyreKind,
-    study::{SCENARIO, Study, VALIDATION, run_study},
+    study::{SCENARIO, Study, StudyPlan, VALIDATION, run_study},
 };
 
 /// Factors of the start values of the fit: `C_f`, `C_r`, `I_z`.
@@ -117,8 +117,12 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
         draw(setup, &report, &mut section);
     }
     if setup.is_paper() && !setup.quick {
-        let seeds: Vec<u64> = (1..=SEEDS).collect();
-        let study = run_study(&seeds, |done| {
+        let plan = StudyPlan {
+            first_seed: 1,
+            count: SEEDS,
+            ..StudyPlan::default()
+        };
+        let study = run_study(&plan, |done| {
             progress.doing(&format!("identification, drive {done} of {SEEDS}"));
         });
         if let Some(study) = section.or_note("identification under many seeds", study) {

@@ -88,17 +88,23 @@ fn law() -> Vec<Claim> {
             4,
             Scope::PaperCar,
             "The stability of ξ decides that of the whole system",
-            "\"necessary, but also sufficient\": no unstable point with the position loop around \
-             the law",
+            "\"necessary, but also sufficient\": with the position loop around the law no unstable \
+             point where ξ is stable, and no stable one where it is not",
         )
         .agrees(
             "unstable of 147",
             "assumptions.unstable-with-position-loop",
             near(0.0, 0.0),
         )
+        .agrees(
+            "stable of 47",
+            "assumptions.stable-only-with-position-loop",
+            near(0.0, 0.0),
+        )
         .because(
             "without a position loop the positions do not act on ξ; with one and a wrong l_f they \
-             do, and the paper's gain of 1 takes no stability over the meaningful range",
+             do, and the paper's gain of 1 takes no stability over the meaningful range and gives \
+             none at the unstable ones of 147 motions beyond it, down to dl = −5 l_f",
         ),
         claim(
             "direction",
