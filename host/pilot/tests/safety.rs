@@ -136,7 +136,7 @@ fn a_drive_well_inside_has_the_same_bits_with_and_without_it() {
     ] {
         let drive = |filter| {
             let mut bench = Bench::with(PilotConfig {
-                tracking,
+                tracking: tracking.clone(),
                 ..with(reference.clone(), filter)
             });
             (bench.position, bench.yaw) = (position, yaw);
