@@ -63,6 +63,8 @@ class State:
     setpoint_age: float = nan
     #: Age of the newest telemetry of the board, in s.
     board_age: float = nan
+    #: What the safety filter did: none, limited, scaled or stopped.
+    filtering: str = "none"
 
     @property
     def driving(self) -> bool:

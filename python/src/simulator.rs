@@ -144,6 +144,7 @@ impl Simulator {
             let age = now.0.saturating_sub(board_ns);
             state.set_item("board_age", age as f64 * 1e-9)?;
         }
+        state.set_item("filtering", output.filtering.name())?;
         if let Some(stamp) = &output.setpoint {
             state.set_item("sequence", stamp.sequence)?;
             let age = now.0.saturating_sub(stamp.time.0);

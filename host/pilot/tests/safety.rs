@@ -5,9 +5,9 @@
 mod bench;
 
 use singletrack_control::{
-    Circle, ConvexArea, External, FigureOfEight, OpenLoop, Position, Reference, SafetyConfig,
-    SafetyFilter, Setpoint, SpeedDemand, SteeringDemand, TrackingLoop, Velocity, VelocityStep,
-    VelocitySteps, direction,
+    Circle, ConvexArea, External, FigureOfEight, OpenLoop, Position, ProportionalLoop, Reference,
+    SafetyConfig, SafetyFilter, Setpoint, SpeedDemand, SteeringDemand, TrackingLoop, Velocity,
+    VelocityStep, VelocitySteps, direction,
 };
 use singletrack_pilot::{
     Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason, SupervisorConfig,
@@ -305,4 +305,29 @@ fn the_first_metre_is_filtered_with_the_braking_of_an_unproved_car() {
         limited_at.unwrap()
     };
     assert!(stands_at(true) < stands_at(false) - 0.05);
+}
+
+#[test]
+fn a_velocity_that_is_not_finite_stops_the_car_with_its_reason() {
+    let circle = Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5).unwrap());
+    let broken = TrackingLoop::Proportional(ProportionalLoop {
+        gain: Velocity::new(f64::NAN, 1.0),
+        feed_forward: true,
+    });
+    for (filter, ends_in) in [(Some(filter()), Mode::Stopping), (None, Mode::Fault)] {
+        let mut bench = Bench::with(PilotConfig {
+            tracking: broken,
+            ..with(circle.clone(), filter)
+        });
+        bench.run(100);
+        bench.step_with(Some(PilotRequest::Arm));
+        let outputs: Vec<_> = (0..50).map(|_| bench.step()).collect();
+        let end = outputs
+            .iter()
+            .find(|output| !matches!(output.mode, Mode::Arming | Mode::Driving))
+            .unwrap();
+        assert_eq!((end.mode, end.reason), (ends_in, Some(Reason::LawSingular)));
+        let speed = |output: &Output| output.actuation.speed;
+        assert!(outputs.iter().all(|output| speed(output) == 0.0));
+    }
 }

@@ -21,7 +21,7 @@ proptest! {
     #[test]
     fn a_generated_schedule_is_within_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
-        prop_assert!((1..=11).contains(&schedule.faults.len()));
+        prop_assert!((1..=14).contains(&schedule.faults.len()));
         prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
         prop_assert!(schedule.requests.is_sorted_by_key(|ask| ask.at_ms));
         for fault in &schedule.faults {
