@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 
 use singletrack_campaign::{Campaign, CampaignArgs};
 use singletrack_paper::compare::{
-    Comparison, Condition, ControllerName, HEADER, PathName, csv, lines, markdown,
+    Comparison, Condition, ControllerName, DELAYS_HEADER, HEADER, PathName, csv, delays,
+    delays_csv, delays_markdown, lines, markdown,
 };
 
 fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison {
@@ -18,6 +19,16 @@ fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison 
         first_seed: 1,
         seeds: 2,
     }
+}
+
+/// The place of `stops` among the fields after the condition.
+const STOPS: usize = 9;
+
+/// Those that drive the car.
+fn drivers() -> Vec<ControllerName> {
+    let all = ControllerName::ALL.into_iter();
+    all.filter(|controller| *controller != ControllerName::Appendix)
+        .collect()
 }
 
 fn run(plan: &Comparison, arguments: &CampaignArgs) -> Campaign<Comparison> {
@@ -42,16 +53,21 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
     let all = run(&plan, &CampaignArgs::default());
     let table = csv(&lines(&plan, &all.results));
     let rows_of_all = rows(&table);
-    assert_eq!(rows_of_all.len(), 2 * ControllerName::ALL.len());
+    assert_eq!(rows_of_all.len(), 2 * drivers().len());
     let value = |row: &str, column: usize| rows_of_all[row][column].parse::<f64>().unwrap();
-    for controller in ControllerName::ALL {
+    for controller in drivers() {
         let name = controller.name();
         for row in [
             format!("{name} nominal"),
             format!("{name} nominal@front-axle"),
         ] {
             assert_eq!(rows_of_all[&row].first().unwrap(), "2", "{row}");
-            assert_eq!(rows_of_all[&row].last().unwrap(), "0", "{row}: stops");
+            assert_eq!(rows_of_all[&row][STOPS], "0", "{row}: stops");
+            let [rate, most_rate, ripple] = [10, 11, 12].map(|column| value(&row, column));
+            assert!(
+                0.0 < rate && rate < most_rate && ripple > 0.0,
+                "{row}: {table}"
+            );
             let [rms, low, high, p99, max] = [1, 2, 3, 4, 5].map(|column| value(&row, column));
             assert!(low <= rms && rms <= high && p99 <= max, "{row}: {table}");
             assert!(rms > 1e-4, "{row}: {table}");
@@ -77,7 +93,7 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
 #[test]
 fn a_row_does_not_depend_on_the_others_or_on_the_shard() {
     use ControllerName::{PFf, Stanley};
-    let conditions = [Condition::Nominal, Condition::SoftTyres, Condition::Loss];
+    let conditions = [Condition::Nominal, Condition::SoftTyres, Condition::Loss200];
     let both = plan(&[PFf, Stanley], &conditions);
     let table = csv(&lines(&both, &run(&both, &CampaignArgs::default()).results));
     let alone = plan(&[Stanley], &conditions);
@@ -138,5 +154,59 @@ fn a_car_that_stops_is_counted_and_has_no_error() {
     let rows = rows(&table);
     let row = &rows["p-ff nominal"];
     assert_eq!(row[1..8].join(","), ",,,,,,", "{table}");
-    assert_eq!(row.last().unwrap(), "1", "{table}");
+    assert_eq!(row[STOPS], "1", "{table}");
+}
+
+#[test]
+fn the_worst_condition_has_a_row_that_names_it() {
+    let conditions = [
+        Condition::Nominal,
+        Condition::SoftTyres,
+        Condition::AxleLess,
+    ];
+    let plan = plan(&[ControllerName::PFf], &conditions);
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    let rows = rows(&table);
+    let worst = &rows["p-ff worst-axle"];
+    assert_eq!(worst.last().unwrap(), "axle-50mm", "{table}");
+    assert_eq!(worst[..12], rows["p-ff axle-50mm"][..12], "{table}");
+    assert!(rows.contains_key("p-ff worst-tyres@front-axle"), "{table}");
+}
+
+#[test]
+fn laws_without_lag_and_noise_follow_exactly_on_the_ideal_plant() {
+    let plan = plan(
+        &ControllerName::ALL,
+        &[Condition::Nominal, Condition::IdealPlant],
+    );
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    let rows = rows(&table);
+    for name in ["appendix", "p-ff", "p-tuned"] {
+        let rms: f64 = rows[&format!("{name} ideal-plant")][1].parse().unwrap();
+        assert!(rms < 2e-4, "{name} {rms}");
+    }
+    assert!(!rows.contains_key("appendix nominal"), "{table}");
+}
+
+#[test]
+fn a_delay_diverges_and_is_in_a_table_of_its_own() {
+    let mut plan = plan(
+        &[ControllerName::PFf, ControllerName::PTuned],
+        &[Condition::AddedDelay],
+    );
+    plan.seeds = 1;
+    let results = run(&plan, &CampaignArgs::default()).results;
+    assert_eq!(csv(&lines(&plan, &results)), format!("{HEADER}\n"));
+    let lines = delays(&plan, &results);
+    let table = delays_csv(&lines);
+    let (header, rows) = table.split_once('\n').unwrap();
+    assert_eq!(header, DELAYS_HEADER);
+    let delay = |name: &str| {
+        let row = rows.lines().find(|row| row.starts_with(name)).unwrap();
+        row.split(',').nth(4).unwrap().parse::<f64>().unwrap()
+    };
+    // A higher gain stands less.
+    assert!(delay("p-tuned") > 20.0, "{table}");
+    assert!(delay("p-tuned") < delay("p-ff"), "{table}");
+    assert!(delays_markdown(&lines).contains("| p-ff | p-tuned |"));
 }

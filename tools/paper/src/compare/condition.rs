@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
+use singletrack_control::VehicleParameters;
 
 /// A condition of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -17,6 +18,10 @@ pub enum Condition {
     #[value(name = "tyres+50%")]
     #[serde(rename = "tyres+50%")]
     StiffTyres,
+    /// The front axle is believed to be at the centre of mass: dl = `-l_f`.
+    #[value(name = "axle-lf")]
+    #[serde(rename = "axle-lf")]
+    AxleLeast,
     /// The distance of the front axle from the centre of mass is believed to be 50 mm less.
     #[value(name = "axle-50mm")]
     #[serde(rename = "axle-50mm")]
@@ -25,21 +30,53 @@ pub enum Condition {
     #[value(name = "axle+50mm")]
     #[serde(rename = "axle+50mm")]
     AxleMore,
-    /// The cameras see nothing for 200 ms, a second after the counting begins.
+    /// The rear axle is believed to be at the centre of mass: dl = `l_r`.
+    #[value(name = "axle+lr")]
+    #[serde(rename = "axle+lr")]
+    AxleMost,
+    /// The cameras see nothing for 50 ms, a second after the counting begins.
+    #[value(name = "loss-50ms")]
+    #[serde(rename = "loss-50ms")]
+    Loss50,
+    /// The same for 100 ms.
+    #[value(name = "loss-100ms")]
+    #[serde(rename = "loss-100ms")]
+    Loss100,
+    /// The same for 200 ms.
     #[value(name = "loss-200ms")]
     #[serde(rename = "loss-200ms")]
-    Loss,
+    Loss200,
+    /// The same for 500 ms.
+    #[value(name = "loss-500ms")]
+    #[serde(rename = "loss-500ms")]
+    Loss500,
+    /// The same for a second.
+    #[value(name = "loss-1000ms")]
+    #[serde(rename = "loss-1000ms")]
+    Loss1000,
+    /// The paper's equations in place of the simulated car: no lag, noise, limits or estimator.
+    IdealPlant,
+    /// The search for the least added delay that diverges, in a table of its own.
+    AddedDelay,
 }
 
 impl Condition {
     /// All, in the order of the table.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 14] = [
         Self::Nominal,
         Self::SoftTyres,
         Self::StiffTyres,
+        Self::AxleLeast,
         Self::AxleLess,
         Self::AxleMore,
-        Self::Loss,
+        Self::AxleMost,
+        Self::Loss50,
+        Self::Loss100,
+        Self::Loss200,
+        Self::Loss500,
+        Self::Loss1000,
+        Self::IdealPlant,
+        Self::AddedDelay,
     ];
 
     /// As in the table.
@@ -49,9 +86,17 @@ impl Condition {
             Self::Nominal => "nominal",
             Self::SoftTyres => "tyres-50%",
             Self::StiffTyres => "tyres+50%",
+            Self::AxleLeast => "axle-lf",
             Self::AxleLess => "axle-50mm",
             Self::AxleMore => "axle+50mm",
-            Self::Loss => "loss-200ms",
+            Self::AxleMost => "axle+lr",
+            Self::Loss50 => "loss-50ms",
+            Self::Loss100 => "loss-100ms",
+            Self::Loss200 => "loss-200ms",
+            Self::Loss500 => "loss-500ms",
+            Self::Loss1000 => "loss-1000ms",
+            Self::IdealPlant => "ideal-plant",
+            Self::AddedDelay => "added-delay",
         }
     }
 
@@ -64,11 +109,13 @@ impl Condition {
         }
     }
 
-    /// Error of the believed distance of the front axle, in m.
-    pub(super) const fn axle_error_m(self) -> f64 {
+    /// Error of the believed distance of the front axle, in m: dl.
+    pub(super) fn axle_error_m(self, vehicle: &VehicleParameters) -> f64 {
         match self {
+            Self::AxleLeast => -vehicle.front_axle_distance_m,
             Self::AxleLess => -0.05,
             Self::AxleMore => 0.05,
+            Self::AxleMost => vehicle.rear_axle_distance_m,
             _ => 0.0,
         }
     }
@@ -76,8 +123,46 @@ impl Condition {
     /// How long the cameras see nothing, in µs.
     pub(super) const fn loss_us(self) -> u64 {
         match self {
-            Self::Loss => 200_000,
+            Self::Loss50 => 50_000,
+            Self::Loss100 => 100_000,
+            Self::Loss200 => 200_000,
+            Self::Loss500 => 500_000,
+            Self::Loss1000 => 1_000_000,
             _ => 0,
+        }
+    }
+}
+
+/// Conditions of which the worst has a row of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Worst {
+    /// Over the believed place of the front axle, dl from `-l_f` to `l_r`.
+    Axle,
+    /// Over the true cornering stiffness, within 50 %.
+    Tyres,
+}
+
+impl Worst {
+    /// Both, in the order of the table.
+    pub(super) const ALL: [Self; 2] = [Self::Tyres, Self::Axle];
+
+    /// As in the table.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Axle => "worst-axle",
+            Self::Tyres => "worst-tyres",
+        }
+    }
+
+    /// Whether it is the worst of this condition and others.
+    pub(super) const fn holds(self, condition: Condition) -> bool {
+        use Condition::{AxleLeast, AxleLess, AxleMore, AxleMost, Nominal, SoftTyres, StiffTyres};
+        match self {
+            Self::Axle => matches!(
+                condition,
+                Nominal | AxleLeast | AxleLess | AxleMore | AxleMost
+            ),
+            Self::Tyres => matches!(condition, Nominal | SoftTyres | StiffTyres),
         }
     }
 }

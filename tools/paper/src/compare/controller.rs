@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use singletrack_core::config::OuterLoopSection;
 
-use super::foreign::Law;
+use super::{condition::Condition, foreign::Law};
 
 /// A controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -22,6 +22,8 @@ pub enum ControllerName {
     PurePursuit,
     /// Stanley, tuned.
     Stanley,
+    /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
+    Appendix,
 }
 
 /// What `tune` found with [`BUDGET`](super::tune::BUDGET) drives each.
@@ -29,6 +31,8 @@ const TUNED_GAIN: f64 = 10.0;
 const COMPENSATED_GAIN: f64 = 12.0;
 const TUNED_PURSUIT: [f64; 2] = [0.2, 12.0];
 const TUNED_STANLEY: [f64; 2] = [16.0, 12.0];
+
+const APPENDIX_GAIN: f64 = 10.0;
 
 /// How a controller drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,19 +42,22 @@ pub(super) enum Drives {
         outer_loop: OuterLoopSection,
         compensated: bool,
     },
+    /// By velocities of the appendix's P, with this gain in 1/s and feed-forward.
+    Appendix { gain: f64 },
     /// By steering and speed, from outside.
     Actuators { law: Law, catch_up: f64 },
 }
 
 impl ControllerName {
     /// All, in the order of the table.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::P,
         Self::PFf,
         Self::PTuned,
         Self::PCompensated,
         Self::PurePursuit,
         Self::Stanley,
+        Self::Appendix,
     ];
 
     /// As in the table.
@@ -63,6 +70,7 @@ impl ControllerName {
             Self::PCompensated => "p-compensated",
             Self::PurePursuit => "pure-pursuit",
             Self::Stanley => "stanley",
+            Self::Appendix => "appendix",
         }
     }
 
@@ -74,6 +82,7 @@ impl ControllerName {
             Self::PCompensated => [COMPENSATED_GAIN, 0.0],
             Self::PurePursuit => TUNED_PURSUIT,
             Self::Stanley => TUNED_STANLEY,
+            Self::Appendix => [APPENDIX_GAIN, 0.0],
         };
         self.with(parameters)
     }
@@ -96,6 +105,21 @@ impl ControllerName {
                 law: Law::Stanley { gain: first },
                 catch_up: second,
             },
+            Self::Appendix => Drives::Appendix { gain: first },
+        }
+    }
+
+    /// Whether it can drive under a condition.
+    pub(super) fn drives_under(self, condition: Condition) -> bool {
+        self != Self::Appendix || condition == Condition::IdealPlant
+    }
+
+    /// The condition under which it is tuned.
+    pub(super) fn tuned_under(self) -> Condition {
+        if self.drives_under(Condition::Nominal) {
+            Condition::Nominal
+        } else {
+            Condition::IdealPlant
         }
     }
 
@@ -103,7 +127,7 @@ impl ControllerName {
     pub(super) const fn tried(self) -> Option<[&'static [f64]; 2]> {
         match self {
             Self::P | Self::PFf => None,
-            Self::PTuned | Self::PCompensated => Some([
+            Self::PTuned | Self::PCompensated | Self::Appendix => Some([
                 &[
                     0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.4, 3.8,
                     4.3, 4.9, 5.5, 6.2, 7.0, 8.0, 9.0, 10.0, 12.0,

@@ -179,6 +179,11 @@ impl Table {
         Ok(Self { reference, samples })
     }
 
+    /// What it was made of.
+    pub(super) const fn reference(&self) -> &Reference {
+        &self.reference
+    }
+
     /// Where the reference is at a time, exactly.
     pub(super) fn at(&self, time: f64) -> Sample {
         let place = (time * SAMPLES_PER_SECOND).max(0.0);

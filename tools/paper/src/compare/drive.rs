@@ -1,8 +1,7 @@
-//! One drive of the comparison.
+//! One drive of the comparison on the simulated car.
 
-use libm::{cos, hypot, sin};
-use serde::{Deserialize, Serialize};
-use singletrack_control::{Setpoint, SpeedDemand, SteeringDemand, Time};
+use libm::{cos, sin};
+use singletrack_control::{LawError, Setpoint, SpeedDemand, SteeringDemand, Time};
 use singletrack_core::{
     ConfigError,
     config::{CompensationSection, ReferenceSection},
@@ -12,45 +11,16 @@ use singletrack_scenario::{
     simulated::{Drive, daemon_config, follow},
     virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
 };
-use singletrack_sim::{LossWindow, SimulationConfig, StartPose, Truth};
-use singletrack_statistics::Distribution;
+use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
 
 use super::{
     condition::Condition,
     controller::Drives,
+    counted::{AddedDelay, Counted, DriveResult, Own, POINT_DISTANCE_M},
     course::{Course, PathName, Table},
-    foreign::{Foreign, Law},
+    foreign::Foreign,
+    ideal,
 };
-
-/// What became of a drive.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DriveResult {
-    /// Why the car stopped before the end; the errors are those until then.
-    pub stopped: Option<String>,
-    /// Error of the controller's own point: P, the rear axle, or the front axle.
-    pub own: Option<Errors>,
-    /// Distance of the front axle from the path, whenever it is where.
-    pub front_axle: Option<Errors>,
-    /// The largest acceleration of G over that of sliding tyres.
-    pub tyre_use_max: f64,
-}
-
-/// Errors over the counted time, in m.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Errors {
-    /// Root mean square.
-    pub rms: f64,
-    /// Exceeded in 1 % of the time.
-    pub p99: f64,
-    /// Largest.
-    pub max: f64,
-    /// Root mean square along the path; zero where time does not matter.
-    pub along_rms: f64,
-    /// Root mean square across it.
-    pub across_rms: f64,
-}
 
 /// Why a drive can't be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -61,6 +31,12 @@ pub enum DriveError {
     /// The host or the world is refused.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
+    /// The law of the appendix has no limits and no start from standstill.
+    #[error("the law of the appendix drives the ideal plant only; choose condition ideal-plant")]
+    IdealPlantOnly,
+    /// A law is refused.
+    #[error(transparent)]
+    Law(#[from] LawError),
 }
 
 /// The row that a drive belongs to, and its seed.
@@ -89,19 +65,70 @@ const MAX_POSE_AGE_MS: u16 = 1_000;
 const START_S: f64 = 15.0;
 /// How long a set-point is in force, in ms.
 const SETPOINT_TIMEOUT_MS: u32 = 100;
-/// Standard gravity, in m/s².
-const GRAVITY: f64 = 9.806_65;
-const POINT_DISTANCE_M: f64 = 0.35;
+/// The longest added delay that is tried, and how exactly the least that diverges is found, in ms.
+pub(super) const LONGEST_DELAY_MS: u32 = 640;
+const DELAY_STEP_MS: u32 = 5;
+/// A drive diverges with a delay if its largest error grows by more than this, in m.
+const DIVERGED_M: f64 = 0.25;
 
 impl Case {
     pub(super) fn drive(&self) -> Result<DriveResult, DriveError> {
         let course = Course::new(self.path, self.speed_m_s);
         let [_, until] = course.counted;
         let table = Table::new(&course, until + 5.0)?;
-        let mut run = Run::new(self, &course, &table)?;
+        match self.condition {
+            Condition::IdealPlant => ideal::drive(&self.drives, &course, &table),
+            Condition::AddedDelay => self.search_delay(&course, &table),
+            _ => self.car(&course, &table, 0),
+        }
+    }
+
+    /// On the simulated car, with pulses that act `delay_ms` later.
+    fn car(
+        &self,
+        course: &Course,
+        table: &Table,
+        delay_ms: u32,
+    ) -> Result<DriveResult, DriveError> {
+        let [_, until] = course.counted;
+        let mut run = Run::new(self, course, table, delay_ms)?;
         run.start();
         run.finish(until);
         Ok(run.errors.result(run.stopped))
+    }
+
+    /// The least delay that diverges, by bisection: what is beyond it is taken to diverge, too.
+    fn search_delay(&self, course: &Course, table: &Table) -> Result<DriveResult, DriveError> {
+        let largest = |result: &DriveResult| match (&result.stopped, result.own) {
+            (None, Some(errors)) => errors.max,
+            _ => f64::INFINITY,
+        };
+        let without = self.car(course, table, 0)?;
+        let most = largest(&without) + DIVERGED_M;
+        let diverges = |delay_ms| {
+            self.car(course, table, delay_ms)
+                .map(|result| largest(&result) > most)
+        };
+        let diverges_ms = if without.stopped.is_some() {
+            Some(0)
+        } else if diverges(LONGEST_DELAY_MS)? {
+            let (mut stands, mut fails) = (0, LONGEST_DELAY_MS);
+            while fails - stands > DELAY_STEP_MS {
+                let middle = stands.midpoint(fails);
+                if diverges(middle)? {
+                    fails = middle;
+                } else {
+                    stands = middle;
+                }
+            }
+            Some(fails)
+        } else {
+            None
+        };
+        Ok(DriveResult {
+            added_delay: Some(AddedDelay { diverges_ms }),
+            ..without
+        })
     }
 }
 
@@ -116,24 +143,32 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(case: &Case, course: &Course, table: &'a Table) -> Result<Self, DriveError> {
+    fn new(
+        case: &Case,
+        course: &Course,
+        table: &'a Table,
+        delay_ms: u32,
+    ) -> Result<Self, DriveError> {
         let mut simulation = SimulationConfig {
             seed: case.seed,
             ..SimulationConfig::default()
         };
+        let delay_us = 1_000 * u64::from(delay_ms);
+        simulation.car.servo.dead_time_us += delay_us;
+        simulation.car.motor.dead_time_us += delay_us;
         let believed = simulation.car.vehicle;
+        let axle_error_m = case.condition.axle_error_m(&believed);
         let mut drive = Drive::following(course.reference.clone());
         drive.vehicle = believed;
         drive.law.point_distance_m = POINT_DISTANCE_M;
-        drive.law.front_axle_distance_m =
-            believed.front_axle_distance_m + case.condition.axle_error_m();
+        drive.law.front_axle_distance_m = believed.front_axle_distance_m + axle_error_m;
         let mut foreign = None;
         // The paper's controller has none, and nor have the others.
         let mut compensation = CompensationSection {
             clock: false,
             actuation: false,
         };
-        let own = match case.drives {
+        match case.drives {
             Drives::Point {
                 outer_loop,
                 compensated,
@@ -143,16 +178,16 @@ impl<'a> Run<'a> {
                     clock: compensated,
                     actuation: compensated,
                 };
-                Own::P
             }
+            Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
             Drives::Actuators { law, catch_up } => {
                 drive.reference = ReferenceSection::External {
                     setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
                 };
                 let mut vehicle = believed;
                 // The wheelbase is known: it can be measured.
-                vehicle.front_axle_distance_m += case.condition.axle_error_m();
-                vehicle.rear_axle_distance_m -= case.condition.axle_error_m();
+                vehicle.front_axle_distance_m += axle_error_m;
+                vehicle.rear_axle_distance_m -= axle_error_m;
                 foreign = Some(Foreign {
                     law,
                     catch_up,
@@ -160,12 +195,8 @@ impl<'a> Run<'a> {
                     table,
                     index: 0,
                 });
-                match law {
-                    Law::PurePursuit { .. } => Own::RearAxle,
-                    Law::Stanley { .. } => Own::FrontAxle,
-                }
             }
-        };
+        }
         let mut config = daemon_config(drive);
         config.compensation = compensation;
         config.limits.max_speed_m_s = f64::from(TOP_SPEED_MM_S) * 1e-3;
@@ -178,24 +209,9 @@ impl<'a> Run<'a> {
         let true_car = &mut simulation.car.vehicle;
         true_car.front_cornering_stiffness_n_rad *= case.condition.stiffness();
         true_car.rear_cornering_stiffness_n_rad *= case.condition.stiffness();
-        let front = true_car.front_axle_distance_m;
-        let errors = Counted {
-            own,
-            front,
-            rear: true_car.rear_axle_distance_m,
-            counted: course.counted,
-            table,
-            index: 0,
-            errors: Vec::new(),
-            front_errors: Vec::new(),
-            tyre_use: 0.0,
-            sliding: true_car.friction * GRAVITY,
-        };
-        let reach = match own {
-            Own::P => front + POINT_DISTANCE_M,
-            Own::FrontAxle => front,
-            Own::RearAxle => -errors.rear,
-        };
+        let own = Own::of(&case.drives);
+        let reach = own.reach(true_car);
+        let errors = Counted::new(own, true_car, course.counted, table);
         let [x, y] = course.start;
         simulation.car.start = StartPose {
             x_m: x - reach * cos(course.heading),
@@ -291,93 +307,5 @@ impl<'a> Run<'a> {
             _ => return,
         };
         self.send(command);
-    }
-}
-
-/// The point whose errors are the controller's own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Own {
-    P,
-    FrontAxle,
-    RearAxle,
-}
-
-/// The errors of a drive, from the true states.
-struct Counted<'a> {
-    own: Own,
-    /// The true distances of the axles from G, in m.
-    front: f64,
-    rear: f64,
-    /// The time that is counted, in s.
-    counted: [f64; 2],
-    table: &'a Table,
-    /// The place of the path's point that is nearest to the front axle.
-    index: usize,
-    /// Along and across the path, in m.
-    errors: Vec<[f64; 2]>,
-    front_errors: Vec<[f64; 2]>,
-    tyre_use: f64,
-    /// Acceleration at which the tyres slide, in m/s².
-    sliding: f64,
-}
-
-impl Counted<'_> {
-    fn add(&mut self, time: f64, truth: &Truth) {
-        let on_axis = |ahead: f64| {
-            [
-                truth.x + ahead * cos(truth.yaw),
-                truth.y + ahead * sin(truth.yaw),
-            ]
-        };
-        let front = on_axis(self.front);
-        self.index = self.table.nearest(front, self.index);
-        let [from, until] = self.counted;
-        if !(from..=until).contains(&time) {
-            return;
-        }
-        let nearest = self.table.get(self.index);
-        let [_, across] = error(front, nearest.position, nearest.heading);
-        self.front_errors.push([0.0, across]);
-        let own = match self.own {
-            Own::P => truth.point_p(self.front, POINT_DISTANCE_M),
-            Own::FrontAxle => front,
-            Own::RearAxle => on_axis(-self.rear),
-        };
-        let wanted = self.table.at(time);
-        self.errors
-            .push(error(own, wanted.position, wanted.heading));
-        let acceleration = hypot(truth.longitudinal_acceleration, truth.lateral_acceleration);
-        self.tyre_use = self.tyre_use.max(acceleration / self.sliding);
-    }
-
-    fn result(&self, stopped: Option<String>) -> DriveResult {
-        DriveResult {
-            stopped,
-            own: Errors::of(&self.errors),
-            front_axle: Errors::of(&self.front_errors),
-            tyre_use_max: self.tyre_use,
-        }
-    }
-}
-
-/// The error along and across a direction, in m.
-fn error(point: [f64; 2], wanted: [f64; 2], heading: f64) -> [f64; 2] {
-    let [x, y] = [point[0] - wanted[0], point[1] - wanted[1]];
-    let (sin, cos) = (sin(heading), cos(heading));
-    [x * cos + y * sin, y * cos - x * sin]
-}
-
-impl Errors {
-    fn of(errors: &[[f64; 2]]) -> Option<Self> {
-        let distances =
-            Distribution::of(errors.iter().map(|&[along, across]| hypot(along, across)));
-        let part = |axis: usize| Distribution::of(errors.iter().map(|error| error[axis]));
-        Some(Self {
-            rms: distances.root_mean_square()?,
-            p99: distances.quantile(0.99)?,
-            max: distances.max()?,
-            along_rms: part(0).root_mean_square()?,
-            across_rms: part(1).root_mean_square()?,
-        })
     }
 }

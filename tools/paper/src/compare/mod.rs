@@ -5,9 +5,12 @@
 
 mod condition;
 mod controller;
+mod counted;
 mod course;
+mod delays;
 mod drive;
 mod foreign;
+mod ideal;
 mod plan;
 mod table;
 mod tune;
@@ -21,10 +24,12 @@ use std::{
 use clap::{Args, ValueEnum};
 use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
 
-pub use condition::Condition;
+pub use condition::{Condition, Worst};
 pub use controller::ControllerName;
+pub use counted::{AddedDelay, DriveResult, Effort, Errors};
 pub use course::PathName;
-pub use drive::{DriveError, DriveResult, Errors};
+pub use delays::{DELAYS_HEADER, DelayLine, delays, delays_csv, delays_markdown};
+pub use drive::DriveError;
 pub use plan::{CompareUnitError, Comparison, Row};
 pub use table::{HEADER, Line, csv, lines, markdown};
 pub use tune::BUDGET;
@@ -66,7 +71,8 @@ pub struct CompareArgs {
     #[arg(long, value_enum, default_value_t = CompareFormat::Markdown)]
     pub format: CompareFormat,
 
-    /// Write compare.csv and compare.md into this folder, too.
+    /// Write compare.csv, compare.md and, where delays are searched, delays.csv into this folder,
+    /// too.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
@@ -140,19 +146,37 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
         // Before hours of work.
         fs::create_dir_all(folder).map_err(failed(folder))?;
     }
+    let mut conditions = or_all(&args.conditions, &Condition::ALL);
+    if args.conditions.is_empty()
+        && args.format == CompareFormat::Csv
+        && args.out.is_none()
+        && args.campaign.json.is_none()
+    {
+        // This table does not have the delays, whose search takes longest.
+        conditions.retain(|condition| *condition != Condition::AddedDelay);
+    }
     let plan = Comparison {
         controllers,
         paths: or_all(&args.paths, &PathName::ALL),
         speeds_m_s: args.speeds.clone(),
-        conditions: or_all(&args.conditions, &Condition::ALL),
+        conditions,
         first_seed: args.first_seed,
         seeds: args.seeds,
     };
     let campaign = Campaign::obtain(plan, &args.campaign)?;
     let lines = lines(&campaign.experiment, &campaign.results);
-    let [csv, markdown] = [csv(&lines), markdown(&lines)];
+    let delays = delays(&campaign.experiment, &campaign.results);
+    let csv = csv(&lines);
+    let markdown = markdown(&lines) + &delays_markdown(&delays);
     if let Some(folder) = &args.out {
-        for (name, text) in [("compare.csv", &csv), ("compare.md", &markdown)] {
+        let mut files = vec![
+            ("compare.csv", csv.clone()),
+            ("compare.md", markdown.clone()),
+        ];
+        if !delays.is_empty() {
+            files.push(("delays.csv", delays_csv(&delays)));
+        }
+        for (name, text) in files {
             let path = folder.join(name);
             fs::write(&path, text).map_err(failed(&path))?;
         }

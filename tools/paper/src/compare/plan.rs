@@ -6,8 +6,9 @@ use singletrack_campaign::Experiment;
 use super::{
     condition::Condition,
     controller::ControllerName,
+    counted::DriveResult,
     course::PathName,
-    drive::{Case, DriveError, DriveResult},
+    drive::{Case, DriveError},
 };
 
 /// A comparison: every controller on every path at every speed under every condition, with
@@ -49,12 +50,15 @@ impl Comparison {
         paths.flat_map(move |&path| {
             self.speeds_m_s.iter().flat_map(move |&speed_m_s| {
                 self.conditions.iter().flat_map(move |&condition| {
-                    self.controllers.iter().map(move |&controller| Row {
-                        controller,
-                        path,
-                        speed_m_s,
-                        condition,
-                    })
+                    let controllers = self.controllers.iter().copied();
+                    controllers
+                        .filter(move |controller| is_driven(*controller, path, condition))
+                        .map(move |controller| Row {
+                            controller,
+                            path,
+                            speed_m_s,
+                            condition,
+                        })
                 })
             })
         })
@@ -72,6 +76,13 @@ impl Comparison {
             seed: self.first_seed.wrapping_add(unit % self.seeds.max(1)),
         })
     }
+}
+
+/// Whether a row has a meaning. On a circle that no car can drive there is nothing to diverge
+/// from.
+fn is_driven(controller: ControllerName, path: PathName, condition: Condition) -> bool {
+    let searched = condition == Condition::AddedDelay;
+    controller.drives_under(condition) && !(searched && path == PathName::InfeasibleCircle)
 }
 
 /// Why a drive has no result.

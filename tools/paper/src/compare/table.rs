@@ -5,18 +5,23 @@ use std::fmt::Write as _;
 use singletrack_statistics::Distribution;
 
 use super::{
-    drive::{DriveResult, Errors},
+    condition::{Condition, Worst},
+    counted::{DriveResult, Effort, Errors},
     plan::{Comparison, Row},
 };
 
 /// The names of the columns, in order.
 pub const HEADER: &str = "controller,path,speed_m_s,condition,seeds,rms_m,rms_low_m,rms_high_m,\
-                          p99_m,max_m,along_rms_m,across_rms_m,tyre_use_max,stops";
+                          p99_m,max_m,along_rms_m,across_rms_m,tyre_use_max,stops,\
+                          steering_rate_rms_rad_s,steering_rate_max_rad_s,speed_ripple_m_s,\
+                          worst_condition";
 
 /// A line of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     row: Row,
+    /// What it is the worst of; the condition is that of the row.
+    worst_of: Option<Worst>,
     /// Whether the errors are those of the front axle, not of the controller's own point.
     front_axle: bool,
     seeds: usize,
@@ -26,26 +31,69 @@ pub struct Line {
     interval: [f64; 2],
     tyre_use_max: f64,
     stops: usize,
+    /// Means, but the largest of all in `steering_rate_max`.
+    effort: Option<Effort>,
 }
 
-/// Two lines per row: the controller's own point, and the front axle.
-#[must_use]
-pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
+/// Results by the rows they belong to, in the order of the rows. A shard has a part of the
+/// seeds.
+pub(super) fn by_row<'a>(
+    plan: &Comparison,
+    results: &'a [(u64, DriveResult)],
+) -> Vec<(Row, Vec<&'a DriveResult>)> {
     let seeds = usize::try_from(plan.seeds.max(1)).unwrap_or(usize::MAX);
-    let mut lines = Vec::new();
     let mut results = results.iter().peekable();
-    for (index, row) in plan.rows().enumerate() {
+    let rows = plan.rows().enumerate().map(|(index, row)| {
         let end = ((index + 1) * seeds) as u64;
-        // A shard has a part of the seeds.
         let mut own = Vec::new();
         while let Some((_, result)) = results.next_if(|(unit, _)| *unit < end) {
             own.push(result);
         }
-        if own.is_empty() {
-            continue;
+        (row, own)
+    });
+    rows.filter(|(_, own)| !own.is_empty()).collect()
+}
+
+/// Two lines per row: the controller's own point, and the front axle. After those of a path and
+/// a speed, the worst of some conditions for each controller.
+#[must_use]
+pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
+    let rows = by_row(plan, results);
+    let rows: Vec<_> = rows
+        .iter()
+        .filter(|(row, _)| row.condition != Condition::AddedDelay)
+        .collect();
+    let mut lines = Vec::new();
+    for group in rows.chunk_by(|(a, _), (b, _)| a.path == b.path && a.speed_m_s == b.speed_m_s) {
+        let first = lines.len();
+        for (row, own) in group {
+            lines.extend([false, true].map(|front_axle| Line::of(*row, front_axle, own)));
         }
-        for front_axle in [false, true] {
-            lines.push(Line::of(row, front_axle, &own));
+        for worst in Worst::ALL {
+            for &controller in &plan.controllers {
+                for front_axle in [false, true] {
+                    let of_it = |line: &&Line| {
+                        line.row.controller == controller
+                            && line.front_axle == front_axle
+                            && line.worst_of.is_none()
+                            && worst.holds(line.row.condition)
+                    };
+                    let candidates = || lines.iter().skip(first).filter(of_it);
+                    let found = candidates().max_by(|a, b| {
+                        let by_stops = a.stops.cmp(&b.stops);
+                        by_stops.then(a.rms().total_cmp(&b.rms()))
+                    });
+                    // A single one has its line.
+                    if candidates().count() > 1
+                        && let Some(found) = found.cloned()
+                    {
+                        lines.push(Line {
+                            worst_of: Some(worst),
+                            ..found
+                        });
+                    }
+                }
+            }
         }
     }
     lines
@@ -67,8 +115,15 @@ impl Line {
             |value: fn(&Errors) -> f64| errors.iter().map(value).sum::<f64>() / errors.len() as f64;
         let rms: Vec<f64> = errors.iter().map(|errors| errors.rms).collect();
         let tyres = results.iter().map(|result| result.tyre_use_max);
+        let driven = results.iter().filter(|result| result.stopped.is_none());
+        let efforts: Vec<Effort> = driven.filter_map(|result| result.effort).collect();
+        let mean_effort = |value: fn(&Effort) -> f64| {
+            efforts.iter().map(value).sum::<f64>() / efforts.len() as f64
+        };
+        let rates = efforts.iter().map(|effort| effort.steering_rate_max);
         Self {
             row,
+            worst_of: None,
             front_axle,
             seeds: results.len(),
             errors: (!errors.is_empty()).then(|| Errors {
@@ -81,12 +136,30 @@ impl Line {
             interval: interval(&rms),
             tyre_use_max: tyres.fold(0.0, f64::max),
             stops: results.len() - errors.len(),
+            effort: (!efforts.is_empty()).then(|| Effort {
+                steering_rate_rms: mean_effort(|effort| effort.steering_rate_rms),
+                steering_rate_max: rates.fold(0.0, f64::max),
+                speed_ripple: mean_effort(|effort| effort.speed_ripple),
+            }),
         }
+    }
+
+    /// Infinite if no drive came to the end.
+    fn rms(&self) -> f64 {
+        self.errors
+            .as_ref()
+            .map_or(f64::INFINITY, |errors| errors.rms)
+    }
+
+    /// The condition, or what the line is the worst of.
+    fn title(&self) -> &'static str {
+        self.worst_of
+            .map_or_else(|| self.row.condition.name(), Worst::name)
     }
 
     fn condition(&self) -> String {
         let of = if self.front_axle { "@front-axle" } else { "" };
-        format!("{}{of}", self.row.condition.name())
+        format!("{}{of}", self.title())
     }
 
     fn values(&self) -> [Option<f64>; 8] {
@@ -103,6 +176,15 @@ impl Line {
             Some(self.tyre_use_max),
         ]
     }
+
+    fn effort(&self) -> [Option<f64>; 3] {
+        let value = |value: fn(&Effort) -> f64| self.effort.as_ref().map(value);
+        [
+            value(|effort| effort.steering_rate_rms),
+            value(|effort| effort.steering_rate_max),
+            value(|effort| effort.speed_ripple),
+        ]
+    }
 }
 
 /// Number of samples of the bootstrap.
@@ -110,7 +192,7 @@ const SAMPLES: usize = 2_000;
 
 /// The interval of 95 % of a mean, by resampling. Equal numbers of values are resampled in
 /// the same way, so that differences of rows with the same seeds are those of pairs.
-fn interval(values: &[f64]) -> [f64; 2] {
+pub(super) fn interval(values: &[f64]) -> [f64; 2] {
     let mut random: u64 = 1;
     let count = values.len() as u64;
     let means = (0..SAMPLES).map(|_| {
@@ -144,18 +226,20 @@ pub fn csv(lines: &[Line]) -> String {
             speed_m_s,
             ..
         } = line.row;
-        let values = line.values();
-        let values = values.map(|value| value.map_or_else(String::new, |value| value.to_string()));
+        let plain = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+        let (values, effort) = (line.values().map(plain), line.effort().map(plain));
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{},{},{speed_m_s},{},{},{},{}",
+            "{},{},{speed_m_s},{},{},{},{},{},{}",
             controller.name(),
             path.name(),
             line.condition(),
             line.seeds,
             values.join(","),
-            line.stops
+            line.stops,
+            effort.join(","),
+            line.worst_of.map_or("", |_| line.row.condition.name())
         );
     }
     text
@@ -170,33 +254,37 @@ pub fn markdown(lines: &[Line]) -> String {
             "{}, {} m/s, {}",
             line.row.path.name(),
             line.row.speed_m_s,
-            line.row.condition.name()
+            line.title()
         )
     };
     for group in lines.chunk_by(|a, b| case(a) == case(b)) {
         let (front, mut own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
-        let rms = |line: &Line| {
-            line.errors
-                .as_ref()
-                .map_or(f64::INFINITY, |errors| errors.rms)
-        };
-        own.sort_by(|a, b| rms(a).total_cmp(&rms(b)));
+        own.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
         let title = group.first().map_or_else(String::new, case);
         let _ = writeln!(
             text,
             "{title}\n\n| controller | RMS (mm) | 95 % | 99 % | largest | along | across | \
-             front axle across | tyres | stops |\n|---|---|---|---|---|---|---|---|---|---|"
+             front axle across | tyres | steering rate, RMS and largest (rad/s) | ripple (mm/s) | \
+             stops |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
         );
         for line in own {
-            let front = front.iter().find(|front| front.row == line.row);
+            let mine = front
+                .iter()
+                .find(|front| front.row.controller == line.row.controller);
             let [rms, low, high, p99, max, along, across, tyres] = line.values();
+            let [rate, most_rate, ripple] = line.effort();
+            let plain = |value: Option<f64>| {
+                value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
+            };
             let mm = |value: Option<f64>| {
                 value.map_or_else(|| "-".to_owned(), |value| format!("{:.2}", 1e3 * value))
             };
             let _ = writeln!(
                 text,
-                "| {} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} of {} |",
+                "| {}{} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} and {} | {} | {} of {} |",
                 line.row.controller.name(),
+                line.worst_of
+                    .map_or_else(String::new, |_| format!(", {}", line.row.condition.name())),
                 mm(rms),
                 mm(low),
                 mm(high),
@@ -204,8 +292,11 @@ pub fn markdown(lines: &[Line]) -> String {
                 mm(max),
                 mm(along),
                 mm(across),
-                mm(front.and_then(|front| front.values()[0])),
+                mm(mine.and_then(|front| front.values()[0])),
                 tyres.unwrap_or(f64::NAN),
+                plain(rate),
+                plain(most_rate),
+                mm(ripple),
                 line.stops,
                 line.seeds
             );

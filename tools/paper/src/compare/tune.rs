@@ -5,7 +5,6 @@ use std::fmt::Write as _;
 use singletrack_campaign::{Progress, run_units};
 
 use super::{
-    condition::Condition,
     controller::ControllerName,
     course::PathName,
     drive::{Case, DriveError},
@@ -90,7 +89,7 @@ fn cost(tried: &Tried) -> Result<f64, DriveError> {
             drives: tried.controller.with(tried.parameters),
             path,
             speed_m_s,
-            condition: Condition::Nominal,
+            condition: tried.controller.tuned_under(),
             seed: SEED,
         };
         let result = case.drive()?;

@@ -1,0 +1,280 @@
+//! A drive on the paper's model: equations 1 and 2, without lag, noise, limits or estimator.
+
+use libm::{atan, cos, sin, tan};
+use singletrack_control::{
+    Estimate, FrontPointLaw, Motion, OuterLoop as _, Position, ProportionalLoop, SingleTrack,
+    SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput, TrackingLoop,
+    VehicleParameters, Velocity, VelocityPointLaw,
+};
+use singletrack_sim::Truth;
+
+use super::{
+    controller::Drives,
+    counted::{Counted, DriveResult, Own, POINT_DISTANCE_M},
+    course::{Course, Table},
+    drive::DriveError,
+    foreign::Foreign,
+};
+
+/// Step of the integration and of the controller, which is almost continuous, in s.
+const STEP_S: f64 = 1e-3;
+/// Steps from one counted state to the next.
+const STEPS_PER_COUNT: u32 = 10;
+/// Slower than this, in m/s, the wheels roll where they point: equation 1 is singular at
+/// standstill.
+const ROLLS_BELOW: f64 = 0.1;
+
+/// Drives `course` with a controller that knows the true state.
+pub(super) fn drive(
+    drives: &Drives,
+    course: &Course,
+    table: &Table,
+) -> Result<DriveResult, DriveError> {
+    let vehicle = VehicleParameters::paper();
+    let own = Own::of(drives);
+    let mut errors = Counted::new(own, &vehicle, course.counted, table);
+    let mut law = Controller::new(drives, &vehicle, table)?;
+    let mut car = Car::at(own.reach(&vehicle), course, vehicle);
+    let steps = (course.counted[1] / STEP_S) as u32;
+    let mut stopped = None;
+    for step in 0..=steps {
+        let time = f64::from(step) * STEP_S;
+        let (speed, rate) = match law.command(&car, time) {
+            Ok(Command::Rate { speed, rate }) => (speed, rate),
+            Ok(Command::Angle { speed, angle }) => {
+                car.steering = angle;
+                (speed, 0.0)
+            }
+            Err(error) => {
+                stopped = Some(error.to_string());
+                break;
+            }
+        };
+        car.speed = speed;
+        if step % STEPS_PER_COUNT == 0 {
+            errors.add(time, &car.truth());
+        }
+        car.advance(rate);
+        if !car.state.x.is_finite() {
+            stopped = Some("diverged".to_owned());
+            break;
+        }
+    }
+    Ok(errors.result(stopped))
+}
+
+/// What a law demands of the ideal plant.
+enum Command {
+    Rate { speed: f64, rate: f64 },
+    Angle { speed: f64, angle: f64 },
+}
+
+enum Controller<'a> {
+    Front {
+        law: FrontPointLaw,
+        tracking: TrackingLoop,
+        applied: Velocity,
+        table: &'a Table,
+    },
+    Appendix {
+        law: VelocityPointLaw,
+        tracking: ProportionalLoop,
+        table: &'a Table,
+    },
+    Foreign(Foreign<'a>),
+}
+
+impl<'a> Controller<'a> {
+    fn new(
+        drives: &Drives,
+        vehicle: &VehicleParameters,
+        table: &'a Table,
+    ) -> Result<Self, DriveError> {
+        Ok(match *drives {
+            Drives::Point { outer_loop, .. } => Self::Front {
+                law: FrontPointLaw::new(
+                    vehicle.front_axle_distance_m,
+                    POINT_DISTANCE_M,
+                    vehicle.wheelbase_m(),
+                )?,
+                tracking: outer_loop.tracking_loop(),
+                applied: Velocity::zeros(),
+                table,
+            },
+            Drives::Appendix { gain } => Self::Appendix {
+                law: VelocityPointLaw::new(*vehicle, POINT_DISTANCE_M)?,
+                tracking: ProportionalLoop {
+                    gain: Velocity::new(gain, gain),
+                    feed_forward: true,
+                },
+                table,
+            },
+            Drives::Actuators { law, catch_up } => Self::Foreign(Foreign {
+                law,
+                catch_up,
+                vehicle: *vehicle,
+                table,
+                index: 0,
+            }),
+        })
+    }
+
+    fn command(&mut self, car: &Car, time: f64) -> Result<Command, Singularity> {
+        let SingleTrackState {
+            x,
+            y,
+            yaw,
+            yaw_rate,
+            sideslip,
+        } = car.state;
+        let centre = Position::new(x, y);
+        let motion = Motion {
+            yaw,
+            yaw_rate,
+            sideslip,
+        };
+        match self {
+            Self::Front {
+                law,
+                tracking,
+                applied,
+                table,
+            } => {
+                *applied = tracking.step(&TrackingInput {
+                    point: law.point(centre, yaw, car.steering),
+                    reference: &|ahead| table.reference().at(time + ahead),
+                    applied: *applied,
+                    period: STEP_S,
+                });
+                let command = law.command(&motion, car.steering, applied)?;
+                Ok(Command::Rate {
+                    speed: command.speed,
+                    rate: command.steering_rate,
+                })
+            }
+            Self::Appendix {
+                law,
+                tracking,
+                table,
+            } => {
+                let point = law.point(centre, yaw, sideslip);
+                let wanted = tracking.velocity(&table.reference().at(time), &point);
+                match law.command(&motion, &wanted) {
+                    Ok(command) => Ok(Command::Angle {
+                        speed: command.speed,
+                        angle: command.steering,
+                    }),
+                    // The reference begins at rest: the car waits for it.
+                    Err(Singularity::Standstill { speed }) => Ok(Command::Angle {
+                        speed,
+                        angle: car.steering,
+                    }),
+                    Err(error) => Err(error),
+                }
+            }
+            Self::Foreign(foreign) => {
+                let estimate = Estimate {
+                    time: Time(0),
+                    position: centre,
+                    yaw,
+                    yaw_rate,
+                    sideslip,
+                    speed: car.speed,
+                    pose_time: Time(0),
+                };
+                let [angle, speed] = foreign.command(&estimate, time, 0.0);
+                Ok(Command::Angle { speed, angle })
+            }
+        }
+    }
+}
+
+struct Car {
+    model: SingleTrack,
+    state: SingleTrackState,
+    steering: f64,
+    speed: f64,
+}
+
+impl Car {
+    fn at(reach: f64, course: &Course, vehicle: VehicleParameters) -> Self {
+        let [x, y] = course.start;
+        Self {
+            model: SingleTrack::new(vehicle),
+            state: SingleTrackState {
+                x: x - reach * cos(course.heading),
+                y: y - reach * sin(course.heading),
+                yaw: course.heading,
+                ..SingleTrackState::default()
+            },
+            steering: 0.0,
+            speed: 0.0,
+        }
+    }
+
+    fn slope(&self, state: &SingleTrackState, steering: f64) -> SingleTrackDerivative {
+        self.model.derivative(state, self.speed, steering)
+    }
+
+    /// One step with this speed and a constant steering rate (rad/s).
+    fn advance(&mut self, rate: f64) {
+        let (start, half) = (self.steering, 0.5 * STEP_S);
+        self.steering = start + STEP_S * rate;
+        if self.speed < ROLLS_BELOW {
+            self.roll();
+            return;
+        }
+        // The classical Runge-Kutta method.
+        let middle = start + half * rate;
+        let first = self.slope(&self.state, start);
+        let second = self.slope(&after(&self.state, half, &first), middle);
+        let third = self.slope(&after(&self.state, half, &second), middle);
+        let fourth = self.slope(&after(&self.state, STEP_S, &third), self.steering);
+        let parts = [(1.0, first), (2.0, second), (2.0, third), (1.0, fourth)];
+        for (part, slope) in parts {
+            self.state = after(&self.state, part * STEP_S / 6.0, &slope);
+        }
+    }
+
+    /// One step without slip.
+    fn roll(&mut self) {
+        let vehicle = self.model.vehicle();
+        let curvature = tan(self.steering) / vehicle.wheelbase_m();
+        let state = &mut self.state;
+        state.sideslip = atan(vehicle.rear_axle_distance_m * curvature);
+        state.yaw_rate = self.speed * cos(state.sideslip) * curvature;
+        state.x += STEP_S * self.speed * cos(state.yaw + state.sideslip);
+        state.y += STEP_S * self.speed * sin(state.yaw + state.sideslip);
+        state.yaw += STEP_S * state.yaw_rate;
+    }
+
+    fn truth(&self) -> Truth {
+        let turn = if self.speed < ROLLS_BELOW {
+            self.state.yaw_rate
+        } else {
+            self.state.yaw_rate + self.slope(&self.state, self.steering).sideslip
+        };
+        Truth {
+            x: self.state.x,
+            y: self.state.y,
+            yaw: self.state.yaw,
+            yaw_rate: self.state.yaw_rate,
+            sideslip: self.state.sideslip,
+            steering: self.steering,
+            speed: self.speed,
+            lateral_acceleration: self.speed * turn,
+            ..Truth::AT_REST
+        }
+    }
+}
+
+/// The state after `time` seconds at a constant slope.
+fn after(state: &SingleTrackState, time: f64, slope: &SingleTrackDerivative) -> SingleTrackState {
+    SingleTrackState {
+        x: state.x + time * slope.x,
+        y: state.y + time * slope.y,
+        yaw: state.yaw + time * slope.yaw,
+        yaw_rate: state.yaw_rate + time * slope.yaw_rate,
+        sideslip: state.sideslip + time * slope.sideslip,
+    }
+}
