@@ -316,7 +316,7 @@ fn a_velocity_that_is_not_finite_stops_the_car_with_its_reason() {
     });
     for (filter, ends_in) in [(Some(filter()), Mode::Stopping), (None, Mode::Fault)] {
         let mut bench = Bench::with(PilotConfig {
-            tracking: broken,
+            tracking: broken.clone(),
             ..with(circle.clone(), filter)
         });
         bench.run(100);

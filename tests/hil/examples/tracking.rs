@@ -17,8 +17,7 @@ use singletrack_core::config::{
     UpAxisKind,
 };
 use singletrack_hil::{
-    Failure, Outcome, client::Client, daemon::Daemon, ensure, percentile, program,
-    settings, wait,
+    Failure, Outcome, client::Client, daemon::Daemon, ensure, percentile, program, settings, wait,
 };
 use singletrack_record::{Entry, Reader};
 use singletrack_scenario::simulate::{Scenario, simulate, virtual_drive_config};
@@ -211,9 +210,10 @@ fn evaluate(config: &Config, truth: &[TimedTruth], record: &Path) -> Outcome<Dri
                 }
                 let part = (sample.monotonic_ns - then_ns) as f64 / (now_ns - then_ns) as f64;
                 let reference = then + part * (place - then);
-                let [x, y] = sample
-                    .truth
-                    .point_p(config.law.front_axle_distance_m, config.law.point_distance_m);
+                let [x, y] = sample.truth.point_p(
+                    config.law.front_axle_distance_m,
+                    config.law.point_distance_m,
+                );
                 error.add_square((x - reference.x).powi(2) + (y - reference.y).powi(2));
             }
         }

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
-use singletrack_core::config::OuterLoopSection;
+use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 
 use super::{condition::Condition, foreign::Law};
 
@@ -18,6 +18,14 @@ pub enum ControllerName {
     PTuned,
     /// The same, with the compensation of clock and actuators, and a gain tuned for it.
     PCompensated,
+    /// Linear-quadratic with an integral, tuned.
+    Lqi,
+    /// The same, with the compensation.
+    LqiCompensated,
+    /// Predictive, tuned.
+    Mpc,
+    /// The same, with the compensation.
+    MpcCompensated,
     /// Pure pursuit, tuned.
     PurePursuit,
     /// Stanley, tuned.
@@ -29,6 +37,12 @@ pub enum ControllerName {
 /// What `tune` found with [`BUDGET`](super::tune::BUDGET) drives each.
 const TUNED_GAIN: f64 = 10.0;
 const COMPENSATED_GAIN: f64 = 12.0;
+/// Weights of the error's integral and of the correcting velocity; that of the error is 1.
+const TUNED_LQI: [f64; 2] = [3.0, 0.03];
+const COMPENSATED_LQI: [f64; 2] = [3.0, 0.03];
+/// Weights of the velocity's error and of the acceleration; that of the error is 1.
+const TUNED_MPC: [f64; 2] = [0.03, 0.0003];
+const COMPENSATED_MPC: [f64; 2] = [0.03, 0.0003];
 const TUNED_PURSUIT: [f64; 2] = [0.2, 12.0];
 const TUNED_STANLEY: [f64; 2] = [16.0, 12.0];
 
@@ -48,13 +62,30 @@ pub(super) enum Drives {
     Actuators { law: Law, catch_up: f64 },
 }
 
+impl Drives {
+    /// Whether its outer loop has a model, with which it may be refused.
+    pub(super) const fn has_model(&self) -> bool {
+        matches!(
+            self,
+            Self::Point {
+                outer_loop: OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_),
+                ..
+            }
+        )
+    }
+}
+
 impl ControllerName {
     /// All, in the order of the table.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 11] = [
         Self::P,
         Self::PFf,
         Self::PTuned,
         Self::PCompensated,
+        Self::Lqi,
+        Self::LqiCompensated,
+        Self::Mpc,
+        Self::MpcCompensated,
         Self::PurePursuit,
         Self::Stanley,
         Self::Appendix,
@@ -68,6 +99,10 @@ impl ControllerName {
             Self::PFf => "p-ff",
             Self::PTuned => "p-tuned",
             Self::PCompensated => "p-compensated",
+            Self::Lqi => "lqi",
+            Self::LqiCompensated => "lqi-compensated",
+            Self::Mpc => "mpc",
+            Self::MpcCompensated => "mpc-compensated",
             Self::PurePursuit => "pure-pursuit",
             Self::Stanley => "stanley",
             Self::Appendix => "appendix",
@@ -75,11 +110,15 @@ impl ControllerName {
     }
 
     /// With the parameters of the table.
-    pub(super) const fn drives(self) -> Drives {
+    pub(super) fn drives(self) -> Drives {
         let parameters = match self {
             Self::P | Self::PFf => [1.0, 0.0],
             Self::PTuned => [TUNED_GAIN, 0.0],
             Self::PCompensated => [COMPENSATED_GAIN, 0.0],
+            Self::Lqi => TUNED_LQI,
+            Self::LqiCompensated => COMPENSATED_LQI,
+            Self::Mpc => TUNED_MPC,
+            Self::MpcCompensated => COMPENSATED_MPC,
             Self::PurePursuit => TUNED_PURSUIT,
             Self::Stanley => TUNED_STANLEY,
             Self::Appendix => [APPENDIX_GAIN, 0.0],
@@ -87,8 +126,8 @@ impl ControllerName {
         self.with(parameters)
     }
 
-    /// With other parameters: the gain, or that of the law and of the speed.
-    pub(super) const fn with(self, [first, second]: [f64; 2]) -> Drives {
+    /// With other parameters: the gain, or those of law and speed, or two weights.
+    pub(super) fn with(self, [first, second]: [f64; 2]) -> Drives {
         match self {
             Self::P | Self::PFf | Self::PTuned | Self::PCompensated => Drives::Point {
                 outer_loop: OuterLoopSection::Proportional {
@@ -96,6 +135,22 @@ impl ControllerName {
                     feed_forward: !matches!(self, Self::P),
                 },
                 compensated: matches!(self, Self::PCompensated),
+            },
+            Self::Lqi | Self::LqiCompensated => Drives::Point {
+                outer_loop: OuterLoopSection::Lqi(LqiWeights {
+                    integral_weight: first,
+                    velocity_weight: second,
+                    ..LqiWeights::default()
+                }),
+                compensated: self == Self::LqiCompensated,
+            },
+            Self::Mpc | Self::MpcCompensated => Drives::Point {
+                outer_loop: OuterLoopSection::Mpc(MpcWeights {
+                    velocity_weight: first,
+                    acceleration_weight: second,
+                    ..MpcWeights::default()
+                }),
+                compensated: self == Self::MpcCompensated,
             },
             Self::PurePursuit => Drives::Actuators {
                 law: Law::PurePursuit { time: first },
@@ -133,6 +188,13 @@ impl ControllerName {
                     4.3, 4.9, 5.5, 6.2, 7.0, 8.0, 9.0, 10.0, 12.0,
                 ],
                 &[0.0],
+            ]),
+            Self::Lqi | Self::LqiCompensated => {
+                Some([&[0.3, 1.0, 3.0, 10.0, 30.0], &[0.003, 0.01, 0.03, 0.1, 0.3]])
+            }
+            Self::Mpc | Self::MpcCompensated => Some([
+                &[0.003, 0.01, 0.03, 0.1, 0.3],
+                &[0.00003, 0.0001, 0.0003, 0.001, 0.003],
             ]),
             Self::PurePursuit => Some([&[0.1, 0.15, 0.2, 0.3, 0.5], &[2.0, 4.0, 8.0, 12.0, 16.0]]),
             Self::Stanley => Some([&[4.0, 8.0, 16.0, 32.0, 64.0], &[2.0, 4.0, 8.0, 12.0, 16.0]]),

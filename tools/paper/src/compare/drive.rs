@@ -1,7 +1,9 @@
 //! One drive of the comparison on the simulated car.
 
 use libm::{cos, sin};
-use singletrack_control::{LawError, Setpoint, SpeedDemand, SteeringDemand, Time};
+use singletrack_control::{
+    LawError, Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters,
+};
 use singletrack_core::{
     ConfigError,
     config::{CompensationSection, ReferenceSection},
@@ -91,7 +93,15 @@ impl Case {
         delay_ms: u32,
     ) -> Result<DriveResult, DriveError> {
         let [_, until] = course.counted;
-        let mut run = Run::new(self, course, table, delay_ms)?;
+        let mut run = match Run::new(self, course, table, delay_ms) {
+            // A loop that does not settle with these weights on this course: nothing is driven.
+            Err(DriveError::Drive(VirtualDriveError::Config(error))) if self.drives.has_model() => {
+                let vehicle = VehicleParameters::paper();
+                let nothing = Counted::new(Own::of(&self.drives), &vehicle, course.counted, table);
+                return Ok(nothing.result(Some(error.to_string())));
+            }
+            run => run?,
+        };
         run.start();
         run.finish(until);
         Ok(run.errors.result(run.stopped))

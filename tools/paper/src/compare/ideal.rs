@@ -2,10 +2,11 @@
 
 use libm::{atan, cos, sin, tan};
 use singletrack_control::{
-    Estimate, FrontPointLaw, Motion, OuterLoop as _, Position, ProportionalLoop, SingleTrack,
-    SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput, TrackingLoop,
-    VehicleParameters, Velocity, VelocityPointLaw,
+    Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop,
+    SingleTrack, SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput,
+    TrackingLoop, VehicleParameters, Velocity, VelocityPointLaw,
 };
+use singletrack_core::config::LoopModel;
 use singletrack_sim::Truth;
 
 use super::{
@@ -20,9 +21,17 @@ use super::{
 const STEP_S: f64 = 1e-3;
 /// Steps from one counted state to the next.
 const STEPS_PER_COUNT: u32 = 10;
+/// Steps of the controller between two of a loop with a state, which is one of ticks.
+const STEPS_PER_TICK: u32 = 10;
 /// Slower than this, in m/s, the wheels roll where they point: equation 1 is singular at
 /// standstill.
 const ROLLS_BELOW: f64 = 0.1;
+
+/// The ideal plant's: wider than any course needs.
+const FREE: Limits = Limits {
+    max_speed: 10.0,
+    ..Limits::paper()
+};
 
 /// Drives `course` with a controller that knows the true state.
 pub(super) fn drive(
@@ -69,10 +78,17 @@ enum Command {
     Angle { speed: f64, angle: f64 },
 }
 
+#[expect(
+    clippy::large_enum_variant,
+    reason = "there is one at a time, on the stack"
+)]
 enum Controller<'a> {
     Front {
         law: FrontPointLaw,
         tracking: TrackingLoop,
+        /// From one step of the loop to the next, and until the next.
+        steps: u32,
+        left: u32,
         applied: Velocity,
         table: &'a Table,
     },
@@ -91,16 +107,32 @@ impl<'a> Controller<'a> {
         table: &'a Table,
     ) -> Result<Self, DriveError> {
         Ok(match *drives {
-            Drives::Point { outer_loop, .. } => Self::Front {
-                law: FrontPointLaw::new(
-                    vehicle.front_axle_distance_m,
-                    POINT_DISTANCE_M,
-                    vehicle.wheelbase_m(),
-                )?,
-                tracking: outer_loop.tracking_loop(),
-                applied: Velocity::zeros(),
-                table,
-            },
+            Drives::Point { outer_loop, .. } => {
+                let steps = if drives.has_model() {
+                    STEPS_PER_TICK
+                } else {
+                    1
+                };
+                let tracking = outer_loop.tracking_loop(&LoopModel {
+                    actuators: None,
+                    limits: &FREE,
+                    fence: None,
+                    reference: table.reference(),
+                    period: f64::from(steps) * STEP_S,
+                })?;
+                Self::Front {
+                    law: FrontPointLaw::new(
+                        vehicle.front_axle_distance_m,
+                        POINT_DISTANCE_M,
+                        vehicle.wheelbase_m(),
+                    )?,
+                    tracking,
+                    steps,
+                    left: 0,
+                    applied: Velocity::zeros(),
+                    table,
+                }
+            }
             Drives::Appendix { gain } => Self::Appendix {
                 law: VelocityPointLaw::new(*vehicle, POINT_DISTANCE_M)?,
                 tracking: ProportionalLoop {
@@ -137,15 +169,21 @@ impl<'a> Controller<'a> {
             Self::Front {
                 law,
                 tracking,
+                steps,
+                left,
                 applied,
                 table,
             } => {
-                *applied = tracking.step(&TrackingInput {
-                    point: law.point(centre, yaw, car.steering),
-                    reference: &|ahead| table.reference().at(time + ahead),
-                    applied: *applied,
-                    period: STEP_S,
-                });
+                if *left == 0 {
+                    *left = *steps;
+                    *applied = tracking.step(&TrackingInput {
+                        point: law.point(centre, yaw, car.steering),
+                        reference: &|ahead| table.reference().at(time + ahead),
+                        applied: *applied,
+                        period: f64::from(*steps) * STEP_S,
+                    });
+                }
+                *left -= 1;
                 let command = law.command(&motion, car.steering, applied)?;
                 Ok(Command::Rate {
                     speed: command.speed,
