@@ -1,7 +1,7 @@
 //! A snapshot of the daemon's status.
 
 use serde_json::{Value, json};
-use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_control::{Estimate, Position, ReferencePoint, SlowedBy};
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -61,6 +61,10 @@ pub struct TickView {
     pub drive_time_s: Option<f64>,
     /// How far ahead the state was predicted to which the command belongs, in s.
     pub looked_ahead_s: Option<f64>,
+    /// The path parameter of the reference, in s; `None` outside a drive.
+    pub path_s: Option<f64>,
+    /// Why the reference is slowed down.
+    pub slowed_by: Option<SlowedBy>,
     /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
     /// Position of P, in m.
@@ -86,6 +90,8 @@ impl From<&TickRecord> for TickView {
             held: output.held,
             drive_time_s: output.drive_time,
             looked_ahead_s: output.looked_ahead,
+            path_s: output.path,
+            slowed_by: output.slowed_by,
             estimate: output.estimate,
             point: output.point,
             reference: output.reference,
@@ -119,6 +125,8 @@ impl Snapshot {
             "held": tick.map(|tick| tick.held),
             "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
             "looked_ahead_s": tick.and_then(|tick| tick.looked_ahead_s),
+            "path_s": tick.and_then(|tick| tick.path_s),
+            "slowed_by": tick.and_then(|tick| tick.slowed_by).map(SlowedBy::name),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
                 "x_m": estimate.position.x,
                 "y_m": estimate.position.y,

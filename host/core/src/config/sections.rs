@@ -2,9 +2,9 @@
 
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
-    EstimatorSection, FenceSection, ImuSection, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, PoseSection, RecordSection, SerialSection, ServoSection, SocketSection,
-    SpeedSection, StateSection, SupervisorSection, TimingSection, WatchSection,
+    EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
+    LiveSection, MotionCaptureSection, PoseSection, RecordSection, SerialSection, ServoSection,
+    SocketSection, SpeedSection, StateSection, SupervisorSection, TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -20,6 +20,7 @@ pub const SECTIONS: &[Section] = &[
     LawSection::SECTION,
     OuterLoopKeys::SECTION,
     ReferenceKeys::SECTION,
+    GovernorSection::SECTION,
     VehicleKeys::SECTION,
     LimitsSection::SECTION,
     EstimatorSection::SECTION,

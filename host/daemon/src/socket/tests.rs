@@ -100,6 +100,8 @@ impl Bench {
             held: false,
             drive_time_s: None,
             looked_ahead_s: None,
+            path_s: None,
+            slowed_by: None,
             estimate: None,
             point: None,
             reference: None,

@@ -1,6 +1,6 @@
 //! A control tick and all that the pilot decided in it.
 
-use singletrack_control::{Actuation, Estimate, ReferencePoint};
+use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy};
 use singletrack_pilot::{BoardRequest, DriveCommand, Mode, Output, Reason, SetpointRefusal};
 
 use super::{
@@ -88,6 +88,11 @@ fields! {
         setpoint: Maybe<StampMessage>,
         /// Why a set-point that came in this tick is not obeyed; of several the newest.
         setpoint_refused: OptionalCode<SetpointRefusal>,
+        /// The path parameter of the reference, in s: the time of the drive, unless a governor
+        /// has slowed the reference down.
+        path_s: Maybe<f64> = path,
+        /// Why the reference is slowed down.
+        slowed_by: OptionalCode<SlowedBy>,
     }
 }
 

@@ -120,6 +120,7 @@ impl Experiment {
             believed_vehicle: self.believed,
             truth: None,
             operator: None,
+            governor: None,
             limits: None,
             estimator: None,
             supervisor: None,
