@@ -1,7 +1,7 @@
 //! A snapshot of the daemon's status.
 
 use serde_json::{Value, json};
-use singletrack_control::{Estimate, Position, ReferencePoint};
+use singletrack_control::{Estimate, Position, ReferencePoint, SlowedBy};
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_pilot::{Filtering, Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -65,6 +65,10 @@ pub struct TickView {
     pub filtering: Filtering,
     /// The number of ticks of the drive, or of the last one, in which it did anything.
     pub filtered_ticks: u32,
+    /// The path parameter of the reference, in s; `None` outside a drive.
+    pub path_s: Option<f64>,
+    /// Why the reference is slowed down.
+    pub slowed_by: Option<SlowedBy>,
     /// The estimated state that the tick acted on.
     pub estimate: Option<Estimate>,
     /// Position of P, in m.
@@ -92,6 +96,8 @@ impl From<&TickRecord> for TickView {
             looked_ahead_s: output.looked_ahead,
             filtering: output.filtering,
             filtered_ticks: output.filtered_ticks,
+            path_s: output.path,
+            slowed_by: output.slowed_by,
             estimate: output.estimate,
             point: output.point,
             reference: output.reference,
@@ -127,6 +133,8 @@ impl Snapshot {
             "looked_ahead_s": tick.and_then(|tick| tick.looked_ahead_s),
             "filtering": tick.map(|tick| tick.filtering.name()),
             "filtered_ticks": tick.map(|tick| tick.filtered_ticks),
+            "path_s": tick.and_then(|tick| tick.path_s),
+            "slowed_by": tick.and_then(|tick| tick.slowed_by).map(SlowedBy::name),
             "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
                 "x_m": estimate.position.x,
                 "y_m": estimate.position.y,

@@ -21,6 +21,7 @@ fn pilot() -> Option<Pilot> {
             feed_forward: true,
         }),
         reference: Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5).ok()?),
+        governor: None,
         limits: Limits::paper(),
         estimator: EstimatorConfig::for_vehicle(&vehicle),
         supervisor: SupervisorConfig::paper(),

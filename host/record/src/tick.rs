@@ -131,7 +131,8 @@ impl LinkPhase {
 #[cfg(test)]
 pub(crate) mod tests {
     use singletrack_control::{
-        Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Velocity,
+        Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, SlowedBy,
+        Velocity,
     };
     use singletrack_pilot::{
         BoardSample, BoardState, DriveCommand, Filtering, LinkState, Mode, PilotRequest,
@@ -163,6 +164,8 @@ pub(crate) mod tests {
                 actuation: Actuation::default(),
                 turning_round: false,
                 looked_ahead: None,
+                path: None,
+                slowed_by: None,
                 command: None,
                 request: None,
                 proved: false,
@@ -244,6 +247,8 @@ pub(crate) mod tests {
                 },
                 turning_round: false,
                 looked_ahead: None,
+                path: Some(11.5),
+                slowed_by: Some(SlowedBy::SteeringRate),
                 command: Some(DriveCommand {
                     rear_speed: 0.39,
                     steering: 0.32,

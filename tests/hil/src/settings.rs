@@ -8,7 +8,7 @@ use std::{
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
-    FailsafeKind, FenceSection, LawKind, LawSection, LimitsSection, LiveSection,
+    FailsafeKind, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
     MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection,
     SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
 };
@@ -42,6 +42,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
             centre_m: [0.0, 0.0],
         },
         vehicle: VehicleParameters::paper(),
+        governor: GovernorSection::default(),
         limits: LimitsSection::default(),
         estimator: EstimatorSection::default(),
         // The bench's car is known to be as configured.

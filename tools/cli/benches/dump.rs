@@ -94,6 +94,8 @@ fn tick(index: u64) -> Entry {
             },
             turning_round: false,
             looked_ahead: None,
+            path: None,
+            slowed_by: None,
             command: Some(DriveCommand {
                 rear_speed: noisy(index + 15, 0.4),
                 steering: noisy(index + 16, 0.3),

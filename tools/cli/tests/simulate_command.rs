@@ -33,7 +33,7 @@ fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
     assert_eq!(
         lines.next(),
         Some(
-            "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py"
+            "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py,path_s"
         )
     );
     let rows: Vec<Vec<f64>> = lines
@@ -45,7 +45,7 @@ fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
         .collect();
     assert_eq!(rows.len(), 361);
     for (index, row) in rows.iter().enumerate() {
-        assert_eq!(row.len(), 15);
+        assert_eq!(row.len(), 16);
         assert!((row[0] - index as f64 * 0.05).abs() < 1e-9);
     }
 }

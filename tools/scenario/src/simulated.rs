@@ -5,9 +5,9 @@ use std::net::Ipv4Addr;
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
-    FenceSection, LawKind, LawSection, LimitsSection, LiveSection, MotionCaptureSection,
-    OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection, SerialSection,
-    SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
+    FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
+    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection,
+    SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -72,6 +72,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         outer_loop: drive.outer_loop,
         reference: drive.reference,
         vehicle: drive.vehicle,
+        governor: GovernorSection::default(),
         limits: LimitsSection::default(),
         estimator: EstimatorSection::default(),
         // The simulated car is known to be as configured.

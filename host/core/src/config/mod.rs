@@ -14,6 +14,7 @@ mod estimator;
 mod explain;
 mod fence;
 mod file;
+mod governor;
 mod kind;
 mod law;
 mod limits;
@@ -53,6 +54,7 @@ pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
 pub use fence::FenceSection;
+pub use governor::GovernorSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
 pub use loop_model::LoopModel;
@@ -85,6 +87,9 @@ pub struct Config {
     pub outer_loop: OuterLoopSection,
     /// The reference of P.
     pub reference: ReferenceSection,
+    /// Slows the reference down where the car cannot follow it.
+    #[serde(default)]
+    pub governor: GovernorSection,
     /// The car; the one of the paper if left out.
     #[serde(default)]
     pub vehicle: VehicleParameters,
@@ -196,6 +201,7 @@ impl Config {
         self.law.validate(&self.vehicle)?;
         self.outer_loop.validate()?;
         self.outer_loop.validate_for(&self.reference.reference()?)?;
+        self.governor.check()?;
         self.limits.check()?;
         self.estimator.check()?;
         self.supervisor.check()?;
@@ -235,10 +241,12 @@ impl Config {
             reference: &reference,
             period,
         })?;
+        let law = self.law.front_point_law(&self.vehicle)?;
         Ok(PilotConfig {
-            law: self.law.front_point_law(&self.vehicle)?,
+            law,
             tracking,
             reference,
+            governor: self.governor.config(law, limits),
             limits,
             estimator: self.estimator.config(
                 &self.vehicle,

@@ -88,8 +88,8 @@ const ERROR_WEIGHT: f64 = 1.0;
 const VELOCITY_WEIGHT: f64 = 0.03;
 
 section! {
-    /// From the position that P should have to the velocity that it should have. The section has
-    /// the keys of its kind, and no others; `docs/outer-loops.md` compares the kinds.
+    /// From the position that P should have to the velocity that it should have.
+    /// `docs/outer-loops.md` compares the kinds.
     "outer_loop" => pub(super) OuterLoopKeys;
     [];
 
@@ -144,10 +144,13 @@ impl TryFrom<OuterLoopKeys> for OuterLoopSection {
     fn try_from(keys: OuterLoopKeys) -> Result<Self, String> {
         let written = Written::of(&keys)?;
         let section = match keys.kind {
-            OuterLoopKind::Proportional => Self::Proportional {
-                gain_per_s: written.need("gain_per_s", keys.gain_per_s)?,
-                feed_forward: keys.feed_forward.unwrap_or_default(),
-            },
+            // Keys of the other kinds may stay here, as with an open loop.
+            OuterLoopKind::Proportional => {
+                return Ok(Self::Proportional {
+                    gain_per_s: written.need("gain_per_s", keys.gain_per_s)?,
+                    feed_forward: keys.feed_forward.unwrap_or_default(),
+                });
+            }
             OuterLoopKind::Lqi => {
                 let default = LqiWeights::default();
                 Self::Lqi(LqiWeights {

@@ -2,10 +2,10 @@
 
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
-    EstimatorSection, FenceSection, ImuSection, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, PoseSection, RecordSection, SafetyFilterSection, SerialSection,
-    ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection, TimingSection,
-    WatchSection,
+    EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
+    LiveSection, MotionCaptureSection, PoseSection, RecordSection, SafetyFilterSection,
+    SerialSection, ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection,
+    TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -21,6 +21,7 @@ pub const SECTIONS: &[Section] = &[
     LawSection::SECTION,
     OuterLoopKeys::SECTION,
     ReferenceKeys::SECTION,
+    GovernorSection::SECTION,
     VehicleKeys::SECTION,
     LimitsSection::SECTION,
     EstimatorSection::SECTION,

@@ -102,6 +102,8 @@ impl Bench {
             looked_ahead_s: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            path_s: None,
+            slowed_by: None,
             estimate: None,
             point: None,
             reference: None,

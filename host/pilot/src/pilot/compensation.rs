@@ -4,9 +4,11 @@ use heapless::Deque;
 use libm::fabs;
 use singletrack_control::{
     ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, OuterLoop, Predicted,
-    Predictor, Reference, Singularity, Time, TrackingInput, TrackingLoop, VehicleParameters,
-    Velocity, front_point_velocity,
+    Predictor, Singularity, Time, TrackingInput, TrackingLoop, VehicleParameters, Velocity,
+    front_point_velocity,
 };
+
+use super::drive::PathAhead;
 
 /// What the pilot compensates, and by which model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,13 +77,11 @@ pub(super) struct Compensator {
 /// Where P should go, as the outer loop says.
 pub(super) struct Course<'a> {
     pub(super) law: &'a FrontPointLaw,
-    pub(super) reference: &'a Reference,
+    pub(super) path: PathAhead<'a>,
     pub(super) max_speed: f64,
     pub(super) max_steering_rate: f64,
     pub(super) max_acceleration: f64,
     pub(super) now: Time,
-    /// Time since the start of the drive, s.
-    pub(super) time: f64,
     pub(super) period: f64,
 }
 
@@ -94,10 +94,7 @@ impl Course<'_> {
         tracking: &mut TrackingLoop,
         applied: Velocity,
     ) -> Result<(Velocity, FrontPointCommand), Singularity> {
-        let reference = |later: f64| {
-            self.reference
-                .point_ahead(self.now, self.time, state.ahead + later)
-        };
+        let reference = |later: f64| self.path.at(state.ahead + later);
         let present = reference(0.0).ok_or(Singularity::NotFinite)?;
         let point = self
             .law

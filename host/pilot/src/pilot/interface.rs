@@ -1,8 +1,8 @@
 //! What the pilot is given and gives: configuration, commands, the result of a tick.
 
 use singletrack_control::{
-    Actuation, Estimate, EstimatorConfig, FrontPointLaw, Limits, Position, Reference,
-    ReferencePoint, SafetyFilter, SetpointStamp, Time, TrackingLoop, Velocity,
+    Actuation, Estimate, EstimatorConfig, FrontPointLaw, GovernorConfig, Limits, Position,
+    Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Time, TrackingLoop, Velocity,
 };
 
 use super::{Compensation, Filtering};
@@ -23,6 +23,8 @@ pub struct PilotConfig {
     pub tracking: TrackingLoop,
     /// The path of P; its time counts from the first driving tick.
     pub reference: Reference,
+    /// Slows the reference down where the car cannot follow it; none to follow it as it is.
+    pub governor: Option<GovernorConfig>,
     /// Limits of speed, acceleration and steering.
     pub limits: Limits,
     /// Parameters of the estimator.
@@ -86,6 +88,11 @@ pub struct Output {
     /// How far ahead the state was predicted to which the command belongs, s; `None` if the
     /// actuators are not compensated, and outside a drive.
     pub looked_ahead: Option<f64>,
+    /// The path parameter of the reference, s: the time of the drive, unless a governor has
+    /// slowed the reference down; `None` outside a drive.
+    pub path: Option<f64>,
+    /// Why the reference is slowed down.
+    pub slowed_by: Option<SlowedBy>,
     /// The drive command for the board.
     pub command: Option<DriveCommand>,
     /// The pulses for the board, in [`Mode::Jogging`].

@@ -1,15 +1,15 @@
 //! The whole controller as one value: events of a tick in, one command out.
 
 mod compensation;
+mod drive;
 mod events;
 mod interface;
 mod safety;
 mod verdicts;
 
-use libm::{cos, fabs, rint};
+use libm::{fabs, rint};
 use singletrack_control::{
-    Actuation, Ahead, Demand, Estimate, Estimator, LimitedLaw, OuterLoop, Position, Reference,
-    ReferencePoint, Singularity, Time, TrackingInput, TrackingLoop, Velocity, front_point_velocity,
+    Estimator, Governor, LimitedLaw, OuterLoop, Reference, Time, TrackingLoop, Velocity,
 };
 
 use crate::{
@@ -23,8 +23,9 @@ use crate::{
     },
 };
 
-use compensation::{Compensator, Course};
-use safety::{LawStep, Safety};
+use compensation::Compensator;
+use drive::command;
+use safety::Safety;
 
 pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, Underway};
@@ -42,6 +43,8 @@ pub struct Pilot {
     tracking: TrackingLoop,
     /// The velocity that P was given in the last tick, after every limit, m/s.
     applied: Velocity,
+    /// None if the reference is followed as it is.
+    governor: Option<Governor>,
     /// None if the actuators are not compensated.
     compensator: Option<Compensator>,
     safety: Safety,
@@ -88,6 +91,7 @@ impl Pilot {
             law: LimitedLaw::new(config.law, config.limits),
             tracking: config.tracking.clone(),
             applied: Velocity::zeros(),
+            governor: governor(&config),
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
             estimator: Estimator::new(config.estimator),
@@ -135,6 +139,7 @@ impl Pilot {
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.tracking.clone_from(&config.tracking);
+        self.governor = governor(config);
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
         self.estimator = Estimator::new(config.estimator);
@@ -247,7 +252,10 @@ impl Pilot {
                 _ => false,
             },
             reference_finished: match (drive_time, self.config.reference.duration()) {
-                (Some(time), Some(duration)) => time >= duration,
+                (Some(time), Some(duration)) => {
+                    let governor = self.governor.as_ref();
+                    governor.map_or(time, |governor| governor.path_at(time)) >= duration
+                }
                 _ => false,
             },
         });
@@ -257,6 +265,9 @@ impl Pilot {
             self.law.reset();
             self.tracking.reset();
             self.applied = Velocity::zeros();
+            if let Some(governor) = &mut self.governor {
+                governor.reset();
+            }
             if let Some(compensator) = &mut self.compensator {
                 compensator.begin(self.law.actuation().steering);
             }
@@ -311,6 +322,8 @@ impl Pilot {
             actuation: self.law.actuation(),
             turning_round: false,
             looked_ahead: None,
+            path: None,
+            slowed_by: None,
             command: None,
             jog: self.jog,
             request,
@@ -381,174 +394,6 @@ impl Pilot {
         output
     }
 
-    /// A tick in [`Mode::Driving`]: reference, position loop and law, or the actuation that a
-    /// controller outside demands. Fails where the law is singular.
-    fn drive(&mut self, now: Time, estimate: &Estimate, output: &mut Output) -> Result<(), Reason> {
-        let time = self
-            .drive_start
-            .map_or(0.0, |start| now.seconds_since(start));
-        let before = self.law.actuation().speed;
-        let actuation = match self.config.reference.demand(now, time) {
-            Demand::Point(reference) => {
-                output.reference = Some(reference);
-                self.follow(now, time, &reference, estimate, output)
-            }
-            Demand::Actuation { steering, speed } => {
-                self.tracking.reset();
-                self.step_demand(estimate, steering, speed)
-            }
-        }
-        .map_err(|_| match &self.proving {
-            Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
-            _ => Reason::LawSingular,
-        })?;
-        // Without a fresh pose the car must not accelerate.
-        let actuation = if estimate.pose_age() > self.config.supervisor.fresh {
-            self.law.cap_speed(fabs(before));
-            self.law.actuation()
-        } else {
-            actuation
-        };
-        let (actuation, coast, wave) = self.prove(now, estimate, actuation, output);
-        self.applied = match output.reference {
-            Some(_) => self.law.point_velocity(),
-            None => self.given_by(estimate, &actuation),
-        };
-        if let Some(compensator) = &mut self.compensator {
-            compensator.sent(actuation.speed);
-        }
-        output.drive_time = Some(time);
-        output.actuation = actuation;
-        output.turning_round = self.law.is_turning_round();
-        (output.filtering, output.filtered_ticks) = (self.safety.filtering, self.safety.ticks);
-        let mut command = command(estimate, &actuation, false);
-        if coast {
-            command.rear_speed = 0.0;
-        }
-        if wave != 0.0 {
-            let most = self.config.limits.max_steering;
-            command.steering = (command.steering + wave).clamp(-most, most);
-        }
-        output.command = Some(command);
-        Ok(())
-    }
-
-    /// The velocity (m/s) that a command gives P which the law has not computed.
-    fn given_by(&self, estimate: &Estimate, actuation: &Actuation) -> Velocity {
-        front_point_velocity(
-            self.law.law(),
-            &estimate.motion(),
-            self.wheels(),
-            actuation.speed,
-            actuation.steering_rate,
-        )
-    }
-
-    /// The angle of the front wheels, as far as is known, in rad.
-    fn wheels(&self) -> f64 {
-        let commanded = self.law.actuation().steering;
-        self.compensator
-            .as_ref()
-            .filter(|_| self.proving.is_none())
-            .map_or(commanded, Compensator::wheels)
-    }
-
-    /// The actuation with which P follows its reference.
-    fn follow(
-        &mut self,
-        now: Time,
-        time: f64,
-        reference: &ReferencePoint,
-        estimate: &Estimate,
-        output: &mut Output,
-    ) -> Result<Actuation, Singularity> {
-        let config = &self.config;
-        let (limits, period) = (&config.limits, config.period);
-        let law = *self.law.law();
-        // What the first metre proves does not rest on a model; and the law would take the wave
-        // of its steering for its own.
-        let compensator = self.compensator.as_mut();
-        let Some(compensator) = compensator.filter(|_| self.proving.is_none()) else {
-            let steering = self.law.actuation().steering;
-            let point = law.point(estimate.position, estimate.yaw, steering);
-            let velocity = self.tracking.step(&TrackingInput {
-                point,
-                reference: &|ahead| {
-                    let point = config.reference.point_ahead(now, time, ahead);
-                    point.unwrap_or(*reference)
-                },
-                applied: self.applied,
-                period,
-            });
-            let ahead = Ahead {
-                overtaken: overtaken(reference, &point),
-                lead: None,
-            };
-            let step = LawStep {
-                motion: estimate.motion(),
-                wheels: steering,
-                ahead,
-            };
-            return self.step_law(estimate, &step, &velocity, output);
-        };
-        let course = Course {
-            law: &law,
-            reference: &config.reference,
-            max_speed: limits.max_speed,
-            max_steering_rate: limits.max_steering_rate,
-            max_acceleration: limits.max_acceleration,
-            now,
-            time,
-            period,
-        };
-        let (tracking, measured) = (&mut self.tracking, self.imu_time);
-        let (state, velocity, lead) =
-            compensator.look_ahead(estimate, measured, &course, tracking, self.applied)?;
-        output.looked_ahead = Some(state.ahead);
-        let point = law.point(state.position, state.motion.yaw, state.wheels);
-        let ahead = Ahead {
-            overtaken: overtaken(reference, &point),
-            lead: Some(lead),
-        };
-        let step = LawStep {
-            motion: state.motion,
-            wheels: state.wheels,
-            ahead,
-        };
-        self.step_law(estimate, &step, &velocity, output)
-    }
-
-    /// A tick of the proving run: limits the speed, and returns whether the car is to roll at
-    /// neutral and what to add to the steering. Without one, nothing changes.
-    fn prove(
-        &mut self,
-        now: Time,
-        estimate: &Estimate,
-        actuation: Actuation,
-        output: &mut Output,
-    ) -> (Actuation, bool, f64) {
-        let Some(proving) = &mut self.proving else {
-            return (actuation, false, 0.0);
-        };
-        let start_judged = self.start.is_judged();
-        let tick = proving.tick(now, estimate.speed, self.config.braking, start_judged);
-        if tick.coast {
-            // The drive goes on from the speed to which the car has rolled.
-            self.law.cap_speed(fabs(estimate.speed));
-        }
-        self.law.cap_speed(PROVING_SPEED);
-        if let Some(measured) = tick.coasted {
-            self.stops.coasted(measured);
-            output.braking_measured = Some(measured);
-        }
-        if tick.passed {
-            self.proved = true;
-            self.proving = None;
-            output.proved = true;
-        }
-        (self.law.actuation(), tick.coast, tick.steering)
-    }
-
     /// Ends the drive: clears its start and the state of the law, and keeps the reason.
     fn stand_by(&mut self, was: Mode) {
         self.drive_start = None;
@@ -562,23 +407,9 @@ impl Pilot {
     }
 }
 
-/// The longest time for which a car waits for the reference that its P has overtaken, s.
-const OVERTAKEN: f64 = 1.0;
-
-/// The velocity of a reference that comes after `point` soon, for the law.
-fn overtaken(reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
-    let away = (reference.position? - point).norm();
-    let is_near = away < OVERTAKEN * reference.velocity.norm();
-    is_near.then_some(reference.velocity)
-}
-
-/// The command for the board. The motor drives the rear axle, whose speed is the forward
-/// component of G's: v cos β.
-fn command(estimate: &Estimate, actuation: &Actuation, brake: bool) -> DriveCommand {
-    DriveCommand {
-        rear_speed: actuation.speed * cos(estimate.sideslip),
-        steering: actuation.steering,
-        pose_time: estimate.pose_time,
-        brake,
-    }
+/// The governor of a reference of which P has a position at every time.
+fn governor(config: &PilotConfig) -> Option<Governor> {
+    let governor = config.governor?;
+    let is_path = config.reference.at(0.0).position.is_some();
+    is_path.then(|| Governor::new(governor))
 }

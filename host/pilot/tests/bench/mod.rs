@@ -82,6 +82,7 @@ pub(crate) fn config() -> PilotConfig {
             }])
             .unwrap(),
         ),
+        governor: None,
         limits: Limits::paper(),
         estimator: EstimatorConfig::for_vehicle(&vehicle),
         // The bench's accelerometer measures no start: it is no car to prove.

@@ -2,6 +2,7 @@
 //! JSON.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+use singletrack_control::SlowedBy;
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
 use singletrack_pilot::{
     BoardRequest, BoardState, Filtering, LinkState, Mode, PilotRequest, PoseMissing, Reason,
@@ -327,6 +328,13 @@ codes! {
         Superseded = 5,
         Incomplete = 6,
         NotExternal = 7,
+    }
+    SlowedBy as "SLOWED_BY" {
+        Tyres = 1,
+        Steering = 2,
+        SteeringRate = 3,
+        Speed = 4,
+        Behind = 5,
     }
     PoseMissing as "POSE_MISSING" {
         Untracked = 1,

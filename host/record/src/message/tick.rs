@@ -1,6 +1,6 @@
 //! A control tick and all that the pilot decided in it.
 
-use singletrack_control::{Actuation, Estimate, ReferencePoint};
+use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy};
 use singletrack_pilot::{
     BoardRequest, DriveCommand, Filtering, Mode, Output, Reason, SetpointRefusal,
 };
@@ -94,6 +94,11 @@ fields! {
         filtering: Code<Filtering>,
         /// The number of ticks of the drive, or of the last one, in which it did anything.
         filtered_ticks: u32,
+        /// The path parameter of the reference, in s: the time of the drive, unless a governor
+        /// has slowed the reference down.
+        path_s: Maybe<f64> = path,
+        /// Why the reference is slowed down.
+        slowed_by: OptionalCode<SlowedBy>,
     }
 }
 

@@ -127,6 +127,8 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             },
             turning_round: false,
             looked_ahead: None,
+            path: None,
+            slowed_by: None,
             command: Some(DriveCommand {
                 rear_speed: 0.4 + 1e-3 * noise(index, 20),
                 steering: 0.33 + 1e-3 * noise(index, 21),

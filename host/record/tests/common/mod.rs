@@ -145,6 +145,8 @@ fn output() -> impl Strategy<Value = Output> {
                 },
                 turning_round,
                 looked_ahead: None,
+                path: None,
+                slowed_by: None,
                 command: command.map(|(rear_speed, steering, pose_time)| DriveCommand {
                     rear_speed,
                     steering,

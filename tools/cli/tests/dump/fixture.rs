@@ -129,6 +129,8 @@ pub(crate) fn standing_tick() -> TickRecord {
             actuation: Actuation::default(),
             turning_round: false,
             looked_ahead: None,
+            path: None,
+            slowed_by: None,
             command: None,
             request: None,
             proved: false,

@@ -238,6 +238,8 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             },
             turning_round: false,
             looked_ahead: None,
+            path: None,
+            slowed_by: None,
             command: time.map(|_| DriveCommand {
                 rear_speed: 0.4,
                 steering: 0.33,

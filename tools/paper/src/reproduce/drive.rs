@@ -121,6 +121,7 @@ impl Experiment {
             truth: None,
             simulation: None,
             operator: None,
+            governor: None,
             limits: None,
             estimator: None,
             supervisor: None,

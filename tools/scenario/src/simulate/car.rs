@@ -4,7 +4,7 @@ use std::path::Path;
 
 use singletrack_control::{Position, Reference};
 use singletrack_core::config::{Config, LawKind};
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth};
 
@@ -172,6 +172,8 @@ struct Run<'a> {
     start_us: u64,
     tally: Tally,
     last: Option<VirtualTick>,
+    /// Of the reference.
+    path: PathClock,
 }
 
 impl<'a> Run<'a> {
@@ -216,6 +218,7 @@ impl<'a> Run<'a> {
             start_us: 0,
             tally,
             last: None,
+            path: PathClock::default(),
         })
     }
 
@@ -270,6 +273,7 @@ impl<'a> Run<'a> {
     fn take(&mut self, tick: VirtualTick) {
         let time = self.time(tick.now.0 / 1_000);
         self.tally.add(time, &tick);
+        self.path.take(time, &tick.tick.output);
         self.last = Some(tick);
     }
 
@@ -380,10 +384,43 @@ impl<'a> Run<'a> {
             self.scenario.law.point_distance_m,
             reference,
             start,
-            time,
+            (time, self.path.at(time)),
             truth,
             last,
         )
+    }
+}
+
+/// The path parameter of the reference between the ticks.
+#[derive(Clone, Copy, Debug, Default)]
+struct PathClock {
+    /// Time and path parameter at the last tick that followed the reference, s.
+    last: (f64, f64),
+    /// Its advance per second after that.
+    rate: f64,
+    is_slowed: bool,
+}
+
+impl PathClock {
+    fn take(&mut self, time: f64, output: &Output) {
+        let (Some(path), Some(driven)) = (output.path, output.drive_time) else {
+            return;
+        };
+        let (then, before) = self.last;
+        if time > then {
+            self.rate = ((path - before) / (time - then)).clamp(0.0, 1.0);
+        }
+        self.last = (time, path);
+        self.is_slowed = path != driven;
+    }
+
+    /// The path parameter at a time of the run.
+    fn at(&self, time: f64) -> f64 {
+        if self.is_slowed {
+            self.last.1 + self.rate * (time - self.last.0)
+        } else {
+            time
+        }
     }
 }
 
@@ -392,7 +429,7 @@ fn row(
     point_distance_m: f64,
     reference: &Reference,
     start: Position,
-    time: f64,
+    (time, path): (f64, f64),
     truth: &Truth,
     last: &VirtualTick,
 ) -> Row {
@@ -400,7 +437,7 @@ fn row(
     let [x_p, y_p] = truth.point_p(front_axle_distance_m, point_distance_m);
     let nominal = match reference {
         Reference::VelocitySteps(steps) => steps.integrate(start, time),
-        other => other.at(time).position.unwrap_or(start),
+        other => other.at(path).position.unwrap_or(start),
     };
     let wanted = output.point_velocity.unwrap_or_default();
     let rate = match output.mode {
@@ -423,5 +460,6 @@ fn row(
         y_ref: nominal.y,
         v_px: wanted.x,
         v_py: wanted.y,
+        path_s: path,
     }
 }

@@ -379,6 +379,7 @@ impl<'a> Simulation<'a> {
             y_ref: reference.y,
             v_px: velocity.x,
             v_py: velocity.y,
+            path_s: time,
         }
     }
 

@@ -41,16 +41,18 @@ pub struct Row {
     pub v_px: f64,
     /// Commanded velocity of P, in m/s.
     pub v_py: f64,
+    /// The path parameter of the reference, in s: the time, unless a governor has slowed the
+    /// reference down.
+    pub path_s: f64,
 }
 
 /// The names of the columns, in order.
-pub const HEADER: &str =
-    "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py";
+pub const HEADER: &str = "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py,path_s";
 
 impl Row {
     /// The values, in the order of [`HEADER`].
     #[must_use]
-    pub fn values(&self) -> [f64; 15] {
+    pub fn values(&self) -> [f64; 16] {
         [
             self.t,
             self.yaw,
@@ -67,6 +69,7 @@ impl Row {
             self.y_ref,
             self.v_px,
             self.v_py,
+            self.path_s,
         ]
     }
 }

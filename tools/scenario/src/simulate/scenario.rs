@@ -57,6 +57,9 @@ pub struct Scenario {
     // Sections of the daemon's configuration, for plant kind "car". A key that is left out
     // is as in the configuration for the simulated car: the daemon's defaults, a fence of the
     // size of a hall, and the calibration of the simulated board.
+    /// What slows the reference down.
+    #[serde(default)]
+    pub governor: Option<Table>,
     /// The limits of the pilot.
     #[serde(default)]
     pub limits: Option<Table>,
@@ -347,8 +350,9 @@ impl Scenario {
     }
 
     /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 9] {
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 10] {
         [
+            ("governor", self.governor.as_ref()),
             ("limits", self.limits.as_ref()),
             ("board", self.board.as_ref()),
             ("estimator", self.estimator.as_ref()),
@@ -374,6 +378,7 @@ impl Scenario {
         // A car that may differ from its configuration is not known to be as configured.
         config.supervisor.prove_first_metre = self.differs();
         let Config {
+            governor,
             limits,
             board,
             estimator,
@@ -386,6 +391,7 @@ impl Scenario {
             control,
             ..
         } = &mut config;
+        layer("governor", governor, self.governor.as_ref())?;
         layer("limits", limits, self.limits.as_ref())?;
         layer("board", board, self.board.as_ref())?;
         layer("estimator", estimator, self.estimator.as_ref())?;

@@ -1,0 +1,86 @@
+//! The reference governor on the simulated car.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use std::{fs, path::Path};
+
+use singletrack_control::SlowedBy;
+use singletrack_record::Entry;
+use singletrack_scenario::simulate::{Row, Scenario, drive_entries, simulate};
+
+fn text(name: &str) -> String {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios");
+    fs::read_to_string(folder.join(format!("{name}.toml"))).unwrap()
+}
+
+fn scenario(text: &str) -> Scenario {
+    Scenario::from_toml(text, Path::new("scenario.toml")).unwrap()
+}
+
+fn rows(text: &str) -> Vec<Row> {
+    simulate(&scenario(text)).unwrap().rows
+}
+
+/// The largest distance of P from its governed reference from this time on, in m.
+fn farthest(rows: &[Row], from: f64) -> f64 {
+    rows.iter()
+        .filter(|row| row.t >= from)
+        .map(|row| (row.x_p - row.x_ref).hypot(row.y_p - row.y_ref))
+        .fold(0.0, f64::max)
+}
+
+const ON: &str = "\n[governor]\nenabled = true\n";
+
+#[test]
+fn a_reference_that_the_car_can_follow_is_driven_to_the_bit_as_without_a_governor() {
+    for name in ["best/circle-1.0", "best/eight-4x2-lqi"] {
+        let plain = text(name).replace("duration_s = 60.0", "duration_s = 20.0");
+        let without = rows(&plain);
+        assert!(without.iter().all(|row| row.path_s == row.t));
+        assert_eq!(rows(&(plain + ON)), without, "{name}");
+    }
+}
+
+#[test]
+fn an_eight_at_twice_the_speed_is_followed_as_fast_as_the_tyres_hold() {
+    let fast = text("governor/fast-eight");
+    let governed = rows(&fast);
+    assert!(
+        farthest(&governed, 5.0) < 0.25,
+        "{}",
+        farthest(&governed, 5.0)
+    );
+    let path = governed.last().unwrap().path_s;
+    assert!((45.0..58.0).contains(&path), "{path}");
+    let left = rows(&fast.replace("enabled = true", "enabled = false"));
+    assert!(farthest(&left, 5.0) > 1.0);
+    let (mut tyres, mut before) = (0, 0.0);
+    drive_entries(&scenario(&fast), &mut |entry| {
+        if let Entry::Tick(tick) = entry {
+            let path = tick.output.path.unwrap_or_default();
+            assert!(path >= before, "{path} after {before}");
+            before = path;
+            tyres += u32::from(tick.output.slowed_by == Some(SlowedBy::Tyres));
+        }
+    })
+    .unwrap();
+    assert!(tyres > 300, "{tyres}");
+}
+
+#[test]
+fn a_corner_is_neither_cut_short_nor_left_behind() {
+    let governed = rows(&text("governor/corner"));
+    let driven: Vec<Row> = governed
+        .into_iter()
+        .filter(|row| row.path_s < 12.0)
+        .collect();
+    assert!(farthest(&driven, 0.0) < 0.75, "{}", farthest(&driven, 0.0));
+    // P reaches both corners.
+    for corner in [(4.0, 0.0), (4.0, 4.0)] {
+        let nearest = driven
+            .iter()
+            .map(|row| (row.x_p - corner.0).hypot(row.y_p - corner.1))
+            .fold(f64::INFINITY, f64::min);
+        assert!(nearest < 0.1, "{corner:?}: {nearest}");
+    }
+}
