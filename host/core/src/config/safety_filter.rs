@@ -16,7 +16,7 @@ section! {
     enabled: bool = false;
     /// Time from a tick to when a car that is told to stop slows down at the latest. The default
     /// is the motor's dead time and lag, and 80 ms for line, board and the frame of the ESC.
-    reaction_ms: Option<f64> = None, in 50.0..=2_000.0, otherwise 196.0;
+    reaction_ms: Option<f64> = None, in 50.0..=2_000.0, example 196.0;
     /// The most by which a moving car becomes faster than it is measured and commanded.
     speed_error_m_s: f64 = 0.1, in 0.0..=1.0;
     /// Largest error of the estimated position: cameras, the body on the car, its stamps.
