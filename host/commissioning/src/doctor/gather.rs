@@ -173,25 +173,23 @@ pub(super) fn motion(
 pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupted> {
     /// The board holds neutral for two seconds after a reset, and is configured again.
     const SETTLED_S: f64 = 3.0;
-    let is_stopped = |readings: &Readings| {
-        readings
-            .boards
-            .last()
-            .is_some_and(|board| board.mode == BoardMode::EmergencyStopped)
-    };
+    let mode = |readings: &Readings| readings.boards.last().map(|board| board.mode);
     let readings = for_time(bench, 0.3, "board")?;
-    if !is_stopped(&readings) {
+    if mode(&readings) != Some(BoardMode::EmergencyStopped) {
         return Ok(true);
     }
     if bench.ask(&questions::press_reset())? == Answer::Skip {
         return Ok(false);
     }
-    let (readings, is_done) = until(bench, |readings| {
-        let is_reset = !is_stopped(readings) && readings.longest_silence() > 0.2;
+    // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
+    // before the first reading.
+    let (_, is_reset) = until(bench, |readings| {
+        let mode = mode(readings);
+        let is_reset = mode.is_some_and(|mode| mode != BoardMode::EmergencyStopped);
         ("reset".to_owned(), f64::from(u8::from(is_reset)))
     })?;
     for_time(bench, SETTLED_S, "the board starts")?;
-    Ok(is_done && !is_stopped(&readings))
+    Ok(is_reset)
 }
 
 /// The angle turned by the body so far, unwrapped, in rad.
