@@ -315,7 +315,7 @@ fn a_damaged_record_is_used_as_far_as_it_goes() {
     let output = identify(&damaged, &["--format", "json"]);
     let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
     let seconds = found["identification"]["seconds"].as_f64().unwrap();
-    assert!((3.0..11.0).contains(&seconds), "{seconds}");
+    assert!((5.0..8.0).contains(&seconds), "{seconds}");
     assert!(
         said(&output).contains("is damaged after"),
         "{}",
