@@ -3,10 +3,11 @@
 //! Cameras and controller both run at 100 Hz, each by its own clock. If frames arrive just
 //! when ticks begin, some ticks get no frame and the next ones two, and poses are up to a
 //! period older than necessary. The grid of the ticks therefore slides slowly until ticks
-//! begin a little after frames arrive: half a millisecond, and longer if frames arrive unevenly.
+//! begin a little after frames arrive: three quarters of a millisecond, and longer if frames
+//! arrive unevenly.
 
 /// The target time from the arrival of a frame to the tick, ns, if frames arrive evenly.
-const LEAST_MARGIN_NS: u64 = 500_000;
+const LEAST_MARGIN_NS: u64 = 750_000;
 
 /// The target if they do not, at most.
 const MOST_MARGIN_NS: u64 = 2_000_000;

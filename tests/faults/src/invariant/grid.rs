@@ -61,7 +61,7 @@ impl Invariant for TickGrid {
 }
 
 /// `camera-alignment`: after 6 s without disturbance, a tick of a drive, from its second
-/// second on, begins 0.2 to 4.5 ms after the arrival of a frame: the target of 0.5 to 2 ms, the
+/// second on, begins 0.5 to 4.5 ms after the arrival of a frame: the target of 0.75 to 2 ms, the
 /// host's polling interval of 1 ms, and the jitter of the cameras. Stamps that leave the frames can't be followed. (While the car stands, the grid slides by 0.5 ms
 /// a tick and overshoots now and then.)
 #[derive(Default)]
@@ -72,7 +72,7 @@ pub(super) struct CameraAlignment {
 const CALM_US: u64 = 6_000_000;
 /// By the slide of a drive, 20 µs a tick, the grid moves 2 ms in this time.
 const SETTLING_US: u64 = 1_000_000;
-const AGES_NS: core::ops::RangeInclusive<u64> = 200_000..=4_500_000;
+const AGES_NS: core::ops::RangeInclusive<u64> = 500_000..=4_500_000;
 
 impl Invariant for CameraAlignment {
     fn name(&self) -> &'static str {
