@@ -73,6 +73,7 @@ pub struct CameraReceiver {
     is_stale: bool,
     last_frame: i32,
     counters_at_ns: u64,
+    passed: u64,
     dropped: u64,
 }
 
@@ -97,6 +98,7 @@ impl CameraReceiver {
             is_stale: false,
             last_frame: 0,
             counters_at_ns: 0,
+            passed: 0,
             dropped: 0,
         }
     }
@@ -105,6 +107,12 @@ impl CameraReceiver {
     #[must_use]
     pub const fn counters(&self) -> PlanarCounters {
         self.session.counters()
+    }
+
+    /// Observations passed to the control loop.
+    #[must_use]
+    pub const fn passed(&self) -> u64 {
+        self.passed
     }
 
     /// Observations lost because the control loop's ring was full.
@@ -194,6 +202,9 @@ impl CameraReceiver {
     fn observed(&mut self, observation: Observation) {
         // A report that finds no room is missing in the record only.
         let _ = self.reports.push(CameraReport::Observation(observation));
-        self.dropped += u64::from(self.observations.push(observation).is_err());
+        match self.observations.push(observation) {
+            Ok(()) => self.passed += 1,
+            Err(_) => self.dropped += 1,
+        }
     }
 }

@@ -5,7 +5,7 @@
 use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
-use singletrack_mocap::Observation;
+use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
@@ -93,6 +93,7 @@ pub struct ControlLoop<L> {
     ending: Ending,
     alignment: Option<Alignment>,
     slide_ns: i64,
+    last_start_ns: u64,
     counters: LineCounters,
 }
 
@@ -111,11 +112,13 @@ impl<L: Line> ControlLoop<L> {
             ending: Ending::Running,
             alignment: None,
             slide_ns: 0,
+            last_start_ns: 0,
             counters: LineCounters::default(),
         }
     }
 
-    /// Aligns the ticks with the camera frames, see [`slide_ns`](Self::slide_ns).
+    /// Aligns the ticks with the camera frames, see [`slide_ns`](Self::slide_ns), and begins each
+    /// when its frame arrives, see [`due_ns`](Self::due_ns).
     #[must_use]
     pub fn aligned_to_cameras(self, period_ns: u64) -> Self {
         Self {
@@ -162,10 +165,56 @@ impl<L: Line> ControlLoop<L> {
         self.ending == Ending::Done
     }
 
+    /// When the next tick may begin at the earliest, ns: a window before its deadline if the ticks
+    /// are aligned with the cameras, and the deadline itself otherwise. Not much sooner than a
+    /// period after a tick that was late.
+    #[must_use]
+    pub fn opens_ns(&self, grid: &Grid) -> u64 {
+        let deadline_ns = grid.next_ns();
+        let Some(alignment) = &self.alignment else {
+            return deadline_ns;
+        };
+        let window_ns = alignment.window_ns();
+        let apart_ns = alignment.period_ns() - window_ns;
+        let apart_from_ns = self.last_start_ns.saturating_add(apart_ns);
+        deadline_ns
+            .saturating_sub(window_ns)
+            .max(apart_from_ns)
+            .min(deadline_ns)
+    }
+
+    /// When the next tick is due, ns: when its frame arrives, but not before
+    /// [`opens_ns`](Self::opens_ns), and at the deadline without one. To be asked again after
+    /// each frame.
+    #[must_use]
+    pub fn due_ns(&mut self, grid: &Grid) -> u64 {
+        let deadline_ns = grid.next_ns();
+        let Some(alignment) = &self.alignment else {
+            return deadline_ns;
+        };
+        let since_ns = deadline_ns.saturating_sub(alignment.period_ns() / 2);
+        let opens_ns = self.opens_ns(grid);
+        let observations = &mut self.rings.observations;
+        let waiting = observations.read_chunk(observations.slots());
+        let frame_ns = waiting.ok().and_then(|waiting| {
+            let (front, back) = waiting.as_slices();
+            let is_its_frame = |observation: &&Observation| {
+                !matches!(observation.state, PoseState::Stale { .. })
+                    && observation.receive_time_ns >= since_ns
+            };
+            let frame = front.iter().chain(back).find(is_its_frame);
+            frame.map(|frame| frame.receive_time_ns)
+        });
+        frame_ns.map_or(deadline_ns, |frame_ns| {
+            frame_ns.max(opens_ns).min(deadline_ns)
+        })
+    }
+
     /// One pass of the control thread after it woke up: the tick of the point that it belongs
     /// to, the slide of the grid, and the points that the tick ran over.
     pub fn wake_up(&mut self, grid: &mut Grid, clock: &impl Fn() -> u64) {
-        self.tick(grid.enter(clock()), clock);
+        let due_ns = self.due_ns(grid);
+        self.tick(grid.enter(clock(), due_ns), clock);
         grid.slide(self.slide_ns());
         grid.leave(clock());
     }
@@ -262,10 +311,10 @@ impl<L: Line> ControlLoop<L> {
         dropped += u64::from(!rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
         let is_driving = self.is_driving();
-        self.slide_ns = self
-            .alignment
-            .as_mut()
-            .map_or(0, |alignment| alignment.slide_ns(slot.start_ns, is_driving));
+        self.slide_ns = self.alignment.as_mut().map_or(0, |alignment| {
+            alignment.slide_ns(slot.deadline_ns, is_driving)
+        });
+        self.last_start_ns = slot.start_ns;
         self.index += 1;
         if self.index.is_multiple_of(COUNTERS_TICKS) {
             // A lost report is superseded by the next one.

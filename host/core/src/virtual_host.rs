@@ -24,6 +24,8 @@ const POLLS: u32 = 8;
 pub struct VirtualHost<L> {
     host: Host<L>,
     grid: Grid,
+    /// When the next tick is due, as far as is known.
+    due_ns: u64,
 }
 
 impl<L: Line> VirtualHost<L> {
@@ -40,9 +42,11 @@ impl<L: Line> VirtualHost<L> {
             memory_locked: true,
         });
         let period_ns = host.configurations.in_force().control.period_ns();
+        let grid = Grid::new(now_ns, period_ns);
         Ok(Self {
             host,
-            grid: Grid::new(now_ns, period_ns),
+            grid,
+            due_ns: grid.next_ns(),
         })
     }
 
@@ -64,10 +68,11 @@ impl<L: Line> VirtualHost<L> {
         self.controller().pilot().mode()
     }
 
-    /// When the next tick is due.
+    /// When the next tick is due. A frame that [`poll_cameras`](Self::poll_cameras) receives
+    /// may make it sooner.
     #[must_use]
     pub const fn next_tick_ns(&self) -> u64 {
-        self.grid.next_ns()
+        self.due_ns
     }
 
     /// Runs the serial reader at `now_ns`. Returns whether it read bytes.
@@ -90,11 +95,13 @@ impl<L: Line> VirtualHost<L> {
                 break;
             }
         }
+        self.due_ns = self.host.control.due_ns(&self.grid);
     }
 
     /// Runs a tick of the control loop that wakes up at `now_ns`.
     pub fn tick(&mut self, now_ns: u64) {
         self.host.control.wake_up(&mut self.grid, &|| now_ns);
+        self.due_ns = self.host.control.due_ns(&self.grid);
     }
 
     /// Takes the record of the next tick, and drops all other reports. See

@@ -1,12 +1,13 @@
-//! The control thread: one tick per absolute deadline, with real-time scheduling if the
-//! system grants it.
+//! The control thread: one tick per absolute deadline, or sooner if a frame arrives, with
+//! real-time scheduling if the system grants it.
 
 use std::{
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering},
     },
-    thread::Thread,
+    thread::{self, Thread},
+    time::Duration,
 };
 
 use singletrack_core::{LineCounters, control_loop::ControlLoop, grid::Grid, line::Line};
@@ -34,12 +35,24 @@ pub(crate) fn run<L: Line>(
 ) -> LineCounters {
     let mut grid = Grid::new(monotonic_ns(), period_ns);
     while !control.is_done() && !state.abort.load(Ordering::Relaxed) {
-        sleep_until(grid.next_ns());
+        wait(&mut control, &grid);
         control.wake_up(&mut grid, &monotonic_ns);
         state.ticks.fetch_add(1, Ordering::Relaxed);
         collector.unpark();
     }
     control.counters()
+}
+
+/// Waits until the next tick is due. The receiver of the cameras unparks the thread.
+fn wait<L: Line>(control: &mut ControlLoop<L>, grid: &Grid) {
+    sleep_until(control.opens_ns(grid));
+    loop {
+        let left_ns = control.due_ns(grid).saturating_sub(monotonic_ns());
+        if left_ns == 0 {
+            return;
+        }
+        thread::park_timeout(Duration::from_nanos(left_ns));
+    }
 }
 
 /// Sets the flag when it is dropped: when the control thread returns or panics.

@@ -246,7 +246,7 @@ impl Daemon {
         let collector_thread = collector.thread().clone();
         daemon.collector = Some(collector);
 
-        daemon.start_control(&config, host.control, collector_thread)?;
+        let control = daemon.start_control(&config, host.control, collector_thread)?;
         let (serial, cameras) = (config.serial, config.motion_capture);
         let reader_stop = stop.clone();
         let reader = host.reader;
@@ -255,7 +255,7 @@ impl Daemon {
         })?);
         let receiver = host.receiver;
         daemon.receiver = Some(spawn("mocap", move || {
-            mocap_receiver::run(receiver, sockets, &cameras, &stop)
+            mocap_receiver::run(receiver, sockets, &cameras, &stop, &control)
         })?);
         if let Some(socket) = socket {
             let started = SocketThread::start(socket, daemon.handle.clone());
@@ -267,19 +267,20 @@ impl Daemon {
         Ok(daemon)
     }
 
-    /// Starts the control thread, and waits until it knows what the system grants it.
+    /// Starts the control thread, and waits until it knows what the system grants it. Returns
+    /// the handle that wakes it.
     fn start_control(
         &mut self,
         config: &Config,
         mut control: ControlLoop<crate::serial_port::WriteHalf>,
         collector: thread::Thread,
-    ) -> Result<(), StartError> {
+    ) -> Result<thread::Thread, StartError> {
         let priority = config.control.realtime_priority;
         let period_ns = config.control.period_ns();
         let state = self.control_state.clone();
         let memory_locked = self.handle.realtime.memory_locked;
         let (granted_in, granted) = mpsc::sync_channel(1);
-        self.control = Some(spawn("control", move || {
+        let thread = spawn("control", move || {
             let _ended = SetOnDrop(Arc::clone(&state.ended));
             realtime::touch_memory(control.rings_mut());
             let granted = realtime::make_punctual(priority);
@@ -290,7 +291,9 @@ impl Daemon {
             // `start_control` waits for it.
             let _ = granted_in.send(granted);
             control_thread::run(control, period_ns, &state, &collector)
-        })?);
+        })?;
+        let handle = thread.thread().clone();
+        self.control = Some(thread);
         let status = &mut self.handle.realtime;
         match granted.recv() {
             Ok(Ok(priority)) => status.fifo_priority = priority,
@@ -309,7 +312,7 @@ impl Daemon {
             period_ms = config.control.period_ms,
             "control thread started"
         );
-        Ok(())
+        Ok(handle)
     }
 
     /// The present status: the last tick, the board, and the figures so far.

@@ -1,6 +1,6 @@
 //! The thread of the camera receiver: waits for datagrams, polls, and logs.
 
-use std::{net::SocketAddr, time::Duration};
+use std::{net::SocketAddr, thread::Thread, time::Duration};
 
 use singletrack_core::{
     cameras::{CameraReceiver, Channel, Sockets},
@@ -40,22 +40,28 @@ impl Sockets for LoggedSockets {
     }
 }
 
-/// Runs until `stop` is raised. Returns the counters, and the number of observations that
-/// found no room in the ring to the control loop.
+/// Runs until `stop` is raised, and wakes `control` for every observation. Returns the counters,
+/// and the number of observations that found no room in the ring to the control loop.
 pub(crate) fn run(
     mut receiver: CameraReceiver,
     sockets: MocapSockets,
     config: &MotionCaptureSection,
     stop: &StopFlag,
+    control: &Thread,
 ) -> (PlanarCounters, u64) {
     let mut sockets = LoggedSockets {
         sockets,
         is_reachable: true,
     };
+    let mut passed = 0;
     loop {
         let until_ns = receiver.poll(&monotonic_ns, &mut sockets, &mut |event| {
             log(event, config);
         });
+        if receiver.passed() != passed {
+            passed = receiver.passed();
+            control.unpark();
+        }
         let wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
         if stop.wait(&sockets.sockets.files(), wait) == Woken::Stop {
             receiver.close(&monotonic_ns, &mut sockets);

@@ -505,6 +505,13 @@ impl<'a> Drive<'a> {
                 address,
             },
         );
+        let is_late = self
+            .faults
+            .iter()
+            .any(|fault| fault.kind == FaultKind::TicksLate);
+        if !is_late {
+            self.tick_us = self.tick_us.min(daemon.next_tick_us());
+        }
         if let Some(exposure) = self.network.take_read() {
             let is_newer = self
                 .newest_pose

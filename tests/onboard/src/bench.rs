@@ -181,7 +181,7 @@ impl VirtualBench {
 
     /// The set-point of a car that stands: without one it can't be armed.
     fn stand_still(&self) {
-        let now = Time(self.drive.next_tick_us() * 1_000);
+        let now = Time(self.drive.now_us() * 1_000);
         self.drive
             .send_setpoint(&Setpoint::point(now, None, Velocity::zeros()));
     }
@@ -344,7 +344,7 @@ impl Bench for VirtualBench {
             self.held = false;
             return Err(self.ended());
         }
-        let now = Time(self.drive.next_tick_us() * 1_000);
+        let now = Time(self.drive.now_us() * 1_000);
         self.drive
             .send_setpoint(&Setpoint::point(now, position, velocity));
         Ok(())

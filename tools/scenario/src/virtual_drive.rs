@@ -267,16 +267,30 @@ impl VirtualDrive {
         }
     }
 
-    /// When the next tick is due, in µs of the simulation, rounded up.
+    /// When the next tick is due, in µs of the simulation, rounded up. A frame may make it sooner.
     #[must_use]
     pub const fn next_tick_us(&self) -> u64 {
         self.host.next_tick_ns().div_ceil(1_000)
     }
 
-    /// Advances to `until_us` of the simulation, at most to the next tick.
-    pub fn advance_to(&mut self, until_us: u64) {
-        let until_us = until_us.min(self.next_tick_us());
-        while self.host_us < until_us {
+    /// The present time of the simulation, in µs.
+    #[must_use]
+    pub const fn now_us(&self) -> u64 {
+        self.host_us
+    }
+
+    /// Advances to `until_us` of the simulation, at most to the next tick. Returns false if that
+    /// is due: a frame may begin it sooner than was foreseen.
+    pub fn advance_to(&mut self, until_us: u64) -> bool {
+        loop {
+            let next_us = self.next_tick_us();
+            if self.host_us >= next_us {
+                return false;
+            }
+            let until_us = until_us.min(next_us);
+            if self.host_us >= until_us {
+                return true;
+            }
             let next_us = (self.host_us / HOST_POLL_US + 1) * HOST_POLL_US;
             self.host_us = next_us.min(until_us);
             self.world.advance_to(self.host_us);
@@ -287,7 +301,7 @@ impl VirtualDrive {
     /// Advances to the next tick and runs it.
     pub fn step(&mut self) -> VirtualTick {
         loop {
-            self.advance_to(self.next_tick_us());
+            self.advance_to(u64::MAX);
             let now_ns = self.host_us * 1_000;
             let truth = self.world.truth();
             self.host.tick(now_ns);

@@ -67,7 +67,7 @@ fn drive(hostile: Controller) -> Ended {
     let mut reason = None;
     let mut truth = None;
     for _ in 0..3_000 {
-        let now = Time(drive.next_tick_us() * 1_000);
+        let now = Time(drive.now_us() * 1_000);
         match &truth {
             Some(truth) if driven > 100 => hostile(&drive, now, truth),
             _ => {

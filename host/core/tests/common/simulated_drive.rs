@@ -183,6 +183,7 @@ impl SimulatedDrive {
         let now_ns = index * PERIOD_US * 1_000;
         let slot = Slot {
             scheduled_ns: now_ns,
+            deadline_ns: now_ns,
             start_ns: now_ns,
             skipped: 0,
         };

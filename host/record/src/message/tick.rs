@@ -20,7 +20,7 @@ message! {
     TickMessage as "Tick" of TickRecord {
         /// Counts the ticks of the daemon, from 0.
         index: u64,
-        /// The point of the tick's grid that it belongs to.
+        /// When it was due: at its point of the grid, or a little sooner, when a frame arrived.
         scheduled_ns: u64,
         /// When the thread woke up for it.
         start_ns: u64,

@@ -1,6 +1,8 @@
 //! The grid of the ticks, and its alignment to the cameras.
 
-use singletrack_pilot::{Event, Mode};
+use core::ops::RangeInclusive;
+
+use singletrack_pilot::{Event, Mode, PoseMissing};
 
 use super::{Invariant, Verdict};
 use crate::{
@@ -14,11 +16,28 @@ use crate::{
 const SLIDE_STANDING: u64 = 20;
 const SLIDE_UNDERWAY: u64 = 500;
 
-/// `tick-grid`: the deadlines are a period apart, except for the slide towards the
-/// cameras; a tick begins between its deadline and the next one.
+/// The time before its deadline in which a frame may begin a tick, in ns: 3 ms, or less if the
+/// period is short.
+const WINDOW_NS: u64 = 3_000_000;
+/// The same as a part of the period.
+const WINDOW_PART: (u64, u64) = (3, 10);
+
+/// `tick-grid`: the deadlines are a period apart, except for the slide towards the cameras. A
+/// tick is due at its deadline, or with a frame up to 3 ms before it, and begins before the next
+/// deadline.
 #[derive(Default)]
 pub(super) struct TickGrid {
-    last: Option<(u64, Mode)>,
+    last: Option<(RangeInclusive<u64>, Mode)>,
+}
+
+/// Whether a frame may have begun this tick.
+fn is_begun_by_frame(event: &Event, due_ns: u64, window_ns: u64) -> bool {
+    match event {
+        // It arrived when the tick was due, or before the window opened.
+        Event::Pose(pose) => pose.receive.0 <= due_ns && due_ns < pose.receive.0 + window_ns,
+        Event::PoseMissing(missing) => *missing != PoseMissing::Stale,
+        _ => false,
+    }
 }
 
 impl Invariant for TickGrid {
@@ -31,29 +50,42 @@ impl Invariant for TickGrid {
             return Ok(());
         };
         let period_ns = (observation.spec.period_s * 1e9) as u64;
-        let here = tick.scheduled_ns;
-        let last = self.last.replace((here, tick.output.mode));
+        let window_ns = WINDOW_NS.min(period_ns * WINDOW_PART.0 / WINDOW_PART.1);
+        let due_ns = tick.scheduled_ns;
         let now_ns = host_ns(observation.now_us);
-        if tick.start_ns != now_ns || now_ns < here || now_ns >= here + period_ns {
+        let by_frame = |event| is_begun_by_frame(event, due_ns, window_ns);
+        let latest_ns = if tick.events.iter().any(by_frame) {
+            due_ns + window_ns
+        } else {
+            due_ns
+        };
+        if tick.start_ns != now_ns || now_ns < due_ns || now_ns >= latest_ns + period_ns {
             return Err(format!(
-                "the tick of {here} ns began at {} ns; it is {now_ns} ns",
+                "the tick of {due_ns} ns began at {} ns; it is {now_ns} ns",
                 tick.start_ns
             ));
         }
-        let Some((before, mode)) = last.filter(|_| tick.index > 0) else {
+        let mode = tick.output.mode;
+        let Some((before, mode_before)) = self.last.take().filter(|_| tick.index > 0) else {
+            self.last = Some((due_ns..=latest_ns, mode));
             return Ok(());
         };
-        let part = if mode.is_underway() {
+        let part = if mode_before.is_underway() {
             SLIDE_UNDERWAY
         } else {
             SLIDE_STANDING
         };
-        let due = before + (1 + u64::from(tick.skipped)) * period_ns;
-        let slide_ns = here.abs_diff(due);
-        if slide_ns > period_ns / part {
+        let slide_ns = period_ns / part;
+        let periods_ns = (1 + u64::from(tick.skipped)) * period_ns;
+        let from_ns = due_ns.max(before.start() + periods_ns - slide_ns);
+        let to_ns = latest_ns.min(before.end() + periods_ns + slide_ns);
+        self.last = Some((from_ns..=to_ns, mode));
+        if from_ns > to_ns {
             return Err(format!(
-                "the grid slid by {slide_ns} ns in mode {mode}, {} allowed",
-                period_ns / part
+                "the deadline of the tick was between {due_ns} and {latest_ns} ns, {} to {} ns after \
+                 the one before, in mode {mode_before}; it may slide by {slide_ns} ns",
+                due_ns.saturating_sub(*before.end()),
+                latest_ns - before.start(),
             ));
         }
         Ok(())
@@ -61,9 +93,9 @@ impl Invariant for TickGrid {
 }
 
 /// `camera-alignment`: after 6 s without disturbance, a tick of a drive, from its second
-/// second on, begins 0.5 to 4.5 ms after the arrival of a frame: the target of 0.75 to 2 ms, the
-/// host's polling interval of 1 ms, and the jitter of the cameras. Stamps that leave the frames can't be followed. (While the car stands, the grid slides by 0.5 ms
-/// a tick and overshoots now and then.)
+/// second on, begins at most 1 ms after the arrival of its frame. Stamps that leave the frames
+/// can't be followed. (While the car stands, the grid slides by 0.5 ms a tick and overshoots now
+/// and then.)
 #[derive(Default)]
 pub(super) struct CameraAlignment {
     calm_from_us: u64,
@@ -72,7 +104,7 @@ pub(super) struct CameraAlignment {
 const CALM_US: u64 = 6_000_000;
 /// By the slide of a drive, 20 µs a tick, the grid moves 2 ms in this time.
 const SETTLING_US: u64 = 1_000_000;
-const AGES_NS: core::ops::RangeInclusive<u64> = 500_000..=4_500_000;
+const AGE_NS: u64 = 1_000_000;
 
 impl Invariant for CameraAlignment {
     fn name(&self) -> &'static str {
@@ -109,7 +141,7 @@ impl Invariant for CameraAlignment {
         });
         let age_ns = received.map(|received| tick.start_ns.saturating_sub(received));
         match age_ns {
-            Some(age_ns) if !AGES_NS.contains(&age_ns) => Err(format!(
+            Some(age_ns) if age_ns > AGE_NS => Err(format!(
                 "the tick began {age_ns} ns after the frame that it saw"
             )),
             _ => Ok(()),

@@ -277,7 +277,7 @@ bugs! {
         let start = tick.start_ns;
         for event in &mut tick.events {
             if let Event::Pose(pose) = event {
-                pose.receive = Time(start - 100_000);
+                pose.receive = Time(start - 1_200_000);
             }
         }
     });

@@ -243,7 +243,7 @@ impl<'a> Run<'a> {
     /// Gives the pilot steering and speed for the next tick.
     fn send(&self, [steering, speed]: [f64; 2]) {
         if self.foreign.is_some() {
-            let now = Time(self.drive.next_tick_us() * 1_000);
+            let now = Time(self.drive.now_us() * 1_000);
             self.drive.send_setpoint(&Setpoint::actuation(
                 now,
                 SteeringDemand::Angle(steering),

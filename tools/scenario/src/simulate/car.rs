@@ -308,7 +308,8 @@ impl<'a> Run<'a> {
         let mut rows = Vec::new();
         for index in 0..=count {
             let row_us = self.start_us + index * 1_000_000 / ROWS_PER_SECOND;
-            while self.drive.next_tick_us() <= row_us {
+            // Ticks until then, and at that time.
+            while !self.drive.advance_to(row_us) {
                 self.step()?;
             }
             self.write();
@@ -320,7 +321,6 @@ impl<'a> Run<'a> {
             let truth = if row_us == last.now.0 / 1_000 {
                 last.truth
             } else {
-                self.drive.advance_to(row_us);
                 self.drive.world().truth()
             };
             let output = &last.tick.output;

@@ -153,7 +153,7 @@ impl CalibratedCar {
         if let Some(stream) = &self.stream
             && number.is_multiple_of(stream.every_ticks)
         {
-            let now = Time(drive.next_tick_us() * 1_000);
+            let now = Time(drive.now_us() * 1_000);
             drive.send_setpoint(&stream.setpoint(now, seconds));
         }
     }
