@@ -231,8 +231,8 @@ fn cameras_that_show_too_fast_a_car_do_not_hide_that_it_brakes_weakly() {
 
 #[test]
 fn an_esc_with_a_narrow_deadband_holds_a_slow_pulse_of_a_board_that_is_reset() {
-    let text = "seed 109645; reference external; safety_filter true; reset_on_open true; \
-                fence_mm 122; camera_latency_ms 5; serial_delay_us 6855; board_skew_ppm -3928; \
+    let text = "seed 109645; reference external; safety_filter true; proved false; \
+                reset_on_open true; fence_mm 122; camera_latency_ms 5; serial_delay_us 6855; board_skew_ppm -3928; \
                 board_clock_ms 1230692; truth servo-trim-us 14; truth motor-gain-permille 51; \
                 truth esc-deadband-us -4; truth esc-dead-time-ms 11; \
                 truth esc-signal-loss-ms 991; end_ms 12000; ask arm at 7000; \
