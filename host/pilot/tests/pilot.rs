@@ -275,6 +275,36 @@ fn motor_pulses_that_count_double_end_the_drive() {
 }
 
 #[test]
+fn a_stop_measures_by_the_slower_of_motor_and_cameras_if_they_contradict_each_other() {
+    // The bench brakes with 1.5 m/s² on its ramp, as configured, if the cameras are right.
+    for (pulses, least, most, refused) in [
+        (1.0, 1.4, 1.75, None),
+        (2.0, 1.4, 1.75, None),
+        (0.5, 0.7, 0.88, Some(Reason::BrakesLessThanConfigured)),
+        // No motor sensor.
+        (0.0, 1.4, 1.75, None),
+    ] {
+        let mut bench = Bench::new();
+        bench.drive();
+        bench.pulses = pulses;
+        if pulses == 1.0 {
+            bench.step_with(Some(PilotRequest::Disarm));
+        }
+        let measured = (0..300).find_map(|_| bench.step().braking_measured);
+        assert!(
+            measured.is_some_and(|measured| (least..most).contains(&measured)),
+            "{pulses}: {measured:?}"
+        );
+        bench.pulses = 1.0;
+        bench.run(100);
+        bench.step_with(Some(PilotRequest::Arm));
+        let output = bench.run(2);
+        assert_eq!(output.reason, refused, "{pulses}");
+        assert_eq!(output.mode.is_underway(), refused.is_none(), "{pulses}");
+    }
+}
+
+#[test]
 fn an_imu_that_hangs_or_is_biased_ends_the_drive() {
     for (bias, noisy, reason) in [
         (0.0, false, Reason::ImuStuck),

@@ -5,7 +5,7 @@ use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
 use singletrack_protocol::{BoardMode, Configuration, EscKind, StopCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{ReceivedMessage, SimulationConfig, Truth};
+use singletrack_sim::{EscKind as TrueEsc, ReceivedMessage, SimulationConfig, Truth};
 
 use crate::{
     network::Exposure,
@@ -37,6 +37,10 @@ pub(crate) struct Spec {
     pub(crate) braking: f64,
     /// The longest roll-out from the highest speed, in µs.
     pub(crate) max_roll_out_us: u64,
+    /// Neutral of the true ESC, in µs, if it does not learn it from its pulses, and the half
+    /// width of the band around it in which it does not drive.
+    pub(crate) true_neutral_us: Option<u16>,
+    pub(crate) true_deadband_us: u16,
     /// Time without pulses after which the true ESC releases the motor.
     pub(crate) true_signal_loss_us: u64,
     /// Time from a neutral pulse until the true motor is free, in µs: the dead time of its
@@ -83,6 +87,9 @@ impl Spec {
             stop_deceleration: config.control.stop_deceleration_m_s2,
             braking: config.fence.braking_m_s2,
             max_roll_out_us: us(board.max_roll_out_ms.into()),
+            true_neutral_us: (world.car.motor.kind != TrueEsc::LearnsNeutral)
+                .then_some(world.car.motor.neutral_us),
+            true_deadband_us: world.car.motor.deadband_us,
             true_signal_loss_us: world.car.motor.signal_loss_us,
             true_release_us: world.car.motor.dead_time_us + 80_000,
             true_pulse_share: world.car.motor_sensor.pulse_distance_um

@@ -40,6 +40,20 @@ impl Pulse {
         self.effect == Effect::Drive
     }
 
+    /// Whether an ESC that gets no further pulse drives the car until it notices the loss of
+    /// the signal.
+    ///
+    /// That is the true ESC's affair. A slow car is driven with pulses near the deadband; where
+    /// the true one is narrower than configured, a pulse between the two drives. A running board
+    /// replaces it, a dead one can not.
+    pub(crate) fn drives_on(&self, spec: &Spec) -> bool {
+        let beyond_true = || {
+            spec.true_neutral_us
+                .is_some_and(|us| self.esc_us.abs_diff(us) > spec.true_deadband_us)
+        };
+        self.drives() && (!self.releases(spec) || beyond_true())
+    }
+
     /// Whether the motor is free or brakes, by the configured deadband: a car that is too
     /// fast is given the edge of the deadband.
     pub(crate) fn releases(&self, spec: &Spec) -> bool {
@@ -193,6 +207,38 @@ mod tests {
             effects(&scene.spec, &twice)[3..],
             [Brake, Neutral, Drive, Absent]
         );
+    }
+
+    #[test]
+    fn a_held_pulse_drives_beyond_either_deadband_unless_it_is_no_pulse_that_drives() {
+        let mut scene = Scene::new();
+        let spec = &mut scene.spec;
+        (spec.board.esc.neutral_us, spec.board.esc.deadband_us) = (1_500, 30);
+        let drives_on = |spec: &Spec, esc_us: u16, effect| {
+            let record = PulseRecord {
+                esc_us,
+                ..scene_pulse()
+            };
+            Pulse { record, effect }.drives_on(spec)
+        };
+        for (neutral_us, deadband_us, pulse_us, expected) in [
+            (Some(1_500), 25, 1_525, false),
+            (Some(1_500), 25, 1_526, true),
+            (Some(1_491), 30, 1_522, true),
+            // As configured, whatever the true one is.
+            (Some(1_500), 60, 1_531, false),
+            (Some(1_500), 60, 1_532, true),
+            // It learns its neutral.
+            (None, 25, 1_526, false),
+            (None, 25, 1_532, true),
+        ] {
+            (spec.true_neutral_us, spec.true_deadband_us) = (neutral_us, deadband_us);
+            let found = drives_on(spec, pulse_us, Effect::Drive);
+            assert_eq!(found, expected, "{neutral_us:?} {deadband_us} {pulse_us}");
+            for effect in [Effect::Neutral, Effect::Brake, Effect::Absent] {
+                assert!(!drives_on(spec, pulse_us, effect));
+            }
+        }
     }
 
     fn scene_pulse() -> PulseRecord {

@@ -176,8 +176,8 @@ impl Stops {
                 Effect::Neutral if pulse.cut => !self.last_drives,
                 _ => {
                     self.last_pulse_us = pulse.time_us;
-                    self.last_drives = !pulse.releases(step.spec);
-                    !self.last_drives
+                    self.last_drives = pulse.drives_on(step.spec);
+                    pulse.releases(step.spec)
                 }
             };
             self.driven |= pulse.drives() && step.board_is_armed;

@@ -202,3 +202,41 @@ fn an_arm_while_the_last_command_of_a_failed_drive_is_in_force_counts() {
                 ask arm at 25887; fault esc-stuck at 2011 for 1 severity 1";
     assert_eq!(violation(text), None);
 }
+
+#[test]
+fn a_brake_on_the_ramp_does_not_hide_that_a_car_rolls_freely() {
+    // Doubled motor pulses make the board brake on the ramp; at neutral the car has half the
+    // configured deceleration.
+    let text = "seed 103722; reference circle; speed_mm_s 1334; proved true; \
+                braking_mm_s2 1209; pulse_distance_um 8405; serial_delay_us 3850; \
+                board_skew_ppm 1063; board_clock_ms 3305938; truth motor-gain-permille 54; \
+                truth rolling-mm-s2 463; truth viscous-permille 399; truth esc-neutral-us -9; \
+                truth esc-deadband-us -6; truth esc-dead-time-ms 28; truth motor-lag-ms 60; \
+                truth body-yaw-mrad -14; truth slope-cdeg 27; truth slope-heading-deg 80; \
+                truth stamp-drift-ppm -6; truth ringing-edges 1; truth drained-mah 253; \
+                end_ms 6300; ask arm at 3200; ask arm at 6247";
+    assert_eq!(violation(text), None);
+}
+
+#[test]
+fn cameras_that_show_too_fast_a_car_do_not_hide_that_it_brakes_weakly() {
+    // The body's pivot is beside the car: on a circle the cameras see it half as fast again.
+    let text = "seed 105312; reference circle; speed_mm_s 1001; proved true; \
+                esc_kind forward-reverse; braking_mm_s2 2400; board_skew_ppm 3000; \
+                truth rolling-mm-s2 1003; truth viscous-permille 148; truth pivot-left-mm -321; \
+                truth slope-cdeg 31; truth slope-heading-deg 144; end_ms 7800; \
+                ask arm at 4176; ask arm at 7766";
+    assert_eq!(violation(text), None);
+}
+
+#[test]
+fn an_esc_with_a_narrow_deadband_holds_a_slow_pulse_of_a_board_that_is_reset() {
+    let text = "seed 109645; reference external; safety_filter true; proved false; \
+                reset_on_open true; fence_mm 122; camera_latency_ms 5; serial_delay_us 6855; board_skew_ppm -3928; \
+                board_clock_ms 1230692; truth servo-trim-us 14; truth motor-gain-permille 51; \
+                truth esc-deadband-us -4; truth esc-dead-time-ms 11; \
+                truth esc-signal-loss-ms 991; end_ms 12000; ask arm at 7000; \
+                fault loop-bang-bang at 6242 for 5587 severity 51; \
+                fault board-reset at 10653 for 1 severity 1";
+    assert_eq!(violation(text), None);
+}

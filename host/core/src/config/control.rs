@@ -11,8 +11,9 @@ section! {
     // leave no room for one that is lost.
     /// Period of the controller.
     @restart period_ms: u32 = 10, in 5..=50;
-    /// Slides the ticks slowly to where frames have just arrived. Poses are then younger, and
-    /// no tick goes without one because the clocks of cameras and host drift.
+    /// A frame that arrives up to 3 ms before the deadline of a tick begins it, and the deadlines
+    /// slide slowly to keep frames there. Poses are then fresh, and no tick goes without one
+    /// because the clocks of cameras and host drift.
     @restart align_to_cameras: bool = true;
     /// Deceleration of a commanded stop.
     stop_deceleration_m_s2: f64 = 2.4, in up_to(50.0);

@@ -296,7 +296,8 @@ impl Pilot {
             } else {
                 0.0
             };
-            self.stops.begin(now, &speeds, commanded);
+            let share = self.speeds.motor_share();
+            self.stops.begin(now, &speeds, commanded, share);
         }
         if !mode.commands() {
             self.proving = None;
@@ -347,7 +348,8 @@ impl Pilot {
                 Mode::Driving => {
                     if let Err(reason) = self.drive(now, estimate, &mut output) {
                         request = Some(self.supervisor.fault(reason, now));
-                        self.stops.begin(now, &speeds, 0.0);
+                        let share = self.speeds.motor_share();
+                        self.stops.begin(now, &speeds, 0.0, share);
                         self.proving = None;
                         self.stand_by(mode);
                         output.mode = self.supervisor.mode();

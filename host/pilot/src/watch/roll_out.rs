@@ -1,5 +1,7 @@
 //! How fast a car slows down on its way to standstill.
 
+use singletrack_control::Time;
+
 /// The longest time after which the car slows down, s: command, ESC and motor.
 pub(super) const REACTION: f64 = 0.25;
 /// The fall of the speed by which a car slows down, m/s: beyond the noise of the estimate.
@@ -52,6 +54,64 @@ impl RollOut {
         } else {
             fallen / (2.0 * self.way)
         }
+    }
+}
+
+/// How far beyond the ramp a car may be that its motor leads along it, m/s.
+pub(super) const BEYOND: f64 = 0.03;
+/// By how much a car comes nearer to the ramp that is braked, m/s. A brake of two servo periods,
+/// the shortest one, takes 0.025 m/s off a car; the estimate is steadier than a speed against its
+/// highest one ([`FALLEN`]), for only a fall that is faster than the ramp counts.
+const NEARER: f64 = 0.02;
+
+/// The last part of a stop in which the motor is free: the car is faster than the ramp that
+/// the motor is to follow, and does not come nearer to it. As long as it does come nearer, its
+/// ESC brakes it. No geofence can rely on that: the board brakes for half a second at most, and
+/// not again before the motor has driven.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct FreePart(Option<Beyond>);
+
+/// A car that is faster than the ramp.
+#[derive(Clone, Copy, Debug)]
+struct Beyond {
+    begin: Time,
+    roll_out: RollOut,
+    /// How far it is beyond the ramp, m/s: when it began, and at most since.
+    least: f64,
+    most: f64,
+}
+
+impl FreePart {
+    /// A tick with the speed, that of the ramp, the lowest one from which a part may begin
+    /// (m/s), and the way of the tick (m).
+    pub(super) fn tick(&mut self, now: Time, speed: f64, ramp: f64, lowest: f64, way: f64) {
+        let beyond = speed - ramp;
+        // There is nothing to come nearer to once the car is to stand.
+        let ramps = ramp > 0.0;
+        if ramps && beyond <= BEYOND {
+            self.0 = None;
+            return;
+        }
+        let comes_nearer = self
+            .0
+            .is_none_or(|part| beyond < part.least || beyond < part.most - NEARER);
+        if ramps && comes_nearer && speed >= lowest {
+            self.0 = Some(Beyond {
+                begin: now,
+                roll_out: RollOut::begin(speed),
+                least: beyond,
+                most: beyond,
+            });
+        } else if let Some(part) = &mut self.0 {
+            part.most = part.most.max(beyond);
+            let elapsed = now.seconds_since(part.begin);
+            part.roll_out.tick(elapsed, speed, way);
+        }
+    }
+
+    /// The part, if there is one.
+    pub(super) fn roll_out(&self) -> Option<RollOut> {
+        self.0.map(|part| part.roll_out)
     }
 }
 
@@ -134,6 +194,47 @@ mod tests {
             roll_out.tick(0.3, 0.3, way);
             let found = roll_out.deceleration(left);
             assert!((found - expected).abs() < 1e-9, "{way} {left}: {found}");
+        }
+    }
+    #[test]
+    fn the_free_part_begins_anew_while_the_car_comes_nearer_to_the_ramp() {
+        // Time (ms), speed, ramp, and the speed from which the part counts.
+        for ticks in [
+            // As far beyond the ramp as its motor may lead it; then farther.
+            &[(0, 0.629, 0.6, None), (10, 0.62, 0.58, Some(0.62))][..],
+            // It comes nearer than where it began.
+            &[
+                (0, 0.65, 0.6, Some(0.65)),
+                (10, 0.6, 0.56, Some(0.6)),
+                (20, 0.58, 0.53, Some(0.58)),
+            ],
+            // It comes nearer than it has been, beyond the noise.
+            &[
+                (0, 0.64, 0.6, Some(0.64)),
+                (10, 0.63, 0.53, Some(0.63)),
+                (20, 0.58, 0.499, Some(0.63)),
+                (30, 0.53, 0.461, Some(0.53)),
+                (40, 0.495, 0.436, Some(0.495)),
+            ],
+            // The motor drives it, and lets it go.
+            &[
+                (0, 0.64, 0.6, Some(0.64)),
+                (10, 0.59, 0.57, None),
+                (20, 0.59, 0.54, Some(0.59)),
+            ],
+            // It is too slow to begin; but a part goes on.
+            &[(0, 0.249, 0.2, None)],
+            &[(0, 0.255, 0.2, Some(0.255)), (10, 0.22, 0.18, Some(0.255))],
+            // After the ramp nothing begins.
+            &[(0, 0.6, 0.0, None)],
+            &[(0, 0.6, 0.5, Some(0.6)), (10, 0.55, -0.1, Some(0.6))],
+        ] {
+            let mut free = FreePart::default();
+            for &(ms, speed, ramp, from) in ticks {
+                free.tick(Time(1_000_000 * ms), speed, ramp, 0.25, 0.01 * speed);
+                let found = free.roll_out().map(|roll_out| roll_out.from());
+                assert_eq!(found, from, "{ticks:?} at {ms} ms");
+            }
         }
     }
 }

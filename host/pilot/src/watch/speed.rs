@@ -15,6 +15,8 @@ pub(crate) struct SpeedWatch {
     span: Option<Span>,
     /// Spans in a row that did not match.
     mismatches: u32,
+    /// The speed of the motor over that of the cameras in the last span that did not match.
+    ratio: f64,
     /// Ticks in a row with too high a speed.
     too_fast: u32,
 }
@@ -40,6 +42,8 @@ const GAP: f64 = 0.1;
 const MISMATCHES: u32 = 2;
 /// The number of fast ticks in a row that make an overspeed.
 const TOO_FAST: u32 = 5;
+/// A motor that shows less than this share of the cameras' speed has no sensor.
+const NO_SENSOR: f64 = 0.25;
 
 impl SpeedWatch {
     /// A speed of the rear axle from the motor pulses, in m/s.
@@ -83,6 +87,7 @@ impl SpeedWatch {
             self.mismatches = if fabs(seen - measured) <= allowed {
                 0
             } else {
+                self.ratio = fabs(measured) / fabs(seen);
                 self.mismatches.saturating_add(1)
             };
         }
@@ -109,6 +114,17 @@ impl SpeedWatch {
     /// Whether the speeds differ.
     pub(crate) const fn is_mismatched(&self) -> bool {
         self.mismatches >= MISMATCHES
+    }
+
+    /// What the motor shows of the cameras' speed if they differ and it shows less, else 1. A
+    /// motor that shows almost nothing has no sensor, or its wheels stand: that says nothing of
+    /// the cameras.
+    pub(crate) fn motor_share(&self) -> f64 {
+        if self.is_mismatched() && (NO_SENSOR..1.0).contains(&self.ratio) {
+            self.ratio
+        } else {
+            1.0
+        }
     }
 
     /// Whether the car exceeds its limit by more than the margin.
@@ -277,5 +293,27 @@ mod tests {
                 "{seen} {counted}"
             );
         }
+    }
+
+    #[test]
+    fn a_motor_that_shows_less_than_the_cameras_has_its_share_if_it_has_a_sensor() {
+        for (seen, counted, share) in [
+            (1.0, 1.0, 1.0),
+            // Within the tolerance.
+            (1.0, 0.8, 1.0),
+            (1.0, 0.6, 0.6),
+            (1.0, -0.6, 0.6),
+            (1.0, 0.26, 0.26),
+            (1.0, 0.24, 1.0),
+            (1.0, 0.0, 1.0),
+            (0.6, 1.0, 1.0),
+            (1.0, f64::NAN, 1.0),
+        ] {
+            let found = after_a_second(seen, counted).motor_share();
+            assert!((found - share).abs() < 1e-9, "{seen} {counted}: {found}");
+        }
+        let mut watch = after_a_second(1.0, 0.6);
+        watch.reset();
+        assert_eq!(watch.motor_share(), 1.0, "the next drive");
     }
 }

@@ -3,7 +3,7 @@
 use libm::fabs;
 use singletrack_control::Time;
 
-use super::roll_out::{REACTION, RollOut};
+use super::roll_out::{BEYOND, FreePart, REACTION, RollOut};
 
 /// Watches every end of a drive: the speed must fall, and the way to standstill gives the
 /// deceleration.
@@ -27,6 +27,10 @@ struct Run {
     /// The part of it with a free motor: after the reaction time the car was faster than the
     /// ramp.
     free: Option<RollOut>,
+    /// The last such part without a brake.
+    unbraked: FreePart,
+    /// The share of the measured deceleration that counts.
+    share: f64,
     /// The fall of the speed by motor and by cameras.
     falls: [Fall; 2],
     /// Since when the car has stood.
@@ -132,7 +136,11 @@ const TOO_WEAK: f64 = 0.6;
 impl StopWatch {
     /// The drive ends at `now`: the motor is to slow down from this commanded speed (m/s), or
     /// is at neutral.
-    pub(crate) fn begin(&mut self, now: Time, speeds: &Speeds, commanded: f64) {
+    ///
+    /// `share` is what the motor shows of the cameras' speed if they contradict each other and
+    /// it shows less, else 1. The estimate follows the cameras, and a deceleration v²/2s grows
+    /// with the scale of speed and way: of two that differ the lower one counts.
+    pub(crate) fn begin(&mut self, now: Time, speeds: &Speeds, commanded: f64, share: f64) {
         if self.run.is_some() {
             return;
         }
@@ -143,6 +151,8 @@ impl StopWatch {
             roll_out: RollOut::begin(speed.unwrap_or(0.0)),
             commanded: fabs(commanded),
             free: None,
+            unbraked: FreePart::default(),
+            share,
             falls: [Fall::default(); 2],
             standing: None,
             measures: true,
@@ -152,7 +162,7 @@ impl StopWatch {
     /// Jogging ends at `now`: the motor is at neutral. The wheels must slow down; they may be
     /// off the floor, so that their deceleration says nothing of the car's.
     pub(crate) fn begin_after_jogging(&mut self, now: Time, speeds: &Speeds) {
-        self.begin(now, speeds, 0.0);
+        self.begin(now, speeds, 0.0, 1.0);
         if let Some(run) = &mut self.run {
             run.measures = false;
         }
@@ -205,9 +215,10 @@ impl StopWatch {
             let behind = run.commanded - limits.ramp * (elapsed - FOLLOWS_AFTER);
             let floor = SLOW.max(behind);
             let ramp = run.commanded - limits.ramp * elapsed;
-            if run.free.is_none() && pace > ramp + TOLERANCE {
+            if run.free.is_none() && pace > ramp + BEYOND {
                 run.free = Some(RollOut::begin(pace));
             }
+            run.unbraked.tick(now, pace, ramp, MEASURED_FROM, way);
             motor.tick(now, speeds.motor, least, floor);
             cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
@@ -232,12 +243,14 @@ impl StopWatch {
             let ended = *run;
             self.run = None;
             let left = if stood { 0.0 } else { worst.unwrap_or(pace) };
-            // A ramp that the motor follows hides how the car slows down without it.
-            verdict.measured = [Some(ended.roll_out), ended.free]
+            // A ramp that the motor follows hides how the car slows down without it, and so
+            // does a brake.
+            let unbraked = ended.unbraked.roll_out();
+            verdict.measured = [Some(ended.roll_out), ended.free, unbraked]
                 .into_iter()
                 .flatten()
                 .filter(|roll_out| ended.measures && roll_out.from() >= MEASURED_FROM)
-                .map(|roll_out| roll_out.deceleration(left))
+                .map(|roll_out| ended.share * roll_out.deceleration(left))
                 .reduce(f64::min);
             if let Some(measured) = verdict.measured {
                 self.coasted(measured);

@@ -22,7 +22,7 @@ fn stop(
 ) -> (Option<u64>, Option<f64>) {
     let mut speed = speed;
     let mut measured = None;
-    watch.begin(at(0), &seen(speed), speed);
+    watch.begin(at(0), &seen(speed), speed, 1.0);
     for tick in 1..600 {
         // The geofence's reaction time is allowed for.
         if tick > 5 {
@@ -121,7 +121,7 @@ fn one_stop_a_little_too_weak_is_a_warning_and_the_second_refuses() {
 #[test]
 fn a_car_that_follows_the_ramp_upward_obeys() {
     let mut watch = StopWatch::default();
-    watch.begin(at(0), &all(1.0), 1.0);
+    watch.begin(at(0), &all(1.0), 1.0, 1.0);
     for tick in 1..100 {
         let elapsed = 0.01 * tick as f64;
         // The brake was too strong, and the board catches up with the ramp.
@@ -139,7 +139,7 @@ fn a_car_that_follows_the_ramp_upward_obeys() {
 fn a_first_speed_of_a_coarse_motor_sensor_after_the_reaction_time_is_no_alarm() {
     let mut watch = StopWatch::default();
     let mut speed = 0.3;
-    watch.begin(at(0), &all(speed), 0.3);
+    watch.begin(at(0), &all(speed), 0.3, 1.0);
     for tick in 1..100 {
         speed = f64::max(speed - 0.01, 0.0);
         let speeds = Speeds {
@@ -154,7 +154,7 @@ fn a_first_speed_of_a_coarse_motor_sensor_after_the_reaction_time_is_no_alarm() 
 #[test]
 fn a_car_that_sets_off_after_its_stop_was_slow_is_disobeyed() {
     let mut watch = StopWatch::default();
-    watch.begin(at(0), &all(0.1), 0.1);
+    watch.begin(at(0), &all(0.1), 0.1, 1.0);
     let disobeyed = (1..150).find(|tick| {
         let speed = if *tick < 40 {
             0.05
@@ -173,7 +173,7 @@ fn a_stop_of_a_car_that_still_speeds_up_is_measured_from_its_highest_speed() {
     let mut watch = StopWatch::default();
     let mut speed = 0.25;
     let mut measured = None;
-    watch.begin(at(0), &all(speed), 0.5);
+    watch.begin(at(0), &all(speed), 0.5, 1.0);
     for tick in 1..200 {
         let acceleration = if tick <= 10 { 1.0 } else { -1.4 };
         speed = f64::max(speed + 0.01 * acceleration, 0.0);
@@ -275,7 +275,7 @@ fn both_stops_below_nine_tenths_or_one_below_six_tenths_are_too_weak() {
 #[test]
 fn the_next_drive_ends_the_watch_of_a_stop() {
     let mut watch = StopWatch::default();
-    watch.begin(at(0), &all(1.0), 1.0);
+    watch.begin(at(0), &all(1.0), 1.0, 1.0);
     watch.end();
     for tick in 1..200 {
         let verdict = watch.tick(at(10 * tick), &all(1.0), &LIMITS);
@@ -296,7 +296,7 @@ fn a_deceleration_below_fifteen_hundredths_of_the_configured_one_is_disobeyed() 
 fn a_speed_up_to_a_fifth_of_a_second_behind_the_ramp_obeys() {
     for (beyond, obeys) in [(-0.01, true), (0.01, false)] {
         let mut watch = StopWatch::default();
-        watch.begin(at(0), &all(1.0), 1.0);
+        watch.begin(at(0), &all(1.0), 1.0, 1.0);
         let disobeyed = (1..50).any(|tick| {
             let behind = 1.0 - 2.4 * (0.01 * tick as f64 - 0.2);
             let speed = if tick < 30 { 0.1 } else { behind + beyond };
@@ -318,7 +318,7 @@ fn a_car_faster_than_the_ramp_rolls_free_from_then_on() {
         (ramp + 0.2, true),
     ] {
         let mut watch = StopWatch::default();
-        watch.begin(at(0), &all(1.0), 1.0);
+        watch.begin(at(0), &all(1.0), 1.0, 1.0);
         watch.tick(at(300), &all(speed), &LIMITS);
         let from = |watch: &StopWatch| watch.run.and_then(|run| run.free).map(|free| free.from());
         let expected = free.then_some(speed);
@@ -328,6 +328,53 @@ fn a_car_faster_than_the_ramp_rolls_free_from_then_on() {
             assert_eq!(from(&watch), expected, "{speed}");
         }
     }
+}
+
+/// The deceleration that a stop measures of a car that starts at 0.8 m/s under a ramp from
+/// 1.28 m/s, by the deceleration of each moment (s).
+fn measured(share: f64, deceleration: impl Fn(f64) -> f64) -> Option<f64> {
+    let mut watch = StopWatch::default();
+    let mut speed = 0.8;
+    watch.begin(at(0), &all(speed), 1.28, share);
+    (1..400).find_map(|tick| {
+        speed = f64::max(speed - 0.01 * deceleration(0.01 * tick as f64), 0.0);
+        watch.tick(at(10 * tick), &all(speed), &LIMITS).measured
+    })
+}
+
+#[test]
+fn a_brake_on_the_ramp_does_not_hide_that_the_car_rolls_freely() {
+    let rolls = 0.6;
+    // The ramp meets the car at 0.27 s. The brake then brings it closer again, once or twice.
+    for brakes in [
+        &[][..],
+        &[(0.36, 0.42)],
+        &[(0.33, 0.39)],
+        &[(0.02, 0.06), (0.36, 0.42)],
+        &[(0.33, 0.37), (0.42, 0.47)],
+    ] {
+        let braked = |time: f64| brakes.iter().any(|&(from, to)| time > from && time < to);
+        let found = measured(1.0, |time| if braked(time) { 3.1 } else { rolls });
+        let error = found.map_or(f64::INFINITY, |found| (found / rolls - 1.0).abs());
+        assert!(error < 0.1, "{brakes:?}: {found:?}");
+    }
+}
+
+#[test]
+fn a_stop_that_brakes_to_the_end_measures_the_brake() {
+    for brake in [1.2, 1.8, 2.4] {
+        let found = measured(1.0, |_| brake);
+        let error = found.map_or(f64::INFINITY, |found| (found / brake - 1.0).abs());
+        assert!(error < 0.1, "{brake}: {found:?}");
+    }
+}
+
+#[test]
+fn the_slower_of_motor_and_cameras_counts_where_they_contradict_each_other() {
+    let whole = measured(1.0, |_| 1.6);
+    let less = measured(0.68, |_| 1.6);
+    assert!(whole.is_some());
+    assert_eq!(less, whole.map(|whole| 0.68 * whole));
 }
 
 #[test]
@@ -357,7 +404,7 @@ fn a_stop_ends_when_the_car_has_stood_for_a_fifth_of_a_second_or_takes_too_long(
     // 0.25 s, 1 s, and the way down from 0.4305 m/s at 0.21 m/s².
     for (speeds, last_ms) in [(unseen, 3_300), (all(0.03), 3_300), (all(0.029), 210)] {
         let mut watch = StopWatch::default();
-        watch.begin(at(0), &unseen, 0.430_5);
+        watch.begin(at(0), &unseen, 0.430_5, 1.0);
         let first = Speeds {
             estimate: Some(0.430_5),
             ..speeds
