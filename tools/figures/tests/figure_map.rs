@@ -388,7 +388,8 @@ fn names_stand_below_their_places_and_long_ones_are_broken() {
             (x - frame.at([place as f64, 1.0])[0]).abs() < 0.02,
             "{name}"
         );
-        let mark = titled(&page, kinds[place].class(), "kind");
+        let class = format!("mark {}", kinds[place].class());
+        let mark = titled(&page, &class, "kind");
         assert!(mark.contains(&format!("d=\"M{x} ")), "{mark}");
     }
     // Where there is little room, a name has more lines, and the page is longer.
