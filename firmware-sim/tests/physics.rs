@@ -98,6 +98,18 @@ fn the_wheels_follow_the_servo_at_its_rate_and_within_its_stops() {
 }
 
 #[test]
+fn a_delay_lets_later_pulses_act_later_and_leaves_the_earlier_ones() {
+    let (mut car, now) = armed();
+    car.apply_pulses(1_100, 1_500);
+    car.delay_pulses(100_000);
+    car.apply_pulses(1_900, 1_500);
+    car.advance_to(now + 90_000);
+    assert!(car.truth().steering > 0.2, "{}", car.truth().steering);
+    car.advance_to(now + 300_000);
+    assert!(car.truth().steering < -0.2, "{}", car.truth().steering);
+}
+
+#[test]
 fn a_rolling_car_stops_without_reversing() {
     for esc_us in [1_500, 1_350, 0] {
         let (mut car, now) = armed();

@@ -477,6 +477,13 @@ impl Car {
         }
     }
 
+    /// Lets the pulses from the next servo frame on act later by `delay_us` than before.
+    pub const fn delay_pulses(&mut self, delay_us: u64) {
+        let CarParameters { servo, motor, .. } = &mut self.parameters;
+        servo.dead_time_us = servo.dead_time_us.saturating_add(delay_us);
+        motor.dead_time_us = motor.dead_time_us.saturating_add(delay_us);
+    }
+
     /// The motor pulses so far.
     #[must_use]
     pub fn motor_pulses(&self) -> MotorPulses {

@@ -6,7 +6,7 @@ mod picture;
 
 use singletrack_figures::figure::{
     Axis, Band, Callout, Callouts, Column, Curve, Estimate, Figure, Grid, Isoline, Level, Look,
-    Map, MarkKind, Panel, Scale, Shade, Symbol, Width,
+    Map, Mark, MarkKind, Panel, Scale, Shade, Symbol, Width,
 };
 
 use picture::{Frame, attribute, covers, labels, pieces, titled};
@@ -352,6 +352,55 @@ fn estimates_stand_in_their_intervals_above_their_numbers() {
     let length = |index: usize| (uprights[index][0][1] - uprights[index][1][1]).abs();
     assert!((length(2) / length(1) - 1.6).abs() < 0.01);
     assert!(svg.contains("<title>estimate: 1.02 (0.97"));
+}
+
+#[test]
+fn names_stand_below_their_places_and_long_ones_are_broken() {
+    let names = ["p", "pure-pursuit", "a-very-long-name"];
+    let kinds = [MarkKind::Square, MarkKind::Diamond, MarkKind::None];
+    let marks = kinds.iter().enumerate().map(|(place, kind)| Mark {
+        name: "kind",
+        point: [place as f64, 1.0],
+        kind: *kind,
+    });
+    let panel = Panel {
+        names: names.map(str::to_owned).to_vec(),
+        marks: marks.collect(),
+        ..Panel::new(Axis::new("", None, ""), Axis::new("error", None, "mm"))
+    };
+    let drawn = |width| {
+        let figure = Figure {
+            title: "Errors".to_owned(),
+            caption: "Of what.".to_owned(),
+            width,
+            panels: vec![panel.clone(); if width == Width::Page { 1 } else { 2 }],
+        };
+        figure.to_svg()
+    };
+    let page = drawn(Width::Page);
+    let frame = Frame::of(&page, 0, [-0.5, 2.5], [0.9, 1.1]);
+    for (place, name) in names.iter().enumerate() {
+        let line = page
+            .lines()
+            .find(|line| line.contains(&format!(">{name}<")));
+        let x: f64 = attribute(line.unwrap(), "x").parse().unwrap();
+        assert!(
+            (x - frame.at([place as f64, 1.0])[0]).abs() < 0.02,
+            "{name}"
+        );
+        let class = format!("mark {}", kinds[place].class());
+        let mark = titled(&page, &class, "kind");
+        assert!(mark.contains(&format!("d=\"M{x} ")), "{mark}");
+    }
+    // Where there is little room, a name has more lines, and the page is longer.
+    let narrow = drawn(Width::Column);
+    assert!(narrow.contains(">pursuit<") && !narrow.contains(">pure-pursuit<"));
+    let height = |svg: &str| {
+        let page = svg.lines().next().unwrap();
+        let height = attribute(page, "height").trim_end_matches("mm");
+        height.parse::<f64>().unwrap()
+    };
+    assert!(height(&narrow) > height(&page));
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use singletrack_campaign::{Campaign, CampaignArgs};
 use singletrack_paper::compare::{
     Comparison, Condition, ControllerName, DELAYS_HEADER, HEADER, PathName, csv, delays,
-    delays_csv, delays_markdown, lines, markdown,
+    delays_csv, delays_markdown, figure, lines, markdown,
 };
 
 fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison {
@@ -18,11 +18,14 @@ fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison 
         conditions: conditions.to_vec(),
         first_seed: 1,
         seeds: 2,
+        delay_seeds: 2,
     }
 }
 
 /// The place of `stops` among the fields after the condition.
 const STOPS: usize = 9;
+/// That of `worst_condition`.
+const WORST: usize = 13;
 
 /// Those that drive the car.
 fn drivers() -> Vec<ControllerName> {
@@ -33,6 +36,32 @@ fn drivers() -> Vec<ControllerName> {
 
 fn run(plan: &Comparison, arguments: &CampaignArgs) -> Campaign<Comparison> {
     Campaign::obtain(plan.clone(), arguments).unwrap()
+}
+
+/// The same in parts, of which each has a file.
+fn merged(plan: &Comparison, parts: u32) -> Campaign<Comparison> {
+    let folder = tempfile::tempdir().unwrap();
+    let shards = (1..=parts).map(|index| {
+        let path = folder.path().join(format!("{index}.jsonl"));
+        let arguments = CampaignArgs {
+            shard: Some(format!("{index}/{parts}").parse().unwrap()),
+            json: Some(path.clone()),
+            threads: Some(1),
+            ..CampaignArgs::default()
+        };
+        run(plan, &arguments);
+        path
+    });
+    let arguments = CampaignArgs {
+        from: shards.collect(),
+        ..CampaignArgs::default()
+    };
+    // The plan of the files counts, not this one.
+    let other = Comparison {
+        controllers: vec![ControllerName::P],
+        ..plan.clone()
+    };
+    run(&other, &arguments)
 }
 
 /// The lines of a table without its header, by the columns before the numbers.
@@ -86,6 +115,19 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
     );
 
     let page = markdown(&lines(&plan, &all.results));
+    let picture = figure(&lines(&plan, &all.results)).unwrap();
+    let [panel] = picture.panels.as_slice() else {
+        panic!("{} panels", picture.panels.len());
+    };
+    let names = drivers().into_iter().map(|name| name.name().to_owned());
+    assert_eq!(panel.names, names.collect::<Vec<_>>());
+    for (place, estimate) in panel.estimates.iter().enumerate() {
+        assert!((estimate.x - place as f64).abs() < 1e-9, "{estimate:?}");
+        let [low, high] = estimate.interval;
+        assert!(low <= estimate.value && estimate.value <= high);
+        let name = format!("{} nominal", panel.names[place]);
+        assert!((estimate.value - 1e3 * value(&name, 1)).abs() < 1e-9);
+    }
     let best = page.lines().find(|line| line.contains(" of 2 |")).unwrap();
     assert!(!best.starts_with("| p |"), "{page}");
 }
@@ -113,27 +155,7 @@ fn a_row_does_not_depend_on_the_others_or_on_the_shard() {
         );
     }
 
-    let folder = tempfile::tempdir().unwrap();
-    let shards: Vec<_> = (1..=5)
-        .map(|index| {
-            let path = folder.path().join(format!("{index}.jsonl"));
-            let arguments = CampaignArgs {
-                shard: Some(format!("{index}/5").parse().unwrap()),
-                json: Some(path.clone()),
-                threads: Some(1),
-                ..CampaignArgs::default()
-            };
-            run(&both, &arguments);
-            path
-        })
-        .collect();
-    let merged = run(
-        &alone,
-        &CampaignArgs {
-            from: shards,
-            ..CampaignArgs::default()
-        },
-    );
+    let merged = merged(&both, 5);
     assert_eq!(merged.experiment, both);
     assert_eq!(csv(&lines(&merged.experiment, &merged.results)), table);
 }
@@ -147,6 +169,7 @@ fn a_car_that_stops_is_counted_and_has_no_error() {
         conditions: vec![Condition::Nominal],
         first_seed: 1,
         seeds: 1,
+        delay_seeds: 1,
     };
     let mut campaign = run(&plan, &CampaignArgs::default());
     campaign.results[0].1.stopped = Some("geofence".to_owned());
@@ -155,6 +178,17 @@ fn a_car_that_stops_is_counted_and_has_no_error() {
     let row = &rows["p-ff nominal"];
     assert_eq!(row[1..8].join(","), ",,,,,,", "{table}");
     assert_eq!(row[STOPS], "1", "{table}");
+    assert_eq!(row.last().unwrap(), "geofence 1", "{table}");
+    let lines = lines(&plan, &campaign.results);
+    assert!(
+        markdown(&lines).contains("| 1 of 1: geofence 1 |"),
+        "{}",
+        markdown(&lines)
+    );
+    // The picture says so, too.
+    let picture = figure(&lines).unwrap();
+    assert_eq!(picture.panels[0].estimates, []);
+    assert_eq!(picture.panels[0].marks.len(), 1);
 }
 
 #[test]
@@ -168,7 +202,7 @@ fn the_worst_condition_has_a_row_that_names_it() {
     let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
     let rows = rows(&table);
     let worst = &rows["p-ff worst-axle"];
-    assert_eq!(worst.last().unwrap(), "axle-50mm", "{table}");
+    assert_eq!(worst[WORST], "axle-50mm", "{table}");
     assert_eq!(worst[..12], rows["p-ff axle-50mm"][..12], "{table}");
     assert!(rows.contains_key("p-ff worst-tyres@front-axle"), "{table}");
 }
@@ -184,6 +218,8 @@ fn laws_without_lag_and_noise_follow_exactly_on_the_ideal_plant() {
     for name in ["appendix", "p-ff", "p-tuned"] {
         let rms: f64 = rows[&format!("{name} ideal-plant")][1].parse().unwrap();
         assert!(rms < 2e-4, "{name} {rms}");
+        // The seed makes no difference.
+        assert_eq!(rows[&format!("{name} ideal-plant")][0], "1");
     }
     assert!(!rows.contains_key("appendix nominal"), "{table}");
 }
@@ -208,5 +244,53 @@ fn a_delay_diverges_and_is_in_a_table_of_its_own() {
     // A higher gain stands less.
     assert!(delay("p-tuned") > 20.0, "{table}");
     assert!(delay("p-tuned") < delay("p-ff"), "{table}");
+    // It is the loop that fails, not the standing start of a car that answers late.
+    assert!(!table.contains("motor-sensor"), "{table}");
+    assert!(table.lines().skip(1).all(|row| !row.ends_with(',')));
     assert!(delays_markdown(&lines).contains("| p-ff | p-tuned |"));
+}
+
+#[test]
+fn shards_of_a_search_are_the_search_of_one_process_with_its_own_number_of_seeds() {
+    let mut plan = plan(
+        &[ControllerName::PTuned, ControllerName::Appendix],
+        &[
+            Condition::IdealPlant,
+            Condition::AddedDelay,
+            Condition::Nominal,
+        ],
+    );
+    plan.seeds = 3;
+    let whole = run(&plan, &CampaignArgs::default());
+    let merged = merged(&plan, 4);
+    assert_eq!(merged.experiment, plan);
+    assert_eq!(merged.results, whole.results);
+    let tables = |campaign: &Campaign<Comparison>| {
+        let delays = delays(&campaign.experiment, &campaign.results);
+        let lines = lines(&campaign.experiment, &campaign.results);
+        let page = markdown(&lines) + &delays_markdown(&delays);
+        (csv(&lines), page, delays_csv(&delays))
+    };
+    assert_eq!(tables(&merged), tables(&whole));
+    let (table, _, delays) = tables(&whole);
+    assert_eq!(rows(&table)["p-tuned nominal"][0], "3");
+    assert_eq!(rows(&table)["appendix ideal-plant"][0], "1");
+    let row = delays.lines().nth(1).unwrap();
+    assert!(row.starts_with("p-tuned,lane-change,1,2,"), "{delays}");
+}
+
+#[test]
+fn a_car_that_still_turns_round_when_the_counting_begins_has_not_followed() {
+    let mut plan = plan(
+        &[ControllerName::PTuned, ControllerName::PFf],
+        &[Condition::AxleMost],
+    );
+    plan.seeds = 1;
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    let rows = rows(&table);
+    // P is believed to be 0.12 m ahead of where the reference begins: a high gain turns round.
+    let turning = &rows["p-tuned axle+lr"];
+    assert_eq!(turning[STOPS], "1", "{table}");
+    assert_eq!(turning.last().unwrap(), "turning-round 1", "{table}");
+    assert_eq!(rows["p-ff axle+lr"][STOPS], "0", "{table}");
 }

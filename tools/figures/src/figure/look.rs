@@ -55,6 +55,12 @@ pub enum MarkKind {
     End,
     /// A value that was found: a dot.
     Found,
+    /// One of several kinds of value: a filled square.
+    Square,
+    /// One of several kinds of value: a diamond.
+    Diamond,
+    /// What has no value: a cross.
+    None,
 }
 
 impl MarkKind {
@@ -65,6 +71,9 @@ impl MarkKind {
             Self::Start => "start",
             Self::End => "end",
             Self::Found => "found",
+            Self::Square => "square",
+            Self::Diamond => "diamond",
+            Self::None => "none",
         }
     }
 }

@@ -96,6 +96,9 @@ pub struct Panel {
     pub bars: Vec<Bar>,
     /// Values of the horizontal axis with a name.
     pub rules: Vec<Rule>,
+    /// Names along the horizontal axis at 0, 1, 2, ..., in place of its numbers and its name. A
+    /// name that is too long for its place is broken after hyphens.
+    pub names: Vec<String>,
 }
 
 impl Panel {
@@ -119,6 +122,7 @@ impl Panel {
             callouts: Vec::new(),
             bars: Vec::new(),
             rules: Vec::new(),
+            names: Vec::new(),
         }
     }
 

@@ -2,6 +2,10 @@
 
 /// Size of all text but the axes' names, in mm: 7 pt.
 pub(super) const TEXT_SIZE: f64 = 2.47;
+/// From one line of a broken name to the next, in mm.
+pub(super) const LINE_HEIGHT: f64 = 2.9;
+/// Size of the axes' names, in mm: 8 pt.
+pub(super) const NAME_SIZE: f64 = 2.82;
 /// An area is not lower than this, however wide its data, in mm.
 pub(super) const LEAST_HEIGHT: f64 = 30.0;
 pub(super) const MARGIN: f64 = 1.5;

@@ -49,6 +49,18 @@ pub fn plain(text: &str) -> String {
     plain
 }
 
+/// A name in lines that are at most `room` wide, broken after hyphens.
+pub(super) fn broken(name: &str, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for part in name.split_inclusive('-') {
+        match lines.last_mut() {
+            Some(last) if width(last) + width(part) <= room => last.push_str(part),
+            _ => lines.push(part.to_owned()),
+        }
+    }
+    lines
+}
+
 /// The text as the content of an SVG text element.
 pub(super) fn content(svg: &mut String, text: &str) -> fmt::Result {
     for part in parts(text) {

@@ -41,11 +41,13 @@ pub struct Effort {
 }
 
 /// Which added delay a controller does not stand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AddedDelay {
     /// The least one found to diverge, in ms; none up to the longest that is tried.
     pub diverges_ms: Option<u32>,
+    /// How the drive with it ended: the supervisor's reason, or `diverged`.
+    pub ended_by: Option<String>,
 }
 
 /// Errors over the counted time, in m.
@@ -116,6 +118,8 @@ pub(super) struct Counted<'a> {
     index: usize,
     /// Along and across the path, in m.
     errors: Vec<[f64; 2]>,
+    /// The largest distance of the own point, in m.
+    largest: f64,
     front_errors: Vec<[f64; 2]>,
     /// Time in s, steering angle in rad, and speed in m/s.
     motion: Vec<[f64; 3]>,
@@ -139,6 +143,7 @@ impl<'a> Counted<'a> {
             table,
             index: 0,
             errors: Vec::new(),
+            largest: 0.0,
             front_errors: Vec::new(),
             motion: Vec::new(),
             tyre_use: 0.0,
@@ -174,10 +179,16 @@ impl<'a> Counted<'a> {
         };
         self.motion.push([time, truth.steering, truth.speed]);
         let wanted = self.table.at(time);
-        self.errors
-            .push(error(own, wanted.position, wanted.heading));
+        let [along, across] = error(own, wanted.position, wanted.heading);
+        self.errors.push([along, across]);
+        self.largest = self.largest.max(hypot(along, across));
         let acceleration = hypot(truth.longitudinal_acceleration, truth.lateral_acceleration);
         self.tyre_use = self.tyre_use.max(acceleration / self.sliding);
+    }
+
+    /// The largest error so far, in m.
+    pub(super) const fn largest_m(&self) -> f64 {
+        self.largest
     }
 
     pub(super) fn result(&self, stopped: Option<String>) -> DriveResult {

@@ -66,6 +66,8 @@ pub(super) struct Course {
     /// Start of the control point, in m, and direction of the path there, in rad.
     pub(super) start: [f64; 2],
     pub(super) heading: f64,
+    /// Whether the reference comes to an end, in place of driving on round after round.
+    pub(super) ends: bool,
     /// The time that is counted, in s since the car drives.
     pub(super) counted: [f64; 2],
 }
@@ -86,6 +88,7 @@ impl Course {
                     },
                     start: [0.0; 2],
                     heading: libm::atan2(2.0 * HALF_WIDTH_M, HALF_LENGTH_M),
+                    ends: false,
                     // One figure.
                     counted: [SETTLING_S, SETTLING_S + core::f64::consts::TAU / rate],
                 }
@@ -103,6 +106,7 @@ impl Course {
             },
             start: [radius, 0.0],
             heading: core::f64::consts::FRAC_PI_2,
+            ends: false,
             counted: [SETTLING_S, SETTLING_S + CIRCLE_S],
         }
     }
@@ -131,6 +135,7 @@ impl Course {
             },
             start: point(0),
             heading: 0.0,
+            ends: true,
             counted: [
                 begins - 0.5,
                 begins + LANE_LENGTH_M / speed + 0.8 * LANE_STRAIGHT_S,

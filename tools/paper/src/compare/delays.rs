@@ -4,14 +4,15 @@ use std::fmt::Write as _;
 
 use super::{
     counted::DriveResult,
-    drive::LONGEST_DELAY_MS,
+    drive::{DIVERGED, LONGEST_DELAY_MS},
     plan::{Comparison, Row},
+    stops::StopReasons,
     table::{by_row, interval},
 };
 
 /// The names of the columns, in order.
-pub const DELAYS_HEADER: &str =
-    "controller,path,speed_m_s,seeds,delay_ms,delay_low_ms,delay_high_ms,least_ms,beyond";
+pub const DELAYS_HEADER: &str = "controller,path,speed_m_s,seeds,delay_ms,delay_low_ms,delay_high_ms,least_ms,beyond,\
+                                 ended_by";
 
 /// The least added delay with which a controller diverges.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +27,8 @@ pub struct DelayLine {
     least_ms: f64,
     /// Seeds that stand the longest delay that is tried.
     pub(super) beyond: usize,
+    /// How the drives with these delays ended, the commonest first.
+    ended_by: StopReasons,
 }
 
 /// A line per row whose delay was searched.
@@ -33,8 +36,13 @@ pub struct DelayLine {
 pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLine> {
     let mut lines = Vec::new();
     for (row, results) in by_row(plan, results) {
-        let found = results.iter().filter_map(|result| result.added_delay);
-        let found: Vec<Option<u32>> = found.map(|delay| delay.diverges_ms).collect();
+        let found = || {
+            results
+                .iter()
+                .filter_map(|result| result.added_delay.as_ref())
+        };
+        let ended_by = StopReasons::of(found().filter_map(|delay| delay.ended_by.as_deref()));
+        let found: Vec<Option<u32>> = found().map(|delay| delay.diverges_ms).collect();
         let delays = found.iter().map(|found| found.unwrap_or(LONGEST_DELAY_MS));
         let delays: Vec<f64> = delays.map(f64::from).collect();
         if delays.is_empty() {
@@ -47,6 +55,7 @@ pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLin
             interval_ms: interval(&delays),
             least_ms: delays.iter().copied().fold(f64::INFINITY, f64::min),
             beyond: found.iter().filter(|found| found.is_none()).count(),
+            ended_by,
         });
     }
     lines
@@ -61,14 +70,15 @@ pub fn delays_csv(lines: &[DelayLine]) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{},{},{},{},{},{low},{high},{},{}",
+            "{},{},{},{},{},{low},{high},{},{},{}",
             line.row.controller.name(),
             line.row.path.name(),
             line.row.speed_m_s,
             line.seeds,
             line.mean_ms,
             line.least_ms,
-            line.beyond
+            line.beyond,
+            line.ended_by.commonest()
         );
     }
     text
@@ -94,7 +104,11 @@ pub fn delays_markdown(lines: &[DelayLine]) -> String {
     for group in lines.chunk_by(|a, b| case(a) == case(b)) {
         let cells = group.iter().map(|line| {
             let more = if line.beyond > 0 { "> " } else { "" };
-            format!("{more}{:.0}", line.mean_ms)
+            let ended_by = match line.ended_by.commonest() {
+                "" | DIVERGED => String::new(),
+                reason => format!(" ({reason})"),
+            };
+            format!("{more}{:.0}{ended_by}", line.mean_ms)
         });
         let cells: Vec<String> = cells.collect();
         if let Some(line) = group.first() {

@@ -70,8 +70,17 @@ const SETPOINT_TIMEOUT_MS: u32 = 100;
 /// The longest added delay that is tried, and how exactly the least that diverges is found, in ms.
 pub(super) const LONGEST_DELAY_MS: u32 = 640;
 const DELAY_STEP_MS: u32 = 5;
+/// The delay grows from this time of the drive on, in s, by this in every tick, in µs: a motor that
+/// starts late is taken for a failed sensor by the board, and a gap between two pulses for a lost
+/// signal by the ESC.
+const DELAY_FROM_S: f64 = 0.5;
+const DELAY_STEP_US: u64 = 6_400;
 /// A drive diverges with a delay if its largest error grows by more than this, in m.
 const DIVERGED_M: f64 = 0.25;
+/// How a drive ends that diverges, and one that has not begun to follow when the counting begins,
+/// among the names of the supervisor's reasons.
+pub(super) const DIVERGED: &str = "diverged";
+const TURNING_ROUND: &str = "turning-round";
 
 impl Case {
     pub(super) fn drive(&self) -> Result<DriveResult, DriveError> {
@@ -81,62 +90,64 @@ impl Case {
         match self.condition {
             Condition::IdealPlant => ideal::drive(&self.drives, &course, &table),
             Condition::AddedDelay => self.search_delay(&course, &table),
-            _ => self.car(&course, &table, 0),
+            _ => self.car(&course, &table, 0, f64::INFINITY),
         }
     }
 
-    /// On the simulated car, with pulses that act `delay_ms` later.
+    /// On the simulated car, with pulses that act `delay_ms` later. It ends as [`DIVERGED`] when
+    /// the error exceeds `most_m`.
     fn car(
         &self,
         course: &Course,
         table: &Table,
         delay_ms: u32,
+        most_m: f64,
     ) -> Result<DriveResult, DriveError> {
-        let [_, until] = course.counted;
         let mut run = match Run::new(self, course, table, delay_ms) {
             // A loop that does not settle with these weights on this course: nothing is driven.
             Err(DriveError::Drive(VirtualDriveError::Config(error))) if self.drives.has_model() => {
                 let vehicle = VehicleParameters::paper();
                 let nothing = Counted::new(Own::of(&self.drives), &vehicle, course.counted, table);
-                return Ok(nothing.result(Some(error.to_string())));
+                return Ok(nothing.result(Some(format!("refused: {error}"))));
             }
             run => run?,
         };
         run.start();
-        run.finish(until);
+        run.finish(course, most_m);
         Ok(run.errors.result(run.stopped))
     }
 
     /// The least delay that diverges, by bisection: what is beyond it is taken to diverge, too.
     fn search_delay(&self, course: &Course, table: &Table) -> Result<DriveResult, DriveError> {
-        let largest = |result: &DriveResult| match (&result.stopped, result.own) {
-            (None, Some(errors)) => errors.max,
-            _ => f64::INFINITY,
+        let without = self.car(course, table, 0, f64::INFINITY)?;
+        let most = without.own.map_or(0.0, |errors| errors.max) + DIVERGED_M;
+        let end_with = |delay_ms| {
+            self.car(course, table, delay_ms, most)
+                .map(|end| end.stopped)
         };
-        let without = self.car(course, table, 0)?;
-        let most = largest(&without) + DIVERGED_M;
-        let diverges = |delay_ms| {
-            self.car(course, table, delay_ms)
-                .map(|result| largest(&result) > most)
+        let mut found = AddedDelay {
+            diverges_ms: None,
+            ended_by: None,
         };
-        let diverges_ms = if without.stopped.is_some() {
-            Some(0)
-        } else if diverges(LONGEST_DELAY_MS)? {
+        if without.stopped.is_some() {
+            found.diverges_ms = Some(0);
+            found.ended_by.clone_from(&without.stopped);
+        } else if let Some(ended_by) = end_with(LONGEST_DELAY_MS)? {
             let (mut stands, mut fails) = (0, LONGEST_DELAY_MS);
+            found.ended_by = Some(ended_by);
             while fails - stands > DELAY_STEP_MS {
                 let middle = stands.midpoint(fails);
-                if diverges(middle)? {
+                if let Some(ended_by) = end_with(middle)? {
                     fails = middle;
+                    found.ended_by = Some(ended_by);
                 } else {
                     stands = middle;
                 }
             }
-            Some(fails)
-        } else {
-            None
-        };
+            found.diverges_ms = Some(fails);
+        }
         Ok(DriveResult {
-            added_delay: Some(AddedDelay { diverges_ms }),
+            added_delay: Some(found),
             ..without
         })
     }
@@ -148,6 +159,8 @@ struct Run<'a> {
     errors: Counted<'a>,
     /// When the cameras see nothing, in s of the drive, and for how long, in µs.
     loss: (f64, u64),
+    /// The delay of the pulses that is still to be added, in µs.
+    delay_us: u64,
     period: f64,
     stopped: Option<String>,
 }
@@ -163,9 +176,6 @@ impl<'a> Run<'a> {
             seed: case.seed,
             ..SimulationConfig::default()
         };
-        let delay_us = 1_000 * u64::from(delay_ms);
-        simulation.car.servo.dead_time_us += delay_us;
-        simulation.car.motor.dead_time_us += delay_us;
         let believed = simulation.car.vehicle;
         let axle_error_m = case.condition.axle_error_m(&believed);
         let mut drive = Drive::following(course.reference.clone());
@@ -235,6 +245,7 @@ impl<'a> Run<'a> {
             foreign,
             errors,
             loss: (course.counted[0] + 1.0, case.condition.loss_us()),
+            delay_us: 1_000 * u64::from(delay_ms),
             period,
             stopped: None,
         })
@@ -283,12 +294,29 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn stop(&mut self) {
-        let reason = self.drive.controller().pilot().reason();
-        self.stopped = Some(reason.map_or("unknown", Reason::name).to_owned());
+    /// Adds a part of the delay.
+    fn delay(&mut self) {
+        let part_us = self.delay_us.min(DELAY_STEP_US);
+        if part_us > 0 {
+            self.delay_us -= part_us;
+            self.drive.world_mut().car_mut().delay_pulses(part_us);
+        }
     }
 
-    fn finish(&mut self, until: f64) {
+    fn stop(&mut self) {
+        let reason = self.drive.controller().pilot().reason();
+        let board = self.drive.world().board().telemetry();
+        let reason = match (reason, board) {
+            // The board stopped by itself, and knows why.
+            (Some(Reason::BoardFailsafe), Some(board)) => board.stop_cause.name(),
+            (reason, _) => reason.map_or("unknown", Reason::name),
+        };
+        self.stopped = Some(reason.to_owned());
+    }
+
+    fn finish(&mut self, course: &Course, most_m: f64) {
+        let [from, until] = course.counted;
+        let mut counting = false;
         while self.stopped.is_none() {
             let tick = self.drive.step();
             let output = &tick.tick.output;
@@ -299,7 +327,21 @@ impl<'a> Run<'a> {
             if time > until {
                 return;
             }
+            if !counting && time >= from {
+                counting = true;
+                // It drives a circle, and the reference does not come again.
+                if course.ends && output.turning_round {
+                    self.stopped = Some(TURNING_ROUND.to_owned());
+                    return;
+                }
+            }
+            if time >= DELAY_FROM_S {
+                self.delay();
+            }
             self.take(&tick);
+            if self.errors.largest_m() > most_m {
+                self.stopped = Some(DIVERGED.to_owned());
+            }
         }
     }
 

@@ -55,7 +55,7 @@ pub(super) fn drive(
                 (speed, 0.0)
             }
             Err(error) => {
-                stopped = Some(error.to_string());
+                stopped = Some(format!("singular: {error}"));
                 break;
             }
         };

@@ -9,9 +9,11 @@ mod counted;
 mod course;
 mod delays;
 mod drive;
+mod figure;
 mod foreign;
 mod ideal;
 mod plan;
+mod stops;
 mod table;
 mod tune;
 
@@ -30,6 +32,7 @@ pub use counted::{AddedDelay, DriveResult, Effort, Errors};
 pub use course::PathName;
 pub use delays::{DELAYS_HEADER, DelayLine, delays, delays_csv, delays_markdown};
 pub use drive::DriveError;
+pub use figure::figure;
 pub use plan::{CompareUnitError, Comparison, Row};
 pub use table::{HEADER, Line, csv, lines, markdown};
 pub use tune::BUDGET;
@@ -67,12 +70,17 @@ pub struct CompareArgs {
     #[arg(long, value_name = "M", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
 
+    /// Number of seeds with which the added delay is searched, where --seeds is more: a search
+    /// takes some ten drives.
+    #[arg(long, value_name = "M", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
+    pub delay_seeds: u64,
+
     /// How to print the result.
     #[arg(long, value_enum, default_value_t = CompareFormat::Markdown)]
     pub format: CompareFormat,
 
-    /// Write compare.csv, compare.md and, where delays are searched, delays.csv into this folder,
-    /// too.
+    /// Write compare.csv, compare.md and, where there is something to write, compare.svg (condition
+    /// nominal) and delays.csv into this folder, too.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
@@ -162,6 +170,7 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
         conditions,
         first_seed: args.first_seed,
         seeds: args.seeds,
+        delay_seeds: args.delay_seeds,
     };
     let campaign = Campaign::obtain(plan, &args.campaign)?;
     let lines = lines(&campaign.experiment, &campaign.results);
@@ -175,6 +184,9 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
         ];
         if !delays.is_empty() {
             files.push(("delays.csv", delays_csv(&delays)));
+        }
+        if let Some(figure) = figure(&lines) {
+            files.push(("compare.svg", figure.to_svg()));
         }
         for (name, text) in files {
             let path = folder.join(name);

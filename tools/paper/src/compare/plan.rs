@@ -28,6 +28,8 @@ pub struct Comparison {
     pub first_seed: u64,
     /// The number of seeds of a row.
     pub seeds: u64,
+    /// The number of seeds with which the added delay is searched, if it is less.
+    pub delay_seeds: u64,
 }
 
 /// A row of the table.
@@ -64,16 +66,33 @@ impl Comparison {
         })
     }
 
+    /// The number of seeds of a row under a condition. They make no difference to the ideal
+    /// plant.
+    pub(super) fn seeds_under(&self, condition: Condition) -> u64 {
+        match condition {
+            Condition::IdealPlant => self.seeds.min(1),
+            Condition::AddedDelay => self.seeds.min(self.delay_seeds),
+            _ => self.seeds,
+        }
+    }
+
     /// The row and the seed of a unit.
     fn case(&self, unit: u64) -> Option<Case> {
-        let row = usize::try_from(unit / self.seeds.max(1)).ok()?;
-        let row = self.rows().nth(row)?;
+        let mut index = unit;
+        let row = self.rows().find(|row| {
+            let seeds = self.seeds_under(row.condition);
+            let own = index < seeds;
+            if !own {
+                index -= seeds;
+            }
+            own
+        })?;
         Some(Case {
             drives: row.controller.drives(),
             path: row.path,
             speed_m_s: row.speed_m_s,
             condition: row.condition,
-            seed: self.first_seed.wrapping_add(unit % self.seeds.max(1)),
+            seed: self.first_seed.wrapping_add(index),
         })
     }
 }
@@ -107,7 +126,8 @@ impl Experiment for Comparison {
     type Error = CompareUnitError;
 
     fn units(&self) -> u64 {
-        self.rows().count() as u64 * self.seeds
+        let seeds = self.rows().map(|row| self.seeds_under(row.condition));
+        seeds.sum()
     }
 
     fn run(&self, unit: u64) -> Result<DriveResult, CompareUnitError> {

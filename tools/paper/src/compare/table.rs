@@ -8,29 +8,31 @@ use super::{
     condition::{Condition, Worst},
     counted::{DriveResult, Effort, Errors},
     plan::{Comparison, Row},
+    stops::StopReasons,
 };
 
 /// The names of the columns, in order.
 pub const HEADER: &str = "controller,path,speed_m_s,condition,seeds,rms_m,rms_low_m,rms_high_m,\
                           p99_m,max_m,along_rms_m,across_rms_m,tyre_use_max,stops,\
                           steering_rate_rms_rad_s,steering_rate_max_rad_s,speed_ripple_m_s,\
-                          worst_condition";
+                          worst_condition,stop_reasons";
 
 /// A line of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    row: Row,
+    pub(super) row: Row,
     /// What it is the worst of; the condition is that of the row.
-    worst_of: Option<Worst>,
+    pub(super) worst_of: Option<Worst>,
     /// Whether the errors are those of the front axle, not of the controller's own point.
-    front_axle: bool,
+    pub(super) front_axle: bool,
     seeds: usize,
     /// Means over the seeds that were driven to the end, but the largest of all in `max`.
-    errors: Option<Errors>,
+    pub(super) errors: Option<Errors>,
     /// The interval of 95 % of the mean of the root mean squares.
-    interval: [f64; 2],
+    pub(super) interval: [f64; 2],
     tyre_use_max: f64,
     stops: usize,
+    stop_reasons: StopReasons,
     /// Means, but the largest of all in `steering_rate_max`.
     effort: Option<Effort>,
 }
@@ -41,10 +43,10 @@ pub(super) fn by_row<'a>(
     plan: &Comparison,
     results: &'a [(u64, DriveResult)],
 ) -> Vec<(Row, Vec<&'a DriveResult>)> {
-    let seeds = usize::try_from(plan.seeds.max(1)).unwrap_or(usize::MAX);
     let mut results = results.iter().peekable();
-    let rows = plan.rows().enumerate().map(|(index, row)| {
-        let end = ((index + 1) * seeds) as u64;
+    let mut end = 0;
+    let rows = plan.rows().map(|row| {
+        end += plan.seeds_under(row.condition);
         let mut own = Vec::new();
         while let Some((_, result)) = results.next_if(|(unit, _)| *unit < end) {
             own.push(result);
@@ -136,6 +138,11 @@ impl Line {
             interval: interval(&rms),
             tyre_use_max: tyres.fold(0.0, f64::max),
             stops: results.len() - errors.len(),
+            stop_reasons: StopReasons::of(
+                results
+                    .iter()
+                    .filter_map(|result| result.stopped.as_deref()),
+            ),
             effort: (!efforts.is_empty()).then(|| Effort {
                 steering_rate_rms: mean_effort(|effort| effort.steering_rate_rms),
                 steering_rate_max: rates.fold(0.0, f64::max),
@@ -231,7 +238,7 @@ pub fn csv(lines: &[Line]) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{},{},{speed_m_s},{},{},{},{},{},{}",
+            "{},{},{speed_m_s},{},{},{},{},{},{},{}",
             controller.name(),
             path.name(),
             line.condition(),
@@ -239,7 +246,8 @@ pub fn csv(lines: &[Line]) -> String {
             values.join(","),
             line.stops,
             effort.join(","),
-            line.worst_of.map_or("", |_| line.row.condition.name())
+            line.worst_of.map_or("", |_| line.row.condition.name()),
+            line.stop_reasons.joined(";")
         );
     }
     text
@@ -281,7 +289,7 @@ pub fn markdown(lines: &[Line]) -> String {
             };
             let _ = writeln!(
                 text,
-                "| {}{} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} and {} | {} | {} of {} |",
+                "| {}{} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} and {} | {} | {} of {}{} |",
                 line.row.controller.name(),
                 line.worst_of
                     .map_or_else(String::new, |_| format!(", {}", line.row.condition.name())),
@@ -298,7 +306,12 @@ pub fn markdown(lines: &[Line]) -> String {
                 plain(most_rate),
                 mm(ripple),
                 line.stops,
-                line.seeds
+                line.seeds,
+                if line.stops > 0 {
+                    format!(": {}", line.stop_reasons.joined(", "))
+                } else {
+                    String::new()
+                }
             );
         }
         text.push('\n');

@@ -104,10 +104,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_tuned_controller_has_the_same_budget() {
+    fn every_tuned_controller_has_the_same_budget_and_drives_with_what_was_tried() {
         for controller in ControllerName::ALL {
             if let Some([first, second]) = controller.tried() {
                 assert_eq!(first.len() * second.len(), BUDGET, "{}", controller.name());
+                let [a, b] = controller.parameters();
+                assert!(first.contains(&a) && second.contains(&b), "{controller:?}");
             }
         }
     }

@@ -2,7 +2,10 @@
 
 use crate::figure::{
     Axis, Figure, Panel, Scale,
-    page::{BELOW, LEAST_HEIGHT, MARGIN, NAME_ROOM, PANEL_GAP, ROW_GAP, TICK_GAP, TITLE_HEIGHT},
+    page::{
+        BELOW, LEAST_HEIGHT, LINE_HEIGHT, MARGIN, NAME_ROOM, NAME_SIZE, PANEL_GAP, ROW_GAP,
+        TICK_GAP, TITLE_HEIGHT,
+    },
     place::Slot,
     scale::{Ruler, equalise, roomy},
     typeset,
@@ -16,7 +19,10 @@ pub(super) struct Area {
     pub(super) right: f64,
     pub(super) top: f64,
     pub(super) bottom: f64,
-    pub(super) x_ticks: Vec<(f64, String)>,
+    /// Whether names stand below it, in place of numbers.
+    pub(super) named: bool,
+    /// Each with the lines of its text.
+    pub(super) x_ticks: Vec<(f64, Vec<String>)>,
     pub(super) y_ticks: Vec<(f64, String)>,
 }
 
@@ -26,6 +32,14 @@ const INSET: f64 = 0.5;
 const TICK: f64 = 0.9;
 
 impl Area {
+    /// Where what is written below it ends.
+    pub(super) fn end(&self) -> f64 {
+        let lines = self.x_ticks.iter().map(|(_, lines)| lines.len());
+        let more = lines.max().unwrap_or_default().saturating_sub(1);
+        let name = if self.named { NAME_SIZE + 1.5 } else { 0.0 };
+        self.bottom + BELOW - name + more as f64 * LINE_HEIGHT
+    }
+
     /// Whether a label is wholly within the frame.
     pub(super) fn holds(&self, slot: &Slot) -> bool {
         slot.corners().iter().all(|[x, y]| {
@@ -50,8 +64,8 @@ pub(super) fn areas(figure: &Figure, top: f64) -> Vec<Area> {
             area(panel, left, left + share, top + title)
         });
         let row: Vec<Area> = row.collect();
-        let bottom = row.iter().map(|area| area.bottom).fold(top, f64::max);
-        top = bottom + BELOW + ROW_GAP;
+        let bottom = row.iter().map(Area::end).fold(top, f64::max);
+        top = bottom + ROW_GAP;
         areas.extend(row);
     }
     areas
@@ -93,8 +107,18 @@ fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
     });
     // Maps are read at both axes.
     let x_tick = if panel.map.is_some() { 8.0 } else { 12.0 };
+    let x_ticks = if panel.names.is_empty() {
+        let ticks = x.ticks(((right - inner) / x_tick) as usize).into_iter();
+        ticks.map(|(value, text)| (value, vec![text])).collect()
+    } else {
+        let room = (x.at(1.0) - x.at(0.0)) - TICK_GAP;
+        let names = panel.names.iter().enumerate();
+        let names = names.map(|(place, name)| (place as f64, typeset::broken(name, room)));
+        names.collect()
+    };
     Area {
-        x_ticks: x.ticks(((right - inner) / x_tick) as usize),
+        named: !panel.names.is_empty(),
+        x_ticks,
         y_ticks,
         left: x.at(x.range[0]),
         right: x.at(x.range[1]),
@@ -107,6 +131,9 @@ fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
 
 /// The ends of a panel's horizontal (0) or vertical (1) axis.
 fn range(panel: &Panel, axis: usize) -> [f64; 2] {
+    if axis == 0 && !panel.names.is_empty() {
+        return [-0.5, panel.names.len() as f64 - 0.5];
+    }
     let description: &Axis = if axis == 0 { &panel.x } else { &panel.y };
     let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
     let mut take = |value: f64| {

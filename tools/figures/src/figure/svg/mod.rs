@@ -17,15 +17,13 @@ use self::{
 use super::{
     Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
     legend::{self, Entry, Key},
-    page::{BELOW, INK, MARGIN, TEXT_SIZE, TICK_GAP},
+    page::{INK, LINE_HEIGHT, MARGIN, NAME_SIZE, TEXT_SIZE, TICK_GAP},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
     typeset,
     xml::escaped,
 };
 
-/// Size of the axes' names, in mm: 8 pt.
-const NAME_SIZE: f64 = 2.82;
 /// Nothing smaller than this can be seen, in mm.
 const TOLERANCE: f64 = 0.03;
 /// Of a line that only goes to the right, no more is drawn in a column of this
@@ -55,8 +53,8 @@ impl Figure {
         let mapped = self.panels.iter().any(|panel| panel.map.is_some());
         let top = top + if mapped { 0.8 } else { 0.0 };
         let areas = areas(self, top);
-        let bottom = areas.iter().map(|area| area.bottom).fold(top, f64::max);
-        let height = bottom + BELOW + MARGIN;
+        let bottom = areas.iter().map(Area::end).fold(top, f64::max);
+        let height = bottom + MARGIN;
         let width_text = number(width);
         writeln!(
             svg,
@@ -157,19 +155,24 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
     for (value, label) in &area.x_ticks {
         let x = area.x.at(*value);
         line(svg, "ink", INK, 0.2, [x, bottom, x, bottom - 0.9])?;
-        text(svg, [x, bottom + TICK_GAP + 2.0], "middle", label)?;
+        for (index, label) in label.iter().enumerate() {
+            let y = bottom + TICK_GAP + 2.0 + index as f64 * LINE_HEIGHT;
+            text(svg, [x, y], "middle", label)?;
+        }
     }
     for (value, label) in &area.y_ticks {
         let y = area.y.at(*value);
         line(svg, "ink", INK, 0.2, [left, y, left + 0.9, y])?;
         text(svg, [left - TICK_GAP, y + 0.85], "end", label)?;
     }
-    let middle = (0.5 * (left + right), bottom + 7.8);
-    axis_name(
-        svg,
-        &panel.x,
-        &format!(r#"x="{}" y="{}""#, number(middle.0), number(middle.1)),
-    )?;
+    if panel.names.is_empty() {
+        let place = format!(
+            r#"x="{}" y="{}""#,
+            number(0.5 * (left + right)),
+            number(bottom + 7.8)
+        );
+        axis_name(svg, &panel.x, &place)?;
+    }
     let ticks = area.y_ticks.iter();
     let widest = ticks
         .map(|(_, text)| typeset::width(text))
@@ -187,8 +190,10 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
 }
 
 fn draw_grid(svg: &mut String, area: &Area) -> fmt::Result {
+    // What belongs to a name lies between two lines.
+    let aside = if area.named { 0.5 } else { 0.0 };
     for (value, _) in &area.x_ticks {
-        let x = area.x.at(*value);
+        let x = area.x.at(*value + aside);
         line(svg, "grid", FAINT, 0.12, [x, area.top, x, area.bottom])?;
     }
     for (value, _) in &area.y_ticks {

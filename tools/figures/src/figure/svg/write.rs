@@ -103,6 +103,9 @@ pub(super) fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> 
             "#ffffff",
         ),
         MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
+        MarkKind::Square => ("m-0.85 -0.85h1.7v1.7h-1.7z", INK),
+        MarkKind::Diamond => ("m0 -1.3l1.15 1.3l-1.15 1.3l-1.15 -1.3z", "#ffffff"),
+        MarkKind::None => ("m-0.9 -0.9l1.8 1.8m0 -1.8l-1.8 1.8", "none"),
     };
     write!(
         svg,
