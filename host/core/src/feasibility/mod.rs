@@ -16,9 +16,7 @@ use singletrack_control::{
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
-use crate::config::{
-    Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS,
-};
+use crate::config::{Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS};
 use circle::SteadyCircle;
 use drive::{Car, Ended, Governed, Saturated};
 
@@ -130,8 +128,8 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
 }
 
 /// Judges only whether the car can drive its reference, for `longest_s` at most; values that
-/// were left as in the example are not reported. It takes 10 to 300 ms: call it off the control
-/// thread.
+/// were left as in the example are not reported. It takes 10 to 300 ms, and with a governor up to
+/// some seconds: call it off the control thread.
 ///
 /// # Errors
 ///
