@@ -5,17 +5,21 @@
 use proptest::prelude::*;
 use singletrack_control::{
     Circle, FigureOfEight, FrontPointLaw, Governor, GovernorConfig, Limits, Path, PathSpeed,
-    Position, Reference, SlowedBy, VehicleParameters, Velocity, Waypoint, Waypoints,
+    Position, Reference, SlowedBy, VehicleParameters, Velocity, Waypoint, Waypoints, direction,
 };
 
 const PERIOD: f64 = 0.01;
 
-fn governor() -> Governor {
-    Governor::new(GovernorConfig {
+fn governor_config() -> GovernorConfig {
+    GovernorConfig {
         law: FrontPointLaw::new(0.1368, 0.35, 0.26).unwrap(),
         limits: Limits::paper().with_tyres(&VehicleParameters::paper()),
         behind: 0.5,
-    })
+    }
+}
+
+fn governor() -> Governor {
+    Governor::new(governor_config())
 }
 
 fn circle(radius: f64, speed: f64) -> Reference {
@@ -43,7 +47,7 @@ fn follow(reference: &Reference, seconds: f64) -> Vec<(f64, f64, Option<SlowedBy
     (0..(seconds / PERIOD) as u32)
         .map(|tick| {
             let time = f64::from(tick) * PERIOD;
-            let point = reference.at(governor.path_at(time)).position.unwrap();
+            let point = governor.at(reference, PERIOD).position.unwrap();
             let path = governor.advance(time, reference, &point);
             (path, governor.rate(), governor.slowed_by())
         })
@@ -112,10 +116,13 @@ fn each_limit_slows_a_reference_down_with_its_word() {
         (circle(1.0, 1.95), SlowedBy::Tyres, 0.7, 0.9),
         // Faster than the car, nearly straight.
         (circle(30.0, 3.0), SlowedBy::Speed, 0.49, 0.51),
+        // As fast on a larger circle.
         (circle(0.45, 0.45), SlowedBy::Steering, 0.55, 0.75),
     ] {
-        let ticks = follow(&reference, 8.0);
-        let (_, rate, by) = *ticks.last().unwrap();
+        let ticks = follow(&reference, 20.0);
+        let (path, _, by) = *ticks.last().unwrap();
+        let (before, ..) = ticks[1_000];
+        let rate = (path - before) / (PERIOD * (ticks.len() - 1_001) as f64);
         assert_eq!(by, Some(expected));
         assert!((least..most).contains(&rate), "{expected:?}: {rate}");
     }
@@ -187,4 +194,150 @@ fn a_path_with_its_own_speeds_is_not_changed_and_ends_when_it_did() {
     for (tick, (path, ..)) in follow(&reference, seconds).iter().enumerate() {
         assert_eq!(*path, tick as f64 * PERIOD);
     }
+}
+
+/// A car without slip whose P is put on points, one after the other.
+struct Rolls {
+    point: Position,
+    wheels: Velocity,
+    body: Velocity,
+}
+
+/// What a step of [`Rolls`] takes, as shares of the limits.
+#[derive(Clone, Copy, Debug, Default)]
+struct Taken {
+    steering: f64,
+    steering_rate: f64,
+    lateral: f64,
+    speed: f64,
+}
+
+impl Rolls {
+    fn to(&mut self, point: Position, limits: &Limits) -> Taken {
+        const P: f64 = 0.35;
+        let angle = |body: &Velocity, wheels: &Velocity| body.perp(wheels).atan2(body.dot(wheels));
+        let before = angle(&self.body, &self.wheels);
+        // The front axle rolls along the wheels until it is at its distance again.
+        let way = point - self.point;
+        let across = self.wheels.perp(&way);
+        let axle = self.wheels.dot(&way) + P - (P * P - across * across).sqrt();
+        let turned = axle * before.sin() / limits.wheelbase;
+        self.wheels = (P * self.wheels + way - axle * self.wheels).normalize();
+        self.body = direction(self.body.y.atan2(self.body.x) + turned);
+        self.point = point;
+        let steering = angle(&self.body, &self.wheels);
+        let lateral = axle * before.cos() * turned / (PERIOD * PERIOD);
+        Taken {
+            steering: steering.abs() / limits.max_steering,
+            steering_rate: (steering - before).abs() / PERIOD / limits.max_steering_rate,
+            lateral: lateral.abs() / limits.max_lateral_acceleration,
+            speed: way.norm() / PERIOD / limits.max_speed,
+        }
+    }
+}
+
+/// The rate changes at the ticks alone, and this car cuts corners between them.
+const SLACK: f64 = 1.1;
+
+fn check_taken(most: &Taken) -> Result<(), TestCaseError> {
+    for share in [most.steering, most.steering_rate, most.lateral, most.speed] {
+        prop_assert!(share <= SLACK, "{:?}", most);
+    }
+    Ok(())
+}
+
+/// Follows a reference exactly: what that takes at most, and where P is in the end.
+fn roll(reference: &Reference, seconds: f64) -> (Taken, Vec<Position>) {
+    let limits = Limits::paper();
+    let mut governor = governor();
+    let start = reference.at(0.0);
+    let heading = start.velocity.normalize();
+    let mut car = Rolls {
+        point: start.position.unwrap(),
+        wheels: heading,
+        body: heading,
+    };
+    let mut most = Taken::default();
+    let mut way = Vec::new();
+    for tick in 0..(seconds / PERIOD) as u32 {
+        governor.advance(f64::from(tick) * PERIOD, reference, &car.point);
+        let governed = governor.at(reference, 0.0);
+        assert!(governed.velocity.norm() <= SLACK * limits.max_speed);
+        let taken = car.to(governed.position.unwrap(), &limits);
+        most = Taken {
+            steering: most.steering.max(taken.steering),
+            steering_rate: most.steering_rate.max(taken.steering_rate),
+            lateral: most.lateral.max(taken.lateral),
+            speed: most.speed.max(taken.speed),
+        };
+        way.push(car.point);
+    }
+    (most, way)
+}
+
+proptest! {
+    #[test]
+    fn the_governed_reference_of_a_small_circle_can_be_steered_and_goes_round_the_same_centre(
+        radius in 0.2..1.0_f64,
+        speed in 0.3..2.0_f64,
+        to_the_left in any::<bool>(),
+    ) {
+        let speed = if to_the_left { speed } else { -speed };
+        let (most, way) = roll(&circle(radius, speed), 30.0);
+        check_taken(&most)?;
+        let smallest = governor_config().least_radius();
+        for point in &way[2_000..] {
+            let away = (point.coords.norm() - radius).abs();
+            prop_assert!(away <= (smallest - radius).max(0.0) + 0.01, "{away}");
+        }
+    }
+
+    #[test]
+    fn any_governed_eight_or_corner_can_be_steered(
+        half in 0.3..2.0_f64,
+        rate in 0.1..2.0_f64,
+        speed in 0.3..2.0_f64,
+    ) {
+        for reference in [eight(half, 0.5 * half, rate), corner(speed)] {
+            let (most, _) = roll(&reference, 15.0);
+            check_taken(&most)?;
+        }
+    }
+}
+
+#[test]
+fn behind_a_corner_the_governed_reference_comes_back_to_its_path() {
+    let reference = corner(1.0);
+    let mut governor = governor();
+    let (mut beside, mut farthest) = (0, 0.0_f64);
+    let mut path = 0.0;
+    for tick in 0..600 {
+        let time = f64::from(tick) * PERIOD;
+        let point = governor.at(&reference, 0.0).position.unwrap();
+        path = governor.advance(time, &reference, &point);
+        let governed = governor.at(&reference, 0.0).position.unwrap();
+        let [first, second] = [governed.y.abs(), (governed.x - 2.0).abs()];
+        let away = if path < 2.0 { first } else { second };
+        farthest = farthest.max(away);
+        beside += u32::from(away > 0.0);
+        if path > 3.9 {
+            assert_eq!(Some(governed), reference.at(path).position, "{path}");
+            break;
+        }
+    }
+    assert!(path > 3.9, "{path}");
+    assert!(beside > 20 && farthest < 0.15, "{beside}, {farthest}");
+}
+
+#[test]
+fn a_reference_that_goes_back_on_itself_is_turned_round_for() {
+    let waypoints = [(0.0, 0.0), (4.0, 2.0), (8.0, 0.0)].map(|(time, x)| Waypoint {
+        time,
+        position: Position::new(x, 0.0),
+    });
+    let reference = Reference::Waypoints(Waypoints::new(&waypoints).unwrap());
+    let (most, way) = roll(&reference, 20.0);
+    check_taken(&most).unwrap();
+    let end = way.last().unwrap();
+    assert!(end.x < 0.3 && end.y.abs() < 0.1, "{end}");
 }

@@ -296,6 +296,73 @@ fn a_reference_from_outside_is_not_judged() {
     assert_eq!(found(&config), Judgement::default());
 }
 
+/// The finding that says what the governor makes of a reference.
+fn governed(judgement: &Judgement) -> &Finding {
+    let finding = only(judgement);
+    assert_eq!(finding.key, "governor.enabled");
+    finding
+}
+
+#[test]
+fn with_a_governor_the_governed_reference_is_judged() {
+    let mut config = own();
+    config.outer_loop =
+        toml::from_str("kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true")
+            .unwrap();
+    config.fence.corners_m = square(3.0);
+    // Too tight, too fast for the tyres, and too fast for the car.
+    for (radius, rate, word, wide) in [
+        (0.45, 1.0, "(steering)", true),
+        (1.0, 1.9, "(tyres)", false),
+        (1.5, 1.2, "(speed)", false),
+    ] {
+        config.reference = circle(radius, rate);
+        config.governor.enabled = false;
+        assert!(!found(&config).is_possible(), "{radius} m");
+        config.governor.enabled = true;
+        let judgement = found(&config);
+        let finding = governed(&judgement).to_string();
+        assert!(
+            judgement.is_possible() && judgement.start.is_some(),
+            "{finding}"
+        );
+        assert!(finding.contains(word), "{finding}");
+        assert_eq!(finding.contains("beside the path"), wide, "{finding}");
+    }
+    // What the car can follow is judged as without it.
+    config.reference = circle(1.0, 0.5);
+    let governed = found(&config);
+    config.governor.enabled = false;
+    assert_eq!(governed, found(&config));
+    assert_eq!(governed.findings, []);
+}
+
+#[test]
+fn a_governor_does_not_make_up_for_a_fence_or_for_a_loop_that_lags() {
+    let mut config = own();
+    config.governor.enabled = true;
+    config.reference = circle(0.45, 1.0);
+    // Without feed-forward P settles on a circle that cannot be steered.
+    config.fence.corners_m = square(3.0);
+    let judgement = found(&config);
+    assert!(!judgement.is_possible());
+    let keys: Vec<_> = judgement
+        .findings
+        .iter()
+        .map(|finding| finding.key)
+        .collect();
+    assert_eq!(keys, ["governor.enabled", "reference.radius_m"]);
+    config.outer_loop =
+        toml::from_str("kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true")
+            .unwrap();
+    config.fence.corners_m = square(0.7);
+    let judgement = found(&config);
+    assert!(!judgement.is_possible());
+    let last = judgement.findings.last().unwrap();
+    assert_eq!(last.key, "fence.corners_m");
+    assert_eq!(last.severity, Severity::Impossible);
+}
+
 /// Straight on along x with 0.5 m/s.
 fn straight(seconds: f64) -> Config {
     let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);

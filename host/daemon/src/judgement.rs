@@ -1,7 +1,7 @@
 //! Judges whether the car can drive its reference from where it stands.
 //!
-//! It takes 10 to 300 ms of a processor, on a thread that nothing waits for but the client that
-//! asked.
+//! It takes 10 to 300 ms of a processor, and with a governor up to some seconds, on a thread that
+//! nothing waits for but the client that asked.
 
 use std::time::Duration;
 

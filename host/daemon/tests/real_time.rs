@@ -17,7 +17,7 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_core::config::{MpcWeights, OuterLoopSection};
+use singletrack_core::config::{MpcWeights, OuterLoopSection, ReferenceSection};
 use singletrack_pilot::{Filtering, Mode};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
@@ -87,7 +87,8 @@ const TICKS: u64 = 10_000;
 
 #[test]
 fn ten_thousand_ticks_allocate_nothing_and_cause_no_page_fault() {
-    drive(SimulatedDrive::new(), TICKS);
+    let governed = drive(SimulatedDrive::new(), TICKS);
+    assert_eq!(governed, 0);
 }
 
 #[test]
@@ -103,8 +104,9 @@ fn a_predictive_loop_allocates_nothing_and_causes_no_page_fault() {
     }
 }
 
-/// Drives for this many ticks, of which none may allocate or fault.
-fn drive(mut drive: SimulatedDrive, ticks: u64) {
+/// Drives for this many ticks, of which none may allocate or fault; in how many the governor
+/// slowed the reference down.
+fn drive(mut drive: SimulatedDrive, ticks: u64) -> u64 {
     // As the daemon prepares its thread. If memory can't be locked, the pages of the code
     // are loaded when it first runs: during ticks that are not counted.
     let uncounted = match realtime::lock_memory() {
@@ -112,7 +114,7 @@ fn drive(mut drive: SimulatedDrive, ticks: u64) {
         Err(_) => 2_000,
     };
     realtime::touch_memory(drive.host.control.rings_mut());
-    let (mut driving, mut allocated, mut faults) = (0, 0, 0);
+    let (mut driving, mut governed, mut allocated, mut faults) = (0, 0, 0, 0);
     for index in 1..=uncounted + ticks {
         drive.run_until_tick(index);
         let before = page_faults();
@@ -120,7 +122,13 @@ fn drive(mut drive: SimulatedDrive, ticks: u64) {
         if index > uncounted {
             faults += page_faults() - before;
         }
-        driving += u64::from(drive.after_tick() == Some(Mode::Driving));
+        let output = drive.output();
+        governed += u64::from(
+            output
+                .as_ref()
+                .is_some_and(|output| output.slowed_by.is_some()),
+        );
+        driving += u64::from(output.is_some_and(|output| output.mode == Mode::Driving));
     }
     assert_eq!((allocated, faults), (0, 0), "allocations, page faults");
     assert!(
@@ -129,6 +137,7 @@ fn drive(mut drive: SimulatedDrive, ticks: u64) {
     );
     assert_eq!(drive.host.control.counters().reports_dropped, 0);
     assert_eq!(drive.host.control.counters().drives_withheld, 0);
+    governed
 }
 
 #[test]
@@ -171,6 +180,23 @@ fn a_tick_of_the_safety_filter_allocates_nothing() {
     }
     assert_eq!(total, 0, "allocations");
     assert!(filtered > 50, "only {filtered} interventions");
+}
+
+#[test]
+fn a_tick_of_the_governor_allocates_nothing_and_causes_no_page_fault() {
+    // Its leader leaves a circle that is too tight.
+    let mut config = SimulatedDrive::example();
+    config.governor.enabled = true;
+    config.reference = ReferenceSection::Circle {
+        centre_m: [0.0, 0.0],
+        radius_m: 0.5,
+        angular_velocity_rad_s: 1.0,
+    };
+    let governed = drive(
+        SimulatedDrive::with(config, SimulationConfig::default()),
+        TICKS / 2,
+    );
+    assert!(governed > TICKS / 4, "only {governed} ticks");
 }
 
 #[test]

@@ -74,7 +74,16 @@ fn a_corner_is_neither_cut_short_nor_left_behind() {
         .into_iter()
         .filter(|row| row.path_s < 12.0)
         .collect();
-    assert!(farthest(&driven, 0.0) < 0.75, "{}", farthest(&driven, 0.0));
+    assert!(farthest(&driven, 0.0) < 0.4, "{}", farthest(&driven, 0.0));
+    for row in &driven {
+        let lines = [
+            (row.x_p - row.x_p.clamp(0.0, 4.0)).hypot(row.y_p),
+            (row.x_p - 4.0).hypot(row.y_p - row.y_p.clamp(0.0, 4.0)),
+            (row.x_p - row.x_p.clamp(0.0, 4.0)).hypot(row.y_p - 4.0),
+        ];
+        let away = lines.into_iter().fold(f64::INFINITY, f64::min);
+        assert!(away < 0.17, "{away} at {} s", row.t);
+    }
     // P reaches both corners.
     for corner in [(4.0, 0.0), (4.0, 4.0)] {
         let nearest = driven
@@ -82,5 +91,34 @@ fn a_corner_is_neither_cut_short_nor_left_behind() {
             .map(|row| (row.x_p - corner.0).hypot(row.y_p - corner.1))
             .fold(f64::INFINITY, f64::min);
         assert!(nearest < 0.1, "{corner:?}: {nearest}");
+    }
+}
+
+#[test]
+fn a_circle_that_is_too_tight_is_gone_round_on_the_smallest_that_can_be_steered() {
+    const RADIUS: f64 = 0.45;
+    // Front axle and P turn about the same centre, with the wheels at their limit.
+    let smallest = (0.26 / 0.45_f64.sin()).hypot(0.35);
+    let plain = text("governor/small-circle").replace("duration_s = 60.0", "duration_s = 30.0");
+    for (speed, yaw) in [(0.3, 90), (0.5, -90), (1.0, 90), (1.0, -90)] {
+        let rate = f64::copysign(speed / RADIUS, f64::from(yaw));
+        let rows = rows(
+            &plain
+                .replace(
+                    "angular_velocity_rad_s = 1.1",
+                    &format!("angular_velocity_rad_s = {rate}"),
+                )
+                .replace("yaw_deg = 90.0", &format!("yaw_deg = {yaw}.0")),
+        );
+        let lap = core::f64::consts::TAU / rate.abs();
+        assert!(rows.last().unwrap().path_s > 1.2 * lap);
+        let worst = rows
+            .iter()
+            .filter(|row| row.path_s > lap)
+            .map(|row| (row.x_p.hypot(row.y_p) - RADIUS).abs())
+            .fold(0.0, f64::max);
+        assert!(worst < smallest - RADIUS + 0.1, "{rate} rad/s: {worst}");
+        // It starts from rest, and comes to the wider circle.
+        assert!(farthest(&rows, 6.0) < 0.05, "{}", farthest(&rows, 6.0));
     }
 }

@@ -25,6 +25,20 @@ pub struct ReferencePoint {
     pub velocity: Velocity,
 }
 
+/// The longest time for which a car waits for the reference that its P has overtaken, s.
+const OVERTAKEN: f64 = 1.0;
+
+impl ReferencePoint {
+    /// The velocity of a reference that comes after `point` (m) soon, in m/s: see
+    /// [`Ahead::overtaken`](crate::Ahead::overtaken).
+    #[must_use]
+    pub fn overtaken_by(&self, point: &Position) -> Option<Velocity> {
+        let away = (self.position? - point).norm();
+        let is_near = away < OVERTAKEN * self.velocity.norm();
+        is_near.then_some(self.velocity)
+    }
+}
+
 /// A reference for P over time.
 ///
 /// ```

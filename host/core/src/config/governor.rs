@@ -1,16 +1,17 @@
-//! `[governor]`: slows the reference down where the car cannot follow it.
+//! `[governor]`: makes the reference slower or wider where the car cannot follow it.
 
 use singletrack_control::{FrontPointLaw, GovernorConfig, Limits};
 
 use super::section::section;
 
 section! {
-    /// Slows the reference down where the car cannot follow it, by the limits of `[limits]`, and
-    /// where P is far behind. A reference that the car can follow is not changed.
+    /// Makes the reference slower or wider where the car cannot follow it, by the limits of
+    /// `[limits]`, and slower where P is far behind. A reference that the car can follow is not
+    /// changed.
     "governor" => pub GovernorSection: Copy;
     [default];
 
-    /// Whether the reference may be slowed down. Set-points from outside and velocity steps never
+    /// Whether the reference may be changed so. Set-points from outside and velocity steps never
     /// are.
     enabled: bool = false;
     /// Distance of P behind its reference from which on the reference slows down. At twice the

@@ -1,8 +1,9 @@
 //! The car of the judgement: it follows the commands without slip, lag and noise.
 
 use singletrack_control::{
-    LimitedLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop, Reference,
-    TrackingInput, TrackingLoop, VehicleParameters, Velocity, direction,
+    Ahead, Governor, LimitedLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop,
+    Reference, ReferencePoint, SlowedBy, TrackingInput, TrackingLoop, VehicleParameters, Velocity,
+    direction,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
@@ -14,6 +15,17 @@ const REACTION_S: f64 = 0.13;
 /// Where on the way of a stop the geofence is checked.
 const CHECKS: u8 = 2;
 
+/// A governed reference that takes this many times its time does not come to its end.
+const LONGER: f64 = 10.0;
+
+/// Why the governor may change a reference: not because the car starts beside it.
+const REASONS: [SlowedBy; 4] = [
+    SlowedBy::Tyres,
+    SlowedBy::Steering,
+    SlowedBy::SteeringRate,
+    SlowedBy::Speed,
+];
+
 /// The gain of the loop that is judged in the place of a predictive one, per second.
 const INSTEAD_PER_S: f64 = 2.0;
 
@@ -23,6 +35,10 @@ pub(super) struct Car<'a> {
     tracking: TrackingLoop,
     applied: Velocity,
     reference: &'a Reference,
+    /// None if the reference is followed as it is.
+    governor: Option<Governor>,
+    /// The path parameter of the reference, s.
+    path: f64,
     vehicle: VehicleParameters,
     limits: Limits,
     braking: f64,
@@ -69,9 +85,22 @@ pub(super) struct Saturated {
     pub(super) lateral: f64,
 }
 
+/// What the governor makes of a reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Governed {
+    /// Why it changes the reference most often; none if it does not.
+    pub(super) by: Option<SlowedBy>,
+    /// How long the reference takes, as a multiple of the time asked for.
+    pub(super) longer: f64,
+    /// The largest distance of the governed reference from its path, m.
+    pub(super) beside: f64,
+    /// Whether it comes to its end, if it has one.
+    pub(super) ends: bool,
+}
+
 /// What a period wanted and got.
 struct Step {
-    reference_speed: f64,
+    reference: ReferencePoint,
     speed: f64,
     steering: f64,
 }
@@ -90,6 +119,8 @@ impl<'a> Car<'a> {
             },
             applied: Velocity::zeros(),
             reference: &pilot.reference,
+            governor: pilot.governor(),
+            path: 0.0,
             vehicle: *vehicle,
             limits: pilot.limits,
             braking: pilot.braking,
@@ -100,9 +131,10 @@ impl<'a> Car<'a> {
         }
     }
 
-    /// Follows the reference until this time, or until the car could not stop inside `fence`.
-    pub(super) fn drive(mut self, fence: &Fence, until: f64) -> Ended {
-        while self.time < until {
+    /// Follows the reference until this place of it (s), for `longest` (s) at most, or until the
+    /// car could not stop inside `fence`.
+    pub(super) fn drive(mut self, fence: &Fence, until: f64, longest: f64) -> Ended {
+        while self.place() < until && self.time < longest {
             if !self.stops_inside(fence) {
                 return Ended::Left {
                     time: self.time,
@@ -116,6 +148,35 @@ impl<'a> Car<'a> {
         Ended::Inside
     }
 
+    /// Follows the reference without a geofence, and measures what the governor makes of it.
+    pub(super) fn governed(mut self) -> Governed {
+        let until = duration(self.reference);
+        let mut counts = [0_u32; REASONS.len()];
+        let mut beside = 0.0_f64;
+        while self.place() < until && self.time < LONGER * until {
+            let Some(step) = self.step() else {
+                break;
+            };
+            let place = self.reference.at(self.path).position;
+            if let (Some(governed), Some(place)) = (step.reference.position, place) {
+                beside = beside.max((governed - place).norm());
+            }
+            let slowed_by = self.governor.as_ref().and_then(Governor::slowed_by);
+            for (count, reason) in counts.iter_mut().zip(REASONS) {
+                *count += u32::from(slowed_by == Some(reason));
+            }
+        }
+        let most = counts.iter().zip(REASONS).max_by_key(|(count, _)| **count);
+        Governed {
+            by: most
+                .filter(|(count, _)| **count > 0)
+                .map(|(_, reason)| reason),
+            longer: self.time / self.place(),
+            beside,
+            ends: self.place() >= until || self.reference.duration().is_none(),
+        }
+    }
+
     /// Follows the reference without a geofence, and measures for how long it is limited.
     pub(super) fn saturated(mut self) -> Saturated {
         let limits = self.limits;
@@ -127,7 +188,7 @@ impl<'a> Car<'a> {
             };
             steps += 1.0;
             steering += f64::from(step.steering.abs() >= 0.999 * limits.max_steering);
-            speed += f64::from(step.reference_speed > 1.001 * limits.max_speed);
+            speed += f64::from(step.reference.velocity.norm() > 1.001 * limits.max_speed);
             let in_bend = limits.speed_in_bend(step.steering);
             lateral += f64::from(step.speed.abs() >= 0.999 * in_bend);
         }
@@ -136,6 +197,14 @@ impl<'a> Car<'a> {
             steering: share(steering),
             speed: share(speed),
             lateral: share(lateral),
+        }
+    }
+
+    /// How far the reference has come, s.
+    const fn place(&self) -> f64 {
+        match self.governor {
+            Some(_) => self.path,
+            None => self.time,
         }
     }
 
@@ -152,16 +221,32 @@ impl<'a> Car<'a> {
             .law
             .law()
             .point(self.position, self.yaw, before.steering);
-        let reference = self.reference.at(self.time);
+        self.path = match &mut self.governor {
+            Some(governor) => governor.advance(self.time, self.reference, &point),
+            None => self.time,
+        };
+        let at = |ahead: f64| match &self.governor {
+            Some(governor) => governor.at(self.reference, ahead),
+            None => self.reference.at(self.time + ahead),
+        };
+        let reference = at(0.0);
         let wanted = self.tracking.step(&TrackingInput {
             point,
-            reference: &|ahead| self.reference.at(self.time + ahead),
+            reference: &at,
             applied: self.applied,
             period: self.period,
         });
+        let ahead = Ahead {
+            // A governed reference waits, and the car for it.
+            overtaken: self
+                .governor
+                .as_ref()
+                .and_then(|_| reference.overtaken_by(&point)),
+            lead: None,
+        };
         let actuation = self
             .law
-            .step(&motion, before.speed, &wanted, self.period)
+            .step_ahead(&motion, before.speed, &wanted, &ahead, self.period)
             .ok()?;
         self.applied = self.law.point_velocity();
         let (sideslip, curvature) = self.rolls(actuation.steering);
@@ -171,7 +256,7 @@ impl<'a> Car<'a> {
         self.yaw += turned;
         self.time += self.period;
         Some(Step {
-            reference_speed: reference.velocity.norm(),
+            reference,
             speed: actuation.speed,
             steering: actuation.steering,
         })

@@ -5,20 +5,20 @@
 //! geofence. [`judge`] finds that before the car moves. It is a pure function: `singletrackd
 //! --check` prints what it returns, and other tools may call it.
 
+mod circle;
 mod drive;
 
 use core::f64::consts::{FRAC_PI_4, PI};
 use core::fmt;
 
 use singletrack_control::{
-    Limits, Position, Reference, VehicleParameters, Velocity, direction, wrap,
+    GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, wrap,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
-use crate::config::{
-    Config, ConfigError, EXAMPLE_SERVER, OuterLoopSection, ReferenceSection, SECTIONS,
-};
-use drive::{Car, Ended, Saturated};
+use crate::config::{Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS};
+use circle::SteadyCircle;
+use drive::{Car, Ended, Governed, Saturated};
 
 /// Distance that the path must keep from the geofence beyond its margin, in m: the model of
 /// [`judge`] knows no noise, no lag and no slip.
@@ -29,8 +29,11 @@ const RESERVE_M: f64 = 0.03;
 const SATURATED_WARNING: f64 = 0.1;
 const SATURATED_ERROR: f64 = 0.5;
 
-/// Below this share of its limit a steady steering angle leaves room for corrections.
-const STEERING_RESERVE: f64 = 0.97;
+/// A governed reference is followed for this many times its time at most, to judge the geofence.
+const LONGER: f64 = 3.0;
+
+/// A governed reference that is nearer to its path than this, in m, counts as on it.
+const BESIDE_M: f64 = 0.01;
 
 /// Whether the car can drive in spite of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,7 +113,7 @@ impl Judgement {
 /// stands, otherwise from where it could start.
 ///
 /// The car of the judgement follows the law without slip, lag and noise: what it can't do,
-/// a real car can't do.
+/// a real car can't do. With `[governor]` it follows the governed reference.
 ///
 /// # Errors
 ///
@@ -125,8 +128,8 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
 }
 
 /// Judges only whether the car can drive its reference, for `longest_s` at most; values that
-/// were left as in the example are not reported. It takes 10 to 300 ms: call it off the control
-/// thread.
+/// were left as in the example are not reported. It takes 10 to 300 ms, and with a governor up to
+/// some seconds: call it off the control thread.
 ///
 /// # Errors
 ///
@@ -143,9 +146,27 @@ pub fn judge_reference(
     if matches!(config.reference, ReferenceSection::External { .. }) {
         return Ok(judgement);
     }
-    if let Some(circle) = SteadyCircle::of(config, &pilot.limits) {
-        circle.judge(config, findings);
-    } else {
+    let governor = pilot.governor.filter(|_| pilot.governor().is_some());
+    let governed =
+        governor.and_then(|governor| judge_governed(&pilot, &governor, &config.vehicle, findings));
+    if let ReferenceSection::Circle {
+        radius_m,
+        angular_velocity_rad_s,
+        ..
+    } = config.reference
+    {
+        let rate = angular_velocity_rad_s.abs();
+        if let (Some(governor), Some(governed)) = (governor, governed) {
+            let radius = radius_m.max(governor.least_radius());
+            let circle = SteadyCircle::of(config, &pilot.limits, radius, rate / governed.longer);
+            circle.judge_radius(config, radius_m, findings);
+        } else {
+            let circle = SteadyCircle::of(config, &pilot.limits, radius_m, rate);
+            if let Some(rear) = circle.judge_radius(config, radius_m, findings) {
+                circle.judge_pace(config, rear, findings);
+            }
+        }
+    } else if governor.is_none() {
         judge_saturation(&pilot, &config.vehicle, findings);
     }
     // Where the reference can't be steered, the geofence is not the problem.
@@ -232,143 +253,54 @@ fn is_example(section: &str, written: &Option<toml::Value>) -> bool {
         })
 }
 
-/// The circle that P and car settle on, without slip.
-struct SteadyCircle {
-    /// Radius of the reference, m.
-    reference: f64,
-    /// Radius of P: smaller than that of the reference without feed-forward, m.
-    point: f64,
-    /// The same as a factor.
-    factor: f64,
-    /// Angular velocity, rad/s.
-    rate: f64,
-    /// The smallest circle of P at the largest steering angle, m.
-    least: f64,
-}
-
-impl SteadyCircle {
-    fn of(config: &Config, limits: &Limits) -> Option<Self> {
-        let ReferenceSection::Circle {
-            radius_m,
-            angular_velocity_rad_s,
-            ..
-        } = config.reference
-        else {
-            return None;
-        };
-        let rate = angular_velocity_rad_s.abs();
-        // P is an integrator per axis in a proportional loop: a first-order low pass.
-        let factor = match config.outer_loop {
-            OuterLoopSection::Proportional {
-                gain_per_s: [x, y],
-                feed_forward: false,
-            } => x.min(y) / x.min(y).hypot(rate),
-            _ => 1.0,
-        };
-        let wheelbase = config.vehicle.wheelbase_m();
-        let rear = wheelbase / limits.max_steering.tan();
-        let distance = config.law.point_distance_m;
-        Some(Self {
-            reference: radius_m,
-            point: factor * radius_m,
-            factor,
-            rate,
-            least: (rear * rear + wheelbase * wheelbase + distance * distance).sqrt(),
-        })
-    }
-
-    /// Radius of the rear axle's circle, m; `None` if P's circle is too small for any angle.
-    fn rear_axle(&self, config: &Config) -> Option<f64> {
-        let wheelbase = config.vehicle.wheelbase_m();
-        let distance = config.law.point_distance_m;
-        let squared = self.point * self.point - distance * distance - wheelbase * wheelbase;
-        (squared > 0.0).then(|| squared.sqrt())
-    }
-
-    fn judge(&self, config: &Config, findings: &mut Vec<Finding>) {
-        let limits = &config.limits;
-        let wheelbase = config.vehicle.wheelbase_m();
-        let lags = if self.factor < 1.0 {
+/// Tells what the governor makes of the reference.
+fn judge_governed(
+    pilot: &PilotConfig,
+    governor: &GovernorConfig,
+    vehicle: &VehicleParameters,
+    findings: &mut Vec<Finding>,
+) -> Option<Governed> {
+    let start = starts_on_reference(pilot, vehicle).next()?;
+    let governed = Car::new(pilot, vehicle, start).governed();
+    let Governed {
+        by,
+        longer,
+        beside,
+        ends,
+    } = governed;
+    if let Some(by) = by {
+        let wide = if beside > BESIDE_M {
             format!(
-                ", and without outer_loop.feed_forward P settles on {:.2} m",
-                self.point
+                ", and P is led up to {beside:.2} m beside the path (the smallest circle that it \
+                 is led on has a radius of {:.2} m)",
+                governor.least_radius()
             )
         } else {
             String::new()
         };
-        let smallest = round_up(self.least / self.factor);
-        let rear = self.rear_axle(config).filter(|_| self.point >= self.least);
-        let Some(rear) = rear else {
-            findings.push(Finding {
-                severity: Severity::Impossible,
-                key: "reference.radius_m",
-                value: self.reference.to_string(),
-                fix: format!(
-                    "with limits.max_steering_rad = {} P can't drive a circle below {:.2} m{lags}; \
-                     give at least {smallest:.2}, or lower law.point_distance_m",
-                    limits.max_steering_rad, self.least
-                ),
-            });
-            return;
+        let (severity, fix) = if ends {
+            let fix = format!(
+                "the reference asks too much ({}): governed it takes {longer:.1} times as \
+                 long{wide}; give a slower or wider one to have it followed as it is",
+                by.name()
+            );
+            (Severity::Warning, fix)
+        } else {
+            let fix = format!(
+                "the reference asks too much ({}), and governed it does not come to its end{wide}; \
+                 give a slower or wider one",
+                by.name()
+            );
+            (Severity::Impossible, fix)
         };
-        let steering = (wheelbase / rear).atan();
-        if steering > STEERING_RESERVE * limits.max_steering_rad {
-            findings.push(Finding {
-                severity: Severity::Warning,
-                key: "reference.radius_m",
-                value: self.reference.to_string(),
-                fix: format!(
-                    "the circle takes a steering angle of {steering:.3} rad of \
-                     limits.max_steering_rad = {}, which leaves nothing for corrections{lags}; \
-                     give {:.2} or more",
-                    limits.max_steering_rad,
-                    round_up(1.05 * self.least / self.factor),
-                ),
-            });
-        }
-        let speed = self.point * self.rate;
-        if speed > limits.max_speed_m_s {
-            findings.push(Finding {
-                severity: Severity::Impossible,
-                key: "reference.angular_velocity_rad_s",
-                value: self.rate.to_string(),
-                fix: format!(
-                    "P would drive {speed:.2} m/s; limits.max_speed_m_s is {}: lower the angular \
-                     velocity to {:.2} or less, or the radius",
-                    limits.max_speed_m_s,
-                    round_down(limits.max_speed_m_s / self.point),
-                ),
-            });
-        }
-        // The speed of the centre of mass, and the lateral acceleration as the limit is
-        // defined: v² tan δ/L.
-        let centre = rear.hypot(config.vehicle.rear_axle_distance_m);
-        let lateral = (self.rate * centre).powi(2) / rear;
-        if lateral > limits.max_lateral_acceleration_m_s2 {
-            let most = (limits.max_lateral_acceleration_m_s2 * rear).sqrt() / centre;
-            findings.push(Finding {
-                severity: Severity::Impossible,
-                key: "reference.angular_velocity_rad_s",
-                value: self.rate.to_string(),
-                fix: format!(
-                    "the circle takes {lateral:.2} m/s2 of lateral acceleration; \
-                     limits.max_lateral_acceleration_m_s2 is {}: lower the angular velocity to \
-                     {:.2} or less",
-                    limits.max_lateral_acceleration_m_s2,
-                    round_down(most),
-                ),
-            });
-        }
+        findings.push(Finding {
+            severity,
+            key: "governor.enabled",
+            value: "true".to_owned(),
+            fix,
+        });
     }
-}
-
-/// To two decimals, so that the advice is not below or above what is possible.
-fn round_up(value: f64) -> f64 {
-    (100.0 * value).ceil() / 100.0
-}
-
-fn round_down(value: f64) -> f64 {
-    (100.0 * value).floor() / 100.0
+    Some(governed)
 }
 
 /// For how much of the drive a limit is in the way of the reference.
@@ -427,8 +359,10 @@ fn judge_fence(
     judgement: &mut Judgement,
 ) {
     let vehicle = &config.vehicle;
-    let until = duration(&pilot.reference).min(longest_s.unwrap_or(f64::INFINITY));
-    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence, until);
+    let until = duration(&pilot.reference);
+    // A governed reference may take longer.
+    let longest = longest_s.unwrap_or(LONGER * until);
+    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence, until, longest);
     let with_reserve = Fence::new(
         pilot.fence.corners(),
         config.fence.margin_m(vehicle) + RESERVE_M,

@@ -2,7 +2,7 @@
 
 use libm::{cos, fabs};
 use singletrack_control::{
-    Actuation, Ahead, Demand, Estimate, Governor, OuterLoop, Position, Reference, ReferencePoint,
+    Actuation, Ahead, Demand, Estimate, Governor, OuterLoop, Reference, ReferencePoint,
     Singularity, Time, TrackingInput, Velocity, front_point_velocity,
 };
 
@@ -151,7 +151,7 @@ impl Pilot {
                 period,
             });
             let ahead = Ahead {
-                overtaken: overtaken(reference, &point),
+                overtaken: reference.overtaken_by(&point),
                 lead: None,
             };
             let step = LawStep {
@@ -176,7 +176,7 @@ impl Pilot {
         output.looked_ahead = Some(state.ahead);
         let point = law.point(state.position, state.motion.yaw, state.wheels);
         let ahead = Ahead {
-            overtaken: overtaken(reference, &point),
+            overtaken: reference.overtaken_by(&point),
             lead: Some(lead),
         };
         let step = LawStep {
@@ -217,16 +217,6 @@ impl Pilot {
         }
         (self.law.actuation(), tick.coast, tick.steering)
     }
-}
-
-/// The longest time for which a car waits for the reference that its P has overtaken, s.
-const OVERTAKEN: f64 = 1.0;
-
-/// The velocity of a reference that comes after `point` soon, for the law.
-fn overtaken(reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
-    let away = (reference.position? - point).norm();
-    let is_near = away < OVERTAKEN * reference.velocity.norm();
-    is_near.then_some(reference.velocity)
 }
 
 /// The command for the board. The motor drives the rear axle, whose speed is the forward

@@ -1,8 +1,9 @@
 //! What the pilot is given and gives: configuration, commands, the result of a tick.
 
 use singletrack_control::{
-    Actuation, Estimate, EstimatorConfig, FrontPointLaw, GovernorConfig, Limits, Position,
-    Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Time, TrackingLoop, Velocity,
+    Actuation, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig, Limits,
+    Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Time, TrackingLoop,
+    Velocity,
 };
 
 use super::{Compensation, Filtering};
@@ -23,7 +24,8 @@ pub struct PilotConfig {
     pub tracking: TrackingLoop,
     /// The path of P; its time counts from the first driving tick.
     pub reference: Reference,
-    /// Slows the reference down where the car cannot follow it; none to follow it as it is.
+    /// Makes the reference slower or wider where the car cannot follow it; none to follow it as
+    /// it is.
     pub governor: Option<GovernorConfig>,
     /// Limits of speed, acceleration and steering.
     pub limits: Limits,
@@ -47,6 +49,17 @@ pub struct PilotConfig {
     pub safety: Option<SafetyFilter>,
     /// The control period, s.
     pub period: f64,
+}
+
+impl PilotConfig {
+    /// The governor of the reference, at its start; none where that is off, and for a reference
+    /// of which P does not have a position at every time.
+    #[must_use]
+    pub fn governor(&self) -> Option<Governor> {
+        let governor = self.governor?;
+        let is_path = self.reference.at(0.0).position.is_some();
+        is_path.then(|| Governor::new(governor))
+    }
 }
 
 /// A command to the board, in force until the next tick.
@@ -91,7 +104,7 @@ pub struct Output {
     /// The path parameter of the reference, s: the time of the drive, unless a governor has
     /// slowed the reference down; `None` outside a drive.
     pub path: Option<f64>,
-    /// Why the reference is slowed down.
+    /// Why the reference is slowed down, or led beside its path.
     pub slowed_by: Option<SlowedBy>,
     /// The drive command for the board.
     pub command: Option<DriveCommand>,

@@ -91,7 +91,7 @@ impl Pilot {
             law: LimitedLaw::new(config.law, config.limits),
             tracking: config.tracking.clone(),
             applied: Velocity::zeros(),
-            governor: governor(&config),
+            governor: config.governor(),
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
             estimator: Estimator::new(config.estimator),
@@ -139,7 +139,7 @@ impl Pilot {
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.tracking.clone_from(&config.tracking);
-        self.governor = governor(config);
+        self.governor = config.governor();
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
         self.estimator = Estimator::new(config.estimator);
@@ -407,11 +407,4 @@ impl Pilot {
             self.estimator.reset();
         }
     }
-}
-
-/// The governor of a reference of which P has a position at every time.
-fn governor(config: &PilotConfig) -> Option<Governor> {
-    let governor = config.governor?;
-    let is_path = config.reference.at(0.0).position.is_some();
-    is_path.then(|| Governor::new(governor))
 }

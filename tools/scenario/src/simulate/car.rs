@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use singletrack_control::{Position, Reference};
+use singletrack_control::{Position, Reference, Velocity};
 use singletrack_core::config::{Config, LawKind};
 use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
@@ -384,7 +384,7 @@ impl<'a> Run<'a> {
             self.scenario.law.point_distance_m,
             reference,
             start,
-            (time, self.path.at(time)),
+            (time, &self.path),
             truth,
             last,
         )
@@ -399,6 +399,8 @@ struct PathClock {
     /// Its advance per second after that.
     rate: f64,
     is_slowed: bool,
+    /// The governed reference there, m.
+    governed: Option<Position>,
 }
 
 impl PathClock {
@@ -412,6 +414,16 @@ impl PathClock {
         }
         self.last = (time, path);
         self.is_slowed = path != driven;
+        self.governed = output.reference.and_then(|point| point.position);
+    }
+
+    /// How far the governed reference is beside its path, in m.
+    fn beside(&self, reference: &Reference) -> Velocity {
+        let place = reference.at(self.last.1).position;
+        match (self.governed, place) {
+            (Some(governed), Some(place)) if self.is_slowed => governed - place,
+            _ => Velocity::zeros(),
+        }
     }
 
     /// The path parameter at a time of the run.
@@ -429,15 +441,16 @@ fn row(
     point_distance_m: f64,
     reference: &Reference,
     start: Position,
-    (time, path): (f64, f64),
+    (time, clock): (f64, &PathClock),
     truth: &Truth,
     last: &VirtualTick,
 ) -> Row {
     let output = &last.tick.output;
     let [x_p, y_p] = truth.point_p(front_axle_distance_m, point_distance_m);
+    let path = clock.at(time);
     let nominal = match reference {
         Reference::VelocitySteps(steps) => steps.integrate(start, time),
-        other => other.at(path).position.unwrap_or(start),
+        other => other.at(path).position.unwrap_or(start) + clock.beside(other),
     };
     let wanted = output.point_velocity.unwrap_or_default();
     let rate = match output.mode {

@@ -1,0 +1,328 @@
+//! The reference governor: a reference that asks too much is followed more slowly, and a bend that
+//! is too tight more widely.
+//!
+//! The reference is a function of its own time, the path parameter s. A leader, an ideal car that
+//! rolls without slip, moves along it ahead of s. Its P is the governed reference: on the path
+//! while the wheels can be steered for that, and beside it otherwise. The leader tells which
+//! speed, lateral acceleration, steering rate and acceleration this takes; the governor lets it
+//! advance with a rate between 0 and 1, slower than time where the car could not follow. All that
+//! depends on the reference alone, so a reference that the car can follow is passed on as it is,
+//! to the bit.
+
+mod bend;
+mod leader;
+
+use libm::{floor, rint, sin, sqrt};
+
+use self::leader::{Leader, STEP, Sample};
+use crate::{FrontPointLaw, Limits, Position, Reference, ReferencePoint, Velocity};
+
+/// The part of a limit that the reference may take; the rest is for corrections.
+const USABLE: f64 = 0.95;
+/// The fastest change of the rate, s⁻¹.
+const SLOPE: f64 = 1.0;
+/// How far ahead the leader is, s: from a rate of 1, its time stops within 1 / (2 `SLOPE`); and
+/// an outer loop looks so far ahead.
+const AHEAD: f64 = 1.5;
+/// The steps of the leader that are kept: those ahead, and some behind.
+const STEPS: usize = (AHEAD / STEP) as usize + 8;
+
+/// Why a reference is slowed down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlowedBy {
+    /// The lateral acceleration of the car.
+    Tyres,
+    /// Its steering angle: the governed reference is beside the path, or the wheels turn from it.
+    Steering,
+    /// Its steering rate.
+    SteeringRate,
+    /// Its speed.
+    Speed,
+    /// P, which is far behind.
+    Behind,
+}
+
+impl SlowedBy {
+    /// The word for it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Tyres => "tyres",
+            Self::Steering => "steering",
+            Self::SteeringRate => "steering-rate",
+            Self::Speed => "speed",
+            Self::Behind => "behind",
+        }
+    }
+}
+
+/// The settings of a [`Governor`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GovernorConfig {
+    /// The law, which places P.
+    pub law: FrontPointLaw,
+    /// What the car may do.
+    pub limits: Limits,
+    /// The distance of P behind its reference from which on s slows down, in m; at twice the
+    /// distance it waits.
+    pub behind: f64,
+}
+
+impl GovernorConfig {
+    /// The radius of the circle on which P follows a circle that is smaller, in m. The steering
+    /// angle that it takes leaves some for corrections.
+    #[must_use]
+    pub fn least_radius(&self) -> f64 {
+        let front = self.limits.wheelbase / sin(USABLE * self.limits.max_steering);
+        let p = self.law.point_distance();
+        sqrt(front * front + p * p)
+    }
+}
+
+/// Lets a reference advance as fast as the car can follow, and no tighter than it can steer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Governor {
+    config: GovernorConfig,
+    /// Time of the drive at the last tick, s.
+    time: f64,
+    /// The time of the leader then, s.
+    led: f64,
+    /// How far that is behind the time, s.
+    delay: f64,
+    /// The path parameter at the last tick, s.
+    path: f64,
+    rate: f64,
+    /// The change of the rate in the last tick, s⁻¹.
+    slope: f64,
+    slowed_by: Option<SlowedBy>,
+    leader: Option<Leader>,
+    /// The number of the leader's steps.
+    step: u64,
+    /// Whether the leader has left the reference in this drive.
+    departed: bool,
+    /// The leader's last steps, the newest last.
+    samples: [Sample; STEPS],
+}
+
+const FREE: Sample = Sample {
+    time: f64::NEG_INFINITY,
+    lag: 0.0,
+    beside: None,
+    rate: 1.0,
+    by: None,
+};
+
+impl Governor {
+    /// A governor at the start of a reference.
+    #[must_use]
+    pub const fn new(config: GovernorConfig) -> Self {
+        Self {
+            config,
+            time: 0.0,
+            led: 0.0,
+            delay: 0.0,
+            path: 0.0,
+            rate: 1.0,
+            slope: 0.0,
+            slowed_by: None,
+            leader: None,
+            step: 0,
+            departed: false,
+            samples: [FREE; STEPS],
+        }
+    }
+
+    /// Back to the start of the reference.
+    pub const fn reset(&mut self) {
+        *self = Self::new(self.config);
+    }
+
+    /// The path parameter at `time` (s since the start of the drive), which is not before the
+    /// last tick; the rate stays as it is until the next tick.
+    #[must_use]
+    pub fn path_at(&self, time: f64) -> f64 {
+        self.path_of(self.led_at(time)).max(self.path)
+    }
+
+    /// The rate at which the governed reference advances, 0 to 1: its velocity as a share of the
+    /// one asked for. Beside a bend that is too tight the path parameter advances more slowly.
+    #[must_use]
+    pub const fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// Why the reference is followed more slowly or beside its path, if it is.
+    #[must_use]
+    pub const fn slowed_by(&self) -> Option<SlowedBy> {
+        self.slowed_by
+    }
+
+    /// A tick at `time` (s since the start of the drive) with P at `point`. The path parameter
+    /// advances as was decided in the tick before.
+    pub fn advance(&mut self, time: f64, reference: &Reference, point: &Position) -> f64 {
+        let elapsed = (time - self.time).max(0.0);
+        let led = self.led_at(time);
+        self.delay += elapsed * (1.0 - self.rate);
+        (self.time, self.led) = (time, led);
+        let begins = self.step == 0;
+        self.look(reference);
+        self.path = self.path_of(led).max(self.path);
+        let wanted = self.wanted(reference, point);
+        let change = SLOPE * elapsed;
+        let rate = if begins {
+            wanted.rate
+        } else {
+            wanted.rate.clamp(self.rate - change, self.rate + change)
+        };
+        let rate = rate.clamp(0.0, 1.0);
+        self.slope = if elapsed > 0.0 {
+            (rate - self.rate) / elapsed
+        } else {
+            0.0
+        };
+        self.rate = rate;
+        self.slowed_by = match wanted.by {
+            Some(by) => Some(by),
+            None if self.is_beside() => Some(SlowedBy::Steering),
+            // It is still on its way back.
+            None if rate < 1.0 => self.slowed_by,
+            None => None,
+        };
+        self.path
+    }
+
+    /// The governed reference `ahead` seconds after the last tick.
+    #[must_use]
+    pub fn at(&self, reference: &Reference, ahead: f64) -> ReferencePoint {
+        if self.rate >= 1.0 && self.slope >= 0.0 {
+            return self.led_point(reference, self.led + ahead);
+        }
+        // The rate goes on to change for a moment: that is the acceleration of the reference.
+        const CHANGES: f64 = 0.1;
+        let during = ahead.clamp(-CHANGES, CHANGES);
+        let rate = (self.rate + self.slope * during).clamp(0.0, 1.0);
+        let way = 0.5 * (self.rate + rate) * during + rate * (ahead - during);
+        let ReferencePoint { position, velocity } = self.led_point(reference, self.led + way);
+        ReferencePoint {
+            position,
+            velocity: rate * velocity,
+        }
+    }
+
+    /// The time of the leader at `time`.
+    fn led_at(&self, time: f64) -> f64 {
+        let elapsed = (time - self.time).max(0.0);
+        (time - (self.delay + elapsed * (1.0 - self.rate))).max(self.led)
+    }
+
+    /// The leader's steps before and after a time of it, and the part of the way between them;
+    /// the same step twice at either end of what is known.
+    fn between(&self, led: f64) -> (&Sample, &Sample, f64) {
+        const NEWEST: usize = STEPS - 1;
+        let newest = &self.samples[NEWEST];
+        let known = (self.step.min(STEPS as u64) as usize).saturating_sub(1);
+        let back = floor(led / STEP) - newest.time / STEP;
+        let from_end = rint(-back).clamp(0.0, known as f64) as usize;
+        let before = &self.samples[NEWEST - from_end];
+        let after = self.samples.get(STEPS - from_end).unwrap_or(newest);
+        let part = ((led - before.time) / STEP).clamp(0.0, 1.0);
+        (before, after, part)
+    }
+
+    fn path_of(&self, led: f64) -> f64 {
+        if !self.departed {
+            return led;
+        }
+        let (before, after, part) = self.between(led);
+        led - (before.lag + part * (after.lag - before.lag))
+    }
+
+    /// P of the leader at a time of it.
+    fn led_point(&self, reference: &Reference, led: f64) -> ReferencePoint {
+        if !self.departed {
+            return reference.at(led);
+        }
+        let (before, after, part) = self.between(led);
+        let Some((from, leaves)) = before.beside else {
+            return reference.at(led - before.lag);
+        };
+        let (to, arrives) = match (after.beside, reference.at(after.time - after.lag)) {
+            (Some(beside), _) => beside,
+            (None, here) => (here.position.unwrap_or(from), here.velocity),
+        };
+        if after.time <= before.time {
+            // Beyond what is known it goes straight on.
+            return ReferencePoint {
+                position: Some(from + (led - before.time) * leaves),
+                velocity: leaves,
+            };
+        }
+        let velocity: Velocity = leaves + part * (arrives - leaves);
+        ReferencePoint {
+            position: Some(from + part * (to - from)),
+            velocity,
+        }
+    }
+
+    /// Whether the governed reference is beside its path now.
+    fn is_beside(&self) -> bool {
+        self.departed && self.between(self.led).0.beside.is_some()
+    }
+
+    /// The highest rate now, and why.
+    fn wanted(&self, reference: &Reference, point: &Position) -> Wanted {
+        let mut wanted = Wanted {
+            rate: 1.0,
+            by: None,
+        };
+        for sample in &self.samples {
+            let away = sample.time - self.led;
+            if away < -STEP || sample.rate >= 1.0 {
+                continue;
+            }
+            // From this rate it is reached in time.
+            let rate = sqrt(sample.rate * sample.rate + 2.0 * SLOPE * away.max(0.0));
+            if rate < wanted.rate {
+                let by = sample.by;
+                wanted = Wanted { rate, by };
+            }
+        }
+        let here = self.led_point(reference, self.led);
+        if let Some(position) = here.position {
+            let to_reference = position - point;
+            let away = sqrt(to_reference.norm_squared());
+            let is_behind = to_reference.dot(&here.velocity) >= 0.0;
+            let rate = (2.0 - away / self.config.behind).clamp(0.0, 1.0);
+            if is_behind && rate < wanted.rate {
+                let by = Some(SlowedBy::Behind);
+                wanted = Wanted { rate, by };
+            }
+        }
+        wanted
+    }
+
+    /// Moves the leader on until it is ahead.
+    fn look(&mut self, reference: &Reference) {
+        while (self.step as f64) * STEP <= self.led + AHEAD {
+            let time = self.step as f64 * STEP;
+            if self.leader.is_none() {
+                self.leader = Leader::along(&reference.at(time).velocity);
+            }
+            let sample = match &mut self.leader {
+                Some(leader) => leader.step(time, reference, &self.config),
+                None => Sample { time, ..FREE },
+            };
+            self.departed |= sample.beside.is_some();
+            self.samples.rotate_left(1);
+            self.samples[STEPS - 1] = sample;
+            self.step += 1;
+        }
+    }
+}
+
+/// The highest rate, and what limits it.
+#[derive(Clone, Copy, Debug)]
+struct Wanted {
+    rate: f64,
+    by: Option<SlowedBy>,
+}
