@@ -199,8 +199,7 @@ impl<L: Line> ControlLoop<L> {
         let frame_ns = waiting.ok().and_then(|waiting| {
             let (front, back) = waiting.as_slices();
             let is_its_frame = |observation: &&Observation| {
-                !matches!(observation.state, PoseState::Stale { .. })
-                    && observation.receive_time_ns >= since_ns
+                is_of_frame(observation) && observation.receive_time_ns >= since_ns
             };
             let frame = front.iter().chain(back).find(is_its_frame);
             frame.map(|frame| frame.receive_time_ns)
@@ -337,7 +336,9 @@ impl<L: Line> ControlLoop<L> {
             let _ = self.rings.observations.pop();
         }
         while let Ok(observation) = self.rings.observations.pop() {
-            if let Some(alignment) = &mut self.alignment {
+            if let Some(alignment) = &mut self.alignment
+                && is_of_frame(&observation)
+            {
                 alignment.arrived(observation.receive_time_ns);
             }
             self.controller.observed(&observation);
@@ -496,6 +497,14 @@ impl<L: Line> ControlLoop<L> {
             _ => false,
         }
     }
+}
+
+/// Whether a frame has arrived: not one that is missing.
+const fn is_of_frame(observation: &Observation) -> bool {
+    !matches!(
+        observation.state,
+        PoseState::Stale { .. } | PoseState::NoFrames
+    )
 }
 
 /// Reports a link event. Returns the number of reports that found no room: 0 or 1.

@@ -31,10 +31,11 @@ pub(super) struct TickGrid {
 }
 
 /// Whether a frame may have begun this tick.
-fn is_begun_by_frame(event: &Event, due_ns: u64, window_ns: u64) -> bool {
+fn is_begun_by_frame(event: &Event, due_ns: u64, period_ns: u64) -> bool {
     match event {
-        // It arrived when the tick was due, or before the window opened.
-        Event::Pose(pose) => pose.receive.0 <= due_ns && due_ns < pose.receive.0 + window_ns,
+        // It arrived when the tick was due, or within half a period before the deadline and was
+        // kept waiting: the window was not open, or the tick before had been late.
+        Event::Pose(pose) => (pose.receive.0..=pose.receive.0 + period_ns / 2).contains(&due_ns),
         Event::PoseMissing(missing) => *missing != PoseMissing::Stale,
         _ => false,
     }
@@ -53,7 +54,7 @@ impl Invariant for TickGrid {
         let window_ns = WINDOW_NS.min(period_ns * WINDOW_PART.0 / WINDOW_PART.1);
         let due_ns = tick.scheduled_ns;
         let now_ns = host_ns(observation.now_us);
-        let by_frame = |event| is_begun_by_frame(event, due_ns, window_ns);
+        let by_frame = |event| is_begun_by_frame(event, due_ns, period_ns);
         let latest_ns = if tick.events.iter().any(by_frame) {
             due_ns + window_ns
         } else {
