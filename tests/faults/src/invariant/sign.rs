@@ -94,9 +94,7 @@ impl Invariant for SteeringSign {
 }
 
 /// `gyro-sign`: a car whose gyroscope measures a turn to the other side does not drive on
-/// for half a metre: it is told to stop by then, for this reason or for another one. A wrong
-/// gyroscope costs the poses as well, and without them the car slows down: its way from there is
-/// judged by `stands`, like that of every stop. If it drives on, the way before counts.
+/// for half a metre.
 #[derive(Default)]
 pub(super) struct GyroSign {
     way: Way,
@@ -120,16 +118,14 @@ impl Invariant for GyroSign {
             Event::Board(sample) => Some(sample.inertial?.yaw_rate),
             _ => None,
         });
-        let metres = match tick.output.mode {
-            Mode::Driving => truth.speed * observation.spec.period_s,
-            _ => 0.0,
-        };
         let turns = truth.yaw_rate.abs() > 0.2;
         let contradicted = measured
             .next_back()
             .filter(|_| turns)
             .map(|rate| rate * truth.yaw_rate.signum() < -0.1);
-        let way = self.way.tick(contradicted, metres);
+        let way = self
+            .way
+            .tick(contradicted, truth.speed * observation.spec.period_s);
         if way > CONTRADICTED_M {
             return Err(format!("{way:.2} m driven against the gyroscope"));
         }
