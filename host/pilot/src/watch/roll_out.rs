@@ -196,6 +196,7 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{way} {left}: {found}");
         }
     }
+
     #[test]
     fn the_free_part_begins_anew_while_the_car_comes_nearer_to_the_ramp() {
         // Time (ms), speed, ramp, and the speed from which the part counts.
