@@ -33,12 +33,16 @@ impl Journal for NoJournal {
 }
 
 /// A car that nothing but a hand may move.
-struct Disarmed(VirtualBench);
+struct Disarmed {
+    bench: VirtualBench,
+    /// Ticks that are not observed after an answer: a hand may be faster than the terminal.
+    lost_ticks: u32,
+}
 
 impl Bench for Disarmed {
     fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted> {
         let before = observed.len();
-        self.0.wait(observed)?;
+        self.bench.wait(observed)?;
         for observation in observed.iter().skip(before) {
             if let Observation::Board(board) = observation {
                 assert!(
@@ -55,12 +59,16 @@ impl Bench for Disarmed {
 
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
         assert!(doctor::QUESTIONS.contains(&question.id), "{question:?}");
-        self.0.ask(question)
+        let answer = self.bench.ask(question)?;
+        for _ in 0..self.lost_ticks {
+            self.wait(&mut Vec::new())?;
+        }
+        Ok(answer)
     }
 
     fn show(&mut self, live: &Live<'_>) {
         assert!(live.done.is_finite() && !live.text.is_empty(), "{live:?}");
-        self.0.show(live);
+        self.bench.show(live);
     }
 
     fn arm(&mut self, _: Attendance) -> Result<(), Refused> {
@@ -76,26 +84,34 @@ impl Bench for Disarmed {
     }
 
     fn disarm(&mut self) -> Result<(), Refused> {
-        self.0.disarm()
+        self.bench.disarm()
     }
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {
-        self.0.emergency_stop()
+        self.bench.emergency_stop()
     }
 
     fn configuration(&self) -> &Config {
-        self.0.configuration()
+        self.bench.configuration()
     }
 
     fn change(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<(), Refused> {
-        self.0.change(values)
+        self.bench.change(values)
     }
 }
 
 fn examined(car: &OnboardCar) -> (Vec<Finding>, VirtualBench) {
-    let mut bench = Disarmed(VirtualBench::new(car).unwrap());
-    let findings = run(&doctor::STEPS, &mut bench, &mut NoJournal).unwrap();
-    (findings, bench.0)
+    let (findings, disarmed) = examined_in(&doctor::STEPS, car, 0);
+    (findings, disarmed.bench)
+}
+
+fn examined_in(steps: &[Step], car: &OnboardCar, lost_ticks: u32) -> (Vec<Finding>, Disarmed) {
+    let mut disarmed = Disarmed {
+        bench: VirtualBench::new(car).unwrap(),
+        lost_ticks,
+    };
+    let findings = run(steps, &mut disarmed, &mut NoJournal).unwrap();
+    (findings, disarmed)
 }
 
 fn parameter<'a>(findings: &'a [Finding], name: &str) -> Option<&'a Parameter> {
@@ -119,6 +135,16 @@ fn truths(car: &OnboardCar) -> Vec<(&'static str, f64)> {
         ("body-left", pivot[1]),
         ("camera-latency", simulation.cameras.stamp_bias_ms),
     ]
+}
+
+#[test]
+fn a_reset_that_is_faster_than_the_terminal_is_seen() {
+    for lost_ticks in [0, 1, 2, 5, 10] {
+        let car = OnboardCar::planted(3, None);
+        let (findings, _) = examined_in(&doctor::STEPS[..1], &car, lost_ticks);
+        let board = findings.first().unwrap();
+        assert_eq!(board.verdict, Verdict::Good, "{lost_ticks}: {board:?}");
+    }
 }
 
 #[test]

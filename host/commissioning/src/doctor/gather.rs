@@ -108,12 +108,17 @@ impl Readings {
             .collect()
     }
 
-    /// The longest time between two telemetry records, in s.
+    /// The longest time without a telemetry record that ended with one, in s. It may have begun
+    /// before the first reading: a quick hand is faster than the terminal.
     pub(super) fn longest_silence(&self) -> f64 {
-        self.boards
-            .windows(2)
-            .map(|pair| seconds(pair[0].receive, pair[1].receive))
-            .fold(0.0, f64::max)
+        let mut before = self.ticks.first().map(|tick| tick.time);
+        let mut longest = 0.0_f64;
+        for board in &self.boards {
+            let silence = before.map_or(0.0, |before| seconds(before, board.receive));
+            longest = longest.max(silence);
+            before = Some(board.receive);
+        }
+        longest
     }
 }
 
