@@ -1,5 +1,6 @@
 //! The turn of the car by its gyro, and by the cameras.
 
+use heapless::HistoryBuf;
 use libm::{copysign, fabs};
 
 use super::steps::Step;
@@ -39,28 +40,37 @@ impl Turns {
 
 /// Whether the gyro turns to the other side than the cameras, in every drive: one that has been
 /// remounted since the configuration was proved.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct GyroWatch {
-    turns: Turns,
+    /// The last steps: time (s), turns by cameras and gyro (rad).
+    steps: HistoryBuf<[f64; 3], STEPS>,
     opposite: bool,
 }
 
-/// The time of a span, s, and the turn that is noise in it, rad.
-const SPAN: f64 = 0.1;
-const NOISE: f64 = 0.02;
-/// The turn of a comparison, rad.
-const COMPARED: f64 = 0.06;
+/// The number of steps in which a slow turn is seen.
+const STEPS: usize = 8;
+/// The shortest time of a comparison, s: two steps.
+const SPAN: f64 = 0.09;
+/// The turn of a comparison, rad: cameras that shake see none of this size.
+const COMPARED: f64 = 0.04;
 /// The share of the turn that the gyro must have made to the other side: noise alone makes
 /// none to either.
 const OPPOSITE: f64 = -0.3;
 
 impl GyroWatch {
-    /// A step of a drive.
+    /// A step of a drive. The newest steps in which the cameras see a turn are compared, each
+    /// time anew: those before a fault must not hide those after it.
     pub(crate) fn step(&mut self, step: &Step) {
-        self.turns.step(step, SPAN, NOISE);
-        if self.turns.seen > COMPARED {
-            self.opposite |= self.turns.felt < OPPOSITE * self.turns.seen;
-            self.turns = Turns::default();
+        self.steps.write([step.time, step.turn, step.gyro_turn]);
+        let [mut time, mut turn, mut gyro_turn] = [0.0; 3];
+        for [step_time, step_turn, step_gyro_turn] in self.steps.oldest_ordered().rev() {
+            time += step_time;
+            turn += step_turn;
+            gyro_turn += step_gyro_turn;
+            if time >= SPAN && fabs(turn) > COMPARED {
+                self.opposite |= copysign(1.0, turn) * gyro_turn < OPPOSITE * fabs(turn);
+                break;
+            }
         }
     }
 
@@ -137,6 +147,34 @@ mod tests {
         for gain in [-0.2, 0.0, 0.5, 1.0, 2.0] {
             assert_eq!(found_after(gain), None, "{gain}");
         }
+    }
+
+    #[test]
+    fn a_gyro_that_fails_on_a_bend_is_found_within_a_fifth_of_a_second() {
+        // Nothing in the agreement before it hides the fault, wherever it begins.
+        for before in 0..20 {
+            let mut watch = GyroWatch::default();
+            for _ in 0..before {
+                watch.step(&step(0.05, -0.02, -0.019));
+                assert!(!watch.is_opposite());
+            }
+            // A bias of 1 rad/s, while the bend is entered.
+            let found = [-0.001, -0.02, -0.025, -0.03].map(|turn| {
+                watch.step(&step(0.05, turn, turn + 0.05));
+                watch.is_opposite()
+            });
+            assert!(found[3], "{before}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_slow_turn_is_compared_over_eight_steps() {
+        let mut watch = GyroWatch::default();
+        let found = [-0.006; 8].map(|gyro_turn| {
+            watch.step(&step(0.05, 0.006, gyro_turn));
+            watch.is_opposite()
+        });
+        assert_eq!(found.iter().position(|found| *found), Some(6));
     }
 
     #[test]
