@@ -1,13 +1,11 @@
 //! Limits and hash of a configuration.
 
-mod samples;
-
 use proptest::prelude::*;
 use singletrack_protocol::{
     Configuration, ConfigurationField as Field, EscKind, FailsafeAction, ImuAxes, ImuAxis,
 };
 
-use samples::configuration;
+use crate::samples::configuration;
 
 type Change = fn(&mut Configuration, i32);
 

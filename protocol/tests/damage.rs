@@ -2,14 +2,12 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
-mod samples;
-
 use proptest::prelude::*;
 use singletrack_protocol::{
     DecodeError, Decoder, Frame, FrameError, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost,
 };
 
-use samples::{Either, samples};
+use crate::samples::{Either, samples};
 
 /// Decodes a packet of either direction.
 fn decode(packet: Packet<'_>) -> Option<Either> {

@@ -7,11 +7,9 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
-mod samples;
-
 use singletrack_protocol::{BoardMode, DecodeError, Decoder, Hello, StopCause, ToBoard, ToHost};
 
-use samples::{Either, samples};
+use crate::samples::{Either, samples};
 
 const GOLDEN: [(&str, &str); 12] = [
     ("hello to the board", "03010201090102d4c3b2a1311400"),

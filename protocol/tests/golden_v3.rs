@@ -6,11 +6,9 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
-mod samples;
-
 use singletrack_protocol::{Decoder, Message, ToBoard, ToHost, VERSION};
 
-use samples::{Sample, samples};
+use crate::samples::{Sample, samples};
 
 const GOLDEN: [(&str, &str); 13] = [
     ("hello to the board", "03010301090102d4c3b2a1cc5900"),
@@ -76,7 +74,7 @@ fn every_payload_has_the_length_in_its_message_trait() {
     }
     for Sample { name, message } in samples() {
         let (actual, declared) = match message {
-            samples::Either::ToBoard(message) => match message {
+            crate::samples::Either::ToBoard(message) => match message {
                 ToBoard::Hello(m) => length(&m),
                 ToBoard::Configure(m) => length(&m),
                 ToBoard::Arm(m) => length(&m),
@@ -85,7 +83,7 @@ fn every_payload_has_the_length_in_its_message_trait() {
                 ToBoard::EmergencyStop(m) => length(&m),
                 ToBoard::Jog(m) => length(&m),
             },
-            samples::Either::ToHost(message) => match message {
+            crate::samples::Either::ToHost(message) => match message {
                 ToHost::Hello(m) => length(&m),
                 ToHost::Telemetry(m) => length(&m),
                 ToHost::Status(m) => length(&m),
@@ -100,7 +98,7 @@ fn every_payload_has_the_length_in_its_message_trait() {
 
 #[test]
 fn the_hash_of_a_configuration_is_frozen() {
-    assert_eq!(samples::configuration().hash(), 0x0D12_C500);
+    assert_eq!(crate::samples::configuration().hash(), 0x0D12_C500);
 }
 
 fn hex(bytes: &[u8]) -> String {

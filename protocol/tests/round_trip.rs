@@ -2,12 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 
-mod samples;
-
 use proptest::prelude::*;
 use singletrack_protocol::{Decoder, MAX_FRAME_LENGTH, Packet, ToBoard, ToHost};
 
-use samples::{Either, samples};
+use crate::samples::{Either, samples};
 
 /// Messages with random fields: random payloads of the right length, of which the
 /// accepted ones are used. Enumerations and Booleans are mutated seldom, because

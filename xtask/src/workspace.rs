@@ -64,7 +64,70 @@ pub(crate) fn cargo_here() -> Command {
 
 #[cfg(test)]
 mod tests {
+    use std::{collections::BTreeSet, fs};
+
     use super::*;
+
+    /// The folders below this one that hold a package.
+    fn packages(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in fs::read_dir(folder).unwrap().flatten() {
+            let path = entry.path();
+            let name = entry.file_name();
+            if !path.is_dir() || name == "target" || name.to_string_lossy().starts_with('.') {
+                continue;
+            }
+            if path.join("Cargo.toml").is_file() {
+                found.push(path.clone());
+            }
+            packages(&path, found);
+        }
+    }
+
+    /// The files of its folder `tests` that a package would compile if cargo looked for them.
+    fn test_files(package: &Path) -> BTreeSet<String> {
+        let Ok(entries) = fs::read_dir(package.join("tests")) else {
+            return BTreeSet::new();
+        };
+        entries
+            .flatten()
+            .filter_map(|entry| {
+                let path = entry.path();
+                let is_test = match path.extension() {
+                    Some(extension) => extension == "rs",
+                    None => path.join("main.rs").is_file(),
+                };
+                let name = path.file_stem()?.to_str()?.to_owned();
+                (is_test && name != "main").then_some(name)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_file_of_tests_belongs_to_a_program() {
+        let mut found = Vec::new();
+        packages(&find().unwrap(), &mut found);
+        let mut listed = 0;
+        for package in found {
+            let manifest = fs::read_to_string(package.join("Cargo.toml")).unwrap();
+            if !manifest.contains("autotests = false") {
+                continue;
+            }
+            let main = fs::read_to_string(package.join("tests/main.rs")).unwrap();
+            for name in test_files(&package) {
+                let is_module = main.lines().any(|line| line == format!("mod {name};"));
+                let is_program = manifest
+                    .lines()
+                    .any(|line| line == format!("name = \"{name}\""));
+                assert!(
+                    is_module || is_program,
+                    "{}: tests/{name} is compiled by nobody; add `mod {name};` to tests/main.rs",
+                    package.display()
+                );
+                listed += 1;
+            }
+        }
+        assert!(listed > 80, "{listed}");
+    }
 
     #[test]
     fn the_root_holds_this_package() {

@@ -1,10 +1,8 @@
 //! Servo and ESC pulses while driving.
 
-mod rig;
-
 use singletrack_protocol::BoardMode;
 
-use rig::{MS, NEUTRAL, Rig, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
 #[test]
 fn the_servo_slews_at_the_configured_rate_for_any_poll_rate() {

@@ -1,13 +1,11 @@
 //! Conditions for arming.
 
-mod rig;
-
 use singletrack_protocol::{
     Arm, BoardMode, Configuration, EscCalibration, Hello, RefusalReason, Sequence, StopCause,
     VERSION,
 };
 
-use rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[test]
 fn before_configuration_the_esc_is_neutral_and_the_servo_silent() {

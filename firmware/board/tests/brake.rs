@@ -1,12 +1,10 @@
 //! Brake pulses: only where the ESC brakes, once per drive forward, and never for long.
 
-mod rig;
-
 use singletrack_protocol::{
     BoardMode, Configuration, Drive, EscCalibration, EscKind, FailsafeAction,
 };
 
-use rig::{MS, NEUTRAL, Rig, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
 const BRAKE: u16 = 1_300;
 

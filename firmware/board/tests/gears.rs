@@ -1,10 +1,8 @@
 //! Changes between forward and reverse.
 
-mod rig;
-
 use singletrack_protocol::{BoardMode, Configuration, EscCalibration, FailsafeAction, SpeedLoop};
 
-use rig::{MS, NEUTRAL, Rig, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
 fn with_reverse() -> Configuration {
     let speed = SpeedLoop {

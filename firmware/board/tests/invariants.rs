@@ -1,7 +1,5 @@
 //! Invariants under random bytes, inputs and poll times.
 
-mod rig;
-
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_board::{ImuSample, Outputs};
 use singletrack_protocol::{
@@ -10,7 +8,7 @@ use singletrack_protocol::{
     Sequence, ServoCalibration, SpeedLoop, UNNAMED, VERSION,
 };
 
-use rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[derive(Clone, Debug)]
 enum Step {

@@ -1,13 +1,11 @@
 //! Jogging: bare pulses, their limits, and all their ends.
 
-mod rig;
-
 use singletrack_protocol::{
     BoardMode, Configuration, EscCalibration, EscKind, FailsafeAction, JOG_DRIVE_US, JOG_LIMIT_US,
     JOG_SPEED_MM_S, RefusalReason, StopCause,
 };
 
-use rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
 
 const STRAIGHT: u16 = 1_480;
 

@@ -1,13 +1,11 @@
 //! The kill output, the car's identity, and what the board reports of its health.
 
-mod rig;
-
 use singletrack_board::{Board, ImuHealth, Inputs};
 use singletrack_protocol::{
     BoardMode, Configuration, RefusalReason, ResetCause, StopCause, ToHost,
 };
 
-use rig::{MS, NEUTRAL, Rig, SOFTWARE_VERSION, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, SOFTWARE_VERSION, configuration};
 
 fn with_kill_output() -> Configuration {
     Configuration {

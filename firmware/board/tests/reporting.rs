@@ -1,14 +1,12 @@
 //! Messages to the host.
 
-mod rig;
-
 use singletrack_board::{Board, ImuSample, Inputs};
 use singletrack_protocol::{
     Decoder, Disarm, Hello, ImuState, Request, ResetCause, Sequence, ToBoard, ToHost, UNNAMED,
     UNSOLICITED, VERSION,
 };
 
-use rig::{MS, Rig, SOFTWARE_VERSION, configuration};
+use crate::rig::{MS, Rig, SOFTWARE_VERSION, configuration};
 
 fn hellos(rig: &Rig) -> Vec<Hello> {
     rig.messages

@@ -1,12 +1,10 @@
 //! Stop causes, and the behaviour of a stop.
 
-mod rig;
-
 use singletrack_protocol::{
     BoardMode, Configuration, EscCalibration, EscKind, FailsafeAction, RefusalReason, StopCause,
 };
 
-use rig::{MS, NEUTRAL, Rig, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
 const BRAKE: u16 = 1_300;
 

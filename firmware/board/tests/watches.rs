@@ -1,10 +1,8 @@
 //! The watches over the motor's pulses: a dead sensor, and wheels that turn at neutral.
 
-mod rig;
-
 use singletrack_protocol::{BoardMode, Configuration, EscKind, SpeedLoop, StopCause};
 
-use rig::{MS, NEUTRAL, Rig, configuration};
+use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
 fn with_pulse_distance(pulse_distance_um: u16) -> Configuration {
     Configuration {

@@ -2,14 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod synthetic;
-
+use crate::synthetic::Course;
 use singletrack_analysis::identification::{
     Channel, DriveData, Identification, IdentificationError, Parameter, ServoFrames, Settings,
     Tyres, Values, Warning, cramer_rao, identify, validate,
 };
 use singletrack_control::VehicleParameters;
-use synthetic::Course;
 
 /// Start values far from the true car.
 fn wrong() -> VehicleParameters {

@@ -166,7 +166,7 @@ fn compare(path: &str, expected: &str) {
     assert!(
         found == expected,
         "{path} differs from the declarations, first at {differs:?}; renew it with \
-         SINGLETRACK_RENEW=1 cargo test -p singletrack-core --test config_documents"
+         SINGLETRACK_RENEW=1 cargo test -p singletrack-core --test tests config_documents"
     );
 }
 

@@ -7,9 +7,6 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-#[path = "common/simulated_drive.rs"]
-mod simulated_drive;
-
 use singletrack_control::{Setpoint, Time, Velocity};
 use singletrack_core::{
     Config, ControlRequest, Proofs, Refusal,
@@ -23,7 +20,7 @@ use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{Event, Mode, Pilot, PilotRequest, RealTimeState, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 
-use simulated_drive::{PERIOD_US, SimulatedDrive};
+use crate::simulated_drive::{PERIOD_US, SimulatedDrive};
 
 /// The drive commands in `bytes`.
 fn drives(bytes: &[u8]) -> usize {

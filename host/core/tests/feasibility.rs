@@ -6,10 +6,7 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-#[path = "common/simulated_drive.rs"]
-mod simulated_drive;
-
-use simulated_drive::SimulatedDrive;
+use crate::simulated_drive::SimulatedDrive;
 use singletrack_core::{
     config::{Config, LimitsSection, ReferenceSection, SECTIONS},
     feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},

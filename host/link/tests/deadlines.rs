@@ -2,12 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
-mod common;
-
 use proptest::prelude::*;
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request, Sequence, VERSION};
 
-use common::{Bench, MS, configuration};
+use crate::common::{Bench, MS, configuration};
 
 /// An input, a request, or time that passes.
 #[derive(Clone, Copy, Debug)]

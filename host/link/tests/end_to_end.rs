@@ -2,13 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
-mod common;
-
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
 
-use common::{
+use crate::common::{
     MS, START_NS,
     board::TestBoard,
     configuration, session_config,

@@ -2,15 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
 
-mod common;
-
 use singletrack_link::{Event, LossCause, RestartEvidence, Session, Side, State};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Identity, RefusalReason, Request, ResetCause, Sequence, Status,
     ToBoard, VERSION,
 };
 
-use common::{Bench, MS, START_NS, configuration, session_config, telemetry};
+use crate::common::{Bench, MS, START_NS, configuration, session_config, telemetry};
 
 fn is_hello(message: &ToBoard) -> bool {
     matches!(message, ToBoard::Hello(_))

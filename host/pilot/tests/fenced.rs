@@ -2,14 +2,12 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod bench;
-
 use singletrack_control::{
     Circle, Position, Reference, Velocity, VelocityStep, VelocitySteps, direction,
 };
 use singletrack_pilot::{Fence, Mode, PilotConfig, Reason};
 
-use bench::{Bench, Pose, config};
+use crate::bench::{Bench, Pose, config};
 
 /// The distance of a stop, in m: 0.1 s of reaction, then 1.5 m/s².
 fn stopping_distance(speed: f64) -> f64 {

@@ -6,9 +6,7 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-mod bench;
-
-use bench::{Bench, Pose, config};
+use crate::bench::{Bench, Pose, config};
 use singletrack_control::{
     Circle, DelayedMpc, LqiAxis, LqiConfig, LqiLoop, MpcConfig, OuterLoop as _, Position,
     Reference, TrackingInput, TrackingLoop, Velocity,

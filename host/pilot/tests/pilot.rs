@@ -3,8 +3,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod bench;
-
 use singletrack_control::{
     Circle, External, InertialSample, Limits, PoseSample, Position, ProportionalLoop, Reference,
     Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, TrackingLoop, Trajectory,
@@ -15,7 +13,7 @@ use singletrack_pilot::{
     PilotRequest, Reason, SetpointRefusal, Underway,
 };
 
-use bench::{AT_START, Bench, Pose, TICK_NS, config};
+use crate::bench::{AT_START, Bench, Pose, TICK_NS, config};
 
 #[test]
 fn it_drives_only_after_an_explicit_request() {

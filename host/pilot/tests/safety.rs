@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod bench;
-
 use singletrack_control::{
     Circle, ConvexArea, External, FigureOfEight, OpenLoop, Position, ProportionalLoop, Reference,
     SafetyConfig, SafetyFilter, Setpoint, SpeedDemand, SteeringDemand, TrackingLoop, Velocity,
@@ -13,7 +11,7 @@ use singletrack_pilot::{
     Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason, SupervisorConfig,
 };
 
-use bench::{Bench, config};
+use crate::bench::{Bench, config};
 
 /// Half the width of the geofence, m.
 const HALF: f64 = 2.0;

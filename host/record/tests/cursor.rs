@@ -7,10 +7,10 @@
     reason = "a test may fail"
 )]
 
-mod common;
-
 use proptest::prelude::*;
 use singletrack_record::{Ending, Reader, Recorder, Topic, part_path};
+
+use crate::common;
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]

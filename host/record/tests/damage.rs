@@ -7,12 +7,12 @@
     reason = "a test may fail"
 )]
 
-mod common;
-
 use std::{fs, path::PathBuf};
 
 use proptest::prelude::*;
 use singletrack_record::{Ending, Entry, Reader, RecordError, Recorder, part_path};
+
+use crate::common;
 
 const FLUSHES: u64 = 5;
 const ENTRIES_A_FLUSH: u64 = 20;

@@ -7,8 +7,6 @@
     reason = "a test may fail"
 )]
 
-mod common;
-
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -20,6 +18,8 @@ use singletrack_record::{
     Ending, Entry, Reader, RecordError, Recorder, Recovery, part_path, recover,
 };
 use tempfile::TempDir;
+
+use crate::common;
 
 const FLUSHES: u64 = 4;
 const ENTRIES_A_FLUSH: u64 = 10;

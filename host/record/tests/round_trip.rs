@@ -7,8 +7,6 @@
     reason = "a test may fail"
 )]
 
-mod common;
-
 use std::fs;
 
 use proptest::prelude::*;
@@ -16,6 +14,8 @@ use singletrack_record::{
     Drops, Encoder, Ending, Entry, Reader, RecordError, Recorder, RecorderThread, Topic, Value,
     feed, part_path,
 };
+
+use crate::common;
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]

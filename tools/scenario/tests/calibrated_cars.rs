@@ -6,10 +6,7 @@
 
 use std::collections::BTreeSet;
 
-#[path = "common/calibrated.rs"]
-mod calibrated;
-
-use calibrated::{CalibratedCar, Ended};
+use crate::calibrated::{CalibratedCar, Ended};
 
 const DRIVES: u64 = 36;
 

@@ -1,0 +1,10 @@
+//! The analyses against independent numbers.
+
+mod circle;
+mod eigenvalues;
+mod hopf;
+mod identification;
+mod measured_point;
+mod sampled;
+mod servo;
+mod synthetic;

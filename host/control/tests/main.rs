@@ -1,0 +1,12 @@
+//! Laws, outer loops and models.
+
+mod example;
+mod governor;
+mod laws;
+mod lqi;
+mod mpc;
+mod references;
+mod riccati;
+mod safety_filter;
+mod turn_round;
+mod vehicle_models;

@@ -1,0 +1,14 @@
+//! Configuration and control loop.
+
+mod board_section;
+mod config;
+mod config_documents;
+mod config_mistakes;
+mod control_loop;
+mod diagnosis;
+mod feasibility;
+mod outer_loops;
+mod reasons;
+mod safety_filter;
+#[path = "common/simulated_drive.rs"]
+mod simulated_drive;

@@ -1,0 +1,8 @@
+//! The pilot in virtual time.
+
+mod bench;
+mod fence;
+mod fenced;
+mod outer_loops;
+mod pilot;
+mod safety;

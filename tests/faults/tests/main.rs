@@ -1,0 +1,5 @@
+//! The fault campaign.
+
+mod planted;
+mod schedules;
+mod shards;

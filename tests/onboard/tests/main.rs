@@ -1,0 +1,6 @@
+//! The onboarding of simulated cars.
+
+mod bring_up;
+mod campaign;
+mod doctor;
+mod killed;

@@ -1,0 +1,5 @@
+//! The studies.
+
+mod compare;
+mod limit_cycles;
+mod other_structure;

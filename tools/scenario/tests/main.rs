@@ -1,0 +1,19 @@
+//! Scenarios and the virtual host.
+
+#[path = "common/calibrated.rs"]
+mod calibrated;
+mod calibrated_cars;
+mod car_plant;
+mod fence;
+mod first_metre;
+mod foreign;
+mod frames_begin_ticks;
+mod governor;
+mod host_first;
+mod ideal_plant;
+mod jog;
+mod other_cars;
+mod proofs;
+mod pulse_distance;
+mod taught_path;
+mod tracking;
