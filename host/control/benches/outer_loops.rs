@@ -1,9 +1,6 @@
 //! Cost of a tick of each outer loop.
-//!
-//! Criterion reports the mean. Its percentiles are of batches; those of single ticks, which a
-//! control period must hold, are measured and printed before it. `TICKS` is their number.
 
-use std::{hint::black_box, time::Instant};
+mod ticks;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
@@ -11,6 +8,8 @@ use singletrack_control::{
     LqiLoop, MpcConfig, MpcLoop, OuterLoop, Position, ProportionalLoop, Reference, SafetyConfig,
     SafetyFilter, SafetyInput, Time, TrackingInput, Velocity,
 };
+
+use ticks::measure;
 
 const PERIOD: f64 = 0.01;
 
@@ -85,36 +84,6 @@ impl<L: OuterLoop> Drive<L> {
         self.point += self.applied * PERIOD;
         self.applied
     }
-}
-
-/// Percentiles of single ticks, and the mean by Criterion.
-fn measure(criterion: &mut Criterion, name: &str, mut tick: impl FnMut() -> Velocity) {
-    let mut wanted = std::env::args()
-        .skip(1)
-        .filter(|word| !word.starts_with('-'));
-    if wanted.next().is_some_and(|wanted| !name.contains(&wanted)) {
-        return;
-    }
-    let ticks = std::env::var("TICKS")
-        .ok()
-        .and_then(|ticks| ticks.parse().ok());
-    let mut microseconds: Vec<f64> = (0..ticks.unwrap_or(20_000_u32))
-        .map(|_| {
-            let begin = Instant::now();
-            black_box(tick());
-            begin.elapsed().as_secs_f64() * 1e6
-        })
-        .collect();
-    microseconds.sort_by(f64::total_cmp);
-    let at = |share: f64| microseconds[((microseconds.len() - 1) as f64 * share) as usize];
-    println!(
-        "{name}: p50 {:.2} us, p99 {:.2} us, largest {:.2} us of {} ticks",
-        at(0.5),
-        at(0.99),
-        at(1.0),
-        microseconds.len()
-    );
-    criterion.bench_function(name, |bencher| bencher.iter(|| black_box(tick())));
 }
 
 /// A car in the corner of its area that wants to go out: every candidate is tried.

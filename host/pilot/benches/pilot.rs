@@ -1,126 +1,102 @@
-//! Cost of a control tick: one pose and one board record in, one command out.
+//! Cost of a control tick: one pose and one board record in, one command out, with every outer
+//! loop, and with the compensation of the actuators. The ideal car of the tests is driven.
 
+#[path = "../tests/bench/mod.rs"]
+mod bench;
+#[path = "../../control/benches/ticks/mod.rs"]
+mod ticks;
+
+use bench::{Bench, config};
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
-    Circle, EstimatorConfig, FrontPointLaw, InertialSample, Limits, Motion, PoseSample, Position,
-    ProportionalLoop, Reference, Time, TrackingLoop, VehicleParameters, Velocity,
+    ActuatorModel, Circle, DelayedMpc, FrontPointLaw, LqiAxis, LqiConfig, LqiLoop, Motion,
+    MpcConfig, Position, Reference, TrackingLoop, Velocity,
 };
-use singletrack_pilot::{
-    BoardHealth, BoardSample, BoardState, Compensation, Event, Fence, LinkState, Mode, Pilot,
-    PilotConfig, PilotRequest, RealTimeState, SupervisorConfig, WatchConfig,
-};
+use singletrack_pilot::{Compensation, Mode, PilotConfig};
+use ticks::measure;
 
-const TICK_NS: u64 = 10_000_000;
+const PERIOD: f64 = 0.01;
 
-fn pilot() -> Option<Pilot> {
-    let vehicle = VehicleParameters::paper();
-    Some(Pilot::new(PilotConfig {
-        law: law()?,
-        tracking: TrackingLoop::Proportional(ProportionalLoop {
-            gain: Velocity::new(1.0, 1.0),
-            feed_forward: true,
-        }),
-        reference: Reference::Circle(Circle::new(Position::origin(), 1.0, 0.5).ok()?),
-        governor: None,
-        limits: Limits::paper(),
-        estimator: EstimatorConfig::for_vehicle(&vehicle),
-        supervisor: SupervisorConfig::paper(),
-        // The samples below repeat themselves.
-        watch: WatchConfig {
-            stuck_samples: 0,
-            ..WatchConfig::paper()
-        },
-        fence: Fence::rectangle(Position::origin(), Velocity::new(4.0, 4.0), 0.0).ok()?,
-        braking: 1.5,
-        stop_deceleration: 1.5,
-        compensation: Compensation::off(vehicle),
-        safety: None,
-        period: 0.01,
-    }))
+fn lqi() -> Option<TrackingLoop> {
+    let axis = LqiAxis {
+        lag: 0.0,
+        integral_weight: 1.0,
+        error_weight: 1.0,
+        velocity_weight: 0.0625,
+    };
+    let config = LqiConfig {
+        along: axis,
+        across: axis,
+        integral_limit: 0.3,
+        turn_rate: 1.0,
+        period: PERIOD,
+    };
+    LqiLoop::new(config).ok().map(TrackingLoop::Lqi)
 }
 
-fn law() -> Option<FrontPointLaw> {
-    FrontPointLaw::new(0.1368, 0.35, 0.26).ok()
+fn mpc() -> Option<TrackingLoop> {
+    let config = MpcConfig {
+        lag: 0.0,
+        period: PERIOD,
+        ticks_per_stage: 3,
+        position_weight: 1.0,
+        velocity_weight: 0.02,
+        acceleration_weight: 0.004,
+        max_speed: 1.5,
+        max_acceleration: 2.8,
+        max_deceleration: 2.0,
+        area: None,
+        iterations: 20,
+        disturbance_gain: 0.02,
+    };
+    DelayedMpc::new(config, 0.0).ok().map(TrackingLoop::Mpc)
 }
 
-/// Telemetry and a pose of a standing car.
-fn events(tick: u64, state: BoardState) -> [Event; 2] {
-    let now = Time(tick * TICK_NS);
-    [
-        Event::Board(BoardSample {
-            time: now.before(0.004),
-            inertial: Some(InertialSample {
-                time: now.before(0.005),
-                yaw_rate: 0.0,
-                forward_acceleration: 0.0,
-                left_acceleration: 0.0,
-            }),
-            motor_speed: 0.0,
-            state,
-        }),
-        Event::Pose(PoseSample {
-            capture: now.before(0.010),
-            receive: now.before(0.002),
-            frame: 0,
-            position: Position::new(0.5, 0.5),
-            yaw: 0.1,
-        }),
-    ]
+/// A drive along a circle that goes on for as long as it is measured.
+fn drive(tracking: TrackingLoop, compensation: Compensation) -> Option<Bench> {
+    let mut bench = Bench::with(PilotConfig {
+        tracking,
+        compensation,
+        reference: Reference::Circle(Circle::new(Position::new(0.48, 1.5), 1.5, 0.4).ok()?),
+        ..config()
+    });
+    bench.drive();
+    Some(bench)
 }
 
 fn control_tick(criterion: &mut Criterion) {
-    let Some(mut pilot) = pilot() else { return };
-    let mut tick = 100;
-    pilot.step(
-        Time(tick * TICK_NS),
-        &[
-            Event::RealTime(RealTimeState {
-                fifo: true,
-                memory_locked: true,
-            }),
-            Event::Link(LinkState::Ready),
-            Event::Health(BoardHealth {
-                battery_mv: 7_400,
-                stop_input_open: false,
-                battery_open: false,
-                imu_fault: false,
-            }),
-        ],
-    );
-    let mut step = |state, request: Option<PilotRequest>| {
-        tick += 1;
-        let [board, pose] = events(tick, state);
-        // The board reports its status every 0.2 s; without it the supervisor stops the car.
-        let health = Event::Health(BoardHealth {
-            battery_mv: 7_400,
-            stop_input_open: false,
-            battery_open: false,
-            imu_fault: false,
-        });
-        match request {
-            Some(request) => pilot.step(
-                Time(tick * TICK_NS),
-                &[board, pose, health, Event::Request(request)],
-            ),
-            None => pilot.step(Time(tick * TICK_NS), &[board, pose, health]),
-        }
+    let off = config().compensation;
+    let on = Compensation {
+        actuation: Some(ActuatorModel {
+            steering_dead_time: 0.018,
+            steering_lag: 0.04,
+            speed_dead_time: 0.036,
+            speed_lag: 0.08,
+        }),
+        ..off
     };
-    for _ in 0..200 {
-        step(BoardState::Neutral, None);
+    for (name, tracking) in [
+        ("pilot, proportional", Some(config().tracking)),
+        ("pilot, lqi", lqi()),
+        ("pilot, mpc", mpc()),
+    ] {
+        for (compensates, compensation) in [("", off), (", compensated", on)] {
+            let driven = tracking
+                .clone()
+                .and_then(|tracking| drive(tracking, compensation));
+            let Some(mut bench) = driven else { continue };
+            measure(criterion, &format!("{name}{compensates}"), || {
+                let output = bench.step();
+                assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+            });
+        }
     }
-    step(BoardState::Neutral, Some(PilotRequest::Arm));
-    let output = step(BoardState::Armed, None);
-    assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
-    criterion.bench_function(
-        "pilot step, driving, one pose and one board record",
-        |bencher| {
-            bencher.iter(|| step(BoardState::Driving, None));
-        },
-    );
 }
 
 fn law_alone(criterion: &mut Criterion) {
-    let Some(law) = law() else { return };
+    let Ok(law) = FrontPointLaw::new(0.1368, 0.35, 0.26) else {
+        return;
+    };
     let motion = Motion {
         yaw: 0.3,
         yaw_rate: 0.5,
