@@ -55,7 +55,7 @@ pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimate::Estimate;
 pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
-pub use governor::{Governor, GovernorConfig, SlowedBy};
+pub use governor::{Governor, GovernorConfig, Room, SlowedBy};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,

@@ -15,6 +15,7 @@ fn governor_config() -> GovernorConfig {
         law: FrontPointLaw::new(0.1368, 0.35, 0.26).unwrap(),
         limits: Limits::paper().with_tyres(&VehicleParameters::paper()),
         behind: 0.5,
+        room: None,
     }
 }
 
@@ -133,6 +134,7 @@ fn each_limit_slows_a_reference_down_with_its_word() {
         },
         law: FrontPointLaw::new(0.1368, 0.1, 0.26).unwrap(),
         behind: 0.5,
+        room: None,
     };
     let reference = eight(1.5, 0.75, 0.7);
     let mut governor = Governor::new(quick);

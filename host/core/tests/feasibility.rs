@@ -360,6 +360,53 @@ fn a_governor_does_not_make_up_for_a_fence_or_for_a_loop_that_lags() {
     assert_eq!(last.severity, Severity::Impossible);
 }
 
+#[test]
+fn a_governed_path_may_lead_to_the_geofence_but_not_out_of_it() {
+    let mut config = own();
+    config.governor.enabled = true;
+    config.outer_loop =
+        toml::from_str("kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = true")
+            .unwrap();
+    config.reference = toml::from_str(
+        "kind = \"path\"
+        points = [[0.0, 0.0], [1.2, 0.0], [2.4, 0.0], [3.2, 0.7], [2.4, 1.6], [1.2, 1.8]]
+        speed_m_s = 1.0",
+    )
+    .unwrap();
+    let mut judged = |to_x: f64| {
+        config.fence.corners_m = vec![[-2.0, -2.0], [to_x, -2.0], [to_x, 4.0], [-2.0, 4.0]];
+        found(&config)
+    };
+    // The car is half a metre behind P.
+    let near = judged(3.32);
+    assert!(near.is_possible(), "{near:?}");
+    let out = judged(2.9);
+    assert!(!out.is_possible());
+    let [finding] = out.findings.as_slice() else {
+        panic!("{out:?}");
+    };
+    assert_eq!(finding.key, "fence.corners_m");
+    assert!(finding.to_string().contains("it waits there for ever"));
+}
+
+#[test]
+fn a_governor_needs_a_convex_geofence_with_room_inside() {
+    let mut config = own();
+    config.governor.enabled = true;
+    config.fence.margin_m = Some(0.98);
+    let refused = config.pilot().unwrap_err().to_string();
+    assert!(
+        refused.contains("the governor keeps 3 cm more"),
+        "{refused}"
+    );
+    config.fence.margin_m = None;
+    config.fence.corners_m = vec![[0.0, 0.0], [4.0, 0.0], [1.0, 1.0], [0.0, 4.0]];
+    let refused = config.pilot().unwrap_err().to_string();
+    assert!(refused.contains("governor.enabled = false"), "{refused}");
+    config.governor.enabled = false;
+    assert!(config.pilot().is_ok());
+}
+
 /// Straight on along x with 0.5 m/s.
 fn straight(seconds: f64) -> Config {
     let text = EXAMPLE.replacen("\nkind = \"proportional\"\n", "\nkind = \"open-loop\"\n", 1);

@@ -5,6 +5,7 @@
 use std::{fs, path::Path};
 
 use singletrack_control::SlowedBy;
+use singletrack_pilot::Reason;
 use singletrack_record::Entry;
 use singletrack_scenario::simulate::{Row, Scenario, drive_entries, simulate};
 
@@ -121,4 +122,48 @@ fn a_circle_that_is_too_tight_is_gone_round_on_the_smallest_that_can_be_steered(
         // It starts from rest, and comes to the wider circle.
         assert!(farthest(&rows, 6.0) < 0.05, "{}", farthest(&rows, 6.0));
     }
+}
+
+/// The reasons of a scenario's ticks in turn, why its governor slowed it, and how far it came.
+fn reasons(text: &str) -> (Vec<Reason>, Vec<SlowedBy>, f64) {
+    let (mut reasons, mut slowed, mut path) = (Vec::new(), Vec::new(), 0.0);
+    drive_entries(&scenario(text), &mut |entry| {
+        if let Entry::Tick(tick) = entry {
+            reasons.extend(tick.output.reason);
+            slowed.extend(tick.output.slowed_by);
+            path = tick.output.path.unwrap_or(path);
+        }
+    })
+    .unwrap();
+    reasons.dedup();
+    (reasons, slowed, path)
+}
+
+#[test]
+fn a_path_to_a_wall_is_slowed_so_far_that_the_car_could_stop() {
+    let wall = text("governor/wall");
+    let (governed, slowed, path) = reasons(&wall);
+    assert!(!governed.contains(&Reason::OutsideFence), "{governed:?}");
+    let by_fence = slowed
+        .iter()
+        .filter(|by| **by == SlowedBy::Geofence)
+        .count();
+    assert!(by_fence > 100, "{by_fence}");
+    assert!(path > 18.0, "{path}");
+    let (plain, ..) = reasons(&wall.replace("enabled = true", "enabled = false"));
+    assert!(plain.contains(&Reason::OutsideFence), "{plain:?}");
+}
+
+#[test]
+fn a_path_out_of_the_geofence_is_followed_to_its_edge_where_the_car_waits() {
+    const EDGE: f64 = 3.2 - 0.2;
+    let out = text("governor/wall").replace("3.4", "3.2");
+    let (reasons, slowed, path) = reasons(&out);
+    assert!(!reasons.contains(&Reason::OutsideFence), "{reasons:?}");
+    assert_eq!(slowed.last(), Some(&SlowedBy::Geofence));
+    assert!((3.5..4.0).contains(&path), "{path}");
+    let rows = rows(&out);
+    let farthest = rows.iter().map(|row| row.x_g).fold(0.0, f64::max);
+    assert!((EDGE - 0.1..EDGE).contains(&farthest), "{farthest}");
+    assert!(rows.last().unwrap().speed.abs() < 0.01);
 }

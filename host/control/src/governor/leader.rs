@@ -107,7 +107,7 @@ impl Leader {
             let reverses = motion.axle < -BACKWARD * speed;
             let is_steered = fabs(moved.steering()) <= ROUNDING * config.limits.max_steering;
             if is_steered && (!reverses || config.limits.max_reverse_speed > 0.0) {
-                let (rate, by) = self.takes(&motion, speed, config);
+                let (rate, by) = self.takes(&motion, speed, here.position, config);
                 *self = Self {
                     axle_share: motion.axle / speed,
                     ..moved
@@ -122,7 +122,7 @@ impl Leader {
         let wanted = self.heads_for(reference, path, &here, &point, config);
         let motion = self.steered(&wanted, config);
         let velocity = self.point_velocity(&motion, config);
-        let (rate, by) = self.takes(&motion, speed, config);
+        let (rate, by) = self.takes(&motion, speed, Some(point), config);
         let sample = Sample {
             beside: Some((point, velocity)),
             rate,
@@ -194,11 +194,13 @@ impl Leader {
         motion.axle * self.wheels + across * left(&self.wheels)
     }
 
-    /// The highest rate of this motion with P at most at `speed`, and what limits it.
+    /// The highest rate of this motion with P at `point` and at most at `speed`, and what limits
+    /// it.
     fn takes(
         &self,
         motion: &Motion,
         speed: f64,
+        point: Option<Position>,
         config: &GovernorConfig,
     ) -> (f64, Option<SlowedBy>) {
         let limits = &config.limits;
@@ -226,6 +228,18 @@ impl Leader {
             sqrt(USABLE * limits.max_acceleration / change),
             SlowedBy::Steering,
         );
+        if let (Some(room), Some(point)) = (&config.room, point) {
+            let front = config.law.front_axle_distance();
+            let centre = point - config.law.point_distance() * self.wheels - front * self.body;
+            let rear_to_centre = limits.wheelbase - front;
+            let across = rear_to_centre * motion.body_turn;
+            let velocity = rear * self.body + across * left(&self.body);
+            let pace = sqrt(velocity.norm_squared());
+            if pace > 0.0 {
+                let stops = room.speed(&centre, &velocity, motion.body_turn);
+                allows(stops / pace, SlowedBy::Geofence);
+            }
+        }
         most
     }
 

@@ -5,14 +5,17 @@
 //! rolls without slip, moves along it ahead of s. Its P is the governed reference: on the path
 //! while the wheels can be steered for that, and beside it otherwise. The leader tells which
 //! speed, lateral acceleration, steering rate and acceleration this takes; the governor lets it
-//! advance with a rate between 0 and 1, slower than time where the car could not follow. All that
-//! depends on the reference alone, so a reference that the car can follow is passed on as it is,
+//! advance with a rate between 0 and 1, slower than time where the car could not follow, or could
+//! not stop inside the geofence. All that depends on the reference alone, so a reference that the car can follow is passed on as it is,
 //! to the bit.
 
 mod bend;
 mod leader;
+mod room;
 
 use libm::{floor, rint, sin, sqrt};
+
+pub use self::room::Room;
 
 use self::leader::{Leader, STEP, Sample};
 use crate::{FrontPointLaw, Limits, Position, Reference, ReferencePoint, Velocity};
@@ -40,6 +43,8 @@ pub enum SlowedBy {
     Speed,
     /// P, which is far behind.
     Behind,
+    /// The geofence, inside which the car must be able to stop.
+    Geofence,
 }
 
 impl SlowedBy {
@@ -52,12 +57,13 @@ impl SlowedBy {
             Self::SteeringRate => "steering-rate",
             Self::Speed => "speed",
             Self::Behind => "behind",
+            Self::Geofence => "geofence",
         }
     }
 }
 
 /// The settings of a [`Governor`].
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct GovernorConfig {
     /// The law, which places P.
     pub law: FrontPointLaw,
@@ -66,6 +72,8 @@ pub struct GovernorConfig {
     /// The distance of P behind its reference from which on s slows down, in m; at twice the
     /// distance it waits.
     pub behind: f64,
+    /// Where the car must be able to stop; none if that is everywhere.
+    pub room: Option<Room>,
 }
 
 impl GovernorConfig {
@@ -133,8 +141,8 @@ impl Governor {
     }
 
     /// Back to the start of the reference.
-    pub const fn reset(&mut self) {
-        *self = Self::new(self.config);
+    pub fn reset(&mut self) {
+        *self = Self::new(self.config.clone());
     }
 
     /// The path parameter at `time` (s since the start of the drive), which is not before the

@@ -1,6 +1,6 @@
 //! `[fence]`: where the car may be.
 
-use singletrack_control::{Position, VehicleParameters};
+use singletrack_control::{ConvexArea, Position, VehicleParameters};
 use singletrack_pilot::Fence;
 
 use super::{ConfigError, section::section};
@@ -67,5 +67,31 @@ impl FenceSection {
             .map(|&[x, y]| Position::new(x, y))
             .collect();
         Ok(Fence::new(&corners, self.margin_m(vehicle))?)
+    }
+
+    /// The area of the centre of mass, for a section that needs a convex one.
+    ///
+    /// # Errors
+    ///
+    /// As for [`FenceSection::fence`]; the polygon is not convex, or nothing is left of it.
+    pub(super) fn convex(
+        &self,
+        vehicle: &VehicleParameters,
+        section: &str,
+    ) -> Result<ConvexArea, ConfigError> {
+        let fence = self.fence(vehicle)?;
+        let margin = self.margin_m(vehicle);
+        let area = ConvexArea::new(fence.corners()).map_err(|error| {
+            let corners = format!("{:?}", self.corners_m);
+            let fix = format!(
+                "{error}, and {section} needs a convex polygon; give its largest convex part, or \
+                 set {section}.enabled = false"
+            );
+            ConfigError::value("fence.corners_m", corners, fix)
+        })?;
+        area.shrunk(margin).map_err(|error| {
+            let fix = format!("{error}; lower it, or give a larger fence.corners_m");
+            ConfigError::value("fence.margin_m", margin, fix)
+        })
     }
 }

@@ -1,13 +1,13 @@
 //! `[governor]`: makes the reference slower or wider where the car cannot follow it.
 
-use singletrack_control::{FrontPointLaw, GovernorConfig, Limits};
+use singletrack_control::{FrontPointLaw, GovernorConfig, Limits, Room};
 
-use super::section::section;
+use super::{Config, ConfigError, section::section};
 
 section! {
     /// Makes the reference slower or wider where the car cannot follow it, by the limits of
-    /// `[limits]`, and slower where P is far behind. A reference that the car can follow is not
-    /// changed.
+    /// `[limits]`, and slower where P is far behind or the car could not stop inside the geofence,
+    /// which must be convex. A reference that the car can follow is not changed.
     "governor" => pub GovernorSection: Copy;
     [default];
 
@@ -19,12 +19,40 @@ section! {
     behind_m: f64 = 0.5, in 0.05..=10.0;
 }
 
+/// The time before a stop begins, s: the reaction of the geofence's watch, the age of a pose, and
+/// the lag of the car behind its reference.
+const REACTION_S: f64 = 0.2;
+
 impl GovernorSection {
-    pub(super) fn config(&self, law: FrontPointLaw, limits: Limits) -> Option<GovernorConfig> {
-        self.enabled.then_some(GovernorConfig {
+    /// For the controller of this car; none if it is not enabled.
+    ///
+    /// # Errors
+    ///
+    /// The geofence is not convex, or nothing is left of it.
+    pub(super) fn config(
+        &self,
+        config: &Config,
+        law: FrontPointLaw,
+        limits: Limits,
+    ) -> Result<Option<GovernorConfig>, ConfigError> {
+        if !self.enabled {
+            return Ok(None);
+        }
+        let area = config.fence.convex(&config.vehicle, "governor")?;
+        let braking = config.fence.braking_m_s2;
+        let room = Room::new(&area, braking, REACTION_S).ok_or_else(|| {
+            ConfigError::value(
+                "fence.margin_m",
+                config.fence.margin_m(&config.vehicle),
+                "the governor keeps 3 cm more, and nothing is left; lower it, give a larger \
+                 fence.corners_m, or set governor.enabled = false",
+            )
+        })?;
+        Ok(Some(GovernorConfig {
             law,
             limits,
             behind: self.behind_m,
-        })
+            room: Some(room),
+        }))
     }
 }

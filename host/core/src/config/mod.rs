@@ -246,7 +246,7 @@ impl Config {
             law,
             tracking,
             reference,
-            governor: self.governor.config(law, limits),
+            governor: self.governor.config(self, law, limits)?,
             limits,
             estimator: self.estimator.config(
                 &self.vehicle,

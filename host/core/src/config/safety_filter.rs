@@ -1,6 +1,6 @@
 //! `[safety_filter]`: the filter between any outer loop and the law.
 
-use singletrack_control::{ConvexArea, GRAVITY, MAX_STEERING_TICKS, SafetyConfig, SafetyFilter};
+use singletrack_control::{GRAVITY, MAX_STEERING_TICKS, SafetyConfig, SafetyFilter};
 
 use super::{Config, ConfigError, section::section};
 
@@ -45,20 +45,7 @@ impl SafetyFilterSection {
         if !self.enabled {
             return Ok(None);
         }
-        let fence = config.fence.fence(&config.vehicle)?;
-        let margin = config.fence.margin_m(&config.vehicle);
-        let area = ConvexArea::new(fence.corners()).map_err(|error| {
-            let corners = format!("{:?}", config.fence.corners_m);
-            let fix = format!(
-                "{error}, and safety_filter needs a convex polygon; give its largest convex part, \
-                 or set safety_filter.enabled = false"
-            );
-            ConfigError::value("fence.corners_m", corners, fix)
-        })?;
-        let area = area.shrunk(margin).map_err(|error| {
-            let fix = format!("{error}; lower it, or give a larger fence.corners_m");
-            ConfigError::value("fence.margin_m", margin, fix)
-        })?;
+        let area = config.fence.convex(&config.vehicle, "safety_filter")?;
         let actuators = &config.actuators;
         let settled_ms =
             actuators.steering_dead_time_ms + SETTLED * actuators.steering_lag_ms + LINE_MS;

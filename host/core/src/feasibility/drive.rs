@@ -18,12 +18,16 @@ const CHECKS: u8 = 2;
 /// A governed reference that takes this many times its time does not come to its end.
 const LONGER: f64 = 10.0;
 
+/// A governed reference with a lower rate stands.
+const STANDS: f64 = 1e-3;
+
 /// Why the governor may change a reference: not because the car starts beside it.
-const REASONS: [SlowedBy; 4] = [
+const REASONS: [SlowedBy; 5] = [
     SlowedBy::Tyres,
     SlowedBy::Steering,
     SlowedBy::SteeringRate,
     SlowedBy::Speed,
+    SlowedBy::Geofence,
 ];
 
 /// The gain of the loop that is judged in the place of a predictive one, per second.
@@ -96,6 +100,8 @@ pub(super) struct Governed {
     pub(super) beside: f64,
     /// Whether it comes to its end, if it has one.
     pub(super) ends: bool,
+    /// Whether it waits at the geofence, out of which the reference leads.
+    pub(super) waits: bool,
 }
 
 /// What a period wanted and got.
@@ -167,6 +173,9 @@ impl<'a> Car<'a> {
             }
         }
         let most = counts.iter().zip(REASONS).max_by_key(|(count, _)| **count);
+        let waits = self.governor.as_ref().is_some_and(|governor| {
+            governor.slowed_by() == Some(SlowedBy::Geofence) && governor.rate() < STANDS
+        });
         Governed {
             by: most
                 .filter(|(count, _)| **count > 0)
@@ -174,6 +183,7 @@ impl<'a> Car<'a> {
             longer: self.time / self.place(),
             beside,
             ends: self.place() >= until || self.reference.duration().is_none(),
+            waits,
         }
     }
 

@@ -146,9 +146,12 @@ pub fn judge_reference(
     if matches!(config.reference, ReferenceSection::External { .. }) {
         return Ok(judgement);
     }
-    let governor = pilot.governor.filter(|_| pilot.governor().is_some());
+    let governor = pilot
+        .governor
+        .as_ref()
+        .filter(|_| pilot.governor().is_some());
     let governed =
-        governor.and_then(|governor| judge_governed(&pilot, &governor, &config.vehicle, findings));
+        governor.and_then(|governor| judge_governed(&pilot, governor, &config.vehicle, findings));
     if let ReferenceSection::Circle {
         radius_m,
         angular_velocity_rad_s,
@@ -267,6 +270,7 @@ fn judge_governed(
         longer,
         beside,
         ends,
+        waits,
     } = governed;
     if let Some(by) = by {
         let wide = if beside > BESIDE_M {
@@ -278,6 +282,23 @@ fn judge_governed(
         } else {
             String::new()
         };
+        if waits {
+            let corners: Vec<_> = pilot
+                .fence
+                .corners()
+                .iter()
+                .map(|at| [at.x, at.y])
+                .collect();
+            findings.push(Finding {
+                severity: Severity::Impossible,
+                key: "fence.corners_m",
+                value: format!("{corners:?}"),
+                fix: "the reference leads out of it, and governed it waits there for ever; widen \
+                      the fence, or give a reference that stays inside"
+                    .to_owned(),
+            });
+            return Some(governed);
+        }
         let (severity, fix) = if ends {
             let fix = format!(
                 "the reference asks too much ({}): governed it takes {longer:.1} times as \

@@ -56,9 +56,9 @@ impl PilotConfig {
     /// of which P does not have a position at every time.
     #[must_use]
     pub fn governor(&self) -> Option<Governor> {
-        let governor = self.governor?;
+        let governor = self.governor.as_ref()?;
         let is_path = self.reference.at(0.0).position.is_some();
-        is_path.then(|| Governor::new(governor))
+        is_path.then(|| Governor::new(governor.clone()))
     }
 }
 

@@ -335,6 +335,7 @@ codes! {
         SteeringRate = 3,
         Speed = 4,
         Behind = 5,
+        Geofence = 6,
     }
     PoseMissing as "POSE_MISSING" {
         Untracked = 1,
