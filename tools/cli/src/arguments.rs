@@ -1,13 +1,11 @@
 //! What all options of the command line have in common.
 
-use std::{any::TypeId, time::Duration};
+use std::{any::TypeId, path::PathBuf, time::Duration};
 
 use clap::{Arg, Command};
 use singletrack_sim::parse_duration_us;
 
-use crate::dump::Moment;
-
-/// Lets the options that take a number, a duration or a time take a negative one, in all
+/// Lets the options that take numbers, durations or times take negative ones, in all
 /// subcommands: their own check then refuses it by the name of the option and with the value,
 /// where the parser would see an unknown option.
 #[must_use]
@@ -37,23 +35,19 @@ pub fn parse_duration(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_micros(micros))
 }
 
-/// Whether it is an option that must have a number, a duration or a time.
+/// Whether it is an option that must have a value which is no name: not of a file, of a thing, or
+/// of one of a few.
+#[must_use]
 pub fn takes_number(argument: &Arg) -> bool {
-    // Of an optional number, the next option would be taken for it.
+    // Of an optional value, the next option would be taken for it.
     let is_optional = argument
         .get_num_args()
         .is_some_and(|range| range.min_values() == 0);
-    let parser = argument.get_value_parser().type_id();
-    let numbers = [
-        TypeId::of::<u16>(),
-        TypeId::of::<u32>(),
-        TypeId::of::<u64>(),
-        TypeId::of::<usize>(),
-        TypeId::of::<f64>(),
-        TypeId::of::<Duration>(),
-        TypeId::of::<Moment>(),
-    ];
-    !argument.is_positional() && !is_optional && numbers.iter().any(|number| parser == *number)
+    let parser = argument.get_value_parser();
+    let names = [TypeId::of::<PathBuf>(), TypeId::of::<String>()];
+    let is_name =
+        parser.possible_values().is_some() || names.iter().any(|name| parser.type_id() == *name);
+    argument.get_action().takes_values() && !argument.is_positional() && !is_optional && !is_name
 }
 
 #[cfg(test)]

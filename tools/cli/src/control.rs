@@ -1,12 +1,16 @@
 //! `singletrack disarm|stop`: requests to the running daemon.
 
 use std::{
+    ffi::OsString,
     io::{self, Write},
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
 };
 
-use clap::Args;
+use clap::{
+    Args,
+    builder::{OsStringValueParser, TypedValueParser as _},
+};
 use serde_json::{Value, json};
 use singletrack_client::{ClientError, SOCKET_VERSION};
 use singletrack_core::config::SocketSection;
@@ -26,9 +30,18 @@ pub struct ControlArgs {
         value_name = "PATH",
         env = SOCKET_VARIABLE,
         hide_env_values = true,
+        value_parser = OsStringValueParser::new().try_map(socket),
         default_value_os_t = SocketSection::default().path
     )]
     pub(crate) socket: PathBuf,
+}
+
+/// A path from the command line or the environment.
+fn socket(path: OsString) -> Result<PathBuf, String> {
+    if path.is_empty() {
+        return Err(format!("give a path, or unset {SOCKET_VARIABLE}"));
+    }
+    Ok(path.into())
 }
 
 /// A request to the daemon.

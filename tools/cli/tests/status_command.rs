@@ -104,7 +104,7 @@ fn a_person_gets_one_line_with_the_reason_and_what_to_do() {
     let printed = text(&output.stdout);
     assert_eq!(printed.lines().count(), 1, "{printed}");
     assert!(
-        printed.starts_with("idle: The battery is below"),
+        printed.starts_with("idle: the battery is below"),
         "{printed}"
     );
     for part in [
@@ -147,6 +147,9 @@ fn the_socket_may_come_from_the_environment_and_the_option_wins() {
     let output = run(nowhere, &[]);
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("/nowhere/control.sock"));
+    let output = run(Path::new(""), &[]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("unset SINGLETRACK_SOCKET"));
 }
 
 #[test]

@@ -26,7 +26,8 @@ impl fmt::Display for Span {
         let seconds = |ns: i64| ns as f64 / 1e9;
         let wall = |ns: i64| {
             let start_ns = i64::try_from(self.start_wall_ns).unwrap_or(i64::MAX);
-            Moment::WallNs(start_ns.saturating_add(ns))
+            // To a millisecond, as the seconds.
+            Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000)
         };
         let Self {
             first_ns, last_ns, ..

@@ -45,15 +45,24 @@ impl Entry {
             let advice = plain(columns.nth(1)?);
             Some(Self {
                 meaning,
-                advice: (advice != "Nothing.").then_some(advice),
+                advice: (!advice.starts_with("Nothing")).then_some(advice),
             })
         })
     }
 
-    /// The first sentence of the meaning, without its full stop.
-    pub(super) fn brief(&self) -> &str {
+    /// The first sentence of the meaning, as a part of another one.
+    pub(super) fn brief(&self) -> String {
         let first = self.meaning.split(". ").next().unwrap_or_default();
-        first.trim_end_matches('.')
+        let mut letters = first.trim_end_matches('.').chars();
+        let Some(initial) = letters.next() else {
+            return String::new();
+        };
+        let rest = letters.as_str();
+        if rest.starts_with(char::is_uppercase) {
+            // IMU
+            return format!("{initial}{rest}");
+        }
+        format!("{}{rest}", initial.to_lowercase())
     }
 }
 
@@ -109,6 +118,18 @@ mod tests {
         assert_eq!(Entry::find(Source::Host, "asleep"), None);
         assert_eq!(Entry::find(Source::Host, ""), None);
         assert_eq!(Entry::find(Source::BoardStop, "no-pose"), None);
+    }
+
+    #[test]
+    fn a_meaning_goes_on_in_a_sentence_and_a_name_keeps_its_capitals() {
+        let brief = |word| Entry::find(Source::Host, word).map(|entry| entry.brief());
+        assert_eq!(brief("no-pose").as_deref(), Some("no pose yet"));
+        let tilt = brief("tilt-differs").unwrap_or_default();
+        assert!(tilt.starts_with("IMU and cameras"), "{tilt}");
+        assert_eq!(
+            Entry::find(Source::Host, "time-up").and_then(|entry| entry.advice),
+            None
+        );
     }
 
     #[test]

@@ -178,6 +178,9 @@ impl Summary {
             });
         };
         let mut text = format!("{} ({word})", entry.brief());
+        if self.mode == "ready" {
+            text.insert_str(0, "the last drive ended, ");
+        }
         let mut advice = entry.advice;
         if let Some((cause, stop)) = self
             .stop_cause
@@ -242,7 +245,13 @@ fn pair(value: Option<&Value>) -> Option<[f64; 2]> {
 fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {
     value.map_or_else(
         || "unknown".to_owned(),
-        |value| format!("{value:.digits$} {unit}"),
+        |value| {
+            let text = format!("{value:.digits$}");
+            // Noise around zero is not reverse.
+            let is_zero = !text.contains(|digit| matches!(digit, '1'..='9'));
+            let text = text.strip_prefix('-').filter(|_| is_zero).unwrap_or(&text);
+            format!("{text} {unit}")
+        },
     )
 }
 
@@ -297,7 +306,7 @@ mod tests {
     fn a_car_that_stands_says_why_it_is_not_armed_and_what_to_do() {
         assert_eq!(
             Summary::of(&standing()).line(),
-            "idle: No pose yet (no-pose); pose none, battery 7.41 V, link ready, speed unknown. \
+            "idle: no pose yet (no-pose); pose none, battery 7.41 V, link ready, speed unknown. \
              To do: Start streaming; check motion_capture.server and rigid_body; look at the \
              camera messages in the log."
         );
@@ -326,7 +335,7 @@ mod tests {
         let line = Summary::of(&status).line();
         assert!(
             line.starts_with(
-                "fault: The board stopped the car by itself (board-failsafe): No motor pulse"
+                "fault: the board stopped the car by itself (board-failsafe): no motor pulse"
             ),
             "{line}"
         );
@@ -361,6 +370,23 @@ mod tests {
         // A state has no battery; the answer to a later question has no newer pose.
         summary.take_status(&standing());
         assert!(summary.line().contains("pose 12 ms old"));
+    }
+
+    #[test]
+    fn a_car_that_is_ready_says_how_its_last_drive_ended_and_noise_is_not_reverse() {
+        let mut status = standing();
+        status["mode"] = json!("ready");
+        status["preflight"] = json!(null);
+        status["reason"] = json!("time-up");
+        status["estimate"] = json!({"speed_m_s": -0.004, "pose_age_ms": 8.0});
+        let line = Summary::of(&status).line();
+        assert_eq!(
+            line,
+            "ready: the last drive ended, the time that was given with the arm request is over \
+             (time-up); pose 8 ms old, battery 7.41 V, link ready, speed 0.00 m/s"
+        );
+        status["estimate"]["speed_m_s"] = json!(-0.3);
+        assert!(Summary::of(&status).line().ends_with("speed -0.30 m/s"));
     }
 
     #[test]
