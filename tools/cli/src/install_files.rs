@@ -32,7 +32,7 @@ pub struct InstallFilesError {
 ///
 /// When a file can't be written.
 pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), InstallFilesError> {
-    for command in [command, &Arguments::command()] {
+    for command in [&shown(command), &Arguments::command()] {
         let name = command.get_name();
         for (shell, folder) in [
             (Shell::Bash, "bash"),
@@ -48,6 +48,22 @@ pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), InstallFile
         })?;
     }
     Ok(())
+}
+
+/// The command without the subcommands that its help does not show, which completions do.
+fn shown(command: &Command) -> Command {
+    let subcommands = command.get_subcommands().filter(|one| !one.is_hide_set());
+    let mut shown = Command::new("singletrack")
+        .version(env!("CARGO_PKG_VERSION"))
+        .args(command.get_arguments().cloned())
+        .subcommands(subcommands.cloned());
+    if let Some(about) = command.get_about() {
+        shown = shown.about(about.clone());
+    }
+    if let Some(text) = command.get_after_long_help() {
+        shown = shown.after_long_help(text.clone());
+    }
+    shown
 }
 
 fn write_to(
