@@ -39,7 +39,9 @@ pub enum LossPatternError {
     },
     /// The losses overlap, so that the markers never return.
     #[error(
-        "a loss of {duration_us} us at every {interval_us} us never ends: make the duration shorter than the interval"
+        "a loss of {} s at every {} s never ends: make the duration shorter than the interval",
+        seconds(*.duration_us),
+        seconds(*.interval_us)
     )]
     NeverEnds {
         /// The duration, in µs.
@@ -47,6 +49,10 @@ pub enum LossPatternError {
         /// The interval, in µs.
         interval_us: u64,
     },
+}
+
+fn seconds(microseconds: u64) -> f64 {
+    microseconds as f64 / 1e6
 }
 
 impl LossPattern {

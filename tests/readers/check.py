@@ -322,7 +322,7 @@ def main() -> None:
     cut.write_bytes(content[: len(content) * 2 // 3])
     recovered = record.with_name("recovered.mcap")
     subprocess.run(
-        [tool, "recover", cut, "--output", recovered], check=True, stdout=subprocess.DEVNULL
+        [tool, "recover", cut, "--out", recovered], check=True, stdout=subprocess.DEVNULL
     )
     rest = check_record(tool, recovered)
     check(whole / 3 < rest < whole, f"{rest} of {whole} messages were recovered from two thirds")

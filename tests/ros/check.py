@@ -244,7 +244,8 @@ class System:
         self.processes[name] = subprocess.Popen(command, stdout=log, stderr=log)
 
     def status(self):
-        command = [self.programs / "singletrack", "status", "--socket", self.socket]
+        command = [self.programs / "singletrack", "status", "--json"]
+        command += ["--socket", self.socket]
         return json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
 
     def mode(self):

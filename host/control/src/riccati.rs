@@ -43,7 +43,7 @@ pub enum RiccatiError {
     InputWeight,
     /// The pair (A, B) cannot be stabilised, or a mode on the unit circle has no weight.
     #[error(
-        "no gain makes the system settle: it cannot be stabilised, or a mode that does not settle has no weight"
+        "no gain makes the system settle: it can't be stabilised, or a mode that does not settle has no weight"
     )]
     NotStabilisable,
 }

@@ -3,7 +3,6 @@
 use std::{
     path::{Path, PathBuf},
     process::ExitCode,
-    str::FromStr,
 };
 
 use rustix::fs::{Access, access};
@@ -13,32 +12,6 @@ use singletrack_core::{
 };
 
 use crate::BAD_CONFIGURATION;
-
-/// A place to stand, as an argument: X,Y,YAW in m and degrees.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct StandArgument(pub(crate) Stand);
-
-impl FromStr for StandArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Vec<f64> = text
-            .split(',')
-            .map(|part| part.trim().parse())
-            .collect::<Result<_, _>>()
-            .map_err(|error| format!("{error}: write X,Y,YAW in m and degrees"))?;
-        match numbers[..] {
-            [x_m, y_m, yaw_deg] if numbers.iter().all(|number| number.is_finite()) => {
-                Ok(Self(Stand {
-                    x_m,
-                    y_m,
-                    yaw_rad: yaw_deg.to_radians(),
-                }))
-            }
-            _ => Err("write three numbers: X,Y,YAW in m and degrees".to_owned()),
-        }
-    }
-}
 
 /// Judges the configuration, and prints what it found: what is impossible and what should be
 /// looked at on stderr, the result on stdout.
@@ -141,16 +114,6 @@ fn unwritable(folder: &Path) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_stand_is_three_numbers() {
-        let StandArgument(stand) = "0.5, -1,90".parse().unwrap();
-        assert_eq!((stand.x_m, stand.y_m), (0.5, -1.0));
-        assert!((stand.yaw_rad - core::f64::consts::FRAC_PI_2).abs() < 1e-12);
-        for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
-            assert!(text.parse::<StandArgument>().is_err(), "{text}");
-        }
-    }
 
     #[test]
     fn a_folder_that_can_be_created_is_writable_and_one_below_a_file_is_not() {

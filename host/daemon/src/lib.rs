@@ -17,6 +17,7 @@ pub mod reconfigure;
 pub mod serial_port;
 pub mod socket;
 
+mod arguments;
 mod clock;
 mod collector;
 mod commissioned_file;
@@ -40,6 +41,7 @@ mod system;
 mod wake;
 mod wall_watch;
 
+pub use arguments::{Arguments, LogFormat, StandArgument};
 pub use clock::monotonic_ns;
 pub use commissioned_file::not_commissioned;
 pub use daemon::{Daemon, StartError, StartOptions, StopError};

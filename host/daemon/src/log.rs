@@ -6,23 +6,13 @@ use std::{
     io::{self, IsTerminal},
 };
 
-use clap::ValueEnum;
-use singletrackd::{Dropped, Summary};
+use singletrackd::{Dropped, LogFormat, Summary};
 use tracing::{info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 
 /// Lines that may wait to be written; more are dropped.
 const LOG_LINES: usize = 4_096;
-
-/// The format of the log.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum LogFormat {
-    /// Lines for people.
-    Text,
-    /// One JSON object per line.
-    Json,
-}
 
 /// Starts the log on stderr. The guard writes the lines that wait when it is dropped.
 ///

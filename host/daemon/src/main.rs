@@ -5,59 +5,18 @@ mod log;
 mod service;
 mod signals;
 
-use std::{path::PathBuf, process::ExitCode};
+use std::process::ExitCode;
 
 use clap::Parser;
 use singletrack_core::Config;
-use singletrackd::{Daemon, StartOptions, not_commissioned, notify::ServiceManager};
+use singletrackd::{
+    Arguments, Daemon, StandArgument, StartOptions, not_commissioned, notify::ServiceManager,
+};
 use tracing::{error, info, warn};
 
-use check::StandArgument;
-use log::{LogFormat, start_log};
+use log::start_log;
 use service::Service;
 use signals::Signals;
-
-/// Drives the car: motion capture in, commands to the board out, 100 times a second.
-///
-/// The car is armed by a request on the control socket, or by --arm. SIGTERM and SIGINT
-/// slow the car down, disarm the board and end; a second one disarms at once. SIGHUP
-/// reloads the configuration while the car does not drive; if the terminal that started
-/// the daemon has been closed, SIGHUP ends it.
-#[derive(Debug, Parser)]
-#[command(version)]
-struct Arguments {
-    /// The configuration; singletrackd.example.toml explains every key
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Arm once, as soon as every arming check passes: the car then moves by itself
-    ///
-    /// A configuration that --check finds impossible is not armed.
-    #[arg(long)]
-    arm: bool,
-    /// With --arm: also if doctor, bring-up and calibrate have not passed with this configuration
-    ///
-    /// The car then drives with values that have not been measured on it.
-    #[arg(long, requires = "arm")]
-    uncalibrated: bool,
-    /// Judge the configuration, and end: mistakes, values left as in the example, and whether
-    /// the car can drive its reference inside the geofence
-    ///
-    /// Warnings go to stderr. The exit status is 1 if the car can't do what is asked, and 2 if
-    /// the configuration is invalid.
-    #[arg(long)]
-    check: bool,
-    /// With --check: judge the geofence from where the car stands, in m and degrees
-    #[arg(
-        long,
-        value_name = "X,Y,YAW",
-        requires = "check",
-        allow_hyphen_values = true
-    )]
-    start: Option<StandArgument>,
-    /// The format of the log on stderr. `RUST_LOG` filters it; `NO_COLOR` turns colours off
-    #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]
-    log_format: LogFormat,
-}
 
 /// The exit status for a missing or invalid configuration. The service unit relies on it.
 const BAD_CONFIGURATION: u8 = 2;

@@ -38,6 +38,7 @@ mod reader;
 mod recorder;
 mod recover;
 mod replay;
+mod span;
 mod standard;
 mod tick;
 mod tick_feed;

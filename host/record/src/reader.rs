@@ -22,6 +22,7 @@ use crate::{
     chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
     container::{PROFILE, is_data_part, parse_record, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
+    span::span_wall_ns,
 };
 
 /// Bytes of the length of a list.
@@ -184,6 +185,13 @@ impl Reader {
     #[must_use]
     pub const fn meta(&self) -> &Meta {
         &self.meta
+    }
+
+    /// The wall time of the first and the last message of a finished record, in ns since 1970,
+    /// without reading up to there; none of an unfinished one, and of one without messages.
+    #[must_use]
+    pub fn span_wall_ns(&self) -> Option<[u64; 2]> {
+        span_wall_ns(&self.path)
     }
 
     /// How the record ended; none before the end, and after an error.

@@ -71,3 +71,23 @@ fn at_the_current_end_the_next_call_reads_again() {
     assert_eq!(reader.advance().unwrap(), None);
     assert_eq!(reader.ending(), Some(Ending::Finished));
 }
+
+#[test]
+fn a_finished_record_knows_its_times_and_one_cut_anywhere_does_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    common::record(&path, &[common::log(3), common::log(9)]);
+    let mut reader = Reader::open(&path).unwrap();
+    let span = reader.span_wall_ns().unwrap();
+    let times = [(); 2].map(|()| reader.advance().unwrap().unwrap().wall_ns);
+    assert_eq!(span, times);
+
+    let bytes = std::fs::read(&path).unwrap();
+    let cut = folder.path().join("cut.mcap");
+    for length in (0..bytes.len()).rev().take(400) {
+        std::fs::write(&cut, &bytes[..length]).unwrap();
+        if let Ok(reader) = Reader::open(&cut) {
+            assert_eq!(reader.span_wall_ns(), None, "{length} bytes");
+        }
+    }
+}

@@ -18,6 +18,8 @@ pub(crate) struct Arguments {
     #[arg(
         long,
         value_name = "PATH",
+        env = "SINGLETRACK_SOCKET",
+        hide_env_values = true,
         default_value = "/run/singletrackd/control.sock"
     )]
     pub(crate) socket: PathBuf,

@@ -13,10 +13,10 @@ use std::{
 use clap::Args;
 use serde_json::{Value, json};
 use singletrack_client::Connection;
-use singletrack_sim::parse_duration_us;
 use singletrackd::SOCKET_VERSION;
 
 use crate::{
+    arguments::parse_duration,
     control::{ControlArgs, ControlError, agreed, ask, print},
     interrupt::Interrupt,
 };
@@ -297,12 +297,9 @@ fn words(state: &Value) -> String {
 }
 
 pub(crate) fn parse_time(text: &str) -> Result<Duration, String> {
-    let micros = match text.trim().parse::<u32>() {
-        Ok(seconds) => u64::from(seconds) * 1_000_000,
-        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
-    };
-    if (500_000..=86_400_000_000).contains(&micros) {
-        Ok(Duration::from_micros(micros))
+    let time = parse_duration(text)?;
+    if (500..=86_400_000).contains(&time.as_millis()) {
+        Ok(time)
     } else {
         Err("give 500ms to 24 hours, such as 60s".to_owned())
     }

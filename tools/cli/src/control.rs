@@ -1,12 +1,16 @@
-//! `singletrack status|disarm|stop`: requests to the running daemon.
+//! `singletrack disarm|stop`: requests to the running daemon.
 
 use std::{
+    ffi::OsString,
     io::{self, Write},
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
 };
 
-use clap::Args;
+use clap::{
+    Args,
+    builder::{OsStringValueParser, TypedValueParser as _},
+};
 use serde_json::{Value, json};
 use singletrack_client::{ClientError, SOCKET_VERSION};
 use singletrack_core::config::SocketSection;
@@ -14,19 +18,35 @@ use singletrack_core::config::SocketSection;
 /// The daemon of this release speaks the version of its client.
 const _: () = assert!(SOCKET_VERSION == singletrackd::SOCKET_VERSION);
 
+/// The variable of the environment that stands for --socket.
+const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
+
 /// Where the daemon listens.
 #[derive(Clone, Debug, Args)]
 pub struct ControlArgs {
     /// The daemon's control socket
-    #[arg(long, value_name = "PATH", default_value_os_t = SocketSection::default().path)]
+    #[arg(
+        long,
+        value_name = "PATH",
+        env = SOCKET_VARIABLE,
+        hide_env_values = true,
+        value_parser = OsStringValueParser::new().try_map(socket),
+        default_value_os_t = SocketSection::default().path
+    )]
     pub(crate) socket: PathBuf,
+}
+
+/// A path from the command line or the environment.
+fn socket(path: OsString) -> Result<PathBuf, String> {
+    if path.is_empty() {
+        return Err(format!("give a path, or unset {SOCKET_VARIABLE}"));
+    }
+    Ok(path.into())
 }
 
 /// A request to the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ControlCommand {
-    /// Its status.
-    Status,
     /// Slow down, stop and disarm.
     Disarm,
     /// Neutral at once, until the board is reset.
@@ -36,7 +56,6 @@ pub enum ControlCommand {
 impl ControlCommand {
     const fn name(self) -> &'static str {
         match self {
-            Self::Status => "status",
             Self::Disarm => "disarm",
             Self::Stop => "stop",
         }
@@ -66,7 +85,7 @@ impl From<serde_json::Error> for ControlError {
     }
 }
 
-/// Sends the request and prints the result: the status as JSON, any other in words.
+/// Sends the request and prints the result in words.
 /// A closed pipe is no error.
 ///
 /// # Errors
@@ -78,9 +97,6 @@ pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlErr
         &args.socket,
     )?;
     print(&match command {
-        ControlCommand::Status => {
-            serde_json::to_string_pretty(answer.get("status").unwrap_or(&answer))?
-        }
         // An emergency stop stays in force: the daemon then answers with a note.
         ControlCommand::Disarm => match answer.get("note").and_then(Value::as_str) {
             Some(note) => note.to_owned(),

@@ -3,16 +3,12 @@
 pub mod keys;
 
 use std::{
-    io::{self, IsTerminal as _, Write as _},
+    io::{self, Write as _},
     process::ExitCode,
     time::Duration,
 };
 
 use clap::Args;
-use rustix::{
-    event::{PollFd, PollFlags, Timespec, poll},
-    termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr},
-};
 use serde_json::{Value, json};
 use singletrack_control::Time;
 use singletrackd::{SOCKET_VERSION, monotonic_ns};
@@ -23,6 +19,7 @@ use crate::{
     arm::{Drive, parse_time},
     control::{ControlArgs, ControlError},
     interrupt::Interrupt,
+    terminal::RawTerminal,
 };
 
 /// Options of `singletrack jog`.
@@ -58,7 +55,7 @@ const KEYS: Duration = Duration::from_millis(40);
 pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     let interrupt = Interrupt::listen()?;
     // Before the board is armed: without a terminal it is not.
-    let keyboard = args.keys.then(RawTerminal::open).transpose()?;
+    let keyboard = args.keys.then(open_keyboard).transpose()?;
     let mut drive = Drive::connect(&args.control, "jogging")?;
     drive.send(&json!({
         "version": SOCKET_VERSION,
@@ -75,7 +72,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
-    drive.attend_with(&interrupt, KEYS, args.time, || {
+    let ended = drive.attend_with(&interrupt, KEYS, args.time, || {
         terminal.read(&mut bytes)?;
         let now = Time(monotonic_ns());
         while let Some(key) = next_key(&mut bytes) {
@@ -83,6 +80,15 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
         }
         let pulses = keyboard.pulses(now);
         Ok(pulses.map(|pulses| (line(pulses), note(pulses, keyboard.throttle_us()))))
+    });
+    let _ = writeln!(io::stderr());
+    ended
+}
+
+fn open_keyboard() -> Result<RawTerminal, ControlError> {
+    RawTerminal::open()?.ok_or_else(|| {
+        let what = "--keys needs a terminal: the repetition of a held key is the dead-man switch";
+        io::Error::other(what).into()
     })
 }
 
@@ -100,48 +106,4 @@ fn line(pulses: Pulses) -> Value {
         "servo_us": pulses.servo_us,
         "esc_us": pulses.esc_us,
     })
-}
-
-/// A terminal that gives every key at once. Dropping it restores its settings.
-struct RawTerminal {
-    input: io::Stdin,
-    before: Termios,
-}
-
-impl RawTerminal {
-    fn open() -> io::Result<Self> {
-        let input = io::stdin();
-        if !input.is_terminal() {
-            return Err(io::Error::other(
-                "--keys needs a terminal: the repetition of a held key is the dead-man switch",
-            ));
-        }
-        let before = tcgetattr(&input)?;
-        let mut raw = before.clone();
-        // Ctrl-C still interrupts.
-        raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
-        tcsetattr(&input, OptionalActions::Flush, &raw)?;
-        Ok(Self { input, before })
-    }
-
-    /// Adds what has been typed, without waiting.
-    fn read(&self, bytes: &mut Vec<u8>) -> io::Result<()> {
-        let mut input = [PollFd::new(&self.input, PollFlags::IN)];
-        while poll(&mut input, Some(&Timespec::default()))? > 0 {
-            let mut buffer = [0; 256];
-            let count = rustix::io::read(&self.input, &mut buffer)?;
-            if count == 0 {
-                return Err(io::Error::other("the terminal is gone"));
-            }
-            bytes.extend(buffer.iter().take(count));
-        }
-        Ok(())
-    }
-}
-
-impl Drop for RawTerminal {
-    fn drop(&mut self) {
-        let _ = tcsetattr(&self.input, OptionalActions::Flush, &self.before);
-        let _ = writeln!(io::stderr());
-    }
 }

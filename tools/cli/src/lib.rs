@@ -1,5 +1,6 @@
 //! The command line of Singletrack, as a library for its tests.
 
+pub mod arguments;
 pub mod arm;
 pub mod bench;
 pub mod bring_up;
@@ -10,11 +11,14 @@ pub mod demo;
 pub mod doctor;
 pub mod drive;
 pub mod dump;
+pub mod install_files;
 pub mod jog;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;
 pub mod setpoint;
+pub mod status;
 pub mod teach;
 
 mod interrupt;
+mod terminal;

@@ -6,13 +6,15 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{Parser, Subcommand, ValueEnum};
+use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
 #[cfg(feature = "desk")]
 use singletrack::demo;
 use singletrack::{
+    arguments::take_negative_numbers,
     arm, bring_up, calibrate,
     control::{self, ControlCommand},
-    doctor, drive, dump, jog, recover, replay, set_reference, setpoint, teach,
+    doctor, drive, dump, install_files, jog, recover, replay, set_reference, setpoint, status,
+    teach,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -21,9 +23,22 @@ use singletrack_figures::plot;
 use singletrack_paper::{compare, identify, reproduce, stability};
 use singletrack_scenario::simulate;
 
+const AFTER: &str = "\
+Exit status:
+  0    done
+  1    failed; the reason is on standard error
+  2    wrong options
+  3    arm, drive, jog: something else than the operator stopped the car; doctor, bring-up,
+       calibrate: a step failed
+  130  interrupted for the second time, before the first Ctrl-C was obeyed
+
+Environment:
+  SINGLETRACK_SOCKET  the daemon's control socket, where --socket is not given
+  NO_COLOR            if it is not empty, no colours";
+
 /// Drive a small car by feedback linearisation: simulate, drive, analyse.
 #[derive(Parser)]
-#[command(version, max_term_width = 100)]
+#[command(version, max_term_width = 100, after_long_help = AFTER)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -87,8 +102,8 @@ enum Command {
     /// campaigns, options or builds are refused. --from of the command that wrote them prints the
     /// report.
     Merge(MergeArgs),
-    /// Print the daemon's status.
-    Status(control::ControlArgs),
+    /// Print what the daemon does: mode, reason, what to do about it, and what the car senses.
+    Status(status::StatusArgs),
     /// Arm the car and start driving; the drive ends when this command does.
     ///
     /// With --for the drive ends after a time, with --unattended it does not end by itself. The
@@ -109,6 +124,9 @@ enum Command {
     Drive(drive::DriveArgs),
     /// Record the path that the car is pushed along, as a reference.
     Teach(teach::TeachArgs),
+    /// Write completions for bash, zsh and fish and the manual pages, for packages.
+    #[command(hide = true)]
+    InstallFiles(install_files::InstallFilesArgs),
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -124,13 +142,20 @@ enum SummaryFormat {
 }
 
 fn main() -> ExitCode {
-    match run(&Cli::parse()) {
+    match run(&parse()) {
         Ok(status) => status,
         Err(error) => {
             eprintln!("singletrack: {error}");
             ExitCode::FAILURE
         }
     }
+}
+
+/// The command line; the process ends here if it is wrong.
+fn parse() -> Cli {
+    let mut command = take_negative_numbers(Cli::command());
+    let matches: ArgMatches = command.get_matches_mut();
+    Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
 }
 
 fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
@@ -154,7 +179,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Identify(args) => Ok(identify::run(args)?),
         #[cfg(feature = "paper")]
         Command::Merge(args) => Ok(run_merge(args)?),
-        Command::Status(args) => Ok(control::run(ControlCommand::Status, args)?),
+        Command::Status(args) => Ok(status::run(args)?),
         Command::Arm(args) => return Ok(arm::run(args)?),
         Command::Jog(args) => return Ok(jog::run(args)?),
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
@@ -163,6 +188,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Setpoint(args) => Ok(setpoint::run(args)?),
         Command::Drive(args) => return Ok(drive::run(args)?),
         Command::Teach(args) => Ok(teach::run(args)?),
+        Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),
         Command::Simulate {
             scenario,
             format: SimulateFormat::Csv,
@@ -194,11 +220,49 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
-    use clap::CommandFactory;
+    use clap::{Arg, Command, CommandFactory};
+    use singletrack::arguments::{take_negative_numbers, takes_number};
+
+    use super::Cli;
 
     #[test]
     fn the_command_line_is_consistent() {
-        super::Cli::command().debug_assert();
+        take_negative_numbers(Cli::command()).debug_assert();
+    }
+
+    /// The names of all subcommands that have options, and these.
+    fn options_of(command: &Command, path: &[String], found: &mut Vec<(Vec<String>, Arg)>) {
+        let options = command.get_arguments();
+        found.extend(options.map(|option| (path.to_vec(), option.clone())));
+        for subcommand in command.get_subcommands() {
+            let path = [path, &[subcommand.get_name().to_owned()]].concat();
+            options_of(subcommand, &path, found);
+        }
+    }
+
+    #[test]
+    fn a_negative_number_is_refused_with_the_option_and_the_value() {
+        let mut found = Vec::new();
+        options_of(&Cli::command(), &["singletrack".to_owned()], &mut found);
+        let numbers: Vec<_> = found
+            .into_iter()
+            .filter(|(_, option)| takes_number(option))
+            .collect();
+        assert!(numbers.len() > 20, "{}", numbers.len());
+        for (path, option) in numbers {
+            let values = option.get_num_args().map_or(1, |range| range.min_values());
+            let option = format!("--{}", option.get_long().unwrap_or_default());
+            let mut line = [path, vec![option.clone()]].concat();
+            line.extend(vec!["-5x".to_owned(); values]);
+            let result = take_negative_numbers(Cli::command()).try_get_matches_from(&line);
+            let error = result.unwrap_err().to_string();
+            assert!(
+                error.contains("'-5x'") && error.contains(&option),
+                "{line:?}: {error}"
+            );
+            assert!(!error.contains("unexpected argument"), "{line:?}: {error}");
+        }
     }
 }

@@ -16,8 +16,8 @@ pub struct RecoverArgs {
     record: PathBuf,
     /// Where the repaired record goes [default: NAME.mcap, or NAME.recovered.mcap for a
     /// record that has that name].
-    #[arg(long, alias = "out", value_name = "FILE")]
-    output: Option<PathBuf>,
+    #[arg(long, alias = "output", value_name = "FILE")]
+    out: Option<PathBuf>,
 }
 
 /// Nothing was recovered, or the result could not be printed.
@@ -38,7 +38,7 @@ pub enum RecoverError {
 /// When the record can't be read, holds nothing, or the new one can't be
 /// written.
 pub fn run(args: &RecoverArgs) -> Result<(), RecoverError> {
-    let output = match &args.output {
+    let output = match &args.out {
         Some(output) => output.clone(),
         None => default_output(&args.record),
     };

@@ -26,7 +26,7 @@ fn demo(out: &Path, options: &[&str]) -> Output {
 #[test]
 fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     let folder = tempfile::tempdir().unwrap();
-    let output = demo(folder.path(), &["--duration", "2s", "--live", "0"]);
+    let output = demo(folder.path(), &["--for", "2s", "--live", "0"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{said}");
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -136,7 +136,7 @@ fn options_that_make_no_sense_are_refused_with_the_fix() {
     for (options, word) in [
         (["--loss", "2s"], "200ms@2s"),
         (["--loss", "3s@2s"], "shorter"),
-        (["--duration", "soon"], "duration"),
+        (["--for", "soon"], "duration"),
     ] {
         let output = demo(folder.path(), &options);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

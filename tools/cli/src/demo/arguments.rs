@@ -3,13 +3,21 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use singletrack_sim::{BoardKind, LossPattern, parse_duration_us};
+use singletrack_sim::{BoardKind, LossPattern};
+
+use crate::arguments::parse_duration;
 
 /// Options of `singletrack demo`.
 #[derive(Clone, Debug, Args)]
 pub struct DemoArgs {
     /// How long to drive, such as 40s; a bare number is in seconds
-    #[arg(long, value_name = "DURATION", default_value = "40s", value_parser = parse_duration)]
+    #[arg(
+        long = "for",
+        alias = "duration",
+        value_name = "DURATION",
+        default_value = "40s",
+        value_parser = parse_time
+    )]
     pub(super) duration: Duration,
 
     /// The board: its code compiled for this machine, or the Arduino's image on a simulated
@@ -44,13 +52,10 @@ pub struct DemoArgs {
     pub(super) loss: Option<LossPattern>,
 }
 
-fn parse_duration(text: &str) -> Result<Duration, String> {
-    let micros = match text.trim().parse::<u32>() {
-        Ok(seconds) => u64::from(seconds) * 1_000_000,
-        Err(_) => parse_duration_us(text).map_err(|error| error.to_string())?,
-    };
-    if (100_000..=86_400_000_000).contains(&micros) {
-        Ok(Duration::from_micros(micros))
+fn parse_time(text: &str) -> Result<Duration, String> {
+    let time = parse_duration(text)?;
+    if (100..=86_400_000).contains(&time.as_millis()) {
+        Ok(time)
     } else {
         Err(format!("{text} is not between 0.1s and 86400s"))
     }

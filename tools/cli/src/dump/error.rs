@@ -5,7 +5,7 @@ use std::{io, path::PathBuf};
 use singletrack_record::{ParseEntryError, RecordError};
 use singletrackd::serial_port::PortError;
 
-use super::moment::Moment;
+use super::{moment::Moment, range::Span};
 
 /// Why a dump failed.
 #[derive(Debug, thiserror::Error)]
@@ -67,12 +67,26 @@ pub enum DumpError {
         known: Vec<String>,
     },
     /// The time ends before it begins.
-    #[error("--from {from} is after --to {to}: give the earlier time to --from")]
+    #[error("--from {from} is after --to {to}: give the earlier time to --from{}", of_record(.span))]
     NoTime {
         /// When it begins.
         from: Moment,
         /// When it ends.
         to: Moment,
+        /// The times of the record, if they are known.
+        span: Option<Span>,
+    },
+    /// No entry of the record is in the range.
+    #[error("--{option} {moment} leaves nothing of {name}: its entries are from {span}")]
+    OutsideRecord {
+        /// The record.
+        name: String,
+        /// Which option asked.
+        option: &'static str,
+        /// What it asked for.
+        moment: Moment,
+        /// The times of the record.
+        span: Span,
     },
     /// The source has no time on the wall.
     #[error("{name} holds no wall time: give --{option} in seconds since its start")]
@@ -123,6 +137,11 @@ pub enum DumpError {
     /// The output can't be written.
     #[error("can't write to standard output: {0}")]
     Output(#[from] io::Error),
+}
+
+fn of_record(span: &Option<Span>) -> String {
+    span.map(|span| format!("; the entries of the record are from {span}"))
+        .unwrap_or_default()
 }
 
 fn near(similar: &Option<String>) -> String {

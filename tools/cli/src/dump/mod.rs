@@ -6,6 +6,7 @@ mod filter;
 mod format;
 mod kind;
 mod moment;
+mod range;
 mod source;
 mod stats;
 mod words;
@@ -17,14 +18,14 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_core::config::{SerialSection, SocketSection};
+use singletrack_core::config::SerialSection;
 use singletrack_record::{Topic, Value};
-use singletrack_sim::{LossPatternError, parse_duration_us};
 
-use crate::interrupt::Interrupt;
+use crate::{arguments::parse_duration, control::ControlArgs, interrupt::Interrupt};
 use filter::{Filter, Verdict};
 use format::Printer;
 use kind::Kind;
+use range::Range;
 use source::{Close, Line, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
 
@@ -47,7 +48,8 @@ pub struct DumpArgs {
     #[arg(required_unless_present = "serial", verbatim_doc_comment)]
     pub source: Option<PathBuf>,
 
-    /// What to print, several with commas [default: telemetry of a record or of live, all of a line].
+    /// What to print, several with commas [default: telemetry of a record or of live, all of a
+    /// line; of a record on a terminal, without other options, a summary].
     ///
     /// Of a record or live: tick, telemetry, status, pose, log, configuration, drops. Of a line:
     /// hello, telemetry, status, acknowledgement, refusal, and broken for bytes that are not a
@@ -75,11 +77,11 @@ pub struct DumpArgs {
     pub conditions: Vec<Condition>,
 
     /// Only from this time on: seconds since the start, or 2026-11-21T12:00:00Z.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    #[arg(long, value_name = "TIME")]
     pub from: Option<Moment>,
 
     /// Only until this time.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    #[arg(long, value_name = "TIME")]
     pub to: Option<Moment>,
 
     /// Count instead of printing: rates, gaps, losses, errors, latencies, modes.
@@ -94,7 +96,7 @@ pub struct DumpArgs {
     pub follow: bool,
 
     /// Stop after this time, such as `10s`.
-    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
     pub duration: Option<Duration>,
 
     /// Listen to this serial port.
@@ -117,13 +119,55 @@ pub struct DumpArgs {
     #[arg(long)]
     pub raw: bool,
 
-    /// The daemon's control socket, for `live`.
-    #[arg(long, default_value_os_t = SocketSection::default().path)]
-    pub socket: PathBuf,
+    /// Where `live` is.
+    #[command(flatten)]
+    pub control: ControlArgs,
+
+    /// Whether --stats leaves out the distributions.
+    #[arg(skip)]
+    pub brief: bool,
+}
+
+impl DumpArgs {
+    /// What is to be read.
+    fn place(&self) -> Place {
+        match (&self.serial, &self.source) {
+            (Some(port), _) => Place::Serial(port.clone()),
+            (None, Some(path)) => Place::of(path, self.raw),
+            (None, None) => Place::Stdin,
+        }
+    }
+
+    /// Whether the source is all that was said.
+    fn is_bare(&self) -> bool {
+        let Self {
+            topic,
+            format,
+            fields,
+            conditions,
+            from,
+            to,
+            stats,
+            follow,
+            duration,
+            ..
+        } = self;
+        topic.is_empty()
+            && fields.is_empty()
+            && conditions.is_empty()
+            && format.is_none()
+            && from.is_none()
+            && to.is_none()
+            && duration.is_none()
+            && !stats
+            && !follow
+    }
 }
 
 const EXAMPLES: &str = "\
 Examples:
+  singletrack dump drive.mcap
+          on a terminal: how much of what, how long, modes and their reasons
   singletrack dump drive.mcap --stats
           one page: rates, gaps, losses, latencies, modes and their reasons
   singletrack dump drive.mcap --topic tick --format csv > ticks.csv
@@ -139,10 +183,6 @@ Examples:
   singletrack dump line.bin --topic broken
           the damaged places of a capture of the line";
 
-fn duration(text: &str) -> Result<Duration, LossPatternError> {
-    parse_duration_us(text).map(Duration::from_micros)
-}
-
 /// Prints to standard output. A closed pipe is no error.
 ///
 /// # Errors
@@ -150,6 +190,15 @@ fn duration(text: &str) -> Result<Duration, LossPatternError> {
 /// When the source can't be read, or a topic or a field does not exist.
 pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
     let stdout = io::stdout();
+    // Thousands of rows are of no use to a person.
+    if stdout.is_terminal() && args.is_bare() && matches!(args.place(), Place::Record(_)) {
+        let summarised = DumpArgs {
+            stats: true,
+            brief: true,
+            ..args.clone()
+        };
+        return dump(&summarised, Format::Table, stdout.lock());
+    }
     let format = args
         .format
         .unwrap_or(if args.stats || stdout.is_terminal() {
@@ -173,11 +222,7 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     if args.stats && format == Format::Csv {
         return Err(DumpError::StatsAsCsv);
     }
-    let place = match (&args.serial, &args.source) {
-        (Some(port), _) => Place::Serial(port.clone()),
-        (None, Some(path)) => Place::of(path, args.raw),
-        (None, None) => Place::Stdin,
-    };
+    let place = args.place();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
     let kinds = if of_record {
         Kind::topics()
@@ -193,24 +238,25 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     };
     // Mistakes on the command line are reported before anything is opened.
     let mut sink = if args.stats {
-        Sink::Count(Box::new(Stats::new(&kinds, &chosen)), output)
+        let stats = Stats::new(&kinds, &chosen);
+        Sink::Count(Box::new(stats.brief(args.brief)), output)
     } else {
         let fields = &args.fields;
         Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
     };
-    if let (Some(from), Some(to)) = (args.from, args.to)
-        && from.is_after(to)
-    {
-        return Err(DumpError::NoTime { from, to });
+    let range = Range {
+        from: args.from,
+        to: args.to,
+    };
+    // A port may reset its board when it is opened. A record says which times it has.
+    if !matches!(place, Place::Record(_)) {
+        range.check_order(None)?;
     }
     let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
     let mut source = open(args, &place, kinds, &chosen)?;
     let source = source.as_mut();
-    let start_wall_ns = source.start_wall_ns();
-    let filter = filter.within(
-        moment(args.from, "from", &place, start_wall_ns)?,
-        moment(args.to, "to", &place, start_wall_ns)?,
-    );
+    let (from_ns, to_ns) = range.since(source, &place.to_string())?;
+    let filter = filter.within(from_ns, to_ns);
     let limit = Limit {
         end: args.duration.map(|duration| Instant::now() + duration),
         interrupt: if args.stats {
@@ -367,28 +413,9 @@ fn open(
     let direction = args.direction;
     Ok(match place {
         Place::Record(path) => Box::new(Record::open(path, chosen, args.follow)?),
-        Place::Live => Box::new(Live::connect(&args.socket, &kinds, chosen)?),
+        Place::Live => Box::new(Live::connect(&args.control.socket, &kinds, chosen)?),
         Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
         Place::Raw(path) => Box::new(Line::file(path, direction, kinds, args.follow)?),
         Place::Stdin => Box::new(Line::stdin(direction, kinds)?),
     })
-}
-
-/// A moment in ns since the start of the source.
-fn moment(
-    moment: Option<Moment>,
-    option: &'static str,
-    place: &Place,
-    start_wall_ns: Option<u64>,
-) -> Result<Option<i64>, DumpError> {
-    moment
-        .map(|moment| {
-            moment
-                .since(start_wall_ns)
-                .ok_or_else(|| DumpError::NoWallTime {
-                    name: place.to_string(),
-                    option,
-                })
-        })
-        .transpose()
 }

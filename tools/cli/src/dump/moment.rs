@@ -13,12 +13,18 @@ pub enum Moment {
     WallNs(i64),
 }
 
-/// Why a text is not a time: it is neither a number of seconds nor a date with time and zone.
+/// Why a text is not a time.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
-)]
-pub struct ParseTimeError(String);
+pub enum ParseTimeError {
+    /// It is neither a number of seconds nor a date with time and zone.
+    #[error(
+        "not a time: {0:?}; use seconds since the start (12.5), or date, time and zone (2026-11-21T12:00:00.5Z, 2026-11-21T13:00:00+01:00)"
+    )]
+    NoTime(String),
+    /// It is before the start.
+    #[error("there is nothing before the start: give 0 or more seconds since the start")]
+    Negative,
+}
 
 impl FromStr for Moment {
     type Err = ParseTimeError;
@@ -29,11 +35,14 @@ impl FromStr for Moment {
             .ok()
             .filter(|seconds: &f64| seconds.is_finite())
         {
+            if seconds < 0.0 {
+                return Err(ParseTimeError::Negative);
+            }
             return Ok(Self::Seconds(seconds));
         }
         wall_ns(text)
             .map(Self::WallNs)
-            .ok_or_else(|| ParseTimeError(text.to_owned()))
+            .ok_or_else(|| ParseTimeError::NoTime(text.to_owned()))
     }
 }
 
@@ -95,7 +104,7 @@ mod tests {
         let wall = |seconds: i64, ns: i64| Moment::WallNs(seconds * 1_000_000_000 + ns);
         for (text, expected) in [
             ("12.5", Moment::Seconds(12.5)),
-            ("-1", Moment::Seconds(-1.0)),
+            ("0", Moment::Seconds(0.0)),
             ("1970-01-01T00:00:00Z", wall(0, 0)),
             ("2000-02-29T00:00:00Z", wall(951_782_400, 0)),
             ("2000-03-01T00:00:00Z", wall(951_868_800, 0)),
@@ -128,6 +137,13 @@ mod tests {
         ] {
             let error = text.parse::<Moment>().unwrap_err().to_string();
             assert!(error.contains("use seconds since the start"), "{error}");
+        }
+    }
+
+    #[test]
+    fn there_is_nothing_before_the_start() {
+        for text in ["-1", "-0.001"] {
+            assert_eq!(text.parse::<Moment>(), Err(ParseTimeError::Negative));
         }
     }
 

@@ -29,7 +29,7 @@ use span::Span;
 #[derive(Clone, Debug, Args)]
 pub struct ReplayArgs {
     /// A record (*.mcap, or *.mcap.part).
-    pub log: PathBuf,
+    pub record: PathBuf,
 
     /// Compare every output bit for bit, and fail at the first difference [default
     /// without --set].
@@ -42,7 +42,7 @@ pub struct ReplayArgs {
     pub set: Vec<Change>,
 
     /// Where the figure of recorded and replayed commands goes, with --set [default:
-    /// LOG.replay.svg].
+    /// RECORD.replay.svg].
     #[arg(long, value_name = "FILE.svg", requires = "set", value_parser = svg)]
     pub figure: Option<PathBuf>,
 }
@@ -108,8 +108,8 @@ fn so_far(ticks: u64) -> String {
 /// What can't be read or replayed; without `--set`, the first output that differs.
 pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let start = Instant::now();
-    let mut replay = source::pilot(&args.log, &args.set)?;
-    let mut ticks = Reader::open(&args.log)?.only(&[Topic::Tick]);
+    let mut replay = source::pilot(&args.record, &args.set)?;
+    let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
     let meta = ticks.meta().clone();
     let progress = Progress::new();
     let mut deviations = Deviations::default();
@@ -117,7 +117,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     for entry in ticks.by_ref() {
         let Entry::Tick(tick) = entry? else { continue };
         let output = replay.tick(&tick).map_err(|source| ReplayFailure::Replay {
-            path: args.log.clone(),
+            path: args.record.clone(),
             ticks: span.ticks,
             source,
         })?;
@@ -125,7 +125,11 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             if !tick.is_output(&output) {
                 progress.done();
                 return Err(ReplayFailure::Differs(verdict::first_difference(
-                    &args.log, &meta, &tick, &output, &span,
+                    &args.record,
+                    &meta,
+                    &tick,
+                    &output,
+                    &span,
                 )));
             }
         } else {
@@ -136,11 +140,11 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     }
     progress.done();
     if span.ticks == 0 {
-        return Err(ReplayFailure::Empty(args.log.clone()));
+        return Err(ReplayFailure::Empty(args.record.clone()));
     }
     let pace = span.pace(start.elapsed());
     let told = if args.set.is_empty() {
-        let log = args.log.display();
+        let log = args.record.display();
         format!(
             "{log}: {} ticks, every output the same to the bit\n",
             span.ticks
@@ -153,7 +157,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         )
     };
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
-        eprintln!("singletrack: {}: {ending}", args.log.display());
+        eprintln!("singletrack: {}: {ending}", args.record.display());
     }
     match writeln!(io::stdout(), "{told}{pace}") {
         // The reader of a pipe may close it at any time.
@@ -164,7 +168,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
 
 /// Writes the figure, and says where.
 fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFailure> {
-    let beside = || args.log.with_extension("replay.svg");
+    let beside = || args.record.with_extension("replay.svg");
     let path = args.figure.clone().unwrap_or_else(beside);
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),

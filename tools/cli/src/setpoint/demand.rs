@@ -5,6 +5,8 @@ use std::{path::PathBuf, time::Duration};
 use clap::Args;
 use serde_json::{Map, Value};
 
+use crate::arguments::parse_duration;
+
 /// What the car should do; without any of these, the set-points of standard input.
 #[derive(Clone, Debug, Default, Args)]
 pub(super) struct DemandArgs {
@@ -80,8 +82,8 @@ pub(super) struct DemandArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) trajectory: Option<PathBuf>,
 
-    /// How long the set-point is sent, in s; otherwise until Ctrl-C
-    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds, conflicts_with = "trajectory")]
+    /// How long the set-point is sent, such as 2.5s; otherwise until Ctrl-C
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration, conflicts_with = "trajectory")]
     pub(super) lasts: Option<Duration>,
 }
 
@@ -109,13 +111,6 @@ fn finite(text: &str) -> Result<f64, String> {
         Ok(number) if number.is_finite() => Ok(number),
         _ => Err("write a finite number, such as 0.5".to_owned()),
     }
-}
-
-fn seconds(text: &str) -> Result<Duration, String> {
-    finite(text)
-        .ok()
-        .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
-        .ok_or_else(|| "write a time in s, such as 2.5".to_owned())
 }
 
 #[cfg(test)]

@@ -7,5 +7,8 @@ mod filters;
 mod fixture;
 mod line;
 mod live;
+#[path = "../pty/mod.rs"]
+#[allow(dead_code, reason = "status is tried with keys as well")]
+mod pty;
 mod record;
 mod stats;

@@ -10,8 +10,11 @@ use std::{
 use serde_json::Value;
 use singletrack_record::Entry;
 
-use crate::fixture::{
-    START_NS, assert_case, driving_tick, dump, entries, recorder, telemetry, text,
+use crate::{
+    fixture::{
+        START_NS, assert_case, command, driving_tick, dump, entries, recorder, telemetry, text,
+    },
+    pty::OnTerminal,
 };
 
 #[test]
@@ -26,6 +29,27 @@ fn a_record_is_counted_for_people_and_for_programs() {
         let printed = text(&output.stdout).replace(path.to_str().unwrap(), "drive.mcap");
         assert_case(&format!("stats.{format}"), &printed);
     }
+}
+
+/// What `dump` with these arguments writes to a terminal.
+fn on_terminal(path: &Path, arguments: &[&str]) -> String {
+    let (status, seen, _) = OnTerminal::start(command(path, arguments)).end();
+    assert!(status.success(), "{seen}");
+    seen.replace("\r\n", "\n")
+}
+
+#[test]
+fn a_record_alone_is_summarised_on_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let (recorder, path) = recorder(folder.path());
+    recorder.finish().unwrap();
+    let printed = on_terminal(&path, &[]).replace(path.to_str().unwrap(), "drive.mcap");
+    assert_case("summary.table", &printed);
+    // With an option it is what it asks for, and elsewhere the rows for a program.
+    let rows = on_terminal(&path, &["--topic=telemetry"]);
+    assert!(rows.trim_start().starts_with("receive_time_ns"), "{rows}");
+    let rows = text(&dump(&path, &[]).stdout);
+    assert!(rows.starts_with("receive_time_ns,"), "{rows}");
 }
 
 #[test]

@@ -22,7 +22,7 @@ pub(super) use line::Line;
 pub(super) use live::Live;
 pub(super) use record::Record;
 
-use super::DumpError;
+use super::{DumpError, range::Span};
 
 /// The longest time that a source waits for more.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -73,6 +73,11 @@ pub(super) struct Close {
 pub(super) trait Source {
     /// When it starts, in ns since 1970 on the wall, if that is known.
     fn start_wall_ns(&self) -> Option<u64>;
+
+    /// The times of its first and its last row, if they are known before it is read.
+    fn span(&self) -> Option<Span> {
+        None
+    }
 
     /// Goes to the next row, without waiting.
     fn next(&mut self) -> Result<Next, DumpError>;

@@ -5,7 +5,7 @@ use std::{path::Path, thread};
 use singletrack_record::{Ending, Reader, Recorded, Topic, Value};
 
 use super::{Close, Next, PATIENCE, Row, Source};
-use crate::dump::DumpError;
+use crate::dump::{DumpError, range::Span};
 
 /// A record, finished or not.
 pub(in crate::dump) struct Record {
@@ -44,6 +44,16 @@ impl Record {
 impl Source for Record {
     fn start_wall_ns(&self) -> Option<u64> {
         Some(self.start_wall_ns)
+    }
+
+    fn span(&self) -> Option<Span> {
+        let since_start = |wall_ns: u64| wall_ns.wrapping_sub(self.start_wall_ns).cast_signed();
+        let [first_ns, last_ns] = self.reader.span_wall_ns()?.map(since_start);
+        Some(Span {
+            first_ns,
+            last_ns,
+            start_wall_ns: self.start_wall_ns,
+        })
     }
 
     fn next(&mut self) -> Result<Next, DumpError> {

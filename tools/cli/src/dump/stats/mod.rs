@@ -24,6 +24,7 @@ pub(super) struct Stats {
     counters: Vec<Counter>,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
+    brief: bool,
 }
 
 /// What is counted of a kind besides its rate.
@@ -53,7 +54,14 @@ impl Stats {
             counters: kinds.iter().map(Counter::of).collect(),
             first_ns: None,
             last_ns: None,
+            brief: false,
         }
+    }
+
+    /// Whether the page leaves out the distributions.
+    pub(super) const fn brief(mut self, brief: bool) -> Self {
+        self.brief = brief;
+        self
     }
 
     /// Counts a row.
@@ -79,6 +87,7 @@ impl Stats {
         let topics = self.topics.iter().flatten();
         let mut report = Report {
             source: source.to_owned(),
+            brief: self.brief,
             unfinished: close.unfinished,
             missed: close.missed,
             span_s,

@@ -8,6 +8,9 @@ use singletrack_statistics::Distribution;
 pub(in crate::dump) struct Report {
     /// The source.
     pub(super) source: String,
+    /// Whether the page leaves out the distributions.
+    #[serde(skip)]
+    pub(super) brief: bool,
     /// Whether it is a record that has not been finished.
     pub(super) unfinished: bool,
     /// Rows that arrived faster than they were read, and are not counted.

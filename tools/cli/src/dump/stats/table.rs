@@ -9,6 +9,9 @@ const BAR: u64 = 50;
 /// No more spans of modes than this are listed one by one.
 const MAX_SPANS: usize = 40;
 
+/// What a summary does not show.
+const MORE: &str = "--stats adds latencies, --topic tick prints rows, --help has examples";
+
 impl fmt::Display for Report {
     fn fmt(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(page, "{}: {:.3} s", self.source, self.span_s)?;
@@ -18,11 +21,12 @@ impl fmt::Display for Report {
         self.topics(page)?;
         self.line(page)?;
         self.counters(page)?;
-        if let Some(lateness) = &self.lateness {
+        if let Some(lateness) = self.lateness.as_ref().filter(|_| !self.brief) {
             write!(page, "\n\nlateness of ticks, in us")?;
             distribution(page, lateness)?;
         }
-        if let Some(latency) = &self.capture_to_command {
+        let latency = self.capture_to_command.as_ref();
+        if let Some(latency) = latency.filter(|_| !self.brief) {
             write!(
                 page,
                 "\n\nfrom mid-exposure to the command leaving, in us (ticks with a new pose)"
@@ -30,7 +34,11 @@ impl fmt::Display for Report {
             distribution(page, latency)?;
         }
         modes(page, "modes", &self.modes)?;
-        modes(page, "modes of the board", &self.board_modes)
+        modes(page, "modes of the board", &self.board_modes)?;
+        if self.brief {
+            write!(page, "\n\n{MORE}")?;
+        }
+        Ok(())
     }
 }
 

@@ -1,0 +1,59 @@
+//! The time of a finished record, from the summary at its end.
+
+use std::{
+    fs::File,
+    io::{Read, Seek, SeekFrom},
+    path::Path,
+};
+
+use mcap::records::{Record, op};
+
+/// The footer: opcode, length and contents, and the bytes after which a file ends.
+const FOOTER: usize = 1 + 8 + 20;
+const TAIL: usize = FOOTER + mcap::MAGIC.len();
+/// A summary that is longer is not read: it belongs to a record of months.
+const MAX_SUMMARY: u64 = 64 << 20;
+
+/// The wall time of the first and the last message, in ns since 1970; none if the file is
+/// unfinished, has no message, or has no such summary.
+pub(crate) fn span_wall_ns(path: &Path) -> Option<[u64; 2]> {
+    let mut file = File::open(path).ok()?;
+    let length = file.seek(SeekFrom::End(0)).ok()?;
+    let footer_at = length.checked_sub(TAIL as u64)?;
+    file.seek(SeekFrom::Start(footer_at)).ok()?;
+    let mut tail = [0; TAIL];
+    file.read_exact(&mut tail).ok()?;
+    let (footer, magic) = tail.split_at_checked(FOOTER)?;
+    let (opcode, content) = next(&mut &*footer)?;
+    if magic != mcap::MAGIC || opcode != op::FOOTER {
+        return None;
+    }
+    let summary_at = u64::from_le_bytes(*content.first_chunk()?);
+    let summary_length = footer_at.checked_sub(summary_at)?;
+    if summary_at == 0 || summary_length > MAX_SUMMARY {
+        return None;
+    }
+    file.seek(SeekFrom::Start(summary_at)).ok()?;
+    let mut summary = vec![0; usize::try_from(summary_length).ok()?];
+    file.read_exact(&mut summary).ok()?;
+    let mut rest = &*summary;
+    while let Some((opcode, content)) = next(&mut rest) {
+        if opcode == op::STATISTICS
+            && let Ok(Record::Statistics(statistics)) = mcap::parse_record(opcode, content)
+        {
+            return (statistics.message_count > 0)
+                .then_some([statistics.message_start_time, statistics.message_end_time]);
+        }
+    }
+    None
+}
+
+/// The next part of a summary: its opcode and its content.
+fn next<'a>(rest: &mut &'a [u8]) -> Option<(u8, &'a [u8])> {
+    let (&opcode, after) = rest.split_first()?;
+    let (length, after) = after.split_first_chunk()?;
+    let (content, after) =
+        after.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
+    *rest = after;
+    Some((opcode, content))
+}

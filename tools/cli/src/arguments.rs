@@ -1,0 +1,74 @@
+//! What all options of the command line have in common.
+
+use std::{any::TypeId, path::PathBuf, time::Duration};
+
+use clap::{Arg, Command};
+use singletrack_sim::parse_duration_us;
+
+/// Lets the options that take numbers, durations or times take negative ones, in all
+/// subcommands: their own check then refuses it by the name of the option and with the value,
+/// where the parser would see an unknown option.
+#[must_use]
+pub fn take_negative_numbers(command: Command) -> Command {
+    command
+        .mut_args(|argument| {
+            if takes_number(&argument) {
+                argument.allow_hyphen_values(true)
+            } else {
+                argument
+            }
+        })
+        .mut_subcommands(take_negative_numbers)
+}
+
+/// A duration such as `2.5s` or `500ms`; a bare number is in seconds.
+///
+/// # Errors
+///
+/// When it is neither, or negative; in words.
+pub fn parse_duration(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().parse().ok();
+    if let Some(duration) = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()) {
+        return Ok(duration);
+    }
+    let micros = parse_duration_us(text).map_err(|error| error.to_string())?;
+    Ok(Duration::from_micros(micros))
+}
+
+/// Whether it is an option that must have a value which is no name: not of a file, of a thing, or
+/// of one of a few.
+#[must_use]
+pub fn takes_number(argument: &Arg) -> bool {
+    // Of an optional value, the next option would be taken for it.
+    let is_optional = argument
+        .get_num_args()
+        .is_some_and(|range| range.min_values() == 0);
+    let parser = argument.get_value_parser();
+    let names = [TypeId::of::<PathBuf>(), TypeId::of::<String>()];
+    let is_name =
+        parser.possible_values().is_some() || names.iter().any(|name| parser.type_id() == *name);
+    argument.get_action().takes_values() && !argument.is_positional() && !is_optional && !is_name
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_has_a_unit_or_is_in_seconds() {
+        for (text, milliseconds) in [
+            ("2.5s", 2_500),
+            ("500ms", 500),
+            ("10", 10_000),
+            ("0.2", 200),
+        ] {
+            let duration = parse_duration(text).unwrap();
+            assert_eq!(duration.as_millis(), milliseconds, "{text}");
+        }
+        for text in ["-5", "-5s", "soon", "inf", "NaN", "", "1e30"] {
+            let error = parse_duration(text).unwrap_err();
+            assert!(error.contains("is not a duration"), "{text}: {error}");
+        }
+    }
+}

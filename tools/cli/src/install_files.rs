@@ -1,0 +1,79 @@
+//! `singletrack install-files`: completions for shells and manual pages, from the description of
+//! the options itself.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, Command, CommandFactory as _};
+use clap_complete::{Shell, generate_to};
+use singletrackd::Arguments;
+
+/// Options of `singletrack install-files`.
+#[derive(Clone, Debug, Args)]
+pub struct InstallFilesArgs {
+    /// The folder for them; it gets one each for bash, zsh, fish and man
+    #[arg(long, value_name = "DIR", default_value = "target/install-files")]
+    out: PathBuf,
+}
+
+/// A file can't be written.
+#[derive(Debug, thiserror::Error)]
+#[error("can't write to {}: {source}; choose another folder with --out", .folder.display())]
+pub struct InstallFilesError {
+    folder: PathBuf,
+    source: io::Error,
+}
+
+/// Writes the files for `singletrack`, which `command` describes, and for `singletrackd`.
+///
+/// # Errors
+///
+/// When a file can't be written.
+pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), InstallFilesError> {
+    for command in [&shown(command), &Arguments::command()] {
+        let name = command.get_name();
+        for (shell, folder) in [
+            (Shell::Bash, "bash"),
+            (Shell::Zsh, "zsh"),
+            (Shell::Fish, "fish"),
+        ] {
+            write_to(&args.out.join(folder), |folder| {
+                generate_to(shell, &mut command.clone(), name, folder).map(drop)
+            })?;
+        }
+        write_to(&args.out.join("man"), |folder| {
+            clap_mangen::generate_to(command.clone(), folder)
+        })?;
+    }
+    Ok(())
+}
+
+/// The command without the subcommands that its help does not show, which completions do.
+fn shown(command: &Command) -> Command {
+    let subcommands = command.get_subcommands().filter(|one| !one.is_hide_set());
+    let mut shown = Command::new("singletrack")
+        .version(env!("CARGO_PKG_VERSION"))
+        .args(command.get_arguments().cloned())
+        .subcommands(subcommands.cloned());
+    if let Some(about) = command.get_about() {
+        shown = shown.about(about.clone());
+    }
+    if let Some(text) = command.get_after_long_help() {
+        shown = shown.after_long_help(text.clone());
+    }
+    shown
+}
+
+fn write_to(
+    folder: &Path,
+    write: impl FnOnce(&Path) -> io::Result<()>,
+) -> Result<(), InstallFilesError> {
+    fs::create_dir_all(folder)
+        .and_then(|()| write(folder))
+        .map_err(|source| InstallFilesError {
+            folder: folder.to_owned(),
+            source,
+        })
+}

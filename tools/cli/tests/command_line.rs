@@ -1,0 +1,211 @@
+//! What all commands have in common: exit statuses, spellings, colours, and the files for shells
+//! and manuals.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+
+#[allow(dead_code, reason = "status is tried with keys as well")]
+mod pty;
+
+use std::{
+    fs,
+    io::{BufRead, BufReader, Write},
+    os::unix::net::UnixListener,
+    process::{Command, Output},
+    thread,
+};
+
+use pty::OnTerminal;
+
+const PAGE: &str = include_str!("../../../docs/command-line.md");
+
+fn singletrack(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_singletrack"));
+    command.args(arguments);
+    command
+}
+
+fn run(arguments: &[&str]) -> Output {
+    singletrack(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// The commands that --help lists.
+fn commands() -> Vec<String> {
+    let help = text(&run(&["--help"]).stdout);
+    let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let names = lines
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.strip_prefix("  "))
+        .filter(|line| !line.starts_with(' '))
+        .filter_map(|line| line.split_whitespace().next())
+        .map(ToOwned::to_owned);
+    names.filter(|name| name != "help").collect()
+}
+
+#[test]
+fn the_exit_status_is_the_documented_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("socket");
+    let listener = UnixListener::bind(&socket).unwrap();
+    thread::spawn(move || {
+        for client in listener.incoming() {
+            let mut client = client.unwrap();
+            let mut asked = String::new();
+            let mut reader = BufReader::new(client.try_clone().unwrap());
+            reader.read_line(&mut asked).unwrap();
+            writeln!(client, r#"{{"version":2,"ok":true}}"#).unwrap();
+            if asked.contains("timed") {
+                let ended = r#"{"ended":{"mode":"idle","reason":"outside-fence"}}"#;
+                writeln!(client, r#"{{"version":2,{}"#, &ended[1..]).unwrap();
+            }
+        }
+    });
+    let socket = socket.to_str().unwrap();
+    for (expected, arguments) in [
+        (0, &["status", "--socket", socket][..]),
+        (0, &["disarm", "--socket", socket]),
+        (1, &["status", "--socket", "/nowhere/socket"]),
+        (1, &["dump", "/nowhere/drive.mcap"]),
+        (1, &["recover", "/nowhere/drive.mcap.part"]),
+        (2, &["status", "--json", "--watch"]),
+        (2, &["dump"]),
+        (2, &["recover", "drive.mcap", "--colour"]),
+        (2, &["stpo"]),
+        (3, &["arm", "--for", "1s", "--socket", socket]),
+    ] {
+        let output = run(arguments);
+        assert_eq!(
+            output.status.code(),
+            Some(expected),
+            "{arguments:?}: {output:?}"
+        );
+        // What went wrong is said, and nowhere else than on standard error.
+        assert_eq!(expected == 1 || expected == 2, !output.stderr.is_empty());
+        let row = format!("| {expected} | ");
+        assert!(PAGE.contains(&row), "no row {row} on the page");
+    }
+}
+
+#[test]
+fn former_spellings_still_work_and_are_not_shown() {
+    for (command, new, old) in [
+        ("recover", "--out", "--output"),
+        ("plot", "--out", "--output"),
+        ("demo", "--out", "--output"),
+        ("demo", "--for", "--duration"),
+        ("compare", "--count", "--seeds"),
+        ("compare", "--delay-count", "--delay-seeds"),
+    ] {
+        let help = text(&run(&[command, "--help"]).stdout);
+        let shown = |option: &str| help.contains(&format!("{option} <"));
+        assert!(shown(new) && !shown(old), "{command} {new} {old}");
+        // The value is missing: the option itself is known.
+        let error = text(&run(&[command, old]).stderr);
+        assert!(
+            error.contains(&format!("'{new} <")),
+            "{command} {old}: {error}"
+        );
+    }
+}
+
+#[test]
+fn no_message_has_colours_where_they_are_not_wanted() {
+    let error = |no_color: &str| {
+        let mut command = singletrack(&["status", "--colour"]);
+        command.env("NO_COLOR", no_color);
+        let mut shell = Command::new("sh");
+        // The message goes to standard error.
+        shell.args(["-c", "exec \"$0\" status --colour 2>&1"]);
+        shell.arg(env!("CARGO_BIN_EXE_singletrack"));
+        shell.env("NO_COLOR", no_color);
+        let (status, seen, _) = OnTerminal::start(shell).end();
+        assert_eq!(status.code(), Some(2));
+        seen
+    };
+    assert!(error("").contains("\x1b["), "the test can't fail");
+    let plain = error("1");
+    assert!(
+        !plain.contains('\x1b') && plain.contains("--colour"),
+        "{plain:?}"
+    );
+}
+
+#[test]
+fn completions_and_manual_pages_name_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().to_str().unwrap();
+    let output = run(&["install-files", "--out", out]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let read = |path: &str| {
+        let file = folder.path().join(path);
+        let text = fs::read_to_string(&file).unwrap_or_default();
+        assert!(text.len() > 300, "{path} has {} bytes", text.len());
+        text
+    };
+    let commands = commands();
+    assert!(commands.len() >= 20, "{commands:?}");
+    let page = read("man/singletrack.1");
+    for shell in [
+        "bash/singletrack.bash",
+        "zsh/_singletrack",
+        "fish/singletrack.fish",
+    ] {
+        let completions = read(shell);
+        assert!(!completions.contains("install-files"), "it is for packages");
+        for command in &commands {
+            assert!(completions.contains(command.as_str()), "{shell}: {command}");
+        }
+    }
+    for command in &commands {
+        // A hyphen is escaped on a page.
+        let escaped = command.replace('-', "\\-");
+        assert!(
+            page.contains(&format!("singletrack\\-{escaped}(1)")),
+            "{command}"
+        );
+        let own = read(&format!("man/singletrack-{command}.1"));
+        assert!(own.contains(".SH SYNOPSIS"), "{command}");
+    }
+    assert!(!page.contains("install\\-files"), "it is for packages");
+    for daemon in [
+        "man/singletrackd.1",
+        "bash/singletrackd.bash",
+        "zsh/_singletrackd",
+        "fish/singletrackd.fish",
+    ] {
+        let text = read(daemon).replace("\\-", "-");
+        for option in ["config", "check", "log-format"] {
+            assert!(text.contains(option), "{daemon}: {option}");
+        }
+    }
+    // Again, over those of another release.
+    assert!(run(&["install-files", "--out", out]).status.success());
+}
+
+#[test]
+fn a_folder_that_can_not_be_written_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    fs::write(&file, "").unwrap();
+    let output = run(&["install-files", "--out", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1));
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("file/bash") && error.contains("--out"),
+        "{error}"
+    );
+}
+
+#[test]
+fn the_page_names_every_variable_that_help_names() {
+    let help = text(&run(&["--help"]).stdout);
+    for variable in ["SINGLETRACK_SOCKET", "NO_COLOR"] {
+        assert!(
+            help.contains(variable) && PAGE.contains(variable),
+            "{variable}"
+        );
+    }
+}
