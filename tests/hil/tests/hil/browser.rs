@@ -17,7 +17,7 @@ use tungstenite::{Message, WebSocket};
 use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
-    "the_page_shows_a_drive_in_a_browser_at_a_desk_and_on_a_telephone",
+    "the_page_shows_a_drive_at_a_desk_and_on_a_telephone_in_a_browser",
     shows_a_drive,
 )
 .needing(&[Need::Browser])
@@ -121,9 +121,13 @@ impl Drop for Browser {
 impl Browser {
     fn start() -> Outcome<Self> {
         let folder = tempfile::tempdir().map_err(Failure::system("no folder for the browser"))?;
-        let mut command = Command::new("chromium");
+        // It draws by software: the rig must not wait for it.
+        let mut command = Command::new("nice");
         command
             .args([
+                "-n",
+                "15",
+                "chromium",
                 "--headless=new",
                 "--remote-debugging-port=0",
                 "--disable-gpu",

@@ -1,6 +1,6 @@
 // A strip chart: the last seconds of one or two quantities, newest on the right.
 
-const SPAN_S = 20;
+export const SPAN_S = 20;
 // Larger than the interval of the states: a pause is drawn as a gap.
 const GAP_S = 0.3;
 
@@ -33,16 +33,16 @@ function niceAbove(value) {
 
 export class Chart {
   // `least` is the smallest top of the scale; with `signed` the scale goes as far below zero.
-  constructor(parent, { title, unit, least, signed = false, second = "" }) {
+  constructor(parent, { title, unit, least, signed = false, note = "" }) {
     Object.assign(this, { title, unit, least, signed, points: [] });
     const box = document.createElement("div");
     box.className = "chart";
     const head = document.createElement("div");
     const heading = document.createElement("h2");
     heading.textContent = `${title}, ${unit}`;
-    const note = document.createElement("p");
-    note.textContent = second && `dashed: ${second}`;
-    head.append(heading, note);
+    const aside = document.createElement("p");
+    aside.textContent = note;
+    head.append(heading, aside);
     this.canvas = document.createElement("canvas");
     this.canvas.setAttribute("role", "img");
     box.append(head, this.canvas);

@@ -1,6 +1,6 @@
 // The page: connects to the daemon, and shows what it sends.
 
-import { Chart } from "./chart.js";
+import { Chart, SPAN_S } from "./chart.js";
 import { View, degrees } from "./view.js";
 
 // Without a state for this long, what is shown is old.
@@ -17,9 +17,10 @@ const NO_TROUBLE = ["good", "starting"];
 const element = (id) => document.getElementById(id);
 const view = new View(element("view"));
 const charts = {
-  error: new Chart(element("charts"), { title: "P to reference", unit: "mm", least: 20 }),
+  error: new Chart(element("charts"),
+    { title: "P to reference", unit: "mm", least: 20, note: `last ${SPAN_S} s` }),
   speed: new Chart(element("charts"),
-    { title: "Speed", unit: "m/s", least: 0.5, second: "commanded" }),
+    { title: "Speed", unit: "m/s", least: 0.5, note: "dashed: commanded" }),
   steering: new Chart(element("charts"), { title: "Steering", unit: "°", least: 10, signed: true }),
   age: new Chart(element("charts"), { title: "Pose age", unit: "ms", least: 20 }),
 };

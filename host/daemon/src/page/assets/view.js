@@ -127,7 +127,8 @@ export class View {
   }
 
   drawCar(pen, to, scale, colour) {
-    const { setup: { car }, state } = this;
+    const { setup, state } = this;
+    const { car } = setup;
     const overhang = (car.length_m - car.front_axle_m - car.rear_axle_m) / 2;
     const [wheel, tyre] = [0.17 * car.length_m, 0.07 * car.length_m];
     const side = (car.width_m - tyre) / 2;
@@ -144,7 +145,8 @@ export class View {
     pen.roundRect(-car.rear_axle_m - overhang, -car.width_m / 2, car.length_m, car.width_m,
       0.12 * car.length_m);
     pen.fill();
-    pen.setLineDash(state.held ? [3 * pixel, 3 * pixel] : []);
+    // A place that is not known any more.
+    pen.setLineDash(state.pose_age * 1000 > setup.hold_ms ? [3 * pixel, 3 * pixel] : []);
     pen.stroke();
     pen.setLineDash([]);
     pen.fillStyle = colour.ink;
@@ -160,7 +162,6 @@ export class View {
     pen.lineWidth = pixel;
     pen.strokeStyle = colour.soft;
     line(pen, [[-car.rear_axle_m, 0], [car.front_axle_m, 0]]);
-    pen.strokeStyle = colour.accent;
     pen.restore();
     if (state.point) {
       const axle = [
