@@ -436,7 +436,7 @@ impl Daemon {
         if let Some(socket) = self.socket.take() {
             socket.stop();
         }
-        drop(self.page.take());
+        self.page = None;
         let mut counts = EndCounts::default();
         if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
             counts.serial_bytes = counters.bytes_dropped;

@@ -5,7 +5,7 @@ use singletrack_core::config::PageSection;
 use super::status::PageError;
 use crate::{handle::DaemonHandle, live::LiveView};
 
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) enum BoundPage {}
 
 #[derive(Debug)]
