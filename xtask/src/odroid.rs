@@ -104,7 +104,7 @@ impl Programs {
         match self {
             Self::AsInstalled => &[
                 "--features",
-                "singletrack/desk,singletrack/live,singletrackd/live",
+                "singletrack/desk,singletrack/live,singletrack/page,singletrackd/live,singletrackd/page",
             ],
             Self::AsCompared => &[],
         }

@@ -23,7 +23,7 @@ Run every check of the project, or the named steps. First tests the prerequisite
 this machine, and installs Debian packages that are missing or too old. Prints the time
 of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, slurm, units
+  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units
   -h, --help       print this help
 ";
 
@@ -147,7 +147,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
                     Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, slurm, units"
+                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, browser, slurm, units"
                     ))
                 })?;
             if !request.without.contains(&part) {
@@ -356,6 +356,13 @@ fn real_time_steps(release: Release) -> Vec<Step> {
         .of(Part::Octave)
         .needing(release.part()),
         Step::new(
+            "browser",
+            "the daemon's page shows a drive in Chromium, at a desk and on a telephone",
+            move || check(suite("native")?.args(["--browser", "in_a_browser"])),
+        )
+        .of(Part::Browser)
+        .needing(release.part()),
+        Step::new(
             "ros",
             "a node of ROS 2 in Python reads the car and drives it",
             move || ros::check(release),
@@ -410,7 +417,7 @@ mod tests {
         let why = parsed("--without arduino").unwrap_err().to_string();
         assert!(
             why.contains("\"arduino\"")
-                && why.contains("uno, odroid, readers, python, ros, octave, slurm, units")
+                && why.contains("uno, odroid, readers, python, ros, octave, browser, slurm, units")
         );
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
@@ -455,6 +462,7 @@ mod tests {
                     Part::Python,
                     Part::Ros,
                     Part::Octave,
+                    Part::Browser,
                     Part::Slurm,
                     Part::Units
                 ]

@@ -16,6 +16,7 @@ pub mod grid;
 pub mod host;
 pub mod jog_slot;
 pub mod line;
+pub mod reasons;
 pub mod reconfigure;
 pub mod serial;
 pub mod setpoint_slot;

@@ -1,14 +1,9 @@
 //! The table of reasons in the documentation, held to the code in both
 //! directions.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use std::collections::BTreeSet;
 
+use singletrack_core::reasons::explanations;
 use singletrack_mocap::RejectReason;
 use singletrack_pilot::Reason;
 use singletrack_protocol::{RefusalReason, StopCause};
@@ -16,32 +11,11 @@ use singletrack_record::Topic;
 
 const TABLE: &str = include_str!("../../../docs/reasons.md");
 
-/// Rows of the table: who decides, word, and the three columns of text.
-fn rows() -> Vec<[&'static str; 5]> {
-    TABLE
-        .lines()
-        .filter_map(|line| line.strip_prefix("| ")?.strip_suffix(" |"))
-        .skip(1)
-        .map(|line| {
-            let fields: Vec<_> = line.split(" | ").collect();
-            fields
-                .try_into()
-                .unwrap_or_else(|_| panic!("not five columns: {line}"))
-        })
-        .collect()
-}
-
 /// The words of the rows of one who decides, in order.
 fn documented(who: &str) -> Vec<&'static str> {
-    rows()
-        .into_iter()
-        .filter(|row| row[0] == who)
-        .map(|row| {
-            let word = row[1]
-                .strip_prefix('`')
-                .and_then(|word| word.strip_suffix('`'));
-            word.unwrap_or_else(|| panic!("no word: {}", row[1]))
-        })
+    explanations()
+        .filter(|row| row.who == who)
+        .map(|row| row.word)
         .collect()
 }
 
@@ -98,14 +72,18 @@ fn the_table_has_every_reason_not_to_believe_a_pose() {
 
 #[test]
 fn every_row_has_a_source_a_meaning_an_effect_and_a_remedy() {
-    let rows = rows();
     let known = ["host", "board stop", "board refusal", "cameras"];
-    for row in &rows {
-        assert!(known.contains(&row[0]), "{row:?}");
-        for text in &row[2..] {
+    for row in explanations() {
+        assert!(known.contains(&row.who), "{row:?}");
+        for text in [row.meaning, row.effect, row.remedy] {
             assert!(text.ends_with('.') && text.len() >= 5, "{row:?}: {text:?}");
         }
     }
-    let count: usize = known.iter().map(|who| documented(who).len()).sum();
-    assert_eq!(count, rows.len());
+    // The head of the table and the line below it are no rows.
+    let lines = TABLE.lines().filter(|line| line.starts_with('|')).count();
+    assert_eq!(
+        explanations().count(),
+        lines - 2,
+        "a row has not five columns"
+    );
 }

@@ -34,6 +34,7 @@ use crate::{
     live::{LiveError, LiveThread},
     mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},
+    page::{BoundPage, PageError, PageThread},
     realtime::{self, RealTimeStatus},
     reconfigure::{ConfigurationView, Reconfigurer},
     recording::{self, RecordingError, RunningRecord},
@@ -83,6 +84,9 @@ pub enum StartError {
     /// The live view can't listen.
     #[error(transparent)]
     Live(#[from] LiveError),
+    /// The page can't be served.
+    #[error(transparent)]
+    Page(#[from] PageError),
     /// A thread can't be started.
     #[error("can't start the {name} thread: {source}")]
     Thread {
@@ -120,6 +124,7 @@ pub struct Daemon {
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
     live: Option<LiveThread>,
+    page: Option<PageThread>,
     /// Keeps the processors from idling deeply while it is open.
     _idle_bound: Option<File>,
 }
@@ -162,6 +167,10 @@ impl Daemon {
         let sockets = MocapSockets::open(&config.motion_capture)?;
         let socket = match config.socket.enabled {
             true => Some(BoundSocket::open(&config.socket)?),
+            false => None,
+        };
+        let page = match config.page.enabled {
+            true => Some(BoundPage::open(&config.page)?),
             false => None,
         };
         let stop = StopFlag::new().map_err(|source| StartError::Thread {
@@ -209,6 +218,7 @@ impl Daemon {
                 commissioned,
                 drives: Drives::default(),
                 live: live_thread.as_ref().map(|thread| thread.view.clone()),
+                page: page.as_ref().map(BoundPage::view),
             },
             control: None,
             control_state: ControlThreadState::default(),
@@ -221,6 +231,7 @@ impl Daemon {
             broken_record: None,
             socket: None,
             live: live_thread,
+            page: None,
             _idle_bound: idle_bound,
         };
 
@@ -263,6 +274,9 @@ impl Daemon {
                 name: "socket",
                 source,
             })?);
+        }
+        if let Some(page) = page {
+            daemon.page = Some(PageThread::start(page, daemon.handle.clone())?);
         }
         Ok(daemon)
     }
@@ -422,6 +436,7 @@ impl Daemon {
         if let Some(socket) = self.socket.take() {
             socket.stop();
         }
+        self.page = None;
         let mut counts = EndCounts::default();
         if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
             counts.serial_bytes = counters.bytes_dropped;

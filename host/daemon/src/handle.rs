@@ -33,6 +33,7 @@ pub(crate) struct DaemonHandle {
     /// Numbers the drives that clients arm.
     pub(crate) drives: Drives,
     pub(crate) live: Option<LiveView>,
+    pub(crate) page: Option<LiveView>,
 }
 
 impl DaemonHandle {
@@ -56,6 +57,7 @@ impl DaemonHandle {
                 .subject()
                 .map(|subject| self.commissioned.view(subject)),
             live: self.live.as_ref().map(LiveView::status),
+            page: self.page.as_ref().map(LiveView::status),
             record_error: latest.record_error.clone(),
         }
     }

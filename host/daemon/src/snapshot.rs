@@ -36,6 +36,8 @@ pub struct Snapshot {
     pub commissioned: Option<Value>,
     /// The live view; `None` if it is disabled.
     pub live: Option<LiveStatus>,
+    /// The page for a browser; `None` if it is disabled.
+    pub page: Option<LiveStatus>,
     /// Why the record ended before the daemon, such as a full disk.
     pub record_error: Option<String>,
 }
@@ -165,6 +167,7 @@ impl Snapshot {
             "realtime": self.realtime,
             "configuration": self.configuration,
             "live": self.live,
+            "page": self.page,
             "record_error": self.record_error,
         })
     }

@@ -72,6 +72,7 @@ fn run(options: Options) -> Outcome {
         kills: 0,
         whole: false,
         octave: false,
+        browser: false,
         measurements: Measurements::default(),
     };
     let mut bench = Bench::new("own law", &equipment, 1)?;

@@ -34,6 +34,8 @@ pub struct Equipment {
     pub whole: bool,
     /// Whether Octave is installed.
     pub octave: bool,
+    /// Whether Chromium is installed.
+    pub browser: bool,
     /// Collects the measurements.
     pub measurements: Measurements,
 }
@@ -47,6 +49,9 @@ impl Equipment {
         }
         if need == Need::Octave && !self.octave {
             return Some("it takes Octave with its package instrument-control: --octave");
+        }
+        if need == Need::Browser && !self.browser {
+            return Some("it takes Chromium: --browser");
         }
         match &self.port {
             Some(_) => physical_lacks(need),

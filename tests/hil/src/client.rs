@@ -356,11 +356,26 @@ impl Status {
     ///
     /// Fails if there is none.
     pub fn live(&self) -> Outcome<(SocketAddr, u64)> {
-        let live = &self.0["live"];
-        let address = live["address"].as_str().and_then(|text| text.parse().ok());
+        self.server("live")
+    }
+
+    /// Address of the page, and its number of viewers.
+    ///
+    /// # Errors
+    ///
+    /// Fails if there is none.
+    pub fn page(&self) -> Outcome<(SocketAddr, u64)> {
+        self.server("page")
+    }
+
+    fn server(&self, name: &str) -> Outcome<(SocketAddr, u64)> {
+        let server = &self.0[name];
+        let address = server["address"]
+            .as_str()
+            .and_then(|text| text.parse().ok());
         address
-            .zip(live["viewers"].as_u64())
-            .ok_or_else(|| Failure::new(format!("no live view in {}", self.0)))
+            .zip(server["viewers"].as_u64())
+            .ok_or_else(|| Failure::new(format!("no {name} in {}", self.0)))
     }
 
     /// Distance from the reference of P to its estimate, in m.

@@ -9,8 +9,9 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FailsafeKind, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection,
-    SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
+    MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
+    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
+    WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -74,6 +75,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
             tcp_port: None,
         },
         live: LiveSection::default(),
+        page: PageSection::default(),
     }
 }
 

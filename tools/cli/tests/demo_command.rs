@@ -26,7 +26,10 @@ fn demo(out: &Path, options: &[&str]) -> Output {
 #[test]
 fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     let folder = tempfile::tempdir().unwrap();
-    let output = demo(folder.path(), &["--for", "2s", "--live", "0"]);
+    let output = demo(
+        folder.path(),
+        &["--for", "2s", "--live", "0", "--watch", "0"],
+    );
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{said}");
     let printed = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -39,15 +42,22 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     ] {
         assert!(printed.contains(line), "{line}\n{printed}");
     }
-    // The address of the live view, and no progress in a pipe.
-    let port = said
-        .strip_prefix("Live view: ws://127.0.0.1:")
-        .and_then(|rest| rest.split_once(' '))
-        .map(|(port, _)| port.parse::<u16>());
+    // The addresses of the page and of the live view, and no progress in a pipe.
+    let port = |line: Option<&str>, before: &str| {
+        let rest = line?.strip_prefix(before)?;
+        rest.split(' ').next()?.parse::<u16>().ok()
+    };
+    let mut lines = said.lines();
+    let page = port(
+        lines.next(),
+        "Watch the drive in a browser: http://127.0.0.1:",
+    );
+    let live = port(lines.next(), "Live view: ws://127.0.0.1:");
     assert!(
-        matches!(port, Some(Ok(1..))) && said.lines().count() == 1,
+        page.is_some_and(|port| port > 0) && live.is_some_and(|port| port > 0),
         "{said}"
     );
+    assert_eq!(lines.next(), None);
 
     let mut names: Vec<_> = std::fs::read_dir(folder.path())
         .unwrap()

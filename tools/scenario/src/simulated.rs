@@ -6,8 +6,9 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, OuterLoopSection, RecordSection, ReferenceSection, SafetyFilterSection,
-    SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind, WatchSection,
+    MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
+    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
+    WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -93,6 +94,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         state: StateSection::default(),
         socket: SocketSection::default(),
         live: LiveSection::default(),
+        page: PageSection::default(),
     }
 }
 

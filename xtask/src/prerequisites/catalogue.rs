@@ -153,6 +153,15 @@ pub(crate) const OCTAVE: Prerequisite = Prerequisite {
     attempt: octave,
 };
 
+pub(crate) const BROWSER: Prerequisite = Prerequisite {
+    name: "Chromium",
+    needed: "a chromium that runs without a screen",
+    packages: &["chromium"],
+    otherwise: "",
+    part: Some(Part::Browser),
+    attempt: |machine| runs(machine, "chromium", ["--headless", "--version"]),
+};
+
 pub(crate) const SLURM: Prerequisite = Prerequisite {
     name: "Slurm",
     needed: "munged, slurmctld, slurmd and sbatch, and a network namespace of our own (unshare, ip)",
@@ -206,6 +215,7 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
             PYTHON_PACKAGE,
             ROS,
             OCTAVE,
+            BROWSER,
             SLURM,
         ])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))

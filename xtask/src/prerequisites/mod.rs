@@ -35,6 +35,8 @@ pub(crate) enum Part {
     Ros,
     /// Octave, for MATLAB's language.
     Octave,
+    /// The daemon's page in a browser.
+    Browser,
     /// Campaigns on a cluster.
     Slurm,
     /// systemd's verification of the service.
@@ -42,13 +44,14 @@ pub(crate) enum Part {
 }
 
 impl Part {
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::Uno,
         Self::Odroid,
         Self::Readers,
         Self::Python,
         Self::Ros,
         Self::Octave,
+        Self::Browser,
         Self::Slurm,
         Self::Units,
     ];
@@ -61,6 +64,7 @@ impl Part {
             Self::Python => "python",
             Self::Ros => "ros",
             Self::Octave => "octave",
+            Self::Browser => "browser",
             Self::Slurm => "slurm",
             Self::Units => "units",
         }

@@ -53,7 +53,7 @@ pub use compensation::CompensationSection;
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
-pub use fence::FenceSection;
+pub use fence::{FenceSection, body_length_m};
 pub use governor::GovernorSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
@@ -63,7 +63,7 @@ pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
 };
 pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
-pub use output::{LiveSection, RecordSection, SocketSection, StateSection};
+pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use safety_filter::SafetyFilterSection;
 pub use section::{Key, Section};
@@ -133,6 +133,9 @@ pub struct Config {
     /// The live view.
     #[serde(default)]
     pub live: LiveSection,
+    /// The page for a browser.
+    #[serde(default)]
+    pub page: PageSection,
 }
 
 impl Config {
@@ -217,6 +220,7 @@ impl Config {
         self.record.validate()?;
         self.state.validate()?;
         self.socket.validate()?;
+        self.page.validate()?;
         together::validate(self)?;
         self.pilot().map(drop)
     }

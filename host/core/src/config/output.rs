@@ -1,4 +1,4 @@
-//! `[record]`, `[state]`, `[socket]` and `[live]`: where the daemon writes and listens.
+//! `[record]`, `[state]`, `[socket]`, `[live]` and `[page]`: where the daemon writes and listens.
 
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -60,6 +60,24 @@ section! {
     port: u16 = 8_765;
 }
 
+section! {
+    /// The daemon's own page for a browser: the car from above, mode and reason in words, ages,
+    /// battery and charts, at `http://127.0.0.1:8767`. It accepts no commands.
+    "page", restart => pub PageSection: Eq;
+    [default];
+
+    /// Whether the daemon serves it.
+    enabled: bool = false;
+    /// Address on which it listens. Beyond loopback it needs `token_file`.
+    address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    /// Port on which it listens; 0 takes any free port, which the log states.
+    port: u16 = 8_767;
+    /// File to which the daemon writes a new token at every start, open to the group. Browsers
+    /// then give it in the address: `http://ADDRESS:PORT/?token=TOKEN`. Left out, no token is
+    /// asked for.
+    token_file: Option<PathBuf> = None, example PathBuf::from("/run/singletrackd/page.token");
+}
+
 /// Capacity of the address of a Unix-domain socket, without the closing zero.
 const LONGEST_SOCKET_PATH: usize = 107;
 
@@ -102,5 +120,58 @@ impl SocketSection {
             ));
         }
         Ok(())
+    }
+}
+
+impl PageSection {
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        if !self.enabled {
+            return Ok(());
+        }
+        match &self.token_file {
+            None if !self.address.is_loopback() => Err(ConfigError::value(
+                "page.address",
+                self.address,
+                "everyone who reaches it sees the page: set page.token_file, or listen on 127.0.0.1 \
+                 and forward the port with SSH",
+            )),
+            Some(path) if path.as_os_str().is_empty() => Err(ConfigError::value(
+                "page.token_file",
+                "empty",
+                "name a file for the token, or leave the key out",
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beyond_loopback_the_page_takes_a_token() {
+        let page = |address: &str, token_file: Option<&str>| PageSection {
+            enabled: true,
+            address: address.parse().unwrap(),
+            token_file: token_file.map(PathBuf::from),
+            ..PageSection::default()
+        };
+        for address in ["127.0.0.1", "127.3.2.1", "::1"] {
+            page(address, None).validate().unwrap();
+        }
+        for address in ["0.0.0.0", "192.168.1.2", "::"] {
+            let error = page(address, None).validate().unwrap_err().to_string();
+            for part in ["page.address", address, "page.token_file"] {
+                assert!(error.contains(part), "{error}");
+            }
+            page(address, Some("/run/token")).validate().unwrap();
+        }
+        assert!(page("127.0.0.1", Some("")).validate().is_err());
+        let off = PageSection {
+            enabled: false,
+            ..page("0.0.0.0", None)
+        };
+        off.validate().unwrap();
     }
 }

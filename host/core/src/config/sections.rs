@@ -3,9 +3,9 @@
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
     EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
-    LiveSection, MotionCaptureSection, PoseSection, RecordSection, SafetyFilterSection,
-    SerialSection, ServoSection, SocketSection, SpeedSection, StateSection, SupervisorSection,
-    TimingSection, WatchSection,
+    LiveSection, MotionCaptureSection, PageSection, PoseSection, RecordSection,
+    SafetyFilterSection, SerialSection, ServoSection, SocketSection, SpeedSection, StateSection,
+    SupervisorSection, TimingSection, WatchSection,
     outer_loop::OuterLoopKeys,
     reference::ReferenceKeys,
     section::{Declared as _, Section},
@@ -41,4 +41,5 @@ pub const SECTIONS: &[Section] = &[
     StateSection::SECTION,
     SocketSection::SECTION,
     LiveSection::SECTION,
+    PageSection::SECTION,
 ];

@@ -36,7 +36,7 @@ pub enum LiveError {
     NotBuilt,
 }
 
-/// The live view, for the status.
+/// A server for viewers, the live view or the page, for the status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct LiveStatus {
     /// The address that it listens on, with the port in use.
@@ -45,7 +45,7 @@ pub struct LiveStatus {
     pub viewers: u64,
 }
 
-/// The state of the server's thread, shared with the others.
+/// The state of a server's thread, shared with the others.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveView {
     pub(super) address: SocketAddr,
@@ -53,6 +53,25 @@ pub(crate) struct LiveView {
 }
 
 impl LiveView {
+    #[cfg(feature = "page")]
+    pub(crate) fn new(address: SocketAddr) -> Self {
+        Self {
+            address,
+            viewers: Arc::default(),
+        }
+    }
+
+    #[cfg(feature = "page")]
+    pub(crate) const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// To count them.
+    #[cfg(feature = "page")]
+    pub(crate) fn viewers(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.viewers)
+    }
+
     pub(crate) fn status(&self) -> LiveStatus {
         LiveStatus {
             address: self.address,

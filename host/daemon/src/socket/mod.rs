@@ -70,3 +70,8 @@ pub(crate) use drives::Drives;
 pub use setpoint::{Rejection, SetpointCommand, SetpointFigures};
 pub(crate) use setpoint::{SetpointCounters, SetpointSource};
 pub(crate) use thread::SocketThread;
+#[cfg(feature = "page")]
+pub(crate) use {
+    stream::linger,
+    token::{Token, TokenFile},
+};

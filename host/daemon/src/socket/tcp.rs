@@ -16,7 +16,7 @@ use std::{
 
 use serde_json::json;
 use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, copy, sink},
+    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
     sync::Semaphore,
     time::{sleep, timeout},
@@ -25,7 +25,7 @@ use tokio::{
 use super::{
     command::SOCKET_VERSION,
     serve::{failure, send},
-    stream::Connection,
+    stream::{Connection, linger},
     token::{Token, TokenFile},
 };
 
@@ -39,11 +39,6 @@ const LONGEST_FIRST_LINE: u64 = 256;
 
 /// From a wrong token to its answer.
 const REFUSAL_DELAY: Duration = Duration::from_millis(500);
-
-/// The longest time, and the most bytes, for which what still comes is read and discarded: a
-/// connection that is closed with something unread is reset, and the answer is lost.
-const LINGER: Duration = Duration::from_millis(200);
-const LINGER_BYTES: u64 = 65_536;
 
 /// A listening port, its token, and the file of the token.
 #[derive(Debug)]
@@ -126,8 +121,7 @@ impl Gate {
         send(write, &failure(error)).await?;
         write.shutdown().await?;
         drop(stranger);
-        let mut rest = read.take(LINGER_BYTES);
-        let _ = timeout(LINGER, copy(&mut rest, &mut sink())).await;
+        linger(read).await;
         Ok(None)
     }
 }

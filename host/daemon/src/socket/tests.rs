@@ -78,6 +78,7 @@ impl Bench {
             commissioned,
             drives: Drives::default(),
             live: None,
+            page: None,
         };
         let bench = Self {
             daemon,

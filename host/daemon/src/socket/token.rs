@@ -1,4 +1,4 @@
-//! The token of the control socket on TCP, and the file in which clients find it.
+//! The token of the control socket on TCP and of the page, and the file in which clients find it.
 
 use core::fmt;
 use std::{
@@ -23,7 +23,7 @@ const BYTES: usize = 32;
 const PERMISSIONS: u32 = 0o640;
 
 /// A random word that a client has to give, new at every start of the daemon.
-pub(super) struct Token(String);
+pub(crate) struct Token(String);
 
 // It must not get into a log.
 impl fmt::Debug for Token {
@@ -42,7 +42,7 @@ struct FirstLine {
 }
 
 impl Token {
-    pub(super) fn random() -> io::Result<Self> {
+    pub(crate) fn random() -> io::Result<Self> {
         let mut bytes = [0_u8; BYTES];
         // The system gives so few bytes at once or not at all.
         let count = getrandom(&mut bytes, GetRandomFlags::empty())?;
@@ -58,16 +58,19 @@ impl Token {
     /// token is right.
     pub(super) fn is_given_by(&self, line: &[u8]) -> bool {
         serde_json::from_slice::<FirstLine>(line).is_ok_and(|line| {
-            line.version == SOCKET_VERSION
-                && line.command == "token"
-                && constant_time_eq(line.token.as_bytes(), self.0.as_bytes())
+            line.version == SOCKET_VERSION && line.command == "token" && self.is(&line.token)
         })
+    }
+
+    /// Whether `text` is this token; the same holds for the time.
+    pub(crate) fn is(&self, text: &str) -> bool {
+        constant_time_eq(text.as_bytes(), self.0.as_bytes())
     }
 }
 
 /// The file with the address and the token, removed when this value is dropped.
 #[derive(Debug)]
-pub(super) struct TokenFile(PathBuf);
+pub(crate) struct TokenFile(PathBuf);
 
 impl Drop for TokenFile {
     fn drop(&mut self) {
@@ -85,7 +88,7 @@ impl TokenFile {
     }
 
     /// Writes the file. Replaces the one that a killed daemon left.
-    pub(super) fn create(path: PathBuf, address: SocketAddr, token: &Token) -> io::Result<Self> {
+    pub(crate) fn create(path: PathBuf, address: SocketAddr, token: &Token) -> io::Result<Self> {
         match fs::remove_file(&path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}

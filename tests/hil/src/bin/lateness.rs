@@ -62,6 +62,7 @@ fn measure(options: &Options) -> Outcome {
         board: BoardKind::Native,
         whole: false,
         octave: false,
+        browser: false,
         kills: 0,
         measurements: Measurements::default(),
     };

@@ -177,6 +177,8 @@ pub enum Need {
     Whole,
     /// Octave, with its package instrument-control.
     Octave,
+    /// Chromium.
+    Browser,
 }
 
 /// The device by which input devices are made.

@@ -281,7 +281,7 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::Fast => Some("the motor of a car on a stand turns up to the speed of the circle"),
         Need::Uinput => uinput_lacks(),
         Need::Newcomer | Need::Whole => Some("its car is lifted, rolled and turned by a simulator"),
-        Need::FreshBoard | Need::Octave => None,
+        Need::FreshBoard | Need::Octave | Need::Browser => None,
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod arm;
 mod board;
+mod browser;
 mod drive;
 mod foreign;
 mod hostile;
@@ -64,6 +65,10 @@ struct Options {
     /// Also drive the car from Octave, with its package instrument-control
     #[arg(long)]
     octave: bool,
+
+    /// Also look at the daemon's page in Chromium
+    #[arg(long)]
+    browser: bool,
 
     #[command(flatten)]
     libtest: Arguments,
@@ -150,6 +155,7 @@ fn main() -> ExitCode {
         hostile::SCENARIOS,
         foreign::SCENARIOS,
         viewers::SCENARIOS,
+        browser::SCENARIOS,
     ]
     .concat();
     let program = if libtest.list {
@@ -170,6 +176,7 @@ fn main() -> ExitCode {
         kills: options.kills,
         whole: options.whole,
         octave: options.octave,
+        browser: options.browser,
         measurements: measurements.clone(),
     };
     let trials = scenarios

@@ -1,26 +1,37 @@
-//! Many viewers of the live view.
+//! Many viewers of the live view and of the page.
 
 use std::{
+    io::Write as _,
     net::{SocketAddr, TcpStream},
     time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
-use singletrack_hil::{Failure, Outcome, bench::Bench, ensure};
+use singletrack_hil::{Failure, Outcome, bench::Bench, client::Status, ensure};
 use singletrack_statistics::Distribution;
 use socket2::{Domain, Socket, Type};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
 use crate::Scenario;
 
-pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
-    "eight_viewers_that_never_read_do_not_affect_driving",
-    with_viewers,
-)
-.alone()];
+pub(crate) const SCENARIOS: &[Scenario] = &[
+    Scenario::new(
+        "eight_viewers_that_never_read_do_not_affect_driving",
+        with_viewers,
+    )
+    .alone(),
+    Scenario::new(
+        "twenty_browsers_that_never_read_do_not_affect_driving",
+        with_browsers,
+    )
+    .alone(),
+];
 
-/// As many as the daemon takes.
+/// As many as the daemon takes of the live view.
 const VIEWERS: usize = 8;
+
+/// Browsers on the page.
+const BROWSERS: usize = 20;
 
 /// Receive buffer of a viewer, in bytes: a few messages.
 const RECEIVE_BUFFER: usize = 4_096;
@@ -41,16 +52,34 @@ fn with_viewers(bench: &mut Bench) -> Outcome {
     live.port = 0;
     bench.start_driving()?;
     bench.keep_driving(Duration::from_secs(1))?;
-    let (address, _) = bench.status()?.live()?;
+    disturb(bench, VIEWERS, Status::live, idle_viewer)
+}
 
+fn with_browsers(bench: &mut Bench) -> Outcome {
+    let page = &mut bench.config_mut().page;
+    page.enabled = true;
+    page.port = 0;
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    disturb(bench, BROWSERS, Status::page, idle_browser)
+}
+
+/// Compares the lateness of a drive with that with `count` viewers of a server.
+fn disturb<V>(
+    bench: &mut Bench,
+    count: usize,
+    server: fn(&Status) -> Outcome<(SocketAddr, u64)>,
+    viewer: fn(SocketAddr) -> Outcome<V>,
+) -> Outcome {
+    let (address, _) = server(&bench.status()?)?;
     let (mut alone, mut watched) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
         lateness(bench, &mut alone)?;
-        let viewers: Outcome<Vec<_>> = (0..VIEWERS).map(|_| idle_viewer(address)).collect();
+        let viewers: Outcome<Vec<_>> = (0..count).map(|_| viewer(address)).collect();
         let viewers = viewers?;
         lateness(bench, &mut watched)?;
-        let (_, connected) = bench.status()?.live()?;
-        ensure!(connected == VIEWERS as u64, "{connected} viewers");
+        let (_, connected) = server(&bench.status()?)?;
+        ensure!(connected == count as u64, "{connected} viewers");
         drop(viewers);
     }
     let status = bench.status()?;
@@ -87,9 +116,9 @@ fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
     Ok(())
 }
 
-/// Subscribes to everything and reads nothing. With a usual receive buffer, it
+/// A connection that takes little of what is not read. With a usual receive buffer, a viewer
 /// would become slow only after 15 s.
-fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
+fn small_connection(address: SocketAddr) -> Outcome<TcpStream> {
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)
         .map_err(Failure::system("no socket"))?;
     socket
@@ -97,11 +126,27 @@ fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
         .map_err(Failure::system("no small buffer"))?;
     socket
         .connect(&address.into())
-        .map_err(Failure::system("no live view"))?;
+        .map_err(Failure::system("no connection"))?;
     let stream = TcpStream::from(socket);
     stream
         .set_read_timeout(Some(Duration::from_secs(5)))
         .map_err(Failure::system("no time limit"))?;
+    Ok(stream)
+}
+
+/// Watches the page's events and reads nothing.
+fn idle_browser(address: SocketAddr) -> Outcome<TcpStream> {
+    let mut stream = small_connection(address)?;
+    let request = format!("GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n");
+    stream
+        .write_all(request.as_bytes())
+        .map_err(Failure::system("no page"))?;
+    Ok(stream)
+}
+
+/// Subscribes to everything and reads nothing.
+fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
+    let stream = small_connection(address)?;
     let refused = |error: tungstenite::Error| Failure::new(format!("live view: {error}"));
     let mut request = format!("ws://{address}")
         .into_client_request()

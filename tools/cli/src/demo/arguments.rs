@@ -47,6 +47,10 @@ pub struct DemoArgs {
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
     pub(super) live: Option<u16>,
 
+    /// Serve a page that shows the drive in a browser on this machine [default port: 8767]
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8767")]
+    pub(super) watch: Option<u16>,
+
     /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     pub(super) loss: Option<LossPattern>,

@@ -67,6 +67,9 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             ..StartOptions::default()
         },
     )?;
+    if let Some(page) = daemon.snapshot().page {
+        eprintln!("Watch the drive in a browser: http://{}", page.address);
+    }
     if let Some(live) = daemon.snapshot().live {
         eprintln!(
             "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \

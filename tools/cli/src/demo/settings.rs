@@ -83,6 +83,10 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
         config.live.enabled = true;
         config.live.port = port;
     }
+    if let Some(port) = args.watch {
+        config.page.enabled = true;
+        config.page.port = port;
+    }
     config
 }
 

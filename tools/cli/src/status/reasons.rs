@@ -1,7 +1,6 @@
 //! What the words of reasons mean and what to do, from the table of the documentation.
 
-/// The one table of reasons; a test of `singletrack-core` holds it to the code.
-const TABLE: &str = include_str!("../../../../docs/reasons.md");
+use singletrack_core::reasons::explanations;
 
 /// Whose word it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,21 +32,15 @@ pub(super) struct Entry {
 impl Entry {
     /// The row of a word; none if the table is of another release than the daemon.
     pub(super) fn find(source: Source, word: &str) -> Option<Self> {
-        TABLE.lines().find_map(|line| {
-            let row = line.strip_prefix("| ")?.strip_suffix(" |")?;
-            let mut columns = row.split(" | ");
-            let is_row =
-                columns.next()? == source.name() && columns.next()?.trim_matches('`') == word;
-            if !is_row {
-                return None;
-            }
-            let meaning = plain(columns.next()?);
-            let advice = plain(columns.nth(1)?);
-            Some(Self {
-                meaning,
-                advice: (!advice.starts_with("Nothing")).then_some(advice),
+        explanations()
+            .find(|row| row.who == source.name() && row.word == word)
+            .map(|row| {
+                let advice = plain(row.remedy);
+                Self {
+                    meaning: plain(row.meaning),
+                    advice: (!advice.starts_with("Nothing")).then_some(advice),
+                }
             })
-        })
     }
 
     /// The first sentence of the meaning, as a part of another one.

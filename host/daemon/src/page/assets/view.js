@@ -1,0 +1,194 @@
+// The top view: geofence, path of the reference, trail of P, and the car to scale.
+
+import { colours, context, line } from "./chart.js";
+
+const TRAIL_S = 30;
+// Seen to either side of a car that is followed, in m.
+const NEAR_M = 1;
+// Around what is shown, in CSS pixels.
+const BORDER = 22;
+
+export class View {
+  constructor(canvas) {
+    Object.assign(this, { canvas, setup: null, state: null, trail: [], follows: false });
+  }
+
+  push(state) {
+    this.state = state;
+    const last = this.trail.at(-1);
+    if (last && state.t < last.t) {
+      this.trail = [];
+    }
+    if (state.point) {
+      this.trail.push({ t: state.t, at: state.point });
+    }
+    const from = this.trail.findIndex((point) => point.t >= state.t - TRAIL_S);
+    this.trail.splice(0, Math.max(0, from));
+  }
+
+  clear() {
+    this.trail = [];
+  }
+
+  describe() {
+    const { state } = this;
+    const text = state === null || state.x === null ? "the place of the car is not known"
+      : `the car is at x ${state.x.toFixed(2)} m, y ${state.y.toFixed(2)} m, `
+        + `yaw ${degrees(state.yaw).toFixed(0)}°`;
+    this.canvas.setAttribute("aria-label", `Top view: ${text}`);
+  }
+
+  // What is shown, in m.
+  bounds() {
+    const { setup, state } = this;
+    if (this.follows && state?.x != null) {
+      return [state.x - NEAR_M, state.y - NEAR_M, state.x + NEAR_M, state.y + NEAR_M];
+    }
+    const points = [...setup.fence.corners_m, ...setup.reference.points_m];
+    const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
+    return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  }
+
+  draw() {
+    const { pen, width, height } = context(this.canvas);
+    const { setup, state } = this;
+    if (setup === null) {
+      return;
+    }
+    const colour = colours(this.canvas);
+    const [x0, y0, x1, y1] = this.bounds();
+    const scale = Math.min((width - 2 * BORDER) / (x1 - x0), (height - 2 * BORDER) / (y1 - y0));
+    const to = ([x, y]) => [
+      width / 2 + (x - (x0 + x1) / 2) * scale,
+      height / 2 - (y - (y0 + y1) / 2) * scale,
+    ];
+    pen.lineJoin = "round";
+    this.drawGrid(pen, width, height, to, scale, colour);
+
+    pen.lineWidth = 1.5;
+    pen.strokeStyle = colour.soft;
+    outline(pen, setup.fence.corners_m.map(to));
+    pen.lineWidth = 1;
+    pen.setLineDash([5, 4]);
+    line(pen, setup.reference.points_m.map(to));
+    pen.setLineDash([]);
+    if (state === null) {
+      return;
+    }
+    this.drawTrail(pen, to, colour);
+    if (state.x !== null) {
+      this.drawCar(pen, to, scale, colour);
+    }
+    pen.strokeStyle = colour.accent;
+    pen.fillStyle = colour.accent;
+    pen.lineWidth = 1.5;
+    if (state.reference) {
+      if (state.point) {
+        pen.lineWidth = 1;
+        line(pen, [to(state.point), to(state.reference)]);
+        pen.lineWidth = 1.5;
+      }
+      disc(pen, to(state.reference), 6, colour.paper);
+      pen.stroke();
+    }
+    if (state.point) {
+      disc(pen, to(state.point), 4, colour.accent);
+    }
+  }
+
+  drawGrid(pen, width, height, to, scale, colour) {
+    const step = scale > 150 ? 0.5 : scale > 30 ? 1 : scale > 6 ? 5 : 50;
+    const origin = to([0, 0]);
+    const from = (at) => at - Math.ceil(at / (step * scale)) * step * scale;
+    pen.strokeStyle = colour.line;
+    pen.lineWidth = 0.5;
+    for (let x = from(origin[0]); x < width; x += step * scale) {
+      line(pen, [[x, 0], [x, height]]);
+    }
+    for (let y = from(origin[1]); y < height; y += step * scale) {
+      line(pen, [[0, y], [width, y]]);
+    }
+    pen.fillStyle = colour.soft;
+    pen.font = colour.font;
+    pen.fillText(`grid ${step} m`, 4, height - 6);
+  }
+
+  // The older, the fainter.
+  drawTrail(pen, to, colour) {
+    const { trail, state } = this;
+    pen.strokeStyle = colour.accent;
+    pen.lineWidth = 2;
+    for (let index = 1; index < trail.length; index += 1) {
+      const [before, point] = [trail[index - 1], trail[index]];
+      pen.globalAlpha = Math.max(0.08, 0.9 * (1 - (state.t - point.t) / TRAIL_S));
+      line(pen, [to(before.at), to(point.at)]);
+    }
+    pen.globalAlpha = 1;
+  }
+
+  drawCar(pen, to, scale, colour) {
+    const { setup, state } = this;
+    const { car } = setup;
+    const overhang = (car.length_m - car.front_axle_m - car.rear_axle_m) / 2;
+    const [wheel, tyre] = [0.17 * car.length_m, 0.07 * car.length_m];
+    const side = (car.width_m - tyre) / 2;
+    pen.save();
+    pen.translate(...to([state.x, state.y]));
+    pen.rotate(-state.yaw);
+    pen.scale(scale, -scale);
+    // What follows is in m, in the frame of the car.
+    const pixel = 1 / scale;
+    pen.lineWidth = 1.5 * pixel;
+    pen.strokeStyle = colour.ink;
+    pen.fillStyle = colour.paper;
+    pen.beginPath();
+    pen.roundRect(-car.rear_axle_m - overhang, -car.width_m / 2, car.length_m, car.width_m,
+      0.12 * car.length_m);
+    pen.fill();
+    // A place that is not known any more.
+    pen.setLineDash(state.pose_age * 1000 > setup.hold_ms ? [3 * pixel, 3 * pixel] : []);
+    pen.stroke();
+    pen.setLineDash([]);
+    pen.fillStyle = colour.ink;
+    for (const [x, angle] of [[car.front_axle_m, state.steering], [-car.rear_axle_m, 0]]) {
+      for (const y of [side, -side]) {
+        pen.save();
+        pen.translate(x, y);
+        pen.rotate(angle);
+        pen.fillRect(-wheel / 2, -tyre / 2, wheel, tyre);
+        pen.restore();
+      }
+    }
+    pen.lineWidth = pixel;
+    pen.strokeStyle = colour.soft;
+    line(pen, [[-car.rear_axle_m, 0], [car.front_axle_m, 0]]);
+    pen.restore();
+    if (state.point) {
+      const axle = [
+        state.x + car.front_axle_m * Math.cos(state.yaw),
+        state.y + car.front_axle_m * Math.sin(state.yaw),
+      ];
+      pen.strokeStyle = colour.accent;
+      pen.lineWidth = 1;
+      line(pen, [to(axle), to(state.point)]);
+    }
+  }
+}
+
+export function degrees(radians) {
+  return (radians * 180) / Math.PI;
+}
+
+function outline(pen, points) {
+  pen.beginPath();
+  points.forEach(([x, y]) => pen.lineTo(x, y));
+  pen.closePath();
+  pen.stroke();
+}
+
+function disc(pen, [x, y], radius, fill) {
+  pen.beginPath();
+  pen.arc(x, y, radius, 0, 2 * Math.PI);
+  pen.fillStyle = fill;
+  pen.fill();
+}
