@@ -6,10 +6,6 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-mod common;
-#[path = "common/terminal.rs"]
-mod terminal;
-
 use std::{net::Ipv4Addr, path::Path, time::Duration};
 
 use singletrack_core::{
@@ -26,8 +22,8 @@ use singletrackd::{
     serial_port::{self, PortError},
 };
 
-use common::wait_for;
-use terminal::Terminal;
+use crate::common::wait_for;
+use crate::terminal::Terminal;
 
 fn config(port: &Path) -> Config {
     let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();

@@ -7,10 +7,6 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-mod common;
-#[path = "common/terminal.rs"]
-mod terminal;
-
 use std::{
     ffi::CString,
     fs,
@@ -31,8 +27,8 @@ use std::{
 use singletrackd::monotonic_ns;
 use tempfile::TempDir;
 
-use common::wait_for;
-use terminal::Terminal;
+use crate::common::wait_for;
+use crate::terminal::Terminal;
 
 /// The longest time between two signs of life.
 const WATCHDOG: Duration = Duration::from_millis(400);

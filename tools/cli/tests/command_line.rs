@@ -4,8 +4,6 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 #[allow(dead_code, reason = "status is tried with keys as well")]
-mod pty;
-
 use std::{
     fs,
     io::{BufRead, BufReader, Write},
@@ -14,7 +12,7 @@ use std::{
     thread,
 };
 
-use pty::OnTerminal;
+use crate::pty::OnTerminal;
 
 const PAGE: &str = include_str!("../../../docs/command-line.md");
 

@@ -7,8 +7,6 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
-mod recorded;
-
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -25,7 +23,7 @@ use singletrack_paper::{
 use singletrack_record::{Entry, Reader, Recorder};
 use singletrack_scenario::simulate::{Scenario, simulate_recorded};
 
-use recorded::Script;
+use crate::recorded::{self, Script};
 
 fn identify(record: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_singletrack"))

@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod recorded;
-
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -13,7 +11,7 @@ use std::{
 use singletrack_figures::plot::FigureKind;
 use singletrack_record::part_path;
 
-use recorded::{PERIOD_NS, STOPPING, Script};
+use crate::recorded::{self, PERIOD_NS, STOPPING, Script};
 
 /// A record in a folder of its own, and what plotting it said.
 struct Plot {

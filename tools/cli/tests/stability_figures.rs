@@ -2,16 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-#[path = "../../figures/tests/picture/mod.rs"]
-mod picture;
-
 use std::{
     fs,
     path::Path,
     process::{Command, Output},
 };
 
-use picture::{Frame, attribute, covers, labels, pieces, titled};
+use crate::picture::{Frame, attribute, covers, labels, pieces, titled};
 
 fn stability(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_singletrack"))

@@ -2,8 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod pty;
-
 use std::{
     io::{BufRead, BufReader, Write},
     os::unix::net::{UnixListener, UnixStream},
@@ -13,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use pty::OnTerminal;
+use crate::pty::OnTerminal;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 

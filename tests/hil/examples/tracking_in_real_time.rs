@@ -1,7 +1,7 @@
 //! How closely P follows in real time, beside virtual time: scenarios of the simulated car, driven
 //! by the shipped daemon over a pseudo-terminal and UDP.
 //!
-//! `cargo run --release -p singletrack-hil --example tracking -- tools/scenarios/best/*.toml`
+//! `cargo run --release -p singletrack-hil --example tracking_in_real_time -- tools/scenarios/best/*.toml`
 //!
 //! The error is that of the true car in both: the root mean square of the distance of P from its
 //! reference at the same time. Printed too: how long after the arrival of a frame a tick begins,

@@ -1,0 +1,15 @@
+//! The daemon.
+
+mod check;
+mod common;
+mod control_port;
+mod control_socket;
+mod documentation;
+mod hazards;
+mod live_view;
+mod packaging;
+mod page;
+mod serial_line;
+mod service;
+#[path = "common/terminal.rs"]
+mod terminal;

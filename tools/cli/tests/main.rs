@@ -1,0 +1,20 @@
+//! The command line, as it is typed.
+
+mod arm_command;
+mod command_line;
+mod control_command;
+mod demo_command;
+mod identify_command;
+#[path = "../../figures/tests/picture/mod.rs"]
+mod picture;
+mod plot_command;
+mod pty;
+mod recorded;
+mod recover_command;
+mod replay_command;
+mod reproduce_command;
+mod setpoint_command;
+mod simulate_command;
+mod stability_command;
+mod stability_figures;
+mod status_command;
