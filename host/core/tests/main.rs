@@ -1,5 +1,12 @@
 //! Configuration and control loop.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
 mod board_section;
 mod config;
 mod config_documents;

@@ -1,5 +1,12 @@
 //! The daemon.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
 mod check;
 mod common;
 mod control_port;

@@ -1,5 +1,12 @@
 //! The session with the board in virtual time.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
 mod clock;
 mod common;
 mod deadlines;

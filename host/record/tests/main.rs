@@ -1,5 +1,12 @@
 //! Records that are written, read and mended.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
 mod common;
 mod cursor;
 mod damage;

@@ -1,5 +1,12 @@
 //! The command line, as it is typed.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test may fail"
+)]
+
 mod arm_command;
 mod command_line;
 mod control_command;

@@ -38,7 +38,7 @@ impl Room {
     /// by `turn_rate` (rad/s) at that speed. The wheels are held during the stop.
     pub(super) fn speed(&self, from: &Position, velocity: &Velocity, turn_rate: f64) -> f64 {
         let speed = sqrt(velocity.norm_squared());
-        if !(speed > 0.0) {
+        if speed <= 0.0 || speed.is_nan() {
             return speed;
         }
         let along = velocity / speed;
