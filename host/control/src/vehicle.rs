@@ -27,6 +27,11 @@ pub struct VehicleParameters<P = f64> {
     pub rear_cornering_stiffness_n_rad: P,
 }
 
+/// Length of a 1:10 car per wheelbase: the paper's is 0.4 m long.
+const LENGTH_PER_WHEELBASE: f64 = 0.4 / 0.26;
+/// Width of a 1:10 car per length: 0.19 m of 0.4 m.
+const WIDTH_PER_LENGTH: f64 = 0.19 / 0.4;
+
 /// A vehicle parameter that is not finite or not positive.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("vehicle parameter {name} is {value}: it must be finite and above zero")]
@@ -57,6 +62,19 @@ impl VehicleParameters {
     #[must_use]
     pub const fn wheelbase_m(&self) -> f64 {
         self.front_axle_distance_m + self.rear_axle_distance_m
+    }
+
+    /// Length of the body, in m, if it has the paper's car's for its wheelbase.
+    #[must_use]
+    pub const fn body_length_m(&self) -> f64 {
+        LENGTH_PER_WHEELBASE * self.wheelbase_m()
+    }
+
+    /// Width of the body, in m, if it has the usual one of a 1:10 car of this length. It is for
+    /// drawings only.
+    #[must_use]
+    pub const fn body_width_m(&self) -> f64 {
+        WIDTH_PER_LENGTH * self.body_length_m()
     }
 
     /// The same car with another centre of mass: `l_f` is `front_axle_distance_m`, and

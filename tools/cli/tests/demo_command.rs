@@ -67,6 +67,7 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
     assert_eq!(
         names,
         [
+            "animation.svg",
             "demo.mcap",
             "demo.toml",
             "figures",
@@ -135,7 +136,12 @@ fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success());
     assert!(said.contains("pose-too-old"), "{said}");
-    for file in ["summary.json", "report.html", "figures/trajectory.svg"] {
+    for file in [
+        "summary.json",
+        "report.html",
+        "animation.svg",
+        "figures/trajectory.svg",
+    ] {
         assert!(folder.path().join(file).exists(), "{file}: it is reported");
     }
 }

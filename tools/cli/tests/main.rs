@@ -14,6 +14,7 @@ mod demo_command;
 mod identify_command;
 #[path = "../../figures/tests/picture/mod.rs"]
 mod picture;
+mod plot_animation;
 mod plot_command;
 mod pty;
 mod recorded;

@@ -24,15 +24,6 @@ section! {
     braking_m_s2: f64, in up_to(50.0), example 0.9;
 }
 
-/// Length of a 1:10 car per wheelbase: the paper's is 0.4 m long.
-const LENGTH_PER_WHEELBASE: f64 = 0.4 / 0.26;
-
-/// The length of the body of a 1:10 car with this wheelbase, in m.
-#[must_use]
-pub fn body_length_m(vehicle: &VehicleParameters) -> f64 {
-    LENGTH_PER_WHEELBASE * vehicle.wheelbase_m()
-}
-
 /// The corners of a square of this width, in m, around the origin.
 fn square(width_m: f64) -> Vec<[f64; 2]> {
     let h = 0.5 * width_m;
@@ -52,7 +43,7 @@ impl FenceSection {
     /// The distance kept from the sides, for this car, in m.
     #[must_use]
     pub fn margin_m(&self, vehicle: &VehicleParameters) -> f64 {
-        let half = 0.5 * body_length_m(vehicle);
+        let half = 0.5 * vehicle.body_length_m();
         self.margin_m.unwrap_or((half * 1_000.0).round() / 1_000.0)
     }
 

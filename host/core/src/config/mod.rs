@@ -53,7 +53,7 @@ pub use compensation::CompensationSection;
 pub use control::ControlSection;
 pub use error::ConfigError;
 pub use estimator::{EstimatorSection, MarkerLossKind};
-pub use fence::{FenceSection, body_length_m};
+pub use fence::FenceSection;
 pub use governor::GovernorSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;

@@ -6,20 +6,16 @@ use core::f64::consts::TAU;
 use serde_json::{Map, Value, json};
 use singletrack_control::Reference;
 use singletrack_core::{
-    config::{Config, ReferenceSection, body_length_m},
+    config::{Config, ReferenceSection},
     reasons::explanations,
 };
 
 /// Points of the reference's path.
 const POINTS: u32 = 400;
 
-/// The width of a body per length: a 1:10 car's, 0.19 m of 0.4 m. It is for the drawing only.
-const WIDTH_PER_LENGTH: f64 = 0.19 / 0.4;
-
 /// The answer to `/setup.json`. `number` is that of the configuration.
 pub(super) fn setup(number: u32, config: &Config) -> Value {
     let (vehicle, law) = (&config.vehicle, &config.law);
-    let length_m = body_length_m(vehicle);
     let (points_m, is_closed) = reference_path(config);
     json!({
         "version": env!("CARGO_PKG_VERSION"),
@@ -30,8 +26,8 @@ pub(super) fn setup(number: u32, config: &Config) -> Value {
         },
         "reference": { "points_m": points_m, "closed": is_closed },
         "car": {
-            "length_m": length_m,
-            "width_m": length_m * WIDTH_PER_LENGTH,
+            "length_m": vehicle.body_length_m(),
+            "width_m": vehicle.body_width_m(),
             "front_axle_m": law.front_axle_distance_m,
             "rear_axle_m": vehicle.wheelbase_m() - law.front_axle_distance_m,
             "point_m": law.front_axle_distance_m + law.point_distance_m,

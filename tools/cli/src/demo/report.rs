@@ -4,7 +4,8 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 use singletrack_figures::plot::{
-    self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_figures, write_report,
+    self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_animation,
+    write_figures, write_report,
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
@@ -150,6 +151,7 @@ pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotErro
     let (number, drive) = record.choose(Some(number))?;
     write_figures(drive, &FigureKind::ALL, &args.out.join(FIGURES))?;
     write_report(&record, number, drive, &args.out)?;
+    write_animation(&record, drive, &args.out)?;
     Ok(())
 }
 

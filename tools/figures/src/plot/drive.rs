@@ -157,6 +157,8 @@ impl Drive {
             time: self.time(tick.pilot_time),
             mode: output.mode,
             held: output.held,
+            place: pair(estimate.map(|estimate| estimate.position)),
+            yaw: of_estimate(|estimate| estimate.yaw),
             point: pair(output.point),
             reference: pair(reference.and_then(|reference| reference.position)),
             reference_velocity: pair(reference.map(|reference| reference.velocity)),

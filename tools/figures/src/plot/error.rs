@@ -28,6 +28,14 @@ pub enum PlotError {
         /// How many there are.
         count: usize,
     },
+    /// The drive can't be shown from above.
+    #[error("{}: no animation: {why}", path.display())]
+    NoAnimation {
+        /// The record.
+        path: PathBuf,
+        /// What it lacks.
+        why: &'static str,
+    },
     /// A picture can't be written.
     #[error("can't write {}: {source}; choose another folder with --out", path.display())]
     Write {

@@ -1,5 +1,6 @@
 //! `singletrack plot`: the figures of a drive, from its record alone.
 
+mod animation;
 pub mod drive;
 mod error;
 mod figures;
@@ -18,6 +19,7 @@ use std::{
 
 use clap::{Args, ValueEnum};
 
+pub use animation::ANIMATION;
 pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
@@ -42,6 +44,11 @@ pub struct PlotArgs {
         value_delimiter = ','
     )]
     pub figures: Vec<FigureKind>,
+
+    /// The drive from above, played back at its own speed: animation.svg, which needs no script
+    /// [with --figure or --format: beside the figures, else alone].
+    #[arg(long)]
+    pub animate: bool,
 
     /// Files to write [default: all; with --figure, svg].
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -97,12 +104,16 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     };
     let formats = match (args.format.is_empty(), args.figures.is_empty()) {
         (false, _) => &args.format[..],
+        (true, true) if args.animate => &[],
         (true, true) => &[PlotFormat::Svg, PlotFormat::Html],
         (true, false) => &[PlotFormat::Svg],
     };
     let mut plotted = Plotted::default();
     if formats.contains(&PlotFormat::Svg) {
         plotted = write_figures(drive, figures, &out)?;
+    }
+    if args.animate {
+        plotted.files.push(write_animation(&record, drive, &out)?);
     }
     if formats.contains(&PlotFormat::Html) {
         plotted
@@ -183,6 +194,28 @@ pub fn write_figures(
         }
     }
     Ok(plotted)
+}
+
+/// Writes the animation of a drive into `folder`. Returns its path.
+///
+/// # Errors
+///
+/// When the record lacks something for it, or it can't be written.
+pub fn write_animation(
+    record: &Record,
+    drive: &Drive,
+    folder: &Path,
+) -> Result<PathBuf, PlotError> {
+    let configuration = record.configuration(drive).unwrap_or_default();
+    let picture =
+        animation::animation(drive, configuration).map_err(|why| PlotError::NoAnimation {
+            path: record.path.clone(),
+            why,
+        })?;
+    make(folder)?;
+    let path = folder.join(ANIMATION);
+    write(&path, &picture)?;
+    Ok(path)
 }
 
 /// The name of the report's file.

@@ -11,6 +11,10 @@ pub struct TickSample {
     pub mode: Mode,
     /// Whether no new pose came since the tick before.
     pub held: bool,
+    /// G as estimated, world frame, in m.
+    pub place: [f64; 2],
+    /// Yaw as estimated, in rad.
+    pub yaw: f64,
     /// P as estimated, world frame, in m.
     pub point: [f64; 2],
     /// Where P should be, in m; not a number for a reference that is a velocity alone.

@@ -67,6 +67,8 @@ mod tests {
                 time: f64::from(index) / 100.0,
                 mode: Mode::Driving,
                 held: kind != '.',
+                place: [0.0; 2],
+                yaw: 0.0,
                 point: [0.0; 2],
                 reference: [0.0; 2],
                 reference_velocity: [0.0; 2],

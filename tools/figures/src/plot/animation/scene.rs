@@ -1,0 +1,244 @@
+//! What stands still in the animation: the car's shape, the geofence, and the part of the floor
+//! that is seen.
+
+use std::fmt::Write as _;
+
+use singletrack_control::VehicleParameters;
+use toml::Value;
+
+/// The car and its geofence, by the configuration.
+pub(super) struct Scene {
+    /// Of the body, in m.
+    pub(super) length: f64,
+    width: f64,
+    /// From the centre of mass, as the law believes it, in m.
+    front_axle: f64,
+    rear_axle: f64,
+    /// From the front axle, in m.
+    point: f64,
+    fence: Vec<[f64; 2]>,
+}
+
+impl Scene {
+    /// None if the configuration, a TOML document, does not hold the car.
+    pub(super) fn of(configuration: &Value) -> Option<Self> {
+        let vehicle: VehicleParameters = configuration.get("vehicle")?.clone().try_into().ok()?;
+        let law = configuration.get("law")?;
+        let front_axle = law.get("front_axle_distance_m")?.as_float()?;
+        let corners = configuration
+            .get("fence")
+            .and_then(|fence| fence.get("corners_m"));
+        let corners = corners.and_then(|corners| corners.clone().try_into().ok());
+        Some(Self {
+            length: vehicle.body_length_m(),
+            width: vehicle.body_width_m(),
+            front_axle,
+            rear_axle: vehicle.wheelbase_m() - front_axle,
+            point: law.get("point_distance_m")?.as_float()?,
+            fence: corners.unwrap_or_default(),
+        })
+    }
+
+    pub(super) fn fence_path(&self) -> String {
+        if self.fence.is_empty() {
+            return String::new();
+        }
+        format!(
+            r#"<path class="fence" d="{}z"/>"#,
+            super::through(&self.fence)
+        )
+    }
+
+    /// The car with its centre of mass at the origin, its front to the right; `steering` turns
+    /// what turns with the front wheels.
+    pub(super) fn car(&self, steering: &str) -> String {
+        let Self {
+            length,
+            width,
+            front_axle,
+            rear_axle,
+            point,
+            ..
+        } = *self;
+        let overhang = 0.5 * (length - front_axle - rear_axle);
+        let (wheel, tyre) = (0.17 * length, 0.07 * length);
+        let side = 0.5 * (width - tyre);
+        let tyre_at = |x: f64, y: f64| {
+            format!(
+                r#"<path class="wheel" stroke-width="{}" d="M{} {}h{}"/>"#,
+                number(tyre),
+                number(x - 0.5 * wheel),
+                number(y),
+                number(wheel)
+            )
+        };
+        let mut car = format!(
+            r#"<rect class="body" x="{}" y="{}" width="{}" height="{}" rx="{}"/>"#,
+            number(-rear_axle - overhang),
+            number(-0.5 * width),
+            number(length),
+            number(width),
+            number(0.12 * length)
+        );
+        for y in [-side, side] {
+            car.push_str(&tyre_at(-rear_axle, y));
+            let _ = write!(
+                car,
+                r#"<g transform="translate({} {})"><g>{steering}{}</g></g>"#,
+                number(front_axle),
+                number(y),
+                tyre_at(0.0, 0.0)
+            );
+        }
+        let _ = write!(
+            car,
+            r#"<g transform="translate({} 0)"><g>{steering}<path class="arm" d="M0 0h{}"/><circle class="point" cx="{}" r="{}"/></g></g>"#,
+            number(front_axle),
+            number(point),
+            number(point),
+            number(0.075 * length)
+        );
+        car
+    }
+}
+
+/// The part of the floor that is seen.
+pub(super) struct View {
+    left: f64,
+    top: f64,
+    width: f64,
+    height: f64,
+    /// Pixels per m.
+    scale: f64,
+    pub(super) width_px: f64,
+    pub(super) height_px: f64,
+    /// From one line of the grid to the next, in m.
+    pub(super) grid_m: f64,
+}
+
+/// The size of the picture of the floor is within this, in pixels.
+const WIDTH_PX: f64 = 800.0;
+const HEIGHT_PX: f64 = 560.0;
+/// The narrowest that holds its legend, in pixels.
+const LEAST_WIDTH_PX: f64 = 420.0;
+/// A geofence wider than so many times what was driven is not shown whole.
+const FENCE_RATIO: f64 = 2.0;
+
+impl View {
+    /// What shows these places with a car around each, and the geofence if it is near.
+    pub(super) fn around(places: &[[f64; 2]], scene: &Scene) -> Self {
+        let border = 0.6 * scene.length;
+        let driven = Bounds::of(places).wider(border);
+        let fence = Bounds::of(&scene.fence).wider(0.3 * border);
+        let both = driven.with(&fence);
+        let is_near = both.width() <= FENCE_RATIO * driven.width()
+            && both.height() <= FENCE_RATIO * driven.height();
+        let seen = if is_near { both } else { driven };
+        let scale = (WIDTH_PX / seen.width()).min(HEIGHT_PX / seen.height());
+        let width_px = (seen.width() * scale).max(LEAST_WIDTH_PX);
+        let missing = width_px / scale - seen.width();
+        let grids = [0.1, 0.5, 1.0, 5.0, 10.0, 50.0];
+        let grid_m = grids.into_iter().find(|grid| grid * scale >= 60.0);
+        Self {
+            left: seen.low[0] - 0.5 * missing,
+            top: seen.high[1],
+            width: width_px / scale,
+            height: seen.height(),
+            scale,
+            width_px,
+            height_px: seen.height() * scale,
+            grid_m: grid_m.unwrap_or(100.0),
+        }
+    }
+
+    /// From metres, y up, to pixels, y down, below a header.
+    pub(super) fn transform(&self, header_px: f64) -> String {
+        let Self {
+            left, top, scale, ..
+        } = self;
+        format!(
+            "translate({} {}) scale({scale:.4} {:.4})",
+            number(-left * scale),
+            number(header_px + top * scale),
+            -scale
+        )
+    }
+
+    pub(super) fn metres(&self, pixels: f64) -> f64 {
+        pixels / self.scale
+    }
+
+    pub(super) fn grid(&self) -> String {
+        let mut path = String::new();
+        let lines = |from: f64, length: f64| {
+            let first = (from / self.grid_m).ceil() as i64;
+            let last = ((from + length) / self.grid_m).floor() as i64;
+            first..=last
+        };
+        let bottom = self.top - self.height;
+        for index in lines(self.left, self.width) {
+            let x = index as f64 * self.grid_m;
+            let _ = write!(path, "M{} {bottom:.3}v{:.3}", number(x), self.height);
+        }
+        for index in lines(bottom, self.height) {
+            let y = index as f64 * self.grid_m;
+            let _ = write!(path, "M{:.3} {}h{:.3}", self.left, number(y), self.width);
+        }
+        format!(r#"<path class="grid" d="{path}"/>"#)
+    }
+}
+
+/// A rectangle on the floor.
+struct Bounds {
+    low: [f64; 2],
+    high: [f64; 2],
+}
+
+impl Bounds {
+    /// Of no places: nothing, which makes no other bounds wider.
+    fn of(places: &[[f64; 2]]) -> Self {
+        let end = |start: f64, pick: fn(f64, f64) -> f64| {
+            [0, 1].map(|axis: usize| places.iter().map(|place| place[axis]).fold(start, pick))
+        };
+        Self {
+            low: end(f64::INFINITY, f64::min),
+            high: end(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
+    fn wider(self, by: f64) -> Self {
+        Self {
+            low: self.low.map(|low| low - by),
+            high: self.high.map(|high| high + by),
+        }
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        let pick = |one: [f64; 2], other: [f64; 2], pick: fn(f64, f64) -> f64| {
+            [pick(one[0], other[0]), pick(one[1], other[1])]
+        };
+        Self {
+            low: pick(self.low, other.low, f64::min),
+            high: pick(self.high, other.high, f64::max),
+        }
+    }
+
+    fn width(&self) -> f64 {
+        self.high[0] - self.low[0]
+    }
+
+    fn height(&self) -> f64 {
+        self.high[1] - self.low[1]
+    }
+}
+
+/// A number to a thousandth, without needless digits.
+pub(super) fn number(value: f64) -> String {
+    let text = format!("{value:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" {
+        "0".to_owned()
+    } else {
+        text.to_owned()
+    }
+}
