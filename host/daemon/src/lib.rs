@@ -49,6 +49,8 @@ pub use daemon::{Daemon, StartError, StartOptions, StopError};
 pub use live::{LiveError, LiveStatus};
 pub use mocap_socket::MocapSocketError;
 pub use page::PageError;
+#[cfg(feature = "page")]
+pub use page::{BadRequest, Request as PageRequest};
 pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;

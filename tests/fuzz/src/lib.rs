@@ -22,6 +22,7 @@ mod control_line;
 mod frame;
 mod host_bytes;
 mod natnet_packets;
+mod page_head;
 mod samples;
 
 pub mod seeds;
@@ -31,6 +32,7 @@ pub use configuration::configuration;
 pub use control_line::control_line;
 pub use host_bytes::host_bytes;
 pub use natnet_packets::natnet_packets;
+pub use page_head::page_head;
 
 /// A fuzz target.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +44,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 5] = [
+pub const TARGETS: [Target; 6] = [
     Target {
         name: "board_bytes",
         run: board_bytes,
@@ -62,5 +64,9 @@ pub const TARGETS: [Target; 5] = [
     Target {
         name: "control_line",
         run: control_line,
+    },
+    Target {
+        name: "page_head",
+        run: page_head,
     },
 ];

@@ -30,6 +30,7 @@ pub fn seeds(target: &str) -> Vec<Seed> {
         "natnet_packets" => natnet(),
         "configuration" => configuration(),
         "control_line" => control_line(),
+        "page_head" => page_head(),
         _ => vec![],
     }
 }
@@ -430,6 +431,34 @@ fn configuration() -> Vec<Seed> {
 }
 
 /// The lines of the protocol's description, and objects that resemble them.
+fn page_head() -> Vec<Seed> {
+    let heads = [
+        ("root", "GET / HTTP/1.1\r\nHost: localhost:8767\r\n\r\n"),
+        (
+            "events",
+            "GET /events?token=abc HTTP/1.1\r\nHost: 127.0.0.1:8767\r\nAccept: text/event-stream\r\n\r\n",
+        ),
+        ("head", "HEAD /page.js HTTP/1.0\r\n\r\n"),
+        ("unfinished", "GET /setup.json HTTP/1.1\r\nHost: [::1"),
+        ("stranger", "GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n"),
+        ("post", "POST / HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc"),
+        ("bare-line-feeds", "GET / HTTP/1.1\nHost: localhost\n\n"),
+        ("no-head", "\u{0}\u{1}\u{2}\r\n\r\n"),
+    ];
+    let raw = heads.map(|(name, head)| Seed {
+        name: format!("head-{name}"),
+        bytes: [&[0], head.as_bytes()].concat(),
+    });
+    // The numbers choose from the parts of `page_head`.
+    let parts = |name: String, target, header| Seed {
+        name,
+        bytes: vec![1, 1, 0, target, 0, header],
+    };
+    let targets = (0..7).map(|target| parts(format!("target-{target}"), target, 0));
+    let headers = (0..10).map(|header| parts(format!("header-{header}"), 1, header));
+    raw.into_iter().chain(targets).chain(headers).collect()
+}
+
 fn control_line() -> Vec<Seed> {
     let lines = [
         ("status", r#"{"version":2,"command":"status"}"#),

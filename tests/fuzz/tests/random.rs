@@ -47,4 +47,13 @@ proptest! {
         data.insert(0, object.into());
         singletrack_fuzz::control_line(&data);
     }
+
+    #[test]
+    fn random_heads_are_requests_or_refused(
+        parts: bool,
+        mut data in vec(any::<u8>(), 0..80),
+    ) {
+        data.insert(0, parts.into());
+        singletrack_fuzz::page_head(&data);
+    }
 }

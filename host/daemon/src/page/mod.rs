@@ -33,5 +33,7 @@ mod status;
 #[cfg(not(feature = "page"))]
 pub(crate) use not_built::{BoundPage, PageThread};
 #[cfg(feature = "page")]
+pub use request::{BadRequest, Request};
+#[cfg(feature = "page")]
 pub(crate) use server::{BoundPage, PageThread};
 pub use status::PageError;

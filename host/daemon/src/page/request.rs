@@ -14,21 +14,24 @@ const HEADERS: usize = 64;
 /// The longest wait for the whole head.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What a browser asks for.
+/// What a browser asks the page for: the head of a request of HTTP/1.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Request {
-    pub(super) method: String,
-    /// Without the query.
-    pub(super) path: String,
+pub struct Request {
+    /// The method, such as `GET`.
+    pub method: String,
+    /// The path, without the query.
+    pub path: String,
     /// `token` of the query.
-    pub(super) token: Option<String>,
+    pub token: Option<String>,
     host: Option<String>,
 }
 
 /// Why a request is not answered with what it asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum BadRequest {
+pub enum BadRequest {
+    /// It is no head of HTTP/1.
     Malformed,
+    /// Its head, or the number of its headers, is beyond what a browser sends.
     TooLong,
 }
 
@@ -57,8 +60,12 @@ impl Request {
         timeout(HEAD_TIMEOUT, read).await.unwrap_or(Ok(None))
     }
 
-    /// The request, as soon as its head is complete.
-    fn parse(head: &[u8]) -> Result<Option<Self>, BadRequest> {
+    /// The request, as soon as its head is complete; `None` before.
+    ///
+    /// # Errors
+    ///
+    /// When it is no head, or one with too many headers.
+    pub fn parse(head: &[u8]) -> Result<Option<Self>, BadRequest> {
         let mut headers = [httparse::EMPTY_HEADER; HEADERS];
         let mut request = httparse::Request::new(&mut headers);
         match request.parse(head) {
@@ -91,7 +98,8 @@ impl Request {
 
     /// Whether the request names this computer by an address or as `localhost`, and not by a name
     /// that another web page may have given it.
-    pub(super) fn names_no_other_host(&self) -> bool {
+    #[must_use]
+    pub fn names_no_other_host(&self) -> bool {
         let Some(host) = &self.host else {
             // Browsers always name one.
             return true;
