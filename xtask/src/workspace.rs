@@ -120,7 +120,7 @@ mod tests {
                     .any(|line| line == format!("name = \"{name}\""));
                 assert!(
                     is_module || is_program,
-                    "{}: tests/{name} is compiled by nobody; add `mod {name};` to tests/main.rs",
+                    "{}: tests/{name} is in no test program; add `mod {name};` to tests/main.rs",
                     package.display()
                 );
                 listed += 1;

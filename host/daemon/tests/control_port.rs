@@ -23,19 +23,14 @@ use singletrack_pilot::Mode;
 use singletrackd::{Daemon, StartError, StartOptions};
 use tempfile::TempDir;
 
+use crate::common;
+
 const STATUS: &str = r#"{"version":2,"command":"status"}"#;
 const STOP: &str = r#"{"version":2,"command":"stop"}"#;
 const WATCH: &str = r#"{"version":2,"command":"watch","topics":["drops"]}"#;
 
 fn config(folder: &Path) -> Config {
-    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    config.serial.port = folder.join("board");
-    config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
-    config.control.realtime_priority = 0;
-    config.record.directory = folder.join("records");
-    config.state.directory = folder.join("state");
-    config.socket.path = folder.join("control.sock");
+    let mut config = common::config(folder);
     config.socket.tcp_port = Some(0);
     config
 }

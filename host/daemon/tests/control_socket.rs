@@ -9,7 +9,6 @@
 use std::{
     fs,
     io::{BufRead, BufReader, Write},
-    net::Ipv4Addr,
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
     time::{Duration, Instant},
@@ -21,6 +20,8 @@ use singletrack_core::{Config, config::ReferenceSection};
 use singletrack_pilot::Mode;
 use singletrackd::{Daemon, StartError, StartOptions};
 use tempfile::TempDir;
+
+use crate::common;
 
 struct Client {
     write: UnixStream,
@@ -60,12 +61,7 @@ fn start() -> (Daemon, PathBuf, TempDir) {
 }
 
 fn config(folder: &Path, socket: &Path) -> Config {
-    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    config.serial.port = folder.join("board");
-    config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
-    config.control.realtime_priority = 0;
-    config.record.directory = folder.join("records");
+    let mut config = common::config(folder);
     socket.clone_into(&mut config.socket.path);
     config
 }

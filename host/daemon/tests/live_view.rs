@@ -22,14 +22,10 @@ use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
+use crate::common;
+
 fn config(folder: &TempDir) -> Config {
-    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    config.serial.port = folder.path().join("board");
-    config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
-    config.control.realtime_priority = 0;
-    config.record.directory = folder.path().join("records");
-    config.socket.path = folder.path().join("control.sock");
+    let mut config = common::config(folder.path());
     config.live = LiveSection {
         enabled: true,
         port: 0,

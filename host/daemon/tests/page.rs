@@ -21,15 +21,11 @@ use singletrackd::{Daemon, StartError, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 
+use crate::common;
+
 fn config(folder: &TempDir) -> Config {
-    let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
-    config.serial.port = folder.path().join("board");
-    config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
-    config.control.realtime_priority = 0;
+    let mut config = common::config(folder.path());
     config.record.enabled = false;
-    config.state.directory = folder.path().join("state");
-    config.socket.path = folder.path().join("control.sock");
     config.page = PageSection {
         enabled: true,
         port: 0,

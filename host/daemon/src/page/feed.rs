@@ -34,7 +34,7 @@ impl Default for Feed {
 
 impl Feed {
     /// Publishes for as long as the daemon lives. The state stream is read, and lines are made,
-    /// only while somebody watches.
+    /// only while there is a viewer.
     pub(super) async fn run(&self, daemon: &DaemonHandle) {
         let mut ticks = interval(STATE_INTERVAL);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -124,7 +124,7 @@ impl Summary {
         line
     }
 
-    /// The status as lines of at most so many columns.
+    /// The status as lines no wider than `columns`.
     pub(super) fn lines(&self, columns: usize) -> Vec<String> {
         let why = self.why();
         let mut lines = Vec::new();
