@@ -3,6 +3,7 @@
 //!
 //! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
 
+mod beside;
 mod compiler;
 mod cross_cargo;
 mod debian;

@@ -69,9 +69,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         },
     );
     let steps: Vec<Step> = [first].into_iter().chain(steps).collect();
-    let result = run_all(&steps, &|step| {
-        step.name == PREREQUISITES || request.chooses(step)
-    });
+    let chosen = |step: &Step| step.name == PREREQUISITES || request.chooses(step);
+    let result = run_all(&steps, &chosen, &|names| request.alone(names));
     if !request.without.is_empty() {
         let parts: Vec<&str> = request.without.iter().map(|part| part.name()).collect();
         println!("Skipped by --without: {}", parts.join(", "));
@@ -87,6 +86,17 @@ impl Selection {
     fn chooses(&self, step: &Step) -> bool {
         !step.part.is_some_and(|part| self.without.contains(&part))
             && (self.steps.is_empty() || self.steps.iter().any(|name| name == step.name))
+    }
+
+    /// The command that runs these steps alone.
+    fn alone(&self, names: &[&'static str]) -> Command {
+        let this = std::env::current_exe().unwrap_or_else(|_| "xtask".into());
+        let mut command = Command::new(this);
+        command.arg("verify").args(names);
+        for part in &self.without {
+            command.args(["--without", part.name()]);
+        }
+        command
     }
 
     /// Refuses steps that do not exist or are skipped.
