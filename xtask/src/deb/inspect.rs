@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path, process::Command};
 
-use super::{Architecture, PROGRAMS};
+use super::{Architecture, PROGRAMS, pack::stage};
 use crate::process::{Failure, output, silent};
 
 /// Shells, and where each looks for the completions of a program.
@@ -36,7 +36,7 @@ pub(super) fn inspect(
     has_image: bool,
 ) -> Result<(), Failure> {
     lint(package)?;
-    let folder = package.with_file_name(format!("{}/unpacked", architecture.name()));
+    let folder = stage(architecture)?.join("unpacked");
     silent(
         Command::new("dpkg-deb")
             .arg("--extract")

@@ -30,10 +30,11 @@ pub(super) fn pack(
     image: Option<&Image>,
 ) -> Result<PathBuf, Failure> {
     let name = architecture.name();
-    let all = target::folder()?.join("debian");
-    let stage = all.join(name);
-    lay_out(&stage, programs)
-        .map_err(|error| Failure::new(format!("can't write to {}: {error}", stage.display())))?;
+    let stage = stage(architecture)?;
+    let packages = target::folder()?.join("debian");
+    let unwritten = |error| Failure::new(format!("can't write to {}: {error}", stage.display()));
+    lay_out(&stage, programs).map_err(unwritten)?;
+    remove_packages(&packages, name).map_err(unwritten)?;
     let singletrack = programs.join("singletrack");
     check(
         architecture
@@ -49,14 +50,15 @@ pub(super) fn pack(
                 .args([&image.elf, &hex]),
         )?;
     }
-    let packages = PROGRAMS.map(|(_, package)| package);
-    let notices = libraries::notices(&packages, architecture.triple())?;
-    finish(&stage, &notices)
-        .map_err(|error| Failure::new(format!("can't write to {}: {error}", stage.display())))?;
+    let crates = PROGRAMS.map(|(_, package)| package);
+    let notices = libraries::notices(&crates, architecture.triple())?;
+    finish(&stage, &notices).map_err(unwritten)?;
     silent(
         Command::new("dpkg-architecture")
             .current_dir(&stage)
             .env("DEB_RULES_REQUIRES_ROOT", "no")
+            // There is nothing to build and to test.
+            .env("DEB_BUILD_OPTIONS", "nocheck")
             .args(["--host-arch", name, "--force"])
             .args(["--command", "debian/rules", "binary"]),
     )?;
@@ -66,7 +68,30 @@ pub(super) fn pack(
             .args(["--show-field", "Version"]),
     )?;
     let version = String::from_utf8_lossy(&version);
-    Ok(all.join(format!("singletrack_{}_{name}.deb", version.trim())))
+    Ok(packages.join(format!("singletrack_{}_{name}.deb", version.trim())))
+}
+
+/// The folder in which a package is laid out. debian/rules puts the package in `../../debian`,
+/// which holds nothing but packages.
+pub(super) fn stage(architecture: Architecture) -> Result<PathBuf, Failure> {
+    let folder = target::folder()?.join("debian-stage");
+    Ok(folder.join(architecture.name()))
+}
+
+/// Removes the packages of other versions, which an installation by a pattern would take too.
+fn remove_packages(folder: &Path, architecture: &str) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if name
+            .to_string_lossy()
+            .ends_with(&format!("_{architecture}.deb"))
+        {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 fn lay_out(stage: &Path, programs: &Path) -> io::Result<()> {
