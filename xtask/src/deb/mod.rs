@@ -8,6 +8,8 @@ use std::{
     process::{Command, Stdio},
 };
 
+use pack::Compression::{Fast, Small};
+
 use crate::{
     foreign::{AARCH64, ARMHF, Foreign},
     image::{self, Image, Progress},
@@ -138,7 +140,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         _ => required(&PACKAGE_ARM64),
     }?;
     let image = image::ensure(Progress::of_stderr(), 0)?;
-    let package = pack::pack(architecture, &architecture.build()?, Some(&image))?;
+    let package = pack::pack(architecture, &architecture.build()?, Some(&image), Small)?;
     inspect::inspect(architecture, &package, true)?;
     println!("{}", package.display());
     Ok(())
@@ -165,7 +167,7 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
     let daemon = release.path("singletrackd")?;
     let programs = daemon.parent().unwrap_or(root());
     let architecture = Architecture::find(None)?;
-    let package = pack::pack(architecture, programs, image.as_ref())?;
+    let package = pack::pack(architecture, programs, image.as_ref(), Fast)?;
     inspect::inspect(architecture, &package, image.is_some())?;
     println!("{}", package.display());
     Ok(())

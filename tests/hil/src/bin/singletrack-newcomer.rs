@@ -33,6 +33,13 @@ struct Options {
     #[arg(long, value_name = "N", default_value_t = 3)]
     seed: u64,
 
+    /// First procedure: those before it have passed with the configuration in DIR
+    ///
+    /// Run again with the one that was interrupted or failed: it goes on with that step.
+    #[arg(long, value_name = "PROCEDURE", default_value = "doctor",
+          value_parser = PROCEDURES)]
+    from: String,
+
     /// Last procedure; the car drives after calibrate only
     #[arg(long, value_name = "PROCEDURE", default_value = "calibrate",
           value_parser = PROCEDURES)]
@@ -74,7 +81,10 @@ fn run(options: &Options) -> Outcome {
     let rehearsal = Rehearsal::of(&car)
         .map_err(|error| Failure::new(format!("the car of --seed {}: {error}", options.seed)))?;
     let mut newcomer = Newcomer::start(car, &folder, &programs)?;
-    for procedure in PROCEDURES {
+    for procedure in PROCEDURES
+        .into_iter()
+        .skip_while(|one| *one != options.from)
+    {
         attend(&mut newcomer, &rehearsal, &[procedure])?;
         if procedure == options.until {
             break;

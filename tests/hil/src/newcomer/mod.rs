@@ -70,8 +70,9 @@ pub enum Next {
 }
 
 impl Newcomer {
-    /// Switches the car on and starts the daemon, with what its owner has written down. Files are
-    /// written to `folder`, and `programs` is the folder of the programs.
+    /// Switches the car on and starts the daemon, with what its owner has written down, or with
+    /// the configuration that is in `folder` already. Files are written to `folder`, and
+    /// `programs` is the folder of the programs.
     ///
     /// # Errors
     ///
@@ -454,7 +455,14 @@ fn write_configuration(car: &OnboardCar, folder: &Path, cameras: u16) -> Outcome
     let failed = |error: singletrack_commissioning::edit::EditError| {
         Failure::new(format!("the configuration: {error}"))
     };
-    let mut file = Edit::new(&car.file.to_string()).map_err(failed)?;
+    let config = folder.join("singletrackd.toml");
+    // What procedures have found out is kept.
+    let mut file = if config.exists() {
+        Edit::read(&config)
+    } else {
+        Edit::new(&car.file.to_string())
+    }
+    .map_err(failed)?;
     let path = |name: &str| folder.join(name).display().to_string();
     for (key, value) in [
         ("serial.port", path("board").into()),
@@ -466,7 +474,6 @@ fn write_configuration(car: &OnboardCar, folder: &Path, cameras: u16) -> Outcome
     ] {
         file.set(key, &value).map_err(failed)?;
     }
-    let config = folder.join("singletrackd.toml");
     fs::write(&config, file.text()).map_err(Failure::system("can't write the configuration"))?;
     Ok(config)
 }
