@@ -24,6 +24,7 @@
 //! [`RealTimeSimulator`] runs a world on its own thread, with a pseudo-terminal and
 //! UDP sockets for a host in another process.
 
+mod arguments;
 mod attitude;
 mod board;
 mod by_hand;
@@ -45,6 +46,7 @@ mod udp;
 mod wire;
 mod world;
 
+pub use arguments::Arguments;
 pub use board::{
     BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
     SimulatedBoard, UnknownBoard, UnoError,

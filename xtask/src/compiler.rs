@@ -36,6 +36,14 @@ pub(crate) const ARM: Target = Target {
     libraries: &["core", "std"],
 };
 
+/// The 64-bit processors of Raspberry Pi and its like, Debian's arm64.
+pub(crate) const ARM64: Target = Target {
+    triple: "aarch64-unknown-linux-gnu",
+    name: "Rust for ARM64",
+    flags: &[],
+    libraries: &["core", "std"],
+};
+
 /// Oldest release that builds the workspace: its `rust-version`.
 const OLDEST: &str = env!("CARGO_PKG_RUST_VERSION");
 

@@ -1,17 +1,21 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
-//! `cargo demo`, `cargo faults`, `cargo onboard`, `cargo uno`, `cargo odroid`, `cargo verify`.
+//! `cargo deb`, `cargo demo`, `cargo faults`, `cargo odroid`, `cargo onboard`, `cargo uno`,
+//! `cargo verify`.
 //!
 //! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
 
 mod beside;
 mod compiler;
 mod cross_cargo;
+mod deb;
 mod debian;
 mod demo;
 mod faults;
 mod figures;
+mod foreign;
 mod gates;
 mod image;
+mod libraries;
 mod machine;
 mod odroid;
 mod onboard;
@@ -37,10 +41,13 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let Some((command, arguments)) = arguments.split_first() else {
-        eprintln!("usage: cargo demo | faults | onboard | uno | odroid | verify, each with --help");
+        eprintln!(
+            "usage: cargo deb | demo | faults | odroid | onboard | uno | verify, each with --help"
+        );
         return ExitCode::FAILURE;
     };
     let result = workspace::find().and_then(|_| match command.as_str() {
+        "deb" => deb::main(arguments),
         "demo" => demo::main(arguments),
         "faults" => faults::main(arguments),
         "onboard" => onboard::main(arguments),
@@ -48,7 +55,7 @@ fn main() -> ExitCode {
         "odroid" => odroid::main(arguments),
         "verify" => verify::main(arguments),
         unknown => Err(process::Failure::new(format!(
-            "unknown command {unknown:?}; known: cargo demo | faults | onboard | uno | odroid | verify"
+            "unknown command {unknown:?}; known: cargo deb | demo | faults | odroid | onboard | uno | verify"
         ))),
     });
     match result {

@@ -1,19 +1,14 @@
 //! Daemon and tools for the Odroid XU4: 32-bit ARM with hard float (Debian's armhf).
 
-use std::{
-    path::{Path, PathBuf},
-    process::{Command, Stdio},
-};
+use std::{path::PathBuf, process::Stdio};
 
 use crate::{
-    compiler::{self, ARM},
-    cross_cargo::cross_cargo,
+    foreign::ARMHF,
     machine::Machine,
-    prerequisites::{self, QEMU, QEMU_OPTIONS},
+    prerequisites,
     process::{Failure, check, output},
     release::Release,
-    same_bits, target,
-    workspace::root,
+    same_bits,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -22,9 +17,6 @@ usage: cargo odroid
 Build singletrackd and singletrack for the Odroid and print their paths.
 Installs missing Debian packages.
 ";
-
-const TARGET: &str = "armv7-unknown-linux-gnueabihf";
-const COMPILER: &str = "arm-linux-gnueabihf-gcc";
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
@@ -54,7 +46,7 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
     let folder = build(Programs::AsCompared)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
-        let answer = output(emulated(&daemon).arg(question))?;
+        let answer = output(ARMHF.emulated(&daemon).arg(question))?;
         if !String::from_utf8_lossy(&answer).contains("singletrackd") {
             return Err(Failure::new(format!(
                 "singletrackd {question}, emulated, does not print its name"
@@ -67,7 +59,9 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
             ("this machine", &mut same_bits::simulate(release, scenario)?),
             (
                 "ARMv7",
-                emulated(&folder.join("singletrack")).args(["simulate", scenario]),
+                ARMHF
+                    .emulated(folder.join("singletrack"))
+                    .args(["simulate", scenario]),
             ),
         )?;
     }
@@ -120,37 +114,14 @@ impl Programs {
 
 /// Builds both programs and returns their folder.
 fn build(programs: Programs) -> Result<PathBuf, Failure> {
-    let compiler = compiler::find(&Machine::this(), ARM)
-        .map_err(|reasons| Failure::new(reasons.join("\n")))?;
-    let target = target::folder()?.join("odroid");
+    let (mut cargo, target) = ARMHF.cargo_build()?;
     check(
-        cross_cargo(&compiler, root())
-            .env(
-                "CARGO_TARGET_ARMV7_UNKNOWN_LINUX_GNUEABIHF_LINKER",
-                COMPILER,
-            )
-            // zstd is C.
-            .env("CC_armv7_unknown_linux_gnueabihf", COMPILER)
-            .args(["build", "--locked"])
+        cargo
             .args(programs.profile())
-            .args([
-                "-Zbuild-std=std,panic_unwind",
-                "--target",
-                TARGET,
-                "--target-dir",
-            ])
-            .arg(&target)
             .args(["--package", "singletrackd", "--package", "singletrack"])
             .arg("--no-default-features")
             .args(programs.features())
             .stdout(Stdio::null()),
     )?;
-    Ok(target.join(TARGET).join(programs.folder()))
-}
-
-/// A command that runs a program for the Odroid in the emulator.
-fn emulated(program: &Path) -> Command {
-    let mut command = Command::new(QEMU);
-    command.current_dir(root()).args(QEMU_OPTIONS).arg(program);
-    command
+    Ok(ARMHF.programs(&target, programs.folder()))
 }

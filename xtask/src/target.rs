@@ -38,18 +38,32 @@ pub(crate) fn adopt() -> Result<(), Failure> {
 
 /// The target folder in cargo's JSON.
 fn target_directory(metadata: &str) -> Option<PathBuf> {
-    let (_, rest) = metadata.split_once("\"target_directory\":\"")?;
-    let mut path = String::new();
+    paths(metadata, "target_directory").next()
+}
+
+/// The paths of this name in cargo's JSON.
+pub(crate) fn paths(metadata: &str, name: &str) -> impl Iterator<Item = PathBuf> {
+    metadata
+        .split(&format!("\"{name}\":\""))
+        .skip(1)
+        .filter_map(text_up_to_quote)
+        .map(PathBuf::from)
+        .collect::<Vec<_>>()
+        .into_iter()
+}
+
+fn text_up_to_quote(rest: &str) -> Option<String> {
+    let mut text = String::new();
     let mut characters = rest.chars();
     loop {
         match characters.next()? {
-            '"' => return Some(path.into()),
+            '"' => return Some(text),
             '\\' => match characters.next()? {
-                escaped @ ('"' | '\\' | '/') => path.push(escaped),
+                escaped @ ('"' | '\\' | '/') => text.push(escaped),
                 // Control characters in paths are not supported.
                 _ => return None,
             },
-            character => path.push(character),
+            character => text.push(character),
         }
     }
 }

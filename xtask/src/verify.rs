@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use crate::{
-    image,
+    deb, image,
     machine::Machine,
     odroid, packages,
     prerequisites::{self, Part},
@@ -23,7 +23,7 @@ Run every check of the project, or the named steps. First tests the prerequisite
 this machine, and installs Debian packages that are missing or too old. Prints the time
 of each step, stops at the first failure, and lists the steps that were not run.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units
+  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units, debian
   -h, --help       print this help
 ";
 
@@ -157,7 +157,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
                     Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, browser, slurm, units"
+                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, browser, slurm, units, debian"
                     ))
                 })?;
             if !request.without.contains(&part) {
@@ -333,6 +333,13 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .of(Part::Odroid)
         .needing(release.part()),
+        Step::new(
+            "debian",
+            "this machine's Debian package is clean by lintian, complete, and its programs run",
+            move || deb::verify(release),
+        )
+        .of(Part::Debian)
+        .needing(release.part()),
     ]
 }
 
@@ -427,7 +434,9 @@ mod tests {
         let why = parsed("--without arduino").unwrap_err().to_string();
         assert!(
             why.contains("\"arduino\"")
-                && why.contains("uno, odroid, readers, python, ros, octave, browser, slurm, units")
+                && why.contains(
+                    "uno, odroid, readers, python, ros, octave, browser, slurm, units, debian"
+                )
         );
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
@@ -456,6 +465,7 @@ mod tests {
         assert_eq!(needed("readers"), [Part::Uno, Part::Readers]);
         assert_eq!(needed("python"), [Part::Uno, Part::Python]);
         assert_eq!(needed("odroid"), [Part::Uno, Part::Odroid]);
+        assert_eq!(needed("debian"), [Part::Uno, Part::Debian]);
         assert_eq!(needed(""), Part::ALL);
         assert_eq!(needed("prerequisites"), Part::ALL);
     }
@@ -474,7 +484,8 @@ mod tests {
                     Part::Octave,
                     Part::Browser,
                     Part::Slurm,
-                    Part::Units
+                    Part::Units,
+                    Part::Debian
                 ]
             );
         }

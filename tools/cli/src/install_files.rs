@@ -8,7 +8,6 @@ use std::{
 
 use clap::{Args, Command, CommandFactory as _};
 use clap_complete::{Shell, generate_to};
-use singletrackd::Arguments;
 
 /// Options of `singletrack install-files`.
 #[derive(Clone, Debug, Args)]
@@ -26,13 +25,18 @@ pub struct InstallFilesError {
     source: io::Error,
 }
 
-/// Writes the files for `singletrack`, which `command` describes, and for `singletrackd`.
+/// Writes the files for `singletrack`, which `command` describes, for `singletrackd` and for
+/// `singletrack-sim`.
 ///
 /// # Errors
 ///
 /// When a file can't be written.
 pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), InstallFilesError> {
-    for command in [&shown(command), &Arguments::command()] {
+    for command in [
+        &shown(command),
+        &singletrackd::Arguments::command(),
+        &singletrack_sim::Arguments::command(),
+    ] {
         let name = command.get_name();
         for (shell, folder) in [
             (Shell::Bash, "bash"),

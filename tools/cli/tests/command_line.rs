@@ -179,6 +179,14 @@ fn completions_and_manual_pages_name_every_command() {
             assert!(text.contains(option), "{daemon}: {option}");
         }
     }
+    for simulator in [
+        "man/singletrack-sim.1",
+        "bash/singletrack-sim.bash",
+        "zsh/_singletrack-sim",
+        "fish/singletrack-sim.fish",
+    ] {
+        assert!(read(simulator).contains("hands"), "{simulator}");
+    }
     // Again, over those of another release.
     assert!(run(&["install-files", "--out", out]).status.success());
 }

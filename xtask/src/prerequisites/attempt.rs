@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::{
     compiler::{self, AVR, Target},
+    foreign::Foreign,
     machine::{Answer, Machine, Scratch, answer},
 };
 
@@ -159,40 +160,52 @@ pub(super) fn simavr(machine: &Machine) -> Result<String, String> {
 /// Exit code of the program for the emulator.
 const ANSWER: i32 = 42;
 
-fn link_for_odroid(machine: &Machine, scratch: &Scratch) -> Result<PathBuf, String> {
+fn link_for(foreign: &Foreign, machine: &Machine, scratch: &Scratch) -> Result<PathBuf, String> {
     link(
         machine,
         scratch,
-        "arm-linux-gnueabihf-gcc",
+        &foreign.c_compiler(),
         &format!("#include <stdlib.h>\nint main(void) {{ exit({ANSWER}); }}\n"),
         &[],
         &[],
     )
 }
 
-pub(super) fn odroid_linker(machine: &Machine) -> Result<String, String> {
-    link_for_odroid(machine, &scratch("arm")?)?;
-    runs(machine, "arm-linux-gnueabihf-gcc", ["--version"])
+pub(super) fn linker(foreign: &Foreign, machine: &Machine) -> Result<String, String> {
+    link_for(foreign, machine, &scratch("arm")?)?;
+    runs(machine, foreign.c_compiler(), ["--version"])
 }
 
-/// Runs programs for the Odroid on this machine, with Debian's C library for them.
-pub(crate) const QEMU: &str = "qemu-arm-static";
-pub(crate) const QEMU_OPTIONS: [&str; 2] = ["-L", "/usr/arm-linux-gnueabihf"];
-
-pub(super) fn emulator(machine: &Machine) -> Result<String, String> {
+pub(super) fn emulator(foreign: &Foreign, machine: &Machine) -> Result<String, String> {
     let scratch = scratch("qemu")?;
     let program =
-        link_for_odroid(machine, &scratch).map_err(|why| format!("no program to run: {why}"))?;
+        link_for(foreign, machine, &scratch).map_err(|why| format!("no program to run: {why}"))?;
+    let qemu = foreign.qemu;
     let status = machine
-        .command(QEMU)
-        .args(QEMU_OPTIONS)
+        .command(qemu)
+        .args(foreign.qemu_options())
         .arg(program)
         .status()
-        .map_err(|_| format!("no {QEMU}"))?;
+        .map_err(|_| format!("no {qemu}"))?;
     if status.code() != Some(ANSWER) {
-        return Err(format!("{QEMU} does not run a program: {status}"));
+        return Err(format!("{qemu} does not run a program: {status}"));
     }
-    runs(machine, QEMU, ["--version"])
+    runs(machine, qemu, ["--version"])
+}
+
+/// debhelper, with the addition that makes users and groups, and what it calls.
+pub(super) fn debhelper(machine: &Machine) -> Result<String, String> {
+    const ADDITION: &str = "installsysusers";
+    for tool in ["dpkg-architecture", "dpkg-deb", "man"] {
+        runs(machine, tool, ["--version"])?;
+    }
+    match machine.ask("dh", ["--list"]) {
+        None => Err("no dh".to_owned()),
+        Some(found) if found.text.lines().any(|line| line == ADDITION) => {
+            Ok(format!("dh with {ADDITION}"))
+        }
+        Some(_) => Err(format!("dh lacks {ADDITION}: debhelper is too old")),
+    }
 }
 
 pub(super) fn systemd(machine: &Machine) -> Result<String, String> {

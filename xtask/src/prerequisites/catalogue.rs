@@ -3,11 +3,14 @@
 use super::{
     Part, Prerequisite,
     attempt::{
-        c_compiler, clippy, emulator, image_clippy, image_linker, octave, odroid_linker,
+        c_compiler, clippy, debhelper, emulator, image_clippy, image_linker, linker, octave,
         of_this_toolchain, python, ros, runs, rust, simavr, slurm, systemd,
     },
 };
-use crate::compiler::{ARM, AVR};
+use crate::{
+    compiler::AVR,
+    foreign::{AARCH64, ARMHF},
+};
 
 pub(crate) const FORMATTER: Prerequisite = Prerequisite {
     name: "rustfmt",
@@ -78,7 +81,7 @@ pub(crate) const SIMULATOR: Prerequisite = Prerequisite {
 };
 
 pub(crate) const ODROID_COMPILER: Prerequisite = Prerequisite {
-    name: ARM.name,
+    name: ARMHF.rust.name,
     needed: concat!(
         "a rustc ",
         env!("CARGO_PKG_RUST_VERSION"),
@@ -88,7 +91,7 @@ pub(crate) const ODROID_COMPILER: Prerequisite = Prerequisite {
     otherwise: "rustup toolchain install nightly --component rust-src\n\
                 or name one: SINGLETRACK_RUSTC=/path/to/rustc",
     part: Some(Part::Odroid),
-    attempt: |machine| rust(machine, ARM),
+    attempt: |machine| rust(machine, ARMHF.rust),
 };
 
 pub(crate) const ODROID_LINKER: Prerequisite = Prerequisite {
@@ -97,7 +100,7 @@ pub(crate) const ODROID_LINKER: Prerequisite = Prerequisite {
     packages: &["gcc-arm-linux-gnueabihf", "libc6-dev-armhf-cross"],
     otherwise: "",
     part: Some(Part::Odroid),
-    attempt: odroid_linker,
+    attempt: |machine| linker(&ARMHF, machine),
 };
 
 pub(crate) const EMULATOR: Prerequisite = Prerequisite {
@@ -106,7 +109,55 @@ pub(crate) const EMULATOR: Prerequisite = Prerequisite {
     packages: &["qemu-user-static"],
     otherwise: "",
     part: Some(Part::Odroid),
-    attempt: emulator,
+    attempt: |machine| emulator(&ARMHF, machine),
+};
+
+pub(crate) const ARM64_COMPILER: Prerequisite = Prerequisite {
+    name: AARCH64.rust.name,
+    needed: concat!(
+        "a rustc ",
+        env!("CARGO_PKG_RUST_VERSION"),
+        " or later that compiles for aarch64-unknown-linux-gnu, with the sources of std"
+    ),
+    part: None,
+    attempt: |machine| rust(machine, AARCH64.rust),
+    ..ODROID_COMPILER
+};
+
+pub(crate) const ARM64_LINKER: Prerequisite = Prerequisite {
+    name: "C for ARM64",
+    needed: "aarch64-linux-gnu-gcc links a program",
+    packages: &["gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross"],
+    otherwise: "",
+    part: None,
+    attempt: |machine| linker(&AARCH64, machine),
+};
+
+pub(crate) const ARM64_EMULATOR: Prerequisite = Prerequisite {
+    name: "qemu for ARM64",
+    needed: "qemu-aarch64-static runs a program for ARM64",
+    packages: &["qemu-user-static"],
+    otherwise: "",
+    part: None,
+    attempt: |machine| emulator(&AARCH64, machine),
+};
+
+pub(crate) const DEBHELPER: Prerequisite = Prerequisite {
+    name: "debhelper",
+    needed: "dpkg-deb, dpkg-architecture, dh and dh_installsysusers of debhelper 13.11 or later",
+    packages: &["debhelper"],
+    otherwise: "",
+    part: Some(Part::Debian),
+    attempt: debhelper,
+};
+
+pub(crate) const LINTIAN: Prerequisite = Prerequisite {
+    name: "lintian",
+    needed: "lintian, which checks Debian packages",
+    packages: &["lintian"],
+    otherwise: "",
+    part: Some(Part::Debian),
+    attempt: |machine| runs(machine, "lintian", ["--version"]),
 };
 
 pub(crate) const SYSTEMD: Prerequisite = Prerequisite {
@@ -201,6 +252,15 @@ pub(crate) const IMAGE: [Prerequisite; 3] = [IMAGE_COMPILER, IMAGE_LINKER, SIMUL
 /// Prerequisites of `cargo odroid`.
 pub(crate) const ODROID: [Prerequisite; 2] = [ODROID_COMPILER, ODROID_LINKER];
 
+/// Prerequisites of `cargo deb` on every machine; the image is in the package.
+pub(crate) const PACKAGE: [Prerequisite; 2] = [DEBHELPER, LINTIAN];
+
+/// Prerequisites of `cargo deb --target armhf`.
+pub(crate) const PACKAGE_ARMHF: [Prerequisite; 3] = [ODROID_COMPILER, ODROID_LINKER, EMULATOR];
+
+/// Prerequisites of `cargo deb --target arm64`.
+pub(crate) const PACKAGE_ARM64: [Prerequisite; 3] = [ARM64_COMPILER, ARM64_LINKER, ARM64_EMULATOR];
+
 /// Prerequisites of the checks with these parts.
 pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
     BASIC
@@ -217,6 +277,8 @@ pub(crate) fn of_parts(parts: &[Part]) -> Vec<Prerequisite> {
             OCTAVE,
             BROWSER,
             SLURM,
+            DEBHELPER,
+            LINTIAN,
         ])
         .filter(|one| one.part.is_none_or(|part| parts.contains(&part)))
         .collect()

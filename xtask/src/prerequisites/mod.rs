@@ -15,10 +15,12 @@ use crate::{
     process::Failure,
 };
 
-pub(crate) use attempt::{QEMU, QEMU_OPTIONS, python};
-pub(crate) use catalogue::{IMAGE, ODROID, PROGRAMMER, of_parts};
+pub(crate) use attempt::python;
+pub(crate) use catalogue::{
+    IMAGE, ODROID, PACKAGE, PACKAGE_ARM64, PACKAGE_ARMHF, PROGRAMMER, of_parts,
+};
 
-use catalogue::{IMAGE_CLIPPY, IMAGE_COMPILER, ODROID_COMPILER};
+use catalogue::{ARM64_COMPILER, IMAGE_CLIPPY, IMAGE_COMPILER, ODROID_COMPILER};
 
 /// An optional part of the checks, with its prerequisites.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,10 +43,12 @@ pub(crate) enum Part {
     Slurm,
     /// systemd's verification of the service.
     Units,
+    /// The Debian package.
+    Debian,
 }
 
 impl Part {
-    pub(crate) const ALL: [Self; 9] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Uno,
         Self::Odroid,
         Self::Readers,
@@ -54,6 +58,7 @@ impl Part {
         Self::Browser,
         Self::Slurm,
         Self::Units,
+        Self::Debian,
     ];
 
     pub(crate) const fn name(self) -> &'static str {
@@ -67,6 +72,7 @@ impl Part {
             Self::Browser => "browser",
             Self::Slurm => "slurm",
             Self::Units => "units",
+            Self::Debian => "debian",
         }
     }
 }
@@ -201,8 +207,13 @@ impl Prerequisite {
     fn comes_with_packages(&self, machine: &Machine) -> bool {
         let is = |others: &[Self]| others.iter().any(|other| other.name == self.name);
         // A named compiler is not replaced by another.
-        if machine.named_compiler.is_some() && is(&[IMAGE_COMPILER, IMAGE_CLIPPY, ODROID_COMPILER])
-        {
+        let compilers = [
+            IMAGE_COMPILER,
+            IMAGE_CLIPPY,
+            ODROID_COMPILER,
+            ARM64_COMPILER,
+        ];
+        if machine.named_compiler.is_some() && is(&compilers) {
             return false;
         }
         // Debian's clippy works only with Debian's compiler.

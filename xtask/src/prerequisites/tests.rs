@@ -238,6 +238,15 @@ fn missing_or_old_programs_do_not_meet_prerequisites() {
     machine.program("systemd-analyze", "echo 'systemd 252 (252.38-1)'");
     assert_eq!(attempt(SYSTEMD), Ok("systemd 252 (252.38-1)".to_owned()));
 
+    for tool in ["dpkg-architecture", "dpkg-deb", "man"] {
+        machine.program(tool, "");
+    }
+    assert_eq!(attempt(DEBHELPER), Err("no dh".to_owned()));
+    machine.program("dh", "echo systemd");
+    assert!(attempt(DEBHELPER).unwrap_err().ends_with("too old"));
+    machine.program("dh", "echo installsysusers; echo systemd");
+    attempt(DEBHELPER).unwrap();
+
     for one in [ODROID_LINKER, EMULATOR] {
         let why = attempt(one).unwrap_err();
         assert!(why.contains("no arm-linux-gnueabihf-gcc"), "{why}");
@@ -282,7 +291,11 @@ fn the_container_has_all_packages() {
     let recipe = crate::workspace::root().join("packaging/Containerfile");
     let recipe = fs::read_to_string(recipe).unwrap();
     let words: Vec<&str> = recipe.split_whitespace().collect();
-    for one in of_parts(&Part::ALL).iter().chain([&PROGRAMMER]) {
+    for one in of_parts(&Part::ALL)
+        .iter()
+        .chain([&PROGRAMMER])
+        .chain(&PACKAGE_ARM64)
+    {
         for package in one.packages {
             assert!(words.contains(package), "{package}");
         }

@@ -19,7 +19,7 @@ use std::{
 use serde_json::json;
 use singletrack_commissioning::{Answer, Answers, Question, edit::Edit, report};
 use singletrack_onboard::{Hands as _, OnboardCar, Person, Rehearsal};
-use singletrack_sim::{HandCommand, Seen};
+use singletrack_sim::{HandCommand, HandMotion, Seen, StartPose};
 
 use crate::{Failure, Outcome, client::Client, daemon::Daemon, ensure, rig::as_hardware, wait};
 pub use hands::SocketHands;
@@ -27,6 +27,9 @@ pub use terminal::Terminal;
 
 /// How often terminal and car are looked at.
 const LOOK: Duration = Duration::from_millis(5);
+
+/// Radius of the circle in an owner's configuration.
+pub const CIRCLE_RADIUS_M: f64 = 1.0;
 
 /// The longest time in which nothing new is printed.
 const SILENCE: Duration = Duration::from_secs(150);
@@ -67,15 +70,16 @@ pub enum Next {
 }
 
 impl Newcomer {
-    /// Switches the car on and starts the daemon, with what its owner has written down. The
-    /// programs are in a folder of their own.
+    /// Switches the car on and starts the daemon, with what its owner has written down, or with
+    /// the configuration that is in `folder` already. Files are written to `folder`, and
+    /// `programs` is the folder of the programs.
     ///
     /// # Errors
     ///
     /// A program does not start.
     pub fn start(car: OnboardCar, folder: &Path, programs: &Path) -> Outcome<Self> {
-        let folder = folder.join("newcomer");
-        let written = || Failure::system("can't write the newcomer's files");
+        let folder = folder.to_owned();
+        let written = || Failure::system(format!("can't write to {}", folder.display()));
         fs::create_dir_all(&folder).map_err(written())?;
         let truth = toml::to_string(&car.simulation)
             .map_err(|error| Failure::new(format!("the simulation: {error}")))?;
@@ -331,6 +335,27 @@ impl Newcomer {
             .map(drop)
     }
 
+    /// Carries the car to where P is at the start of its owner's circle, and waits until it can
+    /// be armed.
+    ///
+    /// # Errors
+    ///
+    /// The daemon does not become ready.
+    pub fn place_at_circle(&mut self) -> Outcome {
+        let config = singletrack_core::config::Config::read(&self.config())
+            .map_err(|error| Failure::new(error.to_string()))?;
+        let front_m = self.car.simulation.car.vehicle.front_axle_distance_m;
+        let to = StartPose {
+            x_m: CIRCLE_RADIUS_M,
+            y_m: -front_m - config.law.point_distance_m,
+            yaw_rad: core::f64::consts::FRAC_PI_2,
+        };
+        // A car that is lifted right after a drive moves although it was stopped.
+        self.wait_for_mode("ready")?;
+        self.do_by_hand(HandCommand::Move(HandMotion::Carry { to, for_s: 1.0 }))?;
+        self.wait_for_mode("ready")
+    }
+
     /// Looks at the car until `ends` says so, and gives the time that it took.
     ///
     /// # Errors
@@ -430,7 +455,14 @@ fn write_configuration(car: &OnboardCar, folder: &Path, cameras: u16) -> Outcome
     let failed = |error: singletrack_commissioning::edit::EditError| {
         Failure::new(format!("the configuration: {error}"))
     };
-    let mut file = Edit::new(&car.file.to_string()).map_err(failed)?;
+    let config = folder.join("singletrackd.toml");
+    // What procedures have found out is kept.
+    let mut file = if config.exists() {
+        Edit::read(&config)
+    } else {
+        Edit::new(&car.file.to_string())
+    }
+    .map_err(failed)?;
     let path = |name: &str| folder.join(name).display().to_string();
     for (key, value) in [
         ("serial.port", path("board").into()),
@@ -442,7 +474,6 @@ fn write_configuration(car: &OnboardCar, folder: &Path, cameras: u16) -> Outcome
     ] {
         file.set(key, &value).map_err(failed)?;
     }
-    let config = folder.join("singletrackd.toml");
     fs::write(&config, file.text()).map_err(Failure::system("can't write the configuration"))?;
     Ok(config)
 }

@@ -17,11 +17,11 @@ use singletrack_hil::{
     Failure, Outcome,
     bench::{Bench, NEUTRAL_LIMIT_MS},
     ensure,
-    newcomer::{Newcomer, Next, Session},
+    newcomer::{CIRCLE_RADIUS_M, Newcomer, Next, Session},
     rig::Need,
 };
 use singletrack_onboard::{OnboardCar, Rehearsal};
-use singletrack_sim::{HandCommand, HandMotion, Seen, StartPose};
+use singletrack_sim::{HandCommand, Seen};
 
 use crate::Scenario;
 
@@ -103,7 +103,11 @@ fn rehearsal() -> Outcome<Rehearsal> {
 /// A newcomer whose car has come to this procedure.
 fn newcomer(bench: &Bench, rehearsal: &Rehearsal, procedure: &str) -> Outcome<Newcomer> {
     let programs = bench.program().parent().unwrap_or(Path::new("."));
-    let mut newcomer = Newcomer::start(OnboardCar::random(SEED), bench.folder(), programs)?;
+    let mut newcomer = Newcomer::start(
+        OnboardCar::random(SEED),
+        &bench.folder().join("newcomer"),
+        programs,
+    )?;
     for before in [DOCTOR, BRING_UP] {
         if before == procedure {
             break;
@@ -340,7 +344,11 @@ fn whole(bench: &mut Bench) -> Outcome {
         .parent()
         .unwrap_or(Path::new("."))
         .to_owned();
-    let mut newcomer = Newcomer::start(OnboardCar::random(SEED), bench.folder(), &programs)?;
+    let mut newcomer = Newcomer::start(
+        OnboardCar::random(SEED),
+        &bench.folder().join("newcomer"),
+        &programs,
+    )?;
     for procedure in [DOCTOR, BRING_UP, CALIBRATE] {
         let session = newcomer.run(&[procedure], &rehearsal, |_, _, _| Next::GoOn)?;
         bench.at_most(
@@ -364,20 +372,11 @@ const OFF_MM: f64 = 12.0;
 
 /// Arms the car, and compares its true way with the circle.
 fn circle(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) -> Outcome {
-    const RADIUS_M: f64 = 1.0;
     let config = singletrack_core::config::Config::read(&newcomer.config())
         .map_err(|error| Failure::new(error.to_string()))?;
     let front_m = newcomer.car().simulation.car.vehicle.front_axle_distance_m;
     let point_m = config.law.point_distance_m;
-    let to = StartPose {
-        x_m: RADIUS_M,
-        y_m: -front_m - point_m,
-        yaw_rad: core::f64::consts::FRAC_PI_2,
-    };
-    // A car that is lifted right after a drive moves although it was stopped.
-    newcomer.wait_for_mode("ready")?;
-    newcomer.do_by_hand(HandCommand::Move(HandMotion::Carry { to, for_s: 1.0 }))?;
-    newcomer.wait_for_mode("ready")?;
+    newcomer.place_at_circle()?;
     let mut begun = None;
     let mut off_m: Vec<f64> = Vec::new();
     let time = format!("{DRIVE_S}s");
@@ -393,7 +392,7 @@ fn circle(bench: &Bench, newcomer: &mut Newcomer, rehearsal: &Rehearsal) -> Outc
                 seen.x_m + front_m * yaw.cos() + point_m * wheels.cos(),
                 seen.y_m + front_m * yaw.sin() + point_m * wheels.sin(),
             ];
-            off_m.push((x.hypot(y) - RADIUS_M).abs());
+            off_m.push((x.hypot(y) - CIRCLE_RADIUS_M).abs());
         }
         Next::GoOn
     })?;

@@ -31,7 +31,11 @@ const OFF_M: f64 = 0.1;
 
 fn pushed(bench: &mut Bench) -> Outcome {
     let programs = bench.program().parent().unwrap_or(Path::new("."));
-    let mut newcomer = Newcomer::start(OnboardCar::random(SEED), bench.folder(), programs)?;
+    let mut newcomer = Newcomer::start(
+        OnboardCar::random(SEED),
+        &bench.folder().join("newcomer"),
+        programs,
+    )?;
     let config =
         Config::read(&newcomer.config()).map_err(|error| Failure::new(error.to_string()))?;
     let tool = |name: &str, file: &Path| {
