@@ -66,7 +66,7 @@ fn commands(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(move |line| {
         let line = line.trim_start();
         if line.starts_with("```") {
-            in_commands = line == "```sh";
+            in_commands = line.split(' ').next() == Some("```sh");
         }
         in_commands && !line.starts_with("```")
     })
