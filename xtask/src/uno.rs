@@ -30,7 +30,7 @@ packages.
 
 /// The requested action.
 #[derive(Debug, PartialEq, Eq)]
-enum UnoCommand {
+pub(crate) enum UnoCommand {
     Help,
     Build {
         /// Zero for none.
@@ -61,7 +61,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     }
 }
 
-fn parse(arguments: &[String]) -> Result<UnoCommand, Failure> {
+pub(crate) fn parse(arguments: &[String]) -> Result<UnoCommand, Failure> {
     let refused = |reason: String| Err(Failure::new(format!("{reason}\n\n{USAGE}")));
     let (mut car_id, mut flash) = (None, None);
     let mut arguments = arguments.iter().map(String::as_str);

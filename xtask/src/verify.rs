@@ -263,6 +263,15 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .needing(release.part()),
         Step::new(
+            "book",
+            "the commands of the documentation: all are read by their programs, most are run",
+            move || {
+                let mut book = release.tests();
+                check(book.args(["--test", "book"]))
+            },
+        )
+        .needing(release.part()),
+        Step::new(
             "same-bits",
             "debug and release builds simulate the same bits",
             move || same_bits::check(release),
@@ -413,6 +422,39 @@ mod tests {
     fn parsed(line: &str) -> Result<Selection, Failure> {
         let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         parse(&arguments)
+    }
+
+    /// The arguments of an alias of cargo in the documentation, without `--help`, which ends them.
+    fn documented(alias: &str) -> Vec<String> {
+        let root = crate::workspace::root();
+        let docs = std::fs::read_dir(root.join("docs")).unwrap();
+        let pages = docs.map(|entry| entry.unwrap().path());
+        let text: String = pages
+            .filter(|page| page.extension().is_some_and(|ending| ending == "md"))
+            .chain([root.join("README.md")])
+            .map(|page| std::fs::read_to_string(page).unwrap())
+            .collect();
+        text.split(['`', '\n'])
+            .filter_map(|line| line.trim().strip_prefix(&format!("cargo {alias} ")))
+            .map(|line| line.split(" #").next().unwrap().trim().to_owned())
+            .filter(|line| !line.is_empty() && !line.starts_with('#') && !line.contains("--help"))
+            .collect()
+    }
+
+    #[test]
+    fn the_documented_commands_are_accepted() {
+        let verify = documented("verify");
+        assert!(verify.len() > 3, "{verify:?}");
+        for line in verify {
+            let request = parsed(&line).unwrap();
+            request.check(&steps(&request.without)).unwrap();
+        }
+        let uno = documented("uno");
+        assert!(uno.len() > 1, "{uno:?}");
+        for line in uno {
+            let words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+            uno::parse(&words).unwrap();
+        }
     }
 
     #[test]

@@ -66,7 +66,7 @@ fn commands(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(move |line| {
         let line = line.trim_start();
         if line.starts_with("```") {
-            in_commands = line == "```sh";
+            in_commands = line.split(' ').next() == Some("```sh");
         }
         in_commands && !line.starts_with("```")
     })
@@ -191,6 +191,45 @@ fn every_page_of_the_site_is_in_its_summary_once() {
         .filter(|page| page != "SUMMARY.md")
         .collect();
     assert_eq!(listed, there);
+}
+
+/// Pictures drawn by hand: words for screen readers, and a background of their own, because a page
+/// may be dark.
+#[test]
+fn pictures_have_words_and_a_background() {
+    let mut count = 0;
+    for entry in fs::read_dir(root().join("docs/images")).unwrap() {
+        let path = entry.unwrap().path();
+        let text = fs::read_to_string(&path).unwrap();
+        for part in ["<title", "<desc", "fill=\"#fff\"/>"] {
+            assert!(text.contains(part), "{}: no {part}", path.display());
+        }
+        count += 1;
+    }
+    assert!(count >= 5, "only {count} pictures");
+}
+
+/// The pins of the picture are those of the table below it.
+#[test]
+fn the_wiring_is_drawn_as_the_table_says() {
+    let page = fs::read_to_string(root().join("docs/uno.md")).unwrap();
+    let picture = fs::read_to_string(root().join("docs/images/wiring.svg")).unwrap();
+    let table = page.split("| pin | what | how |\n|---|---|---|\n").nth(1);
+    let mut count = 0;
+    for row in table
+        .unwrap()
+        .lines()
+        .take_while(|line| line.starts_with('|'))
+    {
+        for pin in row.split('|').nth(1).unwrap().split(',') {
+            assert!(
+                picture.contains(&format!(">{}</text>", pin.trim())),
+                "{pin}"
+            );
+            count += 1;
+        }
+    }
+    assert!(count >= 8, "only {count} pins");
 }
 
 #[test]

@@ -20,7 +20,7 @@ use singletrack::{
 use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_figures::plot;
 #[cfg(feature = "paper")]
-use singletrack_paper::{compare, identify, reproduce, stability};
+use singletrack_paper::{compare, identify, lab, reproduce, stability};
 use singletrack_scenario::simulate;
 
 const AFTER: &str = "\
@@ -95,6 +95,9 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
+    #[cfg(feature = "paper")]
+    /// Exercises of the course: print those of a student, and mark the answers.
+    Lab(lab::LabArgs),
     #[cfg(feature = "paper")]
     /// Join the result files of a campaign's shards to the file that one process writes.
     ///
@@ -177,6 +180,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Reproduce(args) => Ok(reproduce::run(args)?),
         #[cfg(feature = "paper")]
         Command::Identify(args) => Ok(identify::run(args)?),
+        #[cfg(feature = "paper")]
+        Command::Lab(args) => Ok(lab::run(args)?),
         #[cfg(feature = "paper")]
         Command::Merge(args) => Ok(run_merge(args)?),
         Command::Status(args) => Ok(status::run(args)?),

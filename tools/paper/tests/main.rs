@@ -1,5 +1,6 @@
 //! The studies.
 
 mod compare;
+mod lab;
 mod limit_cycles;
 mod other_structure;
