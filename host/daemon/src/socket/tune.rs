@@ -8,11 +8,7 @@ use singletrack_core::ControlRequest;
 use singletrack_pilot::{Tuned, Tuning};
 use tokio::time::{Instant, sleep};
 
-use super::{
-    command::SOCKET_VERSION,
-    progress::POLL,
-    serve::failure,
-};
+use super::{command::SOCKET_VERSION, progress::POLL, serve::failure};
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::tuned_json};
 
 /// The longest wait for the tick that takes the values: much less than the time in which a client

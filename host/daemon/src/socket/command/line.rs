@@ -3,13 +3,13 @@
 use core::time::Duration;
 
 use serde::Deserialize;
+use serde_json::Value;
+use singletrack_control::Velocity;
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
-use singletrack_control::Velocity;
 use singletrack_pilot::{Jog, Tuning};
-use serde_json::Value;
 use singletrack_record::Channel;
 
 use super::{
