@@ -22,13 +22,13 @@ use singletrack_pilot::Mode;
 use singletrackd::{Daemon, StartError, StartOptions};
 use tempfile::TempDir;
 
-struct Client {
+pub(crate) struct Client {
     write: UnixStream,
     read: BufReader<UnixStream>,
 }
 
 impl Client {
-    fn connect(path: &Path) -> Self {
+    pub(crate) fn connect(path: &Path) -> Self {
         let write = UnixStream::connect(path).unwrap();
         write
             .set_read_timeout(Some(Duration::from_secs(20)))
@@ -37,13 +37,13 @@ impl Client {
         Self { write, read }
     }
 
-    fn line(&mut self) -> Value {
+    pub(crate) fn line(&mut self) -> Value {
         let mut line = String::new();
         self.read.read_line(&mut line).unwrap();
         serde_json::from_str(&line).unwrap()
     }
 
-    fn ask(&mut self, line: &str) -> Value {
+    pub(crate) fn ask(&mut self, line: &str) -> Value {
         writeln!(self.write, "{line}").unwrap();
         self.line()
     }
@@ -59,7 +59,7 @@ fn start() -> (Daemon, PathBuf, TempDir) {
     )
 }
 
-fn config(folder: &Path, socket: &Path) -> Config {
+pub(crate) fn config(folder: &Path, socket: &Path) -> Config {
     let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
     config.serial.port = folder.join("board");
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
