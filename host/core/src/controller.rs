@@ -647,4 +647,33 @@ mod tests {
         controller.disproved();
         assert_eq!(controller.events.len(), 1);
     }
+
+    #[test]
+    fn the_tunings_of_a_tick_are_one_event_with_the_newest_of_each_value() {
+        let config =
+            Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
+        let mut controller = Controller::new(
+            Session::new(config.link(1)).unwrap(),
+            Pilot::new(config.pilot().unwrap()),
+            5,
+            Proofs::default(),
+        );
+        let gain = |gain: f64| Some(singletrack_control::Velocity::new(gain, gain));
+        let tuning = |gain, point_distance| Tuning {
+            gain,
+            point_distance,
+        };
+        controller.tune(tuning(gain(1.0), Some(0.3)));
+        controller.request(PilotRequest::Hold);
+        controller.tune(tuning(gain(2.0), None));
+        let events = [
+            Event::Tuning(tuning(gain(2.0), Some(0.3))),
+            Event::Request(PilotRequest::Hold),
+        ];
+        assert_eq!(controller.events.as_slice(), events);
+        // It belongs to the configuration before or after.
+        controller.push(Event::Reconfigured(2));
+        controller.tune(tuning(None, Some(0.4)));
+        assert_eq!(controller.events.len(), 4);
+    }
 }

@@ -15,7 +15,7 @@ use singletrackd::{Daemon, StartOptions};
 
 use crate::control_socket::{Client, config};
 
-fn ask(client: &mut Client, keys: Value) -> Value {
+fn ask(client: &mut Client, keys: &Value) -> Value {
     let mut line = json!({ "version": 2, "command": "tune" });
     let keys = keys.as_object().unwrap().clone();
     line.as_object_mut().unwrap().extend(keys);
@@ -52,7 +52,7 @@ fn values_within_their_bounds_are_in_force_when_they_are_answered_and_are_record
 
     let answer = ask(
         &mut client,
-        json!({ "gain_per_s": 2.0, "point_distance_m": 0.36 }),
+        &json!({ "gain_per_s": 2.0, "point_distance_m": 0.36 }),
     );
     assert_eq!(answer["ok"], true, "{answer}");
     assert_eq!(answer["tuning"]["gain_per_s"], json!([2.0, 2.0]));
@@ -63,7 +63,7 @@ fn values_within_their_bounds_are_in_force_when_they_are_answered_and_are_record
     assert_eq!(after["differs"], true, "{after}");
     assert_eq!(after["configured"]["gain_per_s"], json!([1.0, 1.0]));
 
-    let answer = ask(&mut client, json!({ "gain_per_s": [1.0, 1.5] }));
+    let answer = ask(&mut client, &json!({ "gain_per_s": [1.0, 1.5] }));
     assert_eq!(
         answer["tuning"]["gain_per_s"],
         json!([1.0, 1.5]),
@@ -135,7 +135,7 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
             ["tune takes no for_s", "arm"],
         ),
     ] {
-        let answer = ask(&mut client, keys.clone());
+        let answer = ask(&mut client, &keys);
         assert_eq!(answer["ok"], false, "{keys}: {answer}");
         let error = answer["error"].as_str().unwrap();
         for part in parts {
@@ -153,7 +153,7 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
 fn nothing_can_be_tuned_unless_it_is_enabled() {
     let folder = tempfile::tempdir().unwrap();
     let (daemon, mut client) = start(folder.path(), TuningSection::default());
-    let answer = ask(&mut client, json!({ "gain_per_s": 2.0 }));
+    let answer = ask(&mut client, &json!({ "gain_per_s": 2.0 }));
     let error = answer["error"].as_str().unwrap();
     assert!(error.contains("tuning.enabled = true"), "{error}");
     assert_eq!(status(&mut client), Value::Null);
@@ -175,7 +175,7 @@ fn a_reference_keeps_tuned_values_and_another_value_in_the_file_ends_them() {
     let daemon = Daemon::start(config.clone(), options).unwrap();
     let mut client = Client::connect(&socket);
     while client.ask(r#"{"version":2,"command":"status"}"#)["status"]["link"].is_null() {}
-    assert_eq!(ask(&mut client, json!({ "gain_per_s": 2.0 }))["ok"], true);
+    assert_eq!(ask(&mut client, &json!({ "gain_per_s": 2.0 }))["ok"], true);
 
     let external = r#"{"version":2,"command":"set-reference","reference":{"kind":"external"}}"#;
     assert_eq!(client.ask(external)["ok"], true);
