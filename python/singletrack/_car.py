@@ -9,7 +9,7 @@ from typing import Any
 
 from ._closing import Closing
 from ._drive import Backend, Drive
-from ._errors import ArmError, Rejected
+from ._errors import ArmError, Rejected, SingletrackError
 from ._simulator import Simulator
 from ._socket import SocketCar
 from ._state import State, refuse_driven
@@ -95,6 +95,12 @@ class SimulatedCar(Backend):
         self.simulator.stop()
         self.simulator.step()
 
+    def tune(self, keys: dict[str, Any]) -> None:
+        try:
+            self._native.tune(keys.get("gain_per_s"), keys.get("point_distance_m"))
+        except ValueError as error:
+            raise SingletrackError(f"can't tune: {error}") from error
+
     def state(self) -> State:
         return self.simulator.state
 
@@ -144,6 +150,32 @@ class Car(Closing):
     def stop(self) -> None:
         """An emergency stop: the motor stays in neutral until the board is reset."""
         self._backend.stop()
+
+    def tune(
+        self,
+        *,
+        gain: float | tuple[float, float] | None = None,
+        point_distance: float | None = None,
+    ) -> None:
+        """Changes gains or p, also in a drive, within the bounds of ``[tuning]``.
+
+        The values hold until they are changed again, or the daemon is started again. A simulated
+        car takes them with its next tick.
+
+        Args:
+            gain: Gain of the position loop in 1/s, for both axes or one for each.
+            point_distance: The distance p in m; it changes by 0.05 m/s.
+
+        Raises:
+            SingletrackError: The daemon refuses the values; the text has the bounds.
+        """
+        keys: dict[str, Any] = {}
+        if gain is not None:
+            x, y = gain if isinstance(gain, tuple) else (gain, gain)
+            keys["gain_per_s"] = [float(x), float(y)]
+        if point_distance is not None:
+            keys["point_distance_m"] = float(point_distance)
+        self._backend.tune(keys)
 
     def drive(self, timeout: float = 15.0) -> Drive:
         """A drive by set-points of this program.

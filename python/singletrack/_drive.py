@@ -49,6 +49,10 @@ class Backend(ABC):
         """An emergency stop."""
 
     @abstractmethod
+    def tune(self, keys: dict[str, Any]) -> None:
+        """Tunes the pilot with the keys of the control socket."""
+
+    @abstractmethod
     def state(self) -> State:
         """The newest state."""
 

@@ -326,6 +326,13 @@ class SocketCar(Backend):
         finally:
             connection.close()
 
+    def tune(self, keys: dict[str, Any]) -> None:
+        connection = Connection(self._path)
+        try:
+            connection.ask("tune", **keys)
+        finally:
+            connection.close()
+
     def close(self) -> None:
         self._shut()
 

@@ -65,6 +65,10 @@ class State:
     board_age: float = nan
     #: What the safety filter did: none, limited, scaled or stopped.
     filtering: str = "none"
+    #: Gains of the position loop along x and y, in 1/s; ``None`` if nothing can be tuned.
+    gain: Pair | None = None
+    #: Distance p of P from the front axle, in m; NaN if nothing can be tuned.
+    point_distance: float = nan
 
     @property
     def driving(self) -> bool:
@@ -86,7 +90,7 @@ def refuse_driven(state: State) -> None:
 def state(values: Mapping[str, Any]) -> State:
     """The state of a line of the stream, or of a tick of the simulation."""
     known = {name: values[name] for name in _NAMES if values.get(name) is not None}
-    for name in ("point", "point_velocity", "reference"):
+    for name in ("point", "point_velocity", "reference", "gain"):
         if name in known:
             x, y = known[name]
             known[name] = (float(x), float(y))

@@ -15,7 +15,7 @@ use singletrack_control::{
     SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
-use singletrack_pilot::{Event, PilotRequest};
+use singletrack_pilot::{Event, PilotRequest, Tuning};
 use singletrack_scenario::{
     virtual_drive::{VirtualDrive, VirtualTick},
     virtual_record::VirtualRecord,
@@ -145,6 +145,10 @@ impl Simulator {
             state.set_item("board_age", age as f64 * 1e-9)?;
         }
         state.set_item("filtering", output.filtering.name())?;
+        if let Some(tuned) = &output.tuned {
+            state.set_item("gain", tuned.gain.map(|gain| (gain.x, gain.y)))?;
+            state.set_item("point_distance", tuned.point_distance)?;
+        }
         if let Some(stamp) = &output.setpoint {
             state.set_item("sequence", stamp.sequence)?;
             let age = now.0.saturating_sub(stamp.time.0);
@@ -210,6 +214,16 @@ impl Simulator {
             simulation.setup.config = config;
             Ok(number)
         })
+    }
+
+    /// Tunes the pilot, with the next tick.
+    #[pyo3(signature = (gain_per_s, point_distance_m))]
+    fn tune(&self, gain_per_s: Option<[f64; 2]>, point_distance_m: Option<f64>) -> PyResult<()> {
+        let tuning = Tuning {
+            gain: gain_per_s.map(|[x, y]| Velocity::new(x, y)),
+            point_distance: point_distance_m,
+        };
+        self.simulation()?.drive.tune(tuning).map_err(refuse)
     }
 
     /// Whether the reference is that of a controller outside.

@@ -162,3 +162,29 @@ def test_asyncio_drives_too() -> None:
 def test_a_daemon_that_is_not_there_is_named() -> None:
     with pytest.raises(ConnectionError, match="/nowhere.sock"):
         Car("/nowhere.sock")
+
+
+TUNING = {"tuning": {"enabled": True, "gain_per_s": [0.5, 4.0], "point_distance_m": [0.3, 0.4]}}
+
+
+def test_a_simulated_car_is_tuned_within_the_bounds() -> None:
+    car = Car("sim", configuration=TUNING)
+    assert car.state.gain is not None
+    car.tune(gain=2.0, point_distance=0.4)
+    assert car.simulator is not None
+    state = car.simulator.step(300)
+    assert state.gain == (2.0, 2.0) and state.point_distance == 0.4
+    car.tune(gain=(1.0, 1.5))
+    assert car.simulator.step().gain == (1.0, 1.5)
+    for wrong in (9.0, math.nan):
+        with pytest.raises(singletrack.SingletrackError, match="between 0.5 and 4"):
+            car.tune(gain=wrong)
+    with pytest.raises(singletrack.SingletrackError, match="nothing to tune"):
+        car.tune()
+
+
+def test_a_car_that_can_not_be_tuned_says_what_to_set() -> None:
+    car = Car("sim")
+    assert car.state.gain is None and math.isnan(car.state.point_distance)
+    with pytest.raises(singletrack.SingletrackError, match="tuning.enabled = true"):
+        car.tune(gain=2.0)

@@ -115,8 +115,11 @@ mod tests {
             let main = fs::read_to_string(package.join("tests/main.rs")).unwrap();
             for name in test_files(&package) {
                 let is_module = main.lines().any(|line| line == format!("mod {name};"));
+                // A bench may have the same name.
                 let is_program = manifest
-                    .lines()
+                    .split("[[")
+                    .filter(|target| target.starts_with("test]]"))
+                    .flat_map(str::lines)
                     .any(|line| line == format!("name = \"{name}\""));
                 assert!(
                     is_module || is_program,

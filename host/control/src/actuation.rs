@@ -223,6 +223,11 @@ impl LimitedLaw {
         &self.law
     }
 
+    /// Goes on with another law: the steering angle and every other state stay.
+    pub const fn set_law(&mut self, law: FrontPointLaw) {
+        self.law = law;
+    }
+
     /// The last command.
     #[must_use]
     pub const fn actuation(&self) -> Actuation {

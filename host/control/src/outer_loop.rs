@@ -98,6 +98,22 @@ impl TrackingLoop {
         }
     }
 
+    /// The proportional gains, per second; none for a loop without such gains.
+    #[must_use]
+    pub const fn gain(&self) -> Option<Velocity> {
+        match self {
+            Self::Proportional(tracking) => Some(tracking.gain),
+            Self::Lqi(_) | Self::Mpc(_) | Self::OpenLoop(_) => None,
+        }
+    }
+
+    /// Replaces the proportional gains, per second; without effect on a loop that has none.
+    pub const fn set_gain(&mut self, gain: Velocity) {
+        if let Self::Proportional(tracking) = self {
+            tracking.gain = gain;
+        }
+    }
+
     fn kind(&mut self) -> &mut dyn OuterLoop {
         match self {
             Self::Proportional(tracking) => tracking,

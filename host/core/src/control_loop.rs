@@ -407,6 +407,7 @@ impl<L: Line> ControlLoop<L> {
                     );
                     self.controller.request(request);
                 }
+                ControlRequest::Tune(tuning) => self.controller.tune(tuning),
                 ControlRequest::Finish => {
                     if self.ending == Ending::Running {
                         self.arm_when_ready = false;

@@ -10,7 +10,7 @@ use singletrack_link::{
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
     AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, Jog, LineHealth,
-    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Tilt,
+    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Tilt, Tuning,
     Underway,
 };
 use singletrack_protocol::{
@@ -234,6 +234,11 @@ impl Controller {
         self.push(Event::Jog(jog));
     }
 
+    /// Other values of what can be tuned. Those of a tick become one event.
+    pub fn tune(&mut self, tuning: Tuning) {
+        self.push(Event::Tuning(tuning));
+    }
+
     /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
     /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
     /// tick sends it to the board, which accepts no commands until it has acknowledged it.
@@ -407,8 +412,10 @@ impl Queue<'_> {
                 }
                 MAX_EVENTS - RESERVED
             }
+            Event::Tuning(tuning) if self.joins_last(tuning) => return,
             Event::Link(_)
             | Event::Request(_)
+            | Event::Tuning(_)
             | Event::ArmRefused
             | Event::Proved(_)
             | Event::Reconfigured(_) => {
@@ -422,6 +429,23 @@ impl Queue<'_> {
         if self.events.len() >= room || self.events.push(event).is_err() {
             *self.dropped = self.dropped.saturating_add(1);
         }
+    }
+
+    /// Adds a tuning to the last one, unless the configuration has changed in between; false if
+    /// there is none.
+    fn joins_last(&mut self, tuning: Tuning) -> bool {
+        let last = self
+            .events
+            .iter_mut()
+            .rev()
+            .take_while(|other| !matches!(other, Event::Reconfigured(_)))
+            .find_map(|other| match other {
+                Event::Tuning(last) => Some(last),
+                _ => None,
+            });
+        let Some(last) = last else { return false };
+        *last = tuning.or(*last);
+        true
     }
 
     /// Removes an equal state of the link if it is the last one: the later event counts.
@@ -622,5 +646,34 @@ mod tests {
         // It is void already.
         controller.disproved();
         assert_eq!(controller.events.len(), 1);
+    }
+
+    #[test]
+    fn the_tunings_of_a_tick_are_one_event_with_the_newest_of_each_value() {
+        let config =
+            Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
+        let mut controller = Controller::new(
+            Session::new(config.link(1)).unwrap(),
+            Pilot::new(config.pilot().unwrap()),
+            5,
+            Proofs::default(),
+        );
+        let gain = |gain: f64| Some(singletrack_control::Velocity::new(gain, gain));
+        let tuning = |gain, point_distance| Tuning {
+            gain,
+            point_distance,
+        };
+        controller.tune(tuning(gain(1.0), Some(0.3)));
+        controller.request(PilotRequest::Hold);
+        controller.tune(tuning(gain(2.0), None));
+        let events = [
+            Event::Tuning(tuning(gain(2.0), Some(0.3))),
+            Event::Request(PilotRequest::Hold),
+        ];
+        assert_eq!(controller.events.as_slice(), events);
+        // It belongs to the configuration before or after.
+        controller.push(Event::Reconfigured(2));
+        controller.tune(tuning(None, Some(0.4)));
+        assert_eq!(controller.events.len(), 4);
     }
 }

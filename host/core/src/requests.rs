@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
-use singletrack_pilot::{PilotConfig, PilotRequest};
+use singletrack_pilot::{PilotConfig, PilotRequest, Tuning};
 use singletrack_protocol::Configuration;
 
 use crate::controller::ReconfigureError;
@@ -13,6 +13,9 @@ use crate::controller::ReconfigureError;
 pub enum ControlRequest {
     /// Pass a request to the pilot.
     Pilot(PilotRequest),
+    /// Tune the pilot. The sender has checked the values:
+    /// [`TuningRule::check`](crate::config::TuningRule::check).
+    Tune(Tuning),
     /// Replace the configuration if the car does not drive, and return the box with the
     /// outcome.
     Reconfigure(Box<Reconfiguration>),
@@ -89,6 +92,7 @@ impl Requests {
                 | PilotRequest::Hold
                 | PilotRequest::Disarm,
             )
+            | ControlRequest::Tune(_)
             | ControlRequest::Reconfigure(_) => false,
             ControlRequest::Pilot(
                 PilotRequest::EmergencyStop

@@ -1,12 +1,12 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
 use singletrack_mocap::planar::PlanarEvent;
-use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
+use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Tuning};
 use singletrack_record::{Entry, TickRecord};
 
 use crate::{
     cameras::{CameraReport, Sockets},
-    config::{Config, ConfigError},
+    config::{Config, ConfigError, TuningError},
     controller::Controller,
     grid::Grid,
     host::{Host, HostOptions},
@@ -18,6 +18,17 @@ use crate::{
 /// The largest number of polls of the camera receiver at one time: enough for all
 /// datagrams that a socket holds.
 const POLLS: u32 = 8;
+
+/// Why the pilot is not tuned.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TuneError {
+    /// The values are refused.
+    #[error(transparent)]
+    Refused(#[from] TuningError),
+    /// The control loop takes no requests.
+    #[error(transparent)]
+    Stalled(#[from] Stalled),
+}
 
 /// A host that is polled in the place of its threads.
 #[derive(Debug)]
@@ -135,6 +146,18 @@ impl<L: Line> VirtualHost<L> {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.requests.push(ControlRequest::Pilot(request))
+    }
+
+    /// Tunes the pilot with the next tick.
+    ///
+    /// # Errors
+    ///
+    /// The configuration in force does not allow it, or the control loop takes no requests.
+    pub fn tune(&self, tuning: Tuning) -> Result<(), TuneError> {
+        let tuned = self.controller().pilot().tuned();
+        let rule = self.host.configurations.in_force().tuning_rule();
+        rule.check(&tuning, tuned.as_ref())?;
+        Ok(self.host.requests.push(ControlRequest::Tune(tuning))?)
     }
 
     /// Hands another configuration to the control loop, which refuses it after

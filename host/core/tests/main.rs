@@ -19,3 +19,4 @@ mod reasons;
 mod safety_filter;
 #[path = "common/simulated_drive.rs"]
 mod simulated_drive;
+mod tuning;

@@ -52,6 +52,7 @@ impl DaemonHandle {
             },
             realtime: self.realtime.clone(),
             configuration: self.reconfigurer.view(),
+            tuning: self.reconfigurer.tuning_rule(),
             commissioned: self
                 .reconfigurer
                 .subject()

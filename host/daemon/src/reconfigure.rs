@@ -14,7 +14,7 @@ use serde::Serialize;
 use singletrack_core::{
     Requests, Stalled,
     commissioned::Subject,
-    config::{Config, ReferenceSection},
+    config::{Config, ReferenceSection, TuningRule},
     reconfigure::{CHANGE_TIMEOUT_NS, ChangeError, Configurations},
 };
 use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
@@ -68,6 +68,7 @@ struct Published {
     setpoint_timeout: Option<f64>,
     braking_m_s2: f64,
     subject: Option<Subject>,
+    tuning: TuningRule,
 }
 
 #[derive(Debug)]
@@ -94,6 +95,7 @@ impl Reconfigurer {
                 setpoint_timeout: setpoint_timeout(configurations.in_force()),
                 braking_m_s2: configurations.in_force().fence.braking_m_s2,
                 subject: subject(configurations.in_force()).ok(),
+                tuning: configurations.in_force().tuning_rule(),
             }),
             state: Mutex::new(State {
                 configurations,
@@ -134,6 +136,11 @@ impl Reconfigurer {
     /// `fence.braking_m_s2` of the configuration in force.
     pub(crate) fn braking_m_s2(&self) -> f64 {
         self.published().braking_m_s2
+    }
+
+    /// The rule for requests to tune, of the configuration in force.
+    pub(crate) fn tuning_rule(&self) -> TuningRule {
+        self.published().tuning
     }
 
     /// The car of the configuration in force.
@@ -247,6 +254,7 @@ impl Reconfigurer {
         let subject = subject(configurations.in_force()).ok();
         let mut published = self.published();
         published.subject = subject;
+        published.tuning = configurations.in_force().tuning_rule();
         published.view.number = number;
         published.view.last_change = Some(ChangeView { by, error: None });
         published.setpoint_timeout = setpoint_timeout(configurations.in_force());

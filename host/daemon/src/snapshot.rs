@@ -2,8 +2,8 @@
 
 use serde_json::{Value, json};
 use singletrack_control::{Estimate, Position, ReferencePoint, SlowedBy};
-use singletrack_core::diagnosis::Diagnosis;
-use singletrack_pilot::{Filtering, Mode, Reason};
+use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
+use singletrack_pilot::{Filtering, Mode, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
@@ -32,6 +32,8 @@ pub struct Snapshot {
     pub realtime: RealTimeStatus,
     /// The configuration in force.
     pub configuration: ConfigurationView,
+    /// What may be tuned in it.
+    pub tuning: TuningRule,
     /// What the car of this configuration has passed.
     pub commissioned: Option<Value>,
     /// The live view; `None` if it is disabled.
@@ -67,6 +69,8 @@ pub struct TickView {
     pub filtering: Filtering,
     /// The number of ticks of the drive, or of the last one, in which it did anything.
     pub filtered_ticks: u32,
+    /// The values in force of what can be tuned; `None` if nothing can.
+    pub tuned: Option<Tuned>,
     /// The path parameter of the reference, in s; `None` outside a drive.
     pub path_s: Option<f64>,
     /// Why the reference is slowed down.
@@ -98,6 +102,7 @@ impl From<&TickRecord> for TickView {
             looked_ahead_s: output.looked_ahead,
             filtering: output.filtering,
             filtered_ticks: output.filtered_ticks,
+            tuned: output.tuned,
             path_s: output.path,
             slowed_by: output.slowed_by,
             estimate: output.estimate,
@@ -166,9 +171,43 @@ impl Snapshot {
             "figures": self.figures,
             "realtime": self.realtime,
             "configuration": self.configuration,
+            "tuning": self.tuning_json(),
             "live": self.live,
             "page": self.page,
             "record_error": self.record_error,
         })
     }
+
+    /// What is tuned, and within which bounds; null if nothing can be.
+    fn tuning_json(&self) -> Value {
+        let rule = &self.tuning;
+        let tuned = self.tick.and_then(|tick| tick.tuned);
+        let (Some(tuned), Some(bounds)) = (tuned, rule.bounds) else {
+            return Value::Null;
+        };
+        let mut value = tuned_json(&tuned);
+        if let Some(object) = value.as_object_mut() {
+            object.insert("differs".to_owned(), rule.differs(&tuned).into());
+            let configured = json!({
+                "gain_per_s": rule.gain.map(|gain| [gain.x, gain.y]),
+                "point_distance_m": rule.point_distance,
+            });
+            object.insert("configured".to_owned(), configured);
+            let bounds = json!({
+                "gain_per_s": bounds.gain,
+                "point_distance_m": bounds.point_distance,
+            });
+            object.insert("bounds".to_owned(), bounds);
+        }
+        value
+    }
+}
+
+/// The values in force, in the format of the control socket.
+pub(crate) fn tuned_json(tuned: &Tuned) -> Value {
+    json!({
+        "gain_per_s": tuned.gain.map(|gain| [gain.x, gain.y]),
+        "point_distance_m": tuned.point_distance,
+        "wanted_point_distance_m": tuned.wanted_point_distance,
+    })
 }

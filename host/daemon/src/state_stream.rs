@@ -46,6 +46,8 @@ struct StateLine {
     setpoint: Option<SetpointInForce>,
     setpoint_refused: Option<&'static str>,
     filtering: &'static str,
+    gain: Option<[f64; 2]>,
+    point_distance: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -104,6 +106,11 @@ impl StateLines {
             }),
             setpoint_refused: output.setpoint_refused.map(SetpointRefusal::name),
             filtering: output.filtering.name(),
+            gain: output
+                .tuned
+                .and_then(|tuned| tuned.gain)
+                .map(|gain| [gain.x, gain.y]),
+            point_distance: output.tuned.map(|tuned| tuned.point_distance),
         };
         serde_json::to_string(&line).ok()
     }

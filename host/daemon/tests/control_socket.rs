@@ -23,13 +23,13 @@ use tempfile::TempDir;
 
 use crate::common;
 
-struct Client {
+pub(crate) struct Client {
     write: UnixStream,
     read: BufReader<UnixStream>,
 }
 
 impl Client {
-    fn connect(path: &Path) -> Self {
+    pub(crate) fn connect(path: &Path) -> Self {
         let write = UnixStream::connect(path).unwrap();
         write
             .set_read_timeout(Some(Duration::from_secs(20)))
@@ -38,13 +38,13 @@ impl Client {
         Self { write, read }
     }
 
-    fn line(&mut self) -> Value {
+    pub(crate) fn line(&mut self) -> Value {
         let mut line = String::new();
         self.read.read_line(&mut line).unwrap();
         serde_json::from_str(&line).unwrap()
     }
 
-    fn ask(&mut self, line: &str) -> Value {
+    pub(crate) fn ask(&mut self, line: &str) -> Value {
         writeln!(self.write, "{line}").unwrap();
         self.line()
     }
@@ -60,7 +60,7 @@ fn start() -> (Daemon, PathBuf, TempDir) {
     )
 }
 
-fn config(folder: &Path, socket: &Path) -> Config {
+pub(crate) fn config(folder: &Path, socket: &Path) -> Config {
     let mut config = common::config(folder);
     socket.clone_into(&mut config.socket.path);
     config

@@ -20,3 +20,4 @@ mod serial_line;
 mod service;
 #[path = "common/terminal.rs"]
 mod terminal;
+mod tuning;

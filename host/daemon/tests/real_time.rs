@@ -17,8 +17,11 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_core::config::{MpcWeights, OuterLoopSection, ReferenceSection};
-use singletrack_pilot::{Filtering, Mode};
+use singletrack_core::{
+    ControlRequest,
+    config::{MpcWeights, OuterLoopSection, ReferenceSection, TuningSection},
+};
+use singletrack_pilot::{Filtering, Mode, Tuning};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
 
@@ -160,6 +163,40 @@ fn reconfigurations_and_set_points_allocate_and_free_nothing_in_a_tick() {
         drive.after_tick();
     }
     assert_eq!(total, 0, "allocations");
+}
+
+#[test]
+fn tuning_allocates_nothing_in_a_tick() {
+    let mut config = SimulatedDrive::example();
+    config.tuning = TuningSection {
+        enabled: true,
+        gain_per_s: Some([0.5, 4.0]),
+        point_distance_m: Some([0.3, 0.4]),
+    };
+    let mut drive = SimulatedDrive::with(config, SimulationConfig::default());
+    let (mut total, mut driven) = (0, 0);
+    for index in 1..=2_000 {
+        drive.run_until_tick(index);
+        // Two in a tick become one event.
+        for number in 0..2 {
+            let (gain, p) = if (index / 40 + number) % 2 == 0 {
+                (2.0, 0.4)
+            } else {
+                (1.0, 0.3)
+            };
+            let tuning = Tuning {
+                gain: Some(Velocity::new(gain, gain)),
+                point_distance: (number == 0).then_some(p),
+            };
+            let request = ControlRequest::Tune(tuning);
+            drive.host.requests.push(request).unwrap();
+        }
+        total += allocations(|| drive.tick(index));
+        let tuned = drive.output().filter(|output| output.mode == Mode::Driving);
+        driven += u64::from(tuned.is_some_and(|output| output.tuned.is_some()));
+    }
+    assert_eq!(total, 0, "allocations");
+    assert!(driven > 1_000, "only {driven} driving ticks");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint, Time, TrajectoryPiece};
 
-use crate::words::words;
+use crate::{tuning::Tuning, words::words};
 
 /// An input of the pilot since the last tick.
 ///
@@ -41,6 +41,9 @@ pub enum Event {
     /// Pulses for servo and ESC, from the operator who jogs. They count in
     /// [`crate::Mode::Jogging`] alone, and renew it.
     Jog(Jog),
+    /// Other values of what can be tuned, from the operator. Without effect outside the bounds of
+    /// [`crate::PilotConfig::tuning`].
+    Tuning(Tuning),
     /// The configuration with this number is in force from here on. The caller has
     /// passed it to [`crate::Pilot::reconfigure`]; the event marks the place for a
     /// replay.

@@ -7,6 +7,7 @@
 //! | `fence` | the geofence |
 //! | `supervisor` | the modes, and the checks that refuse or end a drive |
 //! | `refusal` | why a set-point that reached the pilot is not obeyed |
+//! | `tuning` | gains and p of a pilot that runs: values, bounds |
 //! | `pilot` | the [`Pilot`]: all of these with the estimator, the outer loop and the law of [`singletrack_control`] |
 //!
 //! The crate reads no clock, allocates nothing, and calls no mathematics of the
@@ -23,6 +24,7 @@ mod fence;
 mod pilot;
 mod refusal;
 mod supervisor;
+mod tuning;
 mod watch;
 mod words;
 
@@ -36,4 +38,5 @@ pub use refusal::SetpointRefusal;
 pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,
 };
+pub use tuning::{POINT_DISTANCE_RATE, Tuned, Tuning, TuningBounds};
 pub use watch::{ImuVerdict, WatchConfig};

@@ -6,3 +6,4 @@ mod fenced;
 mod outer_loops;
 mod pilot;
 mod safety;
+mod tuning;

@@ -10,7 +10,7 @@ use singletrack_record::{Channel, RECORD_VERSION};
 /// have to be replaced. The layouts of the messages of ROS never change here.
 #[test]
 fn the_layouts_are_those_of_this_version() {
-    assert_eq!(RECORD_VERSION, 9);
+    assert_eq!(RECORD_VERSION, 10);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("msg");
     for channel in Channel::all() {
         let name = channel.schema_name();

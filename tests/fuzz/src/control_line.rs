@@ -145,6 +145,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
         Command::Jog(_) => "jog",
         Command::Reload => "reload",
         Command::Hold => "hold",
+        Command::Tune(_) => "tune",
         Command::SetReference(_) => "set-reference",
         Command::Setpoint(_) => "setpoint",
         Command::Watch { .. } | Command::WatchState => "watch",

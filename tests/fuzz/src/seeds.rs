@@ -482,6 +482,10 @@ fn control_line() -> Vec<Seed> {
             r#"{"version":2,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
         ),
         (
+            "tune",
+            r#"{"version":2,"command":"tune","gain_per_s":[2.0,1.5],"point_distance_m":0.4}"#,
+        ),
+        (
             "setpoint",
             r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
         ),

@@ -10,8 +10,8 @@ use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FailsafeKind, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
     MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
-    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
-    WatchSection,
+    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection,
+    TuningSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -57,6 +57,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         actuators: ActuatorsSection::default(),
         compensation: CompensationSection::default(),
         safety_filter: SafetyFilterSection::default(),
+        tuning: TuningSection::default(),
         board: BoardSection {
             failsafe: FailsafeKind::Coast,
             ..BoardSection::from(&default_board_configuration())

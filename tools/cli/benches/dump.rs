@@ -109,6 +109,7 @@ fn tick(index: u64) -> Entry {
             setpoint_refused: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            tuned: None,
             setpoint: None,
             preflight: None,
             jog: None,

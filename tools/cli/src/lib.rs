@@ -19,6 +19,7 @@ pub mod set_reference;
 pub mod setpoint;
 pub mod status;
 pub mod teach;
+pub mod tune;
 
 mod interrupt;
 mod terminal;

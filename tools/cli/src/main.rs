@@ -14,7 +14,7 @@ use singletrack::{
     arm, bring_up, calibrate,
     control::{self, ControlCommand},
     doctor, drive, dump, install_files, jog, recover, replay, set_reference, setpoint, status,
-    teach,
+    teach, tune,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -123,6 +123,8 @@ enum Command {
     SetReference(set_reference::SetReferenceArgs),
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
+    /// Change gains or p within the bounds of the configuration, also while the car drives.
+    Tune(tune::TuneArgs),
     /// Drive with a game-pad: one button lets the car drive itself, another one gives the sticks.
     Drive(drive::DriveArgs),
     /// Record the path that the car is pushed along, as a reference.
@@ -191,6 +193,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         Command::SetReference(args) => Ok(set_reference::run(args)?),
         Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        Command::Tune(args) => Ok(tune::run(args)?),
         Command::Drive(args) => return Ok(drive::run(args)?),
         Command::Teach(args) => Ok(teach::run(args)?),
         Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),

@@ -153,6 +153,92 @@ fn a_governed_drive_is_replayed_to_the_bit() {
     }
 }
 
+/// Twice the gain after two seconds, another p after four.
+const TUNED: &str = "\
+[tuning]
+enabled = true
+gain_per_s = [0.5, 4.0]
+point_distance_m = [0.3, 0.4]
+
+[[tune]]
+at_s = 2.0
+gain_per_s = [2.0, 2.0]
+
+[[tune]]
+at_s = 4.0
+point_distance_m = 0.4
+";
+
+#[test]
+fn a_gain_doubled_in_a_drive_is_recorded_and_replayed_to_the_bit_and_not_without_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tuned.mcap");
+    simulate_recorded(&scenario(TUNED), &path).unwrap();
+    let ticks: Vec<TickRecord> = Reader::open(&path)
+        .unwrap()
+        .filter_map(|entry| match entry.unwrap() {
+            Entry::Tick(tick) => Some(tick),
+            _ => None,
+        })
+        .collect();
+    let is_tuned = |tick: &&TickRecord| {
+        let mut events = tick.events.iter();
+        events.any(|event| matches!(event, Event::Tuning(_)))
+    };
+    let tuned: Vec<&TickRecord> = ticks.iter().filter(is_tuned).collect();
+    let [gain, distance] = tuned[..] else {
+        panic!("{} tunings", tuned.len());
+    };
+    let drive_time = gain.output.drive_time.unwrap();
+    assert!((drive_time - 2.0).abs() < 0.011, "{drive_time}");
+    let twice = singletrack_control::Velocity::new(2.0, 2.0);
+    assert_eq!(gain.output.tuned.unwrap().gain, Some(twice));
+    // p moves on with its rate from its tick on, and so does P.
+    let slewed = &ticks[usize::try_from(distance.index).unwrap() - 1..];
+    for pair in slewed.windows(2).take(150) {
+        let [was, is] = [0, 1].map(|index| pair[index].output.tuned.unwrap().point_distance);
+        assert!((0.0..=0.000_500_1).contains(&(is - was)), "{was} to {is}");
+    }
+    assert_eq!(slewed[100].output.tuned.unwrap().point_distance, 0.4);
+
+    let told = stdout(&replay(&path, &["--verify"]));
+    assert!(told.contains("every output the same to the bit"), "{told}");
+
+    let to = folder.path().join("untuned.mcap");
+    let untuned = changed(&path, &to, &mut |mut entry| {
+        if let Entry::Tick(tick) = &mut entry {
+            tick.events
+                .retain(|event| !matches!(event, Event::Tuning(_)));
+        }
+        Some(entry)
+    });
+    let told = stderr(&replay(&untuned, &["--verify"]));
+    assert!(told.contains("comes out otherwise"), "{told}");
+    let first = format!("tick {}, ", gain.index);
+    assert!(
+        told.contains(&first) && told.contains("point_velocity"),
+        "{told}"
+    );
+}
+
+#[test]
+fn tuning_that_is_enabled_and_not_used_changes_no_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let commands = |name: &str, text: &str| -> Vec<_> {
+        let path = folder.path().join(name);
+        simulate_recorded(&scenario(text), &path).unwrap();
+        Reader::open(&path)
+            .unwrap()
+            .filter_map(|entry| match entry.unwrap() {
+                Entry::Tick(tick) => Some((tick.output.command, tick.output.point)),
+                _ => None,
+            })
+            .collect()
+    };
+    let enabled = TUNED.split("[[tune]]").next().unwrap();
+    assert_eq!(commands("off.mcap", ""), commands("on.mcap", enabled));
+}
+
 #[test]
 fn a_drive_with_losses_is_replayed_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();

@@ -7,8 +7,8 @@ use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
     MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
-    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection, UpAxisKind,
-    WatchSection,
+    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection,
+    TuningSection, UpAxisKind, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
 
@@ -89,6 +89,7 @@ pub fn daemon_config(drive: Drive) -> Config {
         actuators: ActuatorsSection::default(),
         compensation: CompensationSection::default(),
         safety_filter: SafetyFilterSection::default(),
+        tuning: TuningSection::default(),
         control: ControlSection::default(),
         record: RecordSection::default(),
         state: StateSection::default(),

@@ -17,8 +17,9 @@ use singletrack_core::{
     controller::Controller,
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
+    virtual_host::TuneError,
 };
-use singletrack_pilot::{Jog, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Jog, Mode, PilotRequest, Reason, Tuning};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -232,6 +233,15 @@ impl VirtualDrive {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.request(request)
+    }
+
+    /// Tunes the pilot, with the next tick.
+    ///
+    /// # Errors
+    ///
+    /// [`TuneError`]: the configuration does not allow it, or the control loop takes no requests.
+    pub fn tune(&self, tuning: Tuning) -> Result<(), TuneError> {
+        self.host.tune(tuning)
     }
 
     /// Gives an external reference its newest set-point.

@@ -17,3 +17,4 @@ mod proofs;
 mod pulse_distance;
 mod taught_path;
 mod tracking;
+mod tuning;

@@ -54,9 +54,6 @@ impl FrontPointLaw {
         point_distance: f64,
         wheelbase: f64,
     ) -> Result<Self, LawError> {
-        if !(point_distance.is_finite() && point_distance > 0.0) {
-            return Err(LawError::PointDistance(point_distance));
-        }
         // An estimate written as l_f + l_r may exceed the wheelbase by a rounding error.
         if !(0.0..=wheelbase * (1.0 + 1e-9)).contains(&front_axle_distance) {
             return Err(LawError::FrontAxleDistance {
@@ -64,9 +61,25 @@ impl FrontPointLaw {
                 wheelbase,
             });
         }
-        Ok(Self {
+        let law = Self {
             front_axle_distance,
             point_distance,
+        };
+        law.with_point_distance(point_distance)
+    }
+
+    /// The same law for P at another distance p, in m.
+    ///
+    /// # Errors
+    ///
+    /// p must be finite and above zero.
+    pub fn with_point_distance(self, point_distance: f64) -> Result<Self, LawError> {
+        if !(point_distance.is_finite() && point_distance > 0.0) {
+            return Err(LawError::PointDistance(point_distance));
+        }
+        Ok(Self {
+            point_distance,
+            ..self
         })
     }
 

@@ -29,6 +29,8 @@ mod sections;
 mod serial;
 mod supervisor;
 mod together;
+mod tuning;
+mod tuning_rule;
 mod value;
 mod vehicle;
 mod watch;
@@ -70,6 +72,8 @@ pub use section::{Key, Section};
 pub use sections::SECTIONS;
 pub use serial::SerialSection;
 pub use supervisor::SupervisorSection;
+pub use tuning::TuningSection;
+pub use tuning_rule::{TuningError, TuningRule};
 pub use watch::WatchSection;
 pub use waypoint_file::WaypointFileError;
 
@@ -118,6 +122,9 @@ pub struct Config {
     /// What keeps the car able to stop inside the geofence, whatever an outer loop asks for.
     #[serde(default)]
     pub safety_filter: SafetyFilterSection,
+    /// What may be changed while the car drives.
+    #[serde(default)]
+    pub tuning: TuningSection,
     /// How the controller runs.
     #[serde(default)]
     pub control: ControlSection,
@@ -222,7 +229,8 @@ impl Config {
         self.socket.validate()?;
         self.page.validate()?;
         together::validate(self)?;
-        self.pilot().map(drop)
+        self.pilot().map(drop)?;
+        self.tuning.validate(self)
     }
 
     /// The pilot's configuration; reads the waypoints.
@@ -271,6 +279,7 @@ impl Config {
             stop_deceleration: self.control.stop_deceleration_m_s2,
             compensation: self.compensation.config(&self.actuators, &self.vehicle),
             safety: self.safety_filter.filter(self)?,
+            tuning: self.tuning.bounds(),
             period,
         })
     }

@@ -183,7 +183,7 @@ impl TryFrom<OuterLoopKeys> for OuterLoopSection {
 }
 
 impl OuterLoopSection {
-    const fn kind(&self) -> &'static str {
+    pub(super) const fn kind(&self) -> &'static str {
         match self {
             Self::Proportional { .. } => "proportional",
             Self::Lqi(_) => "lqi",

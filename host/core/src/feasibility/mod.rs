@@ -129,7 +129,8 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
 
 /// Judges only whether the car can drive its reference, for `longest_s` at most; values that
 /// were left as in the example are not reported. It takes 10 to 300 ms, and with a governor up to
-/// some seconds: call it off the control thread.
+/// some seconds: call it off the control thread. With `[tuning]` it takes up to five times as long:
+/// the car must also be able to drive with the values at the ends of their bounds.
 ///
 /// # Errors
 ///
@@ -140,6 +141,30 @@ pub fn judge_reference(
     longest_s: Option<f64>,
 ) -> Result<Judgement, ConfigError> {
     config.validate()?;
+    let mut judgement = judge_untuned(config, stand, longest_s)?;
+    if judgement.is_possible() {
+        for extreme in config.extremes() {
+            let found = judge_untuned(&extreme.config, stand, longest_s)?.findings;
+            let impossible = found
+                .into_iter()
+                .filter(|finding| finding.severity == Severity::Impossible);
+            judgement.findings.extend(impossible.map(|finding| Finding {
+                severity: Severity::Impossible,
+                key: extreme.key,
+                value: extreme.bounds.clone(),
+                fix: format!("with {}: {finding}; or narrow the bounds", extreme.place),
+            }));
+        }
+    }
+    Ok(judgement)
+}
+
+/// Judges with the values as they are.
+fn judge_untuned(
+    config: &Config,
+    stand: Option<Stand>,
+    longest_s: Option<f64>,
+) -> Result<Judgement, ConfigError> {
     let pilot = config.pilot()?;
     let mut judgement = Judgement::default();
     let findings = &mut judgement.findings;

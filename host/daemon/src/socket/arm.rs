@@ -69,11 +69,19 @@ pub(super) async fn begin(
         // Also held if the client hangs up.
         let _judging = judging;
         let (number, config) = judged.reconfigurer.in_force();
-        let stand = judgement::stand(&judged.snapshot());
+        let snapshot = judged.snapshot();
+        let stand = judgement::stand(&snapshot);
+        let tuned = snapshot.tick.and_then(|tick| tick.tuned);
         let refusal = (!uncalibrated)
             .then(|| judged.commissioned.refusal(&config))
             .flatten();
-        let refusal = refusal.or_else(|| judgement::refusal(&config, stand, longest));
+        let refusal = refusal.or_else(|| {
+            let config = match tuned {
+                Some(tuned) => config.with_tuning(tuned.gain, tuned.wanted_point_distance),
+                None => config,
+            };
+            judgement::refusal(&config, stand, longest)
+        });
         (number, refusal)
     });
     let (number, refusal) = judgement.await.map_err(|error| error.to_string())?;

@@ -22,6 +22,7 @@ use super::{
     serve::{LONGEST_LINE, answer, failure, no_command, send, skip_line},
     setpoint::SetpointStream,
     stream::{ReadHalf, WriteHalf},
+    tune::tune,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::TickView};
 
@@ -186,6 +187,9 @@ async fn serve_drive(
             Ok(Command::Ask(question)) => {
                 send(write, &answer(question, daemon).await).await?;
             }
+            Ok(Command::Tune(tuning)) if !drive.jogs => {
+                send(write, &tune(tuning, daemon).await).await?;
+            }
             Ok(Command::Setpoint(setpoint)) if !drive.jogs => {
                 if let Some(answer) = setpoints.pass(daemon, &setpoint) {
                     send(write, &answer).await?;
@@ -195,8 +199,8 @@ async fn serve_drive(
                 let error = if drive.jogs {
                     "this connection jogs: it takes jog, hold, status, disarm and stop"
                 } else {
-                    "this connection holds a drive: it takes hold, status, disarm, stop and \
-                     setpoint"
+                    "this connection holds a drive: it takes hold, status, disarm, stop, \
+                     setpoint and tune"
                 };
                 send(write, &failure(error)).await?;
             }

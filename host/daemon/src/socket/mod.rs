@@ -13,6 +13,7 @@
 //! | `{"version":2,"command":"reload"}` | when the file of the configuration is in force again, as for `set-reference`, or why it is not |
 //! | `{"version":2,"command":"commissioned","procedure":"doctor","result":"passed"}` | when the state of the procedure is kept |
 //! | `{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}` | nothing, unless the set-point is rejected |
+//! | `{"version":2,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}` | when the pilot has taken the values, as `{"version":2,"ok":true,"tuning":{...}}`, or why it has not |
 //! | `{"version":2,"command":"watch","topics":["tick"]}` | `{"version":2,"ok":true}`, then every entry of the record as it is made, with a `topic` |
 //! | `{"version":2,"command":"watch","topics":["state"]}` | `{"version":2,"ok":true}`, then the state of every tick |
 //!
@@ -36,6 +37,9 @@
 //! **References.** `reference` has the keys of `[reference]` in the configuration; `file`
 //! is an absolute path that the daemon may read. A reference is refused while the car
 //! drives. It is in force until the configuration is reloaded.
+//!
+//! **Tuning.** `tune` changes the gains of the position loop, p, or both, also while the car
+//! drives, within the bounds of `[tuning]`. A connection that holds a drive may tune.
 //!
 //! **Set-points** are followed while `reference.kind` is `"external"`. A client sends many
 //! per second on one connection. A set-point is a velocity of P, in m/s in the cameras' frame,
@@ -62,6 +66,7 @@ mod tcp;
 mod tests;
 mod thread;
 mod token;
+mod tune;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;

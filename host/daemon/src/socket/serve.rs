@@ -24,6 +24,7 @@ use super::{
     command::{Attendance, Command, ParseError, Question, SOCKET_VERSION},
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
+    tune::tune,
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
@@ -140,6 +141,9 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             }
             Ok(Command::SetReference(reference)) => {
                 send(&mut write, &set_reference(reference, daemon).await).await?;
+            }
+            Ok(Command::Tune(tuning)) => {
+                send(&mut write, &tune(tuning, daemon).await).await?;
             }
             Ok(Command::Commissioned { procedure, result }) => {
                 let answer = commissioned(procedure, result, daemon).await;

@@ -103,6 +103,7 @@ impl Bench {
             looked_ahead_s: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            tuned: None,
             path_s: None,
             slowed_by: None,
             estimate: None,

@@ -34,6 +34,7 @@ impl Pilot {
             }
             Event::Attitude(sample) => self.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
+            Event::Tuning(tuning) => self.tune(tuning),
             // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }

@@ -12,6 +12,7 @@ use crate::{
     fence::Fence,
     refusal::SetpointRefusal,
     supervisor::{BoardRequest, Mode, Reason, SupervisorConfig},
+    tuning::{Tuned, TuningBounds},
     watch::WatchConfig,
 };
 
@@ -47,6 +48,8 @@ pub struct PilotConfig {
     /// The filter between any outer loop and the law, before its first tick; none if what they
     /// want passes as it is.
     pub safety: Option<SafetyFilter>,
+    /// What may be tuned while the pilot runs, and within which bounds; none if nothing may.
+    pub tuning: Option<TuningBounds>,
     /// The control period, s.
     pub period: f64,
 }
@@ -131,6 +134,8 @@ pub struct Output {
     pub filtering: Filtering,
     /// The number of ticks of the drive, or of the last one, in which it did anything.
     pub filtered_ticks: u32,
+    /// The values in force of what can be tuned; none if nothing can.
+    pub tuned: Option<Tuned>,
 }
 
 /// The configuration was not replaced because a drive is underway, in this mode.

@@ -5,6 +5,7 @@ mod drive;
 mod events;
 mod interface;
 mod safety;
+mod tune;
 mod verdicts;
 
 use libm::{fabs, rint};
@@ -48,6 +49,8 @@ pub struct Pilot {
     /// None if the actuators are not compensated.
     compensator: Option<Compensator>,
     safety: Safety,
+    /// Where p goes to, in m; the law has the one of now.
+    wanted_point_distance: f64,
     estimator: Estimator,
     supervisor: Supervisor,
     imu: ImuWatch,
@@ -94,6 +97,7 @@ impl Pilot {
             governor: config.governor(),
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
+            wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
             imu: ImuWatch::default(),
@@ -126,7 +130,8 @@ impl Pilot {
     }
 
     /// Replaces the configuration from the next tick on. The state of board, line and
-    /// requests is kept; the estimate restarts.
+    /// requests is kept; the estimate restarts. A tuned value stays unless the configuration
+    /// has another value or other bounds for it.
     ///
     /// # Errors
     ///
@@ -136,9 +141,12 @@ impl Pilot {
         if mode.is_underway() {
             return Err(Underway(mode));
         }
+        let kept = self.kept_tuning(config);
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.tracking.clone_from(&config.tracking);
+        self.wanted_point_distance = config.law.point_distance();
+        self.keep_tuning(&kept);
         self.governor = config.governor();
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
@@ -192,6 +200,7 @@ impl Pilot {
         for event in events {
             held &= !self.handle(now, event);
         }
+        self.slew_point_distance();
         let last_tick = self.last_tick.replace(now);
         let steering = self.law.actuation().steering;
         let estimate = self.estimator.estimate(now, steering);
@@ -339,6 +348,7 @@ impl Pilot {
             setpoint_refused: self.setpoint_refused,
             filtering: Filtering::None,
             filtered_ticks: self.safety.ticks,
+            tuned: self.tuned(),
         };
         if let Some(estimate) = &estimate {
             let law = self.law.law();

@@ -96,6 +96,7 @@ pub(crate) fn config() -> PilotConfig {
         stop_deceleration: 1.5,
         compensation: Compensation::off(vehicle),
         safety: None,
+        tuning: None,
         period: 0.01,
     }
 }

@@ -208,6 +208,7 @@ kinds! {
         Proved = 13 "proved",
         Jog = 14 "jog",
         TrajectoryPiece = 15 "trajectory-piece",
+        Tuning = 16 "tuning",
     }
 }
 

@@ -6,14 +6,14 @@ use singletrack_control::{
 };
 use singletrack_pilot::{
     AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
-    PilotRequest, PoseMissing, RealTimeState, Tilt,
+    PilotRequest, PoseMissing, RealTimeState, Tilt, Tuning,
 };
 
 use super::{
     code::{Code, EventKind, OptionalCode},
     declare::{Fields, fields, message},
     field::{Group, InvalidMessage, Maybe, Part, Represents},
-    floor::{PointMessage, VelocityMessage},
+    floor::{GainMessage, PointMessage, VelocityMessage},
 };
 
 message! {
@@ -38,6 +38,7 @@ message! {
         proved: Maybe<bool>,
         jog: Maybe<JogMessage>,
         trajectory_piece: Maybe<TrajectoryPieceMessage>,
+        tuning: Maybe<TuningMessage>,
     }
 }
 
@@ -274,6 +275,16 @@ message! {
     }
 }
 
+message! {
+    /// Other values of what can be tuned; an absent one stays.
+    TuningMessage as "Tuning" of Tuning {
+        /// Of the position loop.
+        gain: Maybe<GainMessage>,
+        /// The distance p of P from the front axle, in m.
+        point_distance_m: Maybe<f64> = point_distance,
+    }
+}
+
 impl Represents<Event> for EventMessage {
     fn of(event: &Event) -> Self {
         let of = |kind| Self {
@@ -338,6 +349,10 @@ impl Represents<Event> for EventMessage {
                 trajectory_piece: Maybe(Some(Represents::of(piece))),
                 ..of(EventKind::TrajectoryPiece)
             },
+            Event::Tuning(tuning) => Self {
+                tuning: Maybe(Some(Represents::of(tuning))),
+                ..of(EventKind::Tuning)
+            },
         }
     }
 
@@ -362,6 +377,7 @@ impl Represents<Event> for EventMessage {
             EventKind::Attitude => Event::Attitude(part.take(self.attitude, "the attitude")?),
             EventKind::Proved => Event::Proved(part.take(self.proved, "whether it is proved")?),
             EventKind::Jog => Event::Jog(part.take(self.jog, "the pulses")?),
+            EventKind::Tuning => Event::Tuning(part.take(self.tuning, "the values")?),
             EventKind::TrajectoryPiece => {
                 Event::TrajectoryPiece(part.take(self.trajectory_piece, "the trajectory's point")?)
             }
@@ -489,11 +505,20 @@ mod tests {
         )
     }
 
+    fn any_tuning() -> impl Strategy<Value = Tuning> {
+        let gain = prop::option::of((any_float(), any_float()));
+        (gain, prop::option::of(any_float())).prop_map(|(gain, point_distance)| Tuning {
+            gain: gain.map(|(x, y)| Velocity::new(x, y)),
+            point_distance,
+        })
+    }
+
     fn any_event() -> impl Strategy<Value = Event> {
         prop_oneof![
             (any_stamp(), any_demand())
                 .prop_map(|(stamp, demand)| Event::Setpoint(Setpoint { stamp, demand })),
             any_piece().prop_map(Event::TrajectoryPiece),
+            any_tuning().prop_map(Event::Tuning),
             any_pose().prop_map(Event::Pose),
             any_board().prop_map(Event::Board),
             prop::sample::select(vec![
@@ -556,6 +581,10 @@ mod tests {
                 point.velocity.x,
                 point.velocity.y,
             ],
+            Event::Tuning(tuning) => {
+                let gain = tuning.gain.unwrap_or_default();
+                vec![gain.x, gain.y, tuning.point_distance.unwrap_or_default()]
+            }
             _ => Vec::new(),
         };
         floats.into_iter().map(f64::to_bits).collect()

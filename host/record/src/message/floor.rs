@@ -1,4 +1,4 @@
-//! Positions and velocities on the floor.
+//! Positions and velocities on the floor, and the gains between them.
 
 use singletrack_control::{Position, Velocity};
 
@@ -46,5 +46,26 @@ impl Represents<Velocity> for VelocityMessage {
 
     fn value(self) -> Result<Velocity, InvalidMessage> {
         Ok(Velocity::new(self.x_m_s, self.y_m_s))
+    }
+}
+
+message! {
+    /// Gains of the position loop, world frame.
+    GainMessage as "Gain" {
+        x_per_s: f64,
+        y_per_s: f64,
+    }
+}
+
+impl Represents<Velocity> for GainMessage {
+    fn of(gain: &Velocity) -> Self {
+        Self {
+            x_per_s: gain.x,
+            y_per_s: gain.y,
+        }
+    }
+
+    fn value(self) -> Result<Velocity, InvalidMessage> {
+        Ok(Velocity::new(self.x_per_s, self.y_per_s))
     }
 }

@@ -2,7 +2,7 @@
 
 use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy};
 use singletrack_pilot::{
-    BoardRequest, DriveCommand, Filtering, Mode, Output, Reason, SetpointRefusal,
+    BoardRequest, DriveCommand, Filtering, Mode, Output, Reason, SetpointRefusal, Tuned,
 };
 
 use super::{
@@ -10,7 +10,7 @@ use super::{
     declare::{fields, message},
     event::{EventMessage, JogMessage, StampMessage},
     field::{Group, InvalidMessage, Maybe, Represents},
-    floor::{PointMessage, VelocityMessage},
+    floor::{GainMessage, PointMessage, VelocityMessage},
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
 
@@ -99,6 +99,20 @@ fields! {
         path_s: Maybe<f64> = path,
         /// Why the reference is slowed down.
         slowed_by: OptionalCode<SlowedBy>,
+        /// The values in force of what can be tuned; absent if nothing can.
+        tuned: Maybe<TunedMessage>,
+    }
+}
+
+message! {
+    /// The values in force of what can be tuned.
+    TunedMessage as "Tuned" of Tuned {
+        /// Of the position loop; absent if it has no such gains.
+        gain: Maybe<GainMessage>,
+        /// The distance p that the law uses, in m.
+        point_distance_m: f64 = point_distance,
+        /// Where p goes to, in m.
+        wanted_point_distance_m: f64 = wanted_point_distance,
     }
 }
 

@@ -142,6 +142,7 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             setpoint_refused: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            tuned: None,
             setpoint: None,
             preflight: None,
             jog: None,

@@ -160,6 +160,7 @@ fn output() -> impl Strategy<Value = Output> {
                 setpoint_refused: None,
                 filtering: Filtering::None,
                 filtered_ticks: 0,
+                tuned: None,
                 setpoint: None,
                 preflight: None,
                 jog: None,

@@ -17,6 +17,7 @@ mod process;
 mod proving;
 mod stop;
 mod teach;
+mod tuning;
 mod viewers;
 
 use std::{
@@ -150,6 +151,7 @@ fn main() -> ExitCode {
         port::SCENARIOS,
         newcomer::SCENARIOS,
         teach::SCENARIOS,
+        tuning::SCENARIOS,
         proving::SCENARIOS,
         stop::SCENARIOS,
         hostile::SCENARIOS,

@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::reasons::{Entry, Source};
+use crate::tune;
 
 /// Columns of the names in the view.
 const NAMES: usize = 10;
@@ -22,6 +23,8 @@ pub(super) struct Summary {
     /// What is wrong with the cameras, and what to do.
     cameras: Option<String>,
     record_error: Option<String>,
+    /// Tuned values that differ from the configuration, and those of the configuration.
+    tuned: Option<[String; 2]>,
     drive_time_s: Option<f64>,
     pose_age_s: Option<f64>,
     position_m: Option<[f64; 2]>,
@@ -79,6 +82,11 @@ impl Summary {
             (!matches!(diagnosis, "good" | "starting")).then(|| word(cameras.get("text")))?
         });
         self.record_error = word(status.get("record_error"));
+        self.tuned = status.get("tuning").and_then(|tuning| {
+            let differs = tuning.get("differs")?.as_bool()?;
+            let configured = tuning.get("configured")?;
+            differs.then(|| [tuning, configured].map(tune::in_words))
+        });
     }
 
     /// Takes a line of the state stream.
@@ -115,6 +123,9 @@ impl Summary {
             self.link.as_deref().unwrap_or("unknown"),
             metres_per_second(self.speed_m_s),
         );
+        if let Some([tuned, configured]) = &self.tuned {
+            line += &format!("; tuned: {tuned} (configured: {configured})");
+        }
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
         }
@@ -155,6 +166,9 @@ impl Summary {
                 lines.push(format!("{name:<NAMES$}{part}"));
             }
         };
+        if let Some([tuned, configured]) = &self.tuned {
+            paragraph("tuned", &format!("{tuned} (configured: {configured})"));
+        }
         if let Some(why) = why {
             paragraph("why", &why.text);
             paragraph("to do", why.advice.as_deref().unwrap_or("-"));

@@ -139,6 +139,7 @@ pub(crate) fn standing_tick() -> TickRecord {
             setpoint_refused: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            tuned: None,
             setpoint: None,
             preflight: None,
             jog: None,

@@ -121,18 +121,22 @@ fn a_record_of_another_version_is_refused_with_who_can_read_it() {
     let (recorder, path) = recorder(folder.path());
     recorder.finish().unwrap();
     let mut bytes = fs::read(&path).unwrap();
-    let key = b"record_version\x01\0\0\0";
-    let at = bytes.windows(key.len()).position(|part| part == key);
-    let version = &mut bytes[at.unwrap() + key.len()];
-    assert_eq!(*version, b'0' + singletrack_record::RECORD_VERSION as u8);
-    *version = b'1';
+    let version = singletrack_record::RECORD_VERSION.to_string();
+    let length = u32::try_from(version.len()).unwrap().to_le_bytes();
+    let entry = [b"record_version", &length[..], version.as_bytes()].concat();
+    let at = bytes.windows(entry.len()).position(|part| part == entry);
+    let end = at.unwrap() + entry.len();
+    bytes[end - version.len()..end].fill(b'9');
+    let other = "9".repeat(version.len());
     fs::write(&path, bytes).unwrap();
     let output = dump(&path, &[]);
     assert!(!output.status.success());
     assert_eq!(text(&output.stdout), "");
     let error = text(&output.stderr);
     assert!(
-        error.contains("is a record of version 1; this program reads version"),
+        error.contains(&format!(
+            "is a record of version {other}; this program reads version {version}"
+        )),
         "{error}"
     );
     assert!(

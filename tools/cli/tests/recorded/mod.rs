@@ -253,6 +253,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
             setpoint_refused: None,
             filtering: Filtering::None,
             filtered_ticks: 0,
+            tuned: None,
             setpoint: None,
             preflight: None,
             jog: None,

@@ -121,6 +121,8 @@ impl Experiment {
             truth: None,
             simulation: None,
             operator: None,
+            tune: Vec::new(),
+            tuning: None,
             governor: None,
             limits: None,
             estimator: None,

@@ -71,7 +71,7 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
     Ok((config, simulation))
 }
 
-/// Drives a scenario on the simulated car, without marker losses, and passes on each entry
+/// Drives a scenario on the simulated car, without marker losses and tunings, and passes on each entry
 /// of its record. Returns the configuration of the drive.
 ///
 /// # Errors
@@ -211,7 +211,7 @@ impl<'a> Run<'a> {
             drive,
             record,
             unrecorded: None,
-            operator: Operator::new(&scenario.operator.unwrap_or_default()),
+            operator: Operator::new(&scenario.operator.unwrap_or_default(), &scenario.tune),
             arms: false,
             connected_us,
             least_s: 0.0,
@@ -243,7 +243,7 @@ impl<'a> Run<'a> {
         if arms {
             self.arms = true;
             self.least_s = READY_TIMEOUT;
-            self.operator = Operator::new(&OperatorSection::default());
+            self.operator = Operator::new(&OperatorSection::default(), &[]);
         } else {
             self.drive.world_mut().set_epoch(Some(0));
             self.lose_markers();
@@ -285,9 +285,7 @@ impl<'a> Run<'a> {
             self.drive.world_mut().set_wire_connected(connected);
         }
         let time = self.time(next_us);
-        self.operator
-            .act(&mut self.drive, time)
-            .map_err(|_| ScenarioError::value("operator", "busy", "leave time between requests"))?;
+        self.operator.act(&mut self.drive, time)?;
         if self.arms && time >= READY_TIMEOUT {
             self.arms = false;
         }

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use singletrack_control::LawError;
-use singletrack_core::config::ConfigError;
+use singletrack_core::config::{ConfigError, TuningError};
 
 /// A scenario that can't be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +44,14 @@ pub enum ScenarioError {
     /// The truth of the car can't be simulated.
     #[error(transparent)]
     Truth(#[from] singletrack_sim::ConfigError),
+    /// A tuning that the daemon refuses.
+    #[error("[[tune]] at_s = {at_s}: {source}")]
+    Tune {
+        /// When, s.
+        at_s: f64,
+        /// Why.
+        source: TuningError,
+    },
     /// A value is outside its range.
     #[error("{key} is {value}: {fix}")]
     Value {

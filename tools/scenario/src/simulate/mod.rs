@@ -9,6 +9,7 @@ mod operator;
 mod row;
 mod scenario;
 mod summary;
+mod tune;
 
 use std::path::Path;
 
@@ -23,6 +24,7 @@ pub use scenario::{
     SteeringHold,
 };
 pub use summary::Summary;
+pub use tune::TuneSection;
 
 /// Why a simulation stopped.
 #[derive(Debug, thiserror::Error)]

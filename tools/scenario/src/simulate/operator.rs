@@ -1,10 +1,10 @@
 //! Who drives the car of a scenario.
 
 use serde::Deserialize;
-use singletrack_core::Stalled;
-use singletrack_pilot::PilotRequest;
+use singletrack_core::virtual_host::TuneError;
+use singletrack_pilot::{PilotRequest, Tuning};
 
-use super::error::ScenarioError;
+use super::{error::ScenarioError, tune::TuneSection};
 use crate::virtual_drive::VirtualDrive;
 
 /// What the operator does, and what happens to the board's cable. Times are those of the
@@ -51,6 +51,7 @@ impl Default for OperatorSection {
 #[derive(Clone, Copy, Debug)]
 enum Action {
     Ask(PilotRequest),
+    Tune(Tuning),
     Connect(bool),
     ResetBoard,
 }
@@ -121,11 +122,15 @@ pub(super) struct Operator {
 }
 
 impl Operator {
-    pub(super) fn new(section: &OperatorSection) -> Self {
+    pub(super) fn new(section: &OperatorSection, tunes: &[TuneSection]) -> Self {
+        let tunes = tunes
+            .iter()
+            .map(|tune| (tune.at_s, Action::Tune(tune.tuning())));
         let mut to_do: Vec<_> = section
             .actions()
             .into_iter()
             .filter_map(|(_, at_s, action)| Some((at_s?, action)))
+            .chain(tunes)
             .collect();
         to_do.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         Self {
@@ -140,11 +145,17 @@ impl Operator {
     }
 
     /// Does what is due at a time of the run, in s.
-    pub(super) fn act(&mut self, drive: &mut VirtualDrive, time: f64) -> Result<(), Stalled> {
-        while let Some(&(_, action)) = self.to_do.last().filter(|(at, _)| *at <= time + 1e-9) {
+    pub(super) fn act(&mut self, drive: &mut VirtualDrive, time: f64) -> Result<(), ScenarioError> {
+        const BUSY: &str = "leave time between requests";
+        let busy = || ScenarioError::value("operator", "busy", BUSY);
+        while let Some(&(at_s, action)) = self.to_do.last().filter(|(at, _)| *at <= time + 1e-9) {
             self.to_do.pop();
             match action {
-                Action::Ask(request) => drive.request(request)?,
+                Action::Ask(request) => drive.request(request).map_err(|_| busy())?,
+                Action::Tune(tuning) => drive.tune(tuning).map_err(|error| match error {
+                    TuneError::Refused(source) => ScenarioError::Tune { at_s, source },
+                    TuneError::Stalled(_) => busy(),
+                })?,
                 Action::Connect(connected) => {
                     self.has_unplugged = !connected;
                     drive.world_mut().set_wire_connected(connected);

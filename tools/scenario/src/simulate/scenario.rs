@@ -13,7 +13,7 @@ use singletrack_core::config::{
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
 
-use super::{error::ScenarioError, layer::layer, operator::OperatorSection};
+use super::{error::ScenarioError, layer::layer, operator::OperatorSection, tune::TuneSection};
 use crate::simulated::{self, daemon_config, follow};
 
 /// A scenario; unknown keys are refused.
@@ -54,6 +54,9 @@ pub struct Scenario {
     /// Who drives plant kind "car".
     #[serde(default)]
     pub operator: Option<OperatorSection>,
+    /// When the pilot of plant kind "car" is tuned.
+    #[serde(default)]
+    pub tune: Vec<TuneSection>,
     // Sections of the daemon's configuration, for plant kind "car". A key that is left out
     // is as in the configuration for the simulated car: the daemon's defaults, a fence of the
     // size of a hall, and the calibration of the simulated board.
@@ -87,6 +90,9 @@ pub struct Scenario {
     /// What the pilot corrects of clocks and actuators.
     #[serde(default)]
     pub compensation: Option<Table>,
+    /// What may be tuned.
+    #[serde(default)]
+    pub tuning: Option<Table>,
 }
 
 /// Where the car starts: yaw rate, sideslip and steering are zero.
@@ -257,7 +263,10 @@ impl Scenario {
         match self.plant.kind {
             PlantKind::Ideal => self.validate_ideal()?,
             PlantKind::Car => {
-                self.simulation(&self.daemon()?)?;
+                let daemon = self.daemon()?;
+                self.simulation(&daemon)?;
+                let rule = daemon.tuning_rule();
+                self.tune.iter().try_for_each(|tune| tune.validate(&rule))?;
                 self.operator.unwrap_or_default().validate()?;
             }
         }
@@ -328,6 +337,7 @@ impl Scenario {
             None if self.truth.is_some() => Some("truth"),
             None if self.simulation.is_some() => Some("simulation"),
             None if self.operator.is_some() => Some("operator"),
+            None if !self.tune.is_empty() => Some("tune"),
             None => None,
         };
         if let Some(key) = key {
@@ -350,7 +360,7 @@ impl Scenario {
     }
 
     /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 10] {
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 11] {
         [
             ("governor", self.governor.as_ref()),
             ("limits", self.limits.as_ref()),
@@ -362,6 +372,7 @@ impl Scenario {
             ("motion_capture", self.motion_capture.as_ref()),
             ("actuators", self.actuators.as_ref()),
             ("compensation", self.compensation.as_ref()),
+            ("tuning", self.tuning.as_ref()),
         ]
     }
 
@@ -388,6 +399,7 @@ impl Scenario {
             motion_capture,
             actuators,
             compensation,
+            tuning,
             control,
             ..
         } = &mut config;
@@ -405,6 +417,7 @@ impl Scenario {
         )?;
         layer("actuators", actuators, self.actuators.as_ref())?;
         layer("compensation", compensation, self.compensation.as_ref())?;
+        layer("tuning", tuning, self.tuning.as_ref())?;
         layer("control", control, Some(&self.control.daemon))?;
         Ok(config)
     }

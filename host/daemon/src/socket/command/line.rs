@@ -3,11 +3,13 @@
 use core::time::Duration;
 
 use serde::Deserialize;
+use serde_json::Value;
+use singletrack_control::Velocity;
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
-use singletrack_pilot::Jog;
+use singletrack_pilot::{Jog, Tuning};
 use singletrack_record::Channel;
 
 use super::{
@@ -41,6 +43,8 @@ pub(super) struct Line {
     servo_us: Option<u16>,
     esc_us: Option<u16>,
     pub(super) at_once: Option<bool>,
+    gain_per_s: Option<Value>,
+    point_distance_m: Option<f64>,
 }
 /// The shortest and the longest time of a timed drive, s.
 const MIN_TIME: f64 = 0.5;
@@ -100,6 +104,26 @@ impl Line {
         }
     }
 
+    /// The gain is a number for both axes, or one for each.
+    pub(super) fn take_tuning(&mut self) -> Result<Tuning, String> {
+        let gain = self.gain_per_s.take().map(|given| {
+            let numbers: Option<Vec<f64>> = match &given {
+                Value::Array(axes) => axes.iter().map(Value::as_f64).collect(),
+                one => one.as_f64().map(|gain| vec![gain, gain]),
+            };
+            match numbers.as_deref() {
+                Some(&[x, y]) => Ok(Velocity::new(x, y)),
+                _ => Err(format!(
+                    "gain_per_s is {given}: give a number, or two for x and y, such as [2.0, 2.0]"
+                )),
+            }
+        });
+        Ok(Tuning {
+            gain: gain.transpose()?,
+            point_distance: self.point_distance_m.take(),
+        })
+    }
+
     pub(super) fn take_setpoint(&mut self) -> SetpointKeys {
         SetpointKeys {
             velocity_m_s: self.velocity_m_s.take(),
@@ -145,6 +169,8 @@ impl Line {
             ("servo_us", self.servo_us.is_some(), "jog"),
             ("esc_us", self.esc_us.is_some(), "jog"),
             ("at_once", self.at_once.is_some(), "disarm"),
+            ("gain_per_s", self.gain_per_s.is_some(), "tune"),
+            ("point_distance_m", self.point_distance_m.is_some(), "tune"),
         ] {
             if is_there {
                 return Err(format!(

@@ -10,7 +10,7 @@ use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
 };
-use singletrack_pilot::Jog;
+use singletrack_pilot::{Jog, Tuning};
 use singletrack_record::{Channel, Topic};
 
 use self::line::{Line, channel};
@@ -38,6 +38,8 @@ pub enum Command {
     Reload,
     /// A new reference, answered by one line when it is in force or refused.
     SetReference(ReferenceSection),
+    /// Other values of what can be tuned, answered by one line when they are in force or refused.
+    Tune(Tuning),
     /// A set-point, answered only if it has no effect.
     Setpoint(SetpointCommand),
     /// The state of a procedure, answered by one line when it is kept.
@@ -185,6 +187,7 @@ impl Command {
                                \"radius_m\":1.0,\"angular_velocity_rad_s\":0.5}";
                 Self::SetReference(line.reference.take().ok_or(missing)?)
             }
+            "tune" => Self::Tune(line.take_tuning()?),
             "setpoint" => Self::Setpoint(line.take_setpoint().parse(now_ns)?),
             "commissioned" => line.take_commissioned()?,
             "watch" if line.topics.as_deref() == Some(&["state".to_owned()]) => {
@@ -211,7 +214,7 @@ impl Command {
             },
             other => {
                 return Err(format!(
-                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, commissioned, reload, messages or watch"
+                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, tune, commissioned, reload, messages or watch"
                 )
                 .into());
             }

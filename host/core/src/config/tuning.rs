@@ -1,0 +1,182 @@
+//! `[tuning]`: what an operator may change while the car drives.
+
+use singletrack_control::Velocity;
+use singletrack_pilot::TuningBounds;
+
+use super::{Config, ConfigError, OuterLoopSection, section::Declared as _, section::section};
+
+section! {
+    /// Live tuning: `singletrack tune` changes these values while the car drives, within these
+    /// bounds. Both ends of the bounds must pass every check that the configured values pass.
+    /// `docs/tuning.md` says how to tune a car.
+    "tuning" => pub TuningSection: Copy;
+    [default];
+
+    /// Whether anything can be tuned.
+    enabled: bool = false;
+    /// Least and most of each of `outer_loop.gain_per_s`, which must lie between them; for the
+    /// loop "proportional". Left out, gains cannot be tuned.
+    gain_per_s: Option<[f64; 2]> = None, in 0.0..=100.0, example [0.5, 4.0];
+    /// Least and most of `law.point_distance_m`, which must lie between them; not with
+    /// `governor.enabled`. Left out, p cannot be tuned.
+    point_distance_m: Option<[f64; 2]> = None, in up_to(10.0), example [0.3, 0.4];
+}
+
+const GAIN: &str = "tuning.gain_per_s";
+const DISTANCE: &str = "tuning.point_distance_m";
+
+/// A configuration with every tuned value at an end of its bounds.
+pub(crate) struct Extreme {
+    /// The key of bounds that reach there, and their value.
+    pub(crate) key: &'static str,
+    pub(crate) bounds: String,
+    /// Where it is, in words.
+    pub(crate) place: String,
+    /// With these values, and nothing to tune.
+    pub(crate) config: Config,
+}
+
+impl TuningSection {
+    /// For the pilot; none if nothing can be tuned.
+    pub(super) const fn bounds(&self) -> Option<TuningBounds> {
+        if !self.enabled {
+            return None;
+        }
+        Some(TuningBounds {
+            gain: self.gain_per_s,
+            point_distance: self.point_distance_m,
+        })
+    }
+
+    /// Refuses bounds that are none, that do not hold the configured value, or at an end of which
+    /// the configuration is refused.
+    pub(super) fn validate(&self, config: &Config) -> Result<(), ConfigError> {
+        self.check()?;
+        if !self.enabled {
+            return Ok(());
+        }
+        let refused = |key, bounds: [f64; 2], fix: String| {
+            Err(ConfigError::value(key, format!("{bounds:?}"), fix))
+        };
+        for (key, bounds) in [(GAIN, self.gain_per_s), (DISTANCE, self.point_distance_m)] {
+            if let Some([least, most]) = bounds.filter(|[least, most]| least > most) {
+                return refused(key, [least, most], "give the lower bound first".to_owned());
+            }
+        }
+        if let Some(bounds) = self.gain_per_s {
+            match config.outer_loop {
+                OuterLoopSection::Proportional { gain_per_s, .. } => {
+                    if let Some(gain) = gain_per_s.into_iter().find(|gain| !within(bounds, *gain)) {
+                        let fix =
+                            format!("outer_loop.gain_per_s has {gain}, which must lie between");
+                        return refused(GAIN, bounds, fix);
+                    }
+                }
+                other => {
+                    let fix = format!("{}; leave it out", no_gains(other.kind()));
+                    return refused(GAIN, bounds, fix);
+                }
+            }
+        }
+        if let Some(bounds) = self.point_distance_m {
+            if config.governor.enabled {
+                return refused(DISTANCE, bounds, format!("{GOVERNED}; leave it out"));
+            }
+            let distance = config.law.point_distance_m;
+            if !within(bounds, distance) {
+                let fix = format!("law.point_distance_m is {distance}, which must lie between");
+                return refused(DISTANCE, bounds, fix);
+            }
+        }
+        if self.gain_per_s.is_none() && self.point_distance_m.is_none() {
+            return Err(ConfigError::value(
+                "tuning.enabled",
+                true,
+                "there are no bounds: give tuning.gain_per_s or tuning.point_distance_m",
+            ));
+        }
+        for extreme in config.extremes() {
+            extreme.config.validate().map_err(|error| {
+                let Extreme {
+                    key, bounds, place, ..
+                } = extreme;
+                ConfigError::value(
+                    key,
+                    bounds,
+                    format!("with {place}: {error}; narrow the bounds"),
+                )
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// Why p is not tuned with a governor.
+pub(super) const GOVERNED: &str =
+    "governor.enabled is true, and the governor reckons ahead with one p";
+
+/// Why the gains of another loop are not tuned.
+pub(super) fn no_gains(kind: &str) -> String {
+    match kind {
+        "open-loop" => "outer_loop.kind is \"open-loop\", which has no gains".to_owned(),
+        kind => format!(
+            "outer_loop.kind is \"{kind}\", whose gains follow from its weights by a Riccati equation \
+             that is solved before the drive: change the weights and reload"
+        ),
+    }
+}
+
+fn within([least, most]: [f64; 2], value: f64) -> bool {
+    (least..=most).contains(&value)
+}
+
+impl Config {
+    /// This configuration with another p (m) and other gains (1/s), where it has such.
+    #[must_use]
+    pub fn with_tuning(&self, gain: Option<Velocity>, point_distance: f64) -> Self {
+        let mut config = self.clone();
+        config.law.point_distance_m = point_distance;
+        if let (OuterLoopSection::Proportional { gain_per_s, .. }, Some(gain)) =
+            (&mut config.outer_loop, gain)
+        {
+            *gain_per_s = [gain.x, gain.y];
+        }
+        config
+    }
+
+    /// The corners of what can be tuned; none if nothing can.
+    pub(crate) fn extremes(&self) -> Vec<Extreme> {
+        let tuning = &self.tuning;
+        if !tuning.enabled {
+            return Vec::new();
+        }
+        let ends =
+            |bounds: Option<[f64; 2]>| bounds.map_or(vec![None], |ends| ends.map(Some).to_vec());
+        let mut extremes = Vec::new();
+        for distance in ends(tuning.point_distance_m) {
+            for gain in ends(tuning.gain_per_s) {
+                let mut config = self.with_tuning(
+                    gain.map(|gain| Velocity::new(gain, gain)),
+                    distance.unwrap_or(self.law.point_distance_m),
+                );
+                config.tuning = TuningSection::default();
+                let place: Vec<String> = distance
+                    .map(|distance| format!("p at {distance} m"))
+                    .into_iter()
+                    .chain(gain.map(|gain| format!("gains of {gain}/s")))
+                    .collect();
+                let (key, bounds) = match (tuning.point_distance_m, tuning.gain_per_s) {
+                    (Some(bounds), _) => (DISTANCE, bounds),
+                    (None, bounds) => (GAIN, bounds.unwrap_or_default()),
+                };
+                extremes.push(Extreme {
+                    key,
+                    bounds: format!("{bounds:?}"),
+                    place: place.join(" and "),
+                    config,
+                });
+            }
+        }
+        extremes
+    }
+}

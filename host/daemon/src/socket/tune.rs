@@ -1,0 +1,54 @@
+//! Requests to tune: checked against the configuration in force, and answered once the pilot has
+//! the values.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use singletrack_core::ControlRequest;
+use singletrack_pilot::{Tuned, Tuning};
+use tokio::time::{Instant, sleep};
+
+use super::{command::SOCKET_VERSION, progress::POLL, serve::failure};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::tuned_json};
+
+/// The longest wait for the tick that takes the values: much less than the time in which a client
+/// must renew the drive that it holds.
+const TIMEOUT: Duration = Duration::from_millis(200);
+
+/// Tunes the pilot, and says what is in force then.
+pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Value {
+    match try_tune(tuning, daemon).await {
+        Ok(tuned) => json!({
+            "version": SOCKET_VERSION,
+            "ok": true,
+            "tuning": tuned_json(&tuned),
+        }),
+        Err(error) => failure(format!("can't tune: {error}")),
+    }
+}
+
+async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String> {
+    let before = daemon.snapshot().tick.and_then(|tick| tick.tuned);
+    let rule = daemon.reconfigurer.tuning_rule();
+    rule.check(&tuning, before.as_ref())
+        .map_err(|error| error.to_string())?;
+    let asked_ns = monotonic_ns();
+    let pushed = daemon.requests.push(ControlRequest::Tune(tuning));
+    pushed.map_err(|error| error.to_string())?;
+    let asked = Instant::now();
+    while asked.elapsed() < TIMEOUT {
+        sleep(POLL).await;
+        // A tick that began before the request may not have seen it.
+        let tick = daemon.snapshot().tick;
+        if let Some(tick) = tick.filter(|tick| tick.start_ns > asked_ns) {
+            let tuned = tick.tuned.filter(|tuned| tuned.has(&tuning));
+            if let Some(tuned) = tuned {
+                tracing::info!("tuned: {}", tuned_json(&tuned));
+            }
+            return tuned.ok_or_else(|| {
+                "another client or another configuration has come meanwhile; ask again".to_owned()
+            });
+        }
+    }
+    Err("the control thread is stalled".to_owned())
+}

@@ -1,0 +1,102 @@
+//! `singletrack tune`: other gains or another p, also while the car drives.
+
+use clap::Args;
+use serde_json::{Value, json};
+use singletrackd::SOCKET_VERSION;
+
+use crate::control::{self, ControlArgs, ControlError};
+
+/// The new values.
+#[derive(Clone, Debug, Args)]
+#[command(arg_required_else_help = false)]
+pub struct TuneArgs {
+    /// Gains of the position loop along x and y, in 1/s; one number is for both
+    #[arg(
+        long,
+        value_name = "PER_S",
+        num_args = 1..=2,
+        value_parser = finite,
+        required_unless_present = "point_distance"
+    )]
+    gain: Vec<f64>,
+    /// Distance p of the point P from the front axle, in m; it changes by 0.05 m/s
+    #[arg(long, value_name = "M", value_parser = finite)]
+    point_distance: Option<f64>,
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
+/// JSON has no other numbers: the daemon would take them for absent.
+fn finite(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        Ok(_) => Err("it is not finite".to_owned()),
+        Err(error) => Err(error.to_string()),
+    }
+}
+
+/// Sends the values and prints what is in force.
+///
+/// # Errors
+///
+/// The daemon refuses the values, with their bounds, or can't be asked.
+pub fn run(args: &TuneArgs) -> Result<(), ControlError> {
+    let mut line = json!({ "version": SOCKET_VERSION, "command": "tune" });
+    if let Some(line) = line.as_object_mut() {
+        match args.gain[..] {
+            [both] => drop(line.insert("gain_per_s".to_owned(), both.into())),
+            [x, y, ..] => drop(line.insert("gain_per_s".to_owned(), json!([x, y]))),
+            [] => {}
+        }
+        if let Some(distance) = args.point_distance {
+            line.insert("point_distance_m".to_owned(), distance.into());
+        }
+    }
+    let answer = control::ask(&line, &args.control.socket)?;
+    let tuning = answer.get("tuning").unwrap_or(&Value::Null);
+    control::print(&format!("tuned: {}", in_words(tuning)))
+}
+
+/// Values of the control socket in words: `gains 2 and 2 per s, p 0.36 m (going to 0.4 m)`.
+pub(crate) fn in_words(tuning: &Value) -> String {
+    let number = |key: &str| tuning.get(key).and_then(Value::as_f64);
+    let gains = tuning.get("gain_per_s").and_then(Value::as_array);
+    let gains = gains.map(|gains| {
+        let gains: Vec<String> = gains.iter().filter_map(Value::as_f64).map(text).collect();
+        format!("gains {} per s", gains.join(" and "))
+    });
+    let distance = number("point_distance_m").map(|distance| {
+        let wanted = number("wanted_point_distance_m").filter(|wanted| *wanted != distance);
+        let wanted = wanted.map(|wanted| format!(" (going to {} m)", text(wanted)));
+        format!("p {} m{}", text(distance), wanted.unwrap_or_default())
+    });
+    let words: Vec<String> = gains.into_iter().chain(distance).collect();
+    words.join(", ")
+}
+
+/// With four digits after the point at most.
+fn text(number: f64) -> String {
+    ((number * 1e4).round() / 1e4).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_told_in_words() {
+        let tuning = json!({
+            "gain_per_s": [2.0, 1.5],
+            "point_distance_m": 0.360_499_999_9,
+            "wanted_point_distance_m": 0.4,
+        });
+        assert_eq!(
+            in_words(&tuning),
+            "gains 2 and 1.5 per s, p 0.3605 m (going to 0.4 m)"
+        );
+        let there = json!({
+            "gain_per_s": null, "point_distance_m": 0.4, "wanted_point_distance_m": 0.4,
+        });
+        assert_eq!(in_words(&there), "p 0.4 m");
+    }
+}
