@@ -232,7 +232,8 @@ fn text_steps(release: Release) -> Vec<Step> {
     ]
 }
 
-/// Checks of the programs in virtual time.
+/// Checks of the programs in virtual time, those that can go beside others first; then those
+/// that use real time now and then.
 fn program_steps(release: Release) -> Vec<Step> {
     vec![
         Step::new("programs", "release builds of all programs", move || {
@@ -245,6 +246,29 @@ fn program_steps(release: Release) -> Vec<Step> {
             move || uno::check_image(&release.image()?, 0, &mut release.program("uno-figures")?),
         )
         .of(Part::Uno),
+        Step::new(
+            "odroid",
+            "daemon and tools build for the Odroid, and simulate the same bits there",
+            move || odroid::verify(release),
+        )
+        .of(Part::Odroid)
+        .needing(release.part())
+        .beside(),
+        Step::new(
+            "same-bits",
+            "debug and release builds simulate the same bits",
+            move || same_bits::check(release),
+        )
+        .needing(release.part())
+        .beside(),
+        Step::new(
+            "slurm",
+            "campaigns as job arrays of Slurm give what one process gives",
+            move || slurm::check(release),
+        )
+        .of(Part::Slurm)
+        .needing(release.part())
+        .beside(),
         Step::new(
             "tests",
             if release.uno {
@@ -261,35 +285,6 @@ fn program_steps(release: Release) -> Vec<Step> {
                 }
             },
         )
-        .needing(release.part()),
-        Step::new(
-            "book",
-            "the commands of the documentation: all are read by their programs, most are run",
-            move || {
-                let mut book = release.tests();
-                check(book.args(["--test", "book"]))
-            },
-        )
-        .needing(release.part()),
-        Step::new(
-            "same-bits",
-            "debug and release builds simulate the same bits",
-            move || same_bits::check(release),
-        )
-        .needing(release.part()),
-        Step::new(
-            "readers",
-            "independent readers agree on the contents of a record and of a repaired one",
-            move || readers::check(release),
-        )
-        .of(Part::Readers)
-        .needing(release.part()),
-        Step::new(
-            "python",
-            "the Python package installs, and drives the simulator and the daemon on both boards",
-            move || python::check(release),
-        )
-        .of(Part::Python)
         .needing(release.part()),
         Step::new(
             "faults",
@@ -317,13 +312,6 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .of(Part::Uno),
         Step::new(
-            "slurm",
-            "campaigns as job arrays of Slurm give what one process gives",
-            move || slurm::check(release),
-        )
-        .of(Part::Slurm)
-        .needing(release.part()),
-        Step::new(
             "onboard",
             "cars of all kinds come from the parts to the circle, led by the three procedures",
             move || {
@@ -336,11 +324,11 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .needing(release.part()),
         Step::new(
-            "odroid",
-            "daemon and tools build for the Odroid, and simulate the same bits there",
-            move || odroid::verify(release),
+            "readers",
+            "independent readers agree on the contents of a record and of a repaired one",
+            move || readers::check(release),
         )
-        .of(Part::Odroid)
+        .of(Part::Readers)
         .needing(release.part()),
         Step::new(
             "debian",
@@ -349,6 +337,24 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .of(Part::Debian)
         .needing(release.part()),
+        Step::new(
+            "book",
+            "the commands of the documentation: all are read by their programs, most are run",
+            move || {
+                let mut book = release.tests();
+                check(book.args(["--test", "book"]))
+            },
+        )
+        .needing(release.part())
+        .quiet(),
+        Step::new(
+            "python",
+            "the Python package installs, and drives the simulator and the daemon on both boards",
+            move || python::check(release),
+        )
+        .of(Part::Python)
+        .needing(release.part())
+        .quiet(),
     ]
 }
 
