@@ -21,7 +21,7 @@ use singletrack_hil::{
     rig::Need,
 };
 use singletrack_onboard::{OnboardCar, Rehearsal};
-use singletrack_sim::{HandCommand, Seen};
+use singletrack_sim::Seen;
 
 use crate::Scenario;
 
