@@ -13,17 +13,21 @@ pub struct TuneArgs {
     /// Gains of the position loop along x and y, in 1/s; one number is for both
     #[arg(
         long,
-        value_name = "PER_S",
-        num_args = 1..=2,
-        value_parser = finite,
+        value_name = "X[,Y]",
+        value_parser = gains,
         required_unless_present = "point_distance"
     )]
-    gain: Vec<f64>,
+    gain: Option<[f64; 2]>,
     /// Distance p of the point P from the front axle, in m; it changes by 0.05 m/s
     #[arg(long, value_name = "M", value_parser = finite)]
     point_distance: Option<f64>,
     #[command(flatten)]
     control: ControlArgs,
+}
+
+fn gains(text: &str) -> Result<[f64; 2], String> {
+    let (x, y) = text.split_once(',').unwrap_or((text, text));
+    Ok([finite(x)?, finite(y)?])
 }
 
 /// JSON has no other numbers: the daemon would take them for absent.
@@ -43,10 +47,8 @@ fn finite(text: &str) -> Result<f64, String> {
 pub fn run(args: &TuneArgs) -> Result<(), ControlError> {
     let mut line = json!({ "version": SOCKET_VERSION, "command": "tune" });
     if let Some(line) = line.as_object_mut() {
-        match args.gain[..] {
-            [both] => drop(line.insert("gain_per_s".to_owned(), both.into())),
-            [x, y, ..] => drop(line.insert("gain_per_s".to_owned(), json!([x, y]))),
-            [] => {}
+        if let Some(gain) = args.gain {
+            line.insert("gain_per_s".to_owned(), json!(gain));
         }
         if let Some(distance) = args.point_distance {
             line.insert("point_distance_m".to_owned(), distance.into());
@@ -82,6 +84,15 @@ fn text(number: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn one_gain_is_for_both_axes_and_only_numbers_are_gains() {
+        assert_eq!(gains("2"), Ok([2.0, 2.0]));
+        assert_eq!(gains("2,1.5"), Ok([2.0, 1.5]));
+        for wrong in ["", "2,", ",2", "2,1.5,1", "nan", "2,inf", "--help"] {
+            assert!(gains(wrong).is_err(), "{wrong}");
+        }
+    }
 
     #[test]
     fn values_are_told_in_words() {

@@ -88,6 +88,34 @@ fn the_exit_status_is_the_documented_one() {
 }
 
 #[test]
+fn a_request_to_tune_takes_both_quantities_and_refuses_what_is_no_number() {
+    let tune = |arguments: &[&str]| {
+        let folder = tempfile::tempdir().unwrap();
+        let nowhere = folder.path().join("nowhere.sock");
+        let output = singletrack(&["tune", "--socket", nowhere.to_str().unwrap()])
+            .args(arguments)
+            .output()
+            .unwrap();
+        (output.status.code(), text(&output.stderr))
+    };
+    for accepted in [
+        &["--gain", "2", "--point-distance", "0.4"][..],
+        &["--gain", "2,1.5"],
+        &["--point-distance", "0.4"],
+    ] {
+        let (code, said) = tune(accepted);
+        assert!(
+            said.contains("can't reach the daemon"),
+            "{accepted:?}: {said}"
+        );
+        assert_eq!(code, Some(1));
+    }
+    for refused in [&[][..], &["--gain", "2,x"], &["--point-distance", "nan"]] {
+        assert_eq!(tune(refused).0, Some(2), "{refused:?}");
+    }
+}
+
+#[test]
 fn former_spellings_still_work_and_are_not_shown() {
     for (command, new, old) in [
         ("recover", "--out", "--output"),

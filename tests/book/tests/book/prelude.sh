@@ -32,6 +32,9 @@ car() {
             -e 's|^server = .*|server = "127.0.0.1"|' \
             -e 's|^#directory = .*|directory = "/tmp/records"|' \
             -e 's|^#path = .*|path = "/tmp/singletrackd.sock"|' \
+            -e '/^\[tuning\]/,/^\[/ s|^#enabled = .*|enabled = true|' \
+            -e '/^\[tuning\]/,/^\[/ s|^# gain_per_s = .*|gain_per_s = [1.0, 2.0]|' \
+            -e '/^\[tuning\]/,/^\[/ s|^# point_distance_m = .*|point_distance_m = [0.35, 0.36]|' \
             -e 's|^#require_calibration = .*|require_calibration = false|' \
             host/daemon/singletrackd.example.toml > /tmp/the-car.toml
         singletrackd --config /tmp/the-car.toml &
