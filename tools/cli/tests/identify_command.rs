@@ -302,7 +302,7 @@ fn options_that_make_no_sense_are_refused_by_name() {
 #[test]
 fn a_damaged_record_is_used_as_far_as_it_goes() {
     let folder = tempfile::tempdir().unwrap();
-    let record = weaving(folder.path(), 15.0);
+    let record = weaving(folder.path(), 18.0);
     let mut bytes = fs::read(&record).unwrap();
     let at = bytes.len() / 2;
     for byte in &mut bytes[at..at + 2_000] {

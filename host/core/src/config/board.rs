@@ -22,7 +22,7 @@ section! {
     [];
 
     /// The car that this file is for: the number that the board's image was built with
-    /// (`cargo uno --car-id`). The board refuses the configuration of another car.
+    /// (`cargo uno --car-id 7`). The board refuses the configuration of another car.
     car_id: u16 = 0;
     /// When the board stops the car by itself: "coast" sends neutral; "brake" sends the
     /// braking pulse until the wheels stand, then neutral, and needs `esc.kind`.
