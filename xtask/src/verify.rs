@@ -232,20 +232,10 @@ fn text_steps(release: Release) -> Vec<Step> {
     ]
 }
 
-/// Checks of the programs in virtual time, those that can go beside others first; then those
-/// that use real time now and then.
+/// Checks of the programs in virtual time. What other compilers build goes beside; from `tests` on
+/// there are tests that use real time now and then.
 fn program_steps(release: Release) -> Vec<Step> {
     vec![
-        Step::new("programs", "release builds of all programs", move || {
-            release.build()
-        })
-        .needing(release.part()),
-        Step::new(
-            "uno",
-            "the Arduino's image has no miscompiled code and stays within its budgets",
-            move || uno::check_image(&release.image()?, 0, &mut release.program("uno-figures")?),
-        )
-        .of(Part::Uno),
         Step::new(
             "odroid",
             "daemon and tools build for the Odroid, and simulate the same bits there",
@@ -261,31 +251,16 @@ fn program_steps(release: Release) -> Vec<Step> {
         )
         .needing(release.part())
         .beside(),
-        Step::new(
-            "slurm",
-            "campaigns as job arrays of Slurm give what one process gives",
-            move || slurm::check(release),
-        )
-        .of(Part::Slurm)
-        .needing(release.part())
-        .beside(),
-        Step::new(
-            "tests",
-            if release.uno {
-                "unit, property and virtual-time tests, including the Arduino's image"
-            } else {
-                "unit, property and virtual-time tests, without the Arduino's image"
-            },
-            move || {
-                let mut tests = release.tests();
-                if release.uno {
-                    with_image(release, &mut tests)
-                } else {
-                    check(&mut tests)
-                }
-            },
-        )
+        Step::new("programs", "release builds of all programs", move || {
+            release.build()
+        })
         .needing(release.part()),
+        Step::new(
+            "uno",
+            "the Arduino's image has no miscompiled code and stays within its budgets",
+            move || uno::check_image(&release.image()?, 0, &mut release.program("uno-figures")?),
+        )
+        .of(Part::Uno),
         Step::new(
             "faults",
             "random faults in virtual time violate no invariant",
@@ -329,6 +304,31 @@ fn program_steps(release: Release) -> Vec<Step> {
             move || readers::check(release),
         )
         .of(Part::Readers)
+        .needing(release.part()),
+        Step::new(
+            "tests",
+            if release.uno {
+                "unit, property and virtual-time tests, including the Arduino's image"
+            } else {
+                "unit, property and virtual-time tests, without the Arduino's image"
+            },
+            move || {
+                let mut tests = release.tests();
+                if release.uno {
+                    with_image(release, &mut tests)
+                } else {
+                    check(&mut tests)
+                }
+            },
+        )
+        .needing(release.part())
+        .quiet(),
+        Step::new(
+            "slurm",
+            "campaigns as job arrays of Slurm give what one process gives",
+            move || slurm::check(release),
+        )
+        .of(Part::Slurm)
         .needing(release.part()),
         Step::new(
             "debian",
