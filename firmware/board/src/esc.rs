@@ -211,6 +211,8 @@ impl Esc {
         brake: bool,
         motion: Motion,
     ) {
+        // The pulse that has held since the last poll, however long ago that is.
+        let drove = self.earns_brake(calibration);
         let slow = motion.speed_mm_s <= target_mm_s;
         self.braking
             .take_if(|braking| braking.ends(elapsed_us, motion) || !brake || slow);
@@ -231,15 +233,18 @@ impl Esc {
         self.offset_us = self
             .slew
             .approach(self.offset_us, self.target_us, elapsed_us);
-        // Not at the edge of the deadband, where the ESC may not have driven.
-        let deadband_us = i32::from(calibration.deadband_us);
-        if self.gear != Gear::Forward || i32::from(self.offset_us) <= deadband_us {
+        if !self.earns_brake(calibration) {
             self.driven = Stopwatch::started();
-        } else if self.driven.elapsed_us() >= DRIVEN_US {
-            self.can_brake = true;
-        } else {
+        } else if drove {
             self.driven.advance(elapsed_us);
+            self.can_brake |= self.driven.elapsed_us() >= DRIVEN_US;
         }
+    }
+
+    /// Whether the pulse drives forward for certain: not at the edge of the deadband,
+    /// where the ESC may not drive.
+    fn earns_brake(&self, calibration: &EscCalibration) -> bool {
+        self.gear == Gear::Forward && i32::from(self.offset_us) > calibration.deadband_us.into()
     }
 
     /// Advances time while jogging with the pulse `jog_us`, which is clamped.
@@ -269,6 +274,8 @@ impl Esc {
             .slew
             .approach(self.offset_us, self.target_us, elapsed_us);
         self.can_brake = false;
+        // A stop before this drive may not have ended yet.
+        self.braking = None;
         // The sign of the measured speed.
         if self.offset_us != 0 {
             self.gear = if self.offset_us < 0 {

@@ -16,6 +16,8 @@ enum Step {
         polls: u32,
         poll_us: u32,
     },
+    /// Time without a poll: what the next step sends arrives after it.
+    Late(u32),
     Garbage(Vec<u8>),
     Greet {
         nonce: u32,
@@ -165,6 +167,7 @@ fn step() -> impl Strategy<Value = Step> {
         8 => (1..60_u32, prop_oneof![8 => Just(MS), 1 => 1..300_u32, 1 => MS..200 * MS])
             .prop_map(|(polls, poll_us)| Step::Wait { polls, poll_us }),
         2 => Just(Step::Wait { polls: 2_200, poll_us: MS }),
+        3 => prop_oneof![1..MS, MS..200 * MS].prop_map(Step::Late),
         2 => proptest::collection::vec(any::<u8>(), 0..100).prop_map(Step::Garbage),
         1 => (0..3_u32, prop_oneof![9 => Just(VERSION), 1 => any::<u16>()])
             .prop_map(|(nonce, version)| Step::Greet { nonce, version }),
@@ -217,11 +220,13 @@ struct Watch {
     latched_us: u32,
     silent: bool,
     armed_us: u32,
-    /// Time for which the pulse has been beyond the deadband, and its longest since the
-    /// last brake.
+    /// Whether the pulse is beyond the deadband, for how long it has been, and its
+    /// longest since the last brake. A pulse holds from one poll to the next.
+    forward: bool,
     forward_us: u32,
     earned_us: u32,
-    /// Time for which the motor has been jogged without a pause.
+    /// Whether the motor is jogged, and for how long without a pause.
+    jogs: bool,
     jogged_us: u32,
 }
 
@@ -239,8 +244,10 @@ impl Watch {
             latched_us: 0,
             silent: false,
             armed_us: 0,
+            forward: false,
             forward_us: 0,
             earned_us: 0,
+            jogs: false,
             jogged_us: 0,
         }
     }
@@ -248,7 +255,14 @@ impl Watch {
     fn check(&mut self, rig: &Rig) {
         let (before, mode, outputs) = (self.mode, rig.board.mode(), rig.outputs);
         let elapsed_us = rig.now.wrapping_sub(self.time_us);
-        assert!(may_follow(before, mode), "{before:?} -> {mode:?}");
+        // In a late poll, time changes the mode, and then a message does.
+        let late = elapsed_us > MS;
+        let follows = may_follow(before, mode)
+            || late
+                && BoardMode::ALL
+                    .iter()
+                    .any(|&between| may_follow(before, between) && may_follow(between, mode));
+        assert!(follows, "{before:?} -> {mode:?}");
         assert_eq!(
             matches!(mode, BoardMode::Driving | BoardMode::Jogging),
             outputs.drive_deadline_us.is_some()
@@ -345,20 +359,13 @@ impl Watch {
         let had_braked = self.outputs.esc_us.is_some() && self.outputs.esc_us == self.brake_us;
         let braked = had_braked && Some(esc_us) == brake_us;
         self.brake_us = brake_us;
-        if esc_us > esc.neutral_us + esc.deadband_us {
+        if self.forward {
             self.forward_us = self.forward_us.saturating_add(elapsed_us);
             self.earned_us = self.earned_us.max(self.forward_us);
-        } else {
-            self.forward_us = 0;
         }
-        if Some(esc_us) == brake_us && !braked && now.speed.max_reverse_mm_s == 0 {
-            // A car's ESC would take a second pulse for reverse.
-            assert!(
-                self.earned_us >= 60 * MS,
-                "brakes after {} us",
-                self.earned_us
-            );
-            self.earned_us = 0;
+        self.forward = esc_us > esc.neutral_us + esc.deadband_us;
+        if !self.forward {
+            self.forward_us = 0;
         }
         self.braked_us = if braked {
             self.braked_us.saturating_add(elapsed_us)
@@ -366,14 +373,17 @@ impl Watch {
             0
         };
         let jogs = mode == BoardMode::Jogging && esc_us != esc.neutral_us;
-        self.jogged_us = match before {
-            BoardMode::Jogging if jogs => self.jogged_us.saturating_add(elapsed_us),
-            _ => 0,
+        self.jogged_us = if self.jogs && jogs {
+            self.jogged_us.saturating_add(elapsed_us)
+        } else {
+            0
         };
-        assert!(self.jogged_us <= JOG_DRIVE_US, "jogged for too long");
+        self.jogs = jogs;
+        assert!(self.jogged_us < JOG_DRIVE_US, "jogged for too long");
         if mode == BoardMode::Jogging {
             // What an ESC made of these pulses is not known.
             self.earned_us = 0;
+            self.forward = false;
             self.forward_us = 0;
             self.braked_us = 0;
             assert!(
@@ -384,6 +394,15 @@ impl Watch {
         }
         if before == BoardMode::Jogging {
             assert_eq!(esc_us, esc.neutral_us, "after jogging");
+        }
+        if Some(esc_us) == brake_us && !braked && now.speed.max_reverse_mm_s == 0 {
+            // A car's ESC would take a second pulse for reverse.
+            assert!(
+                self.earned_us >= 60 * MS,
+                "brakes after {} us",
+                self.earned_us
+            );
+            self.earned_us = 0;
         }
         if mode == BoardMode::Driving {
             self.drove = true;
@@ -533,8 +552,10 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
                     esc_us,
                 });
                 watch.check(rig);
-                rig.run(10 * MS);
-                watch.check(rig);
+                for _ in 0..10 {
+                    rig.run(MS);
+                    watch.check(rig);
+                }
             }
         }
         Step::DriveWell {
@@ -555,6 +576,15 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
                 }
             }
         }
+        inputs => return set(rig, inputs),
+    }
+    watch.check(rig);
+}
+
+/// Changes what the next poll sees.
+fn set(rig: &mut Rig, step: Step) {
+    match step {
+        Step::Late(us) => rig.now = rig.now.wrapping_add(us),
         Step::Wheels(period) => rig.pulse_period_us = period,
         Step::Motor {
             count,
@@ -573,8 +603,8 @@ fn take(rig: &mut Rig, watch: &mut Watch, last_arm: &mut Sequence, step: Step) {
             });
         }
         Step::Line(open) => rig.line_open = open,
+        other => unreachable!("{other:?} polls"),
     }
-    watch.check(rig);
 }
 
 fn run(start: u32, ready: bool, steps: Vec<Step>) -> Watch {

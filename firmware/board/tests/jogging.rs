@@ -2,7 +2,7 @@
 
 use singletrack_protocol::{
     BoardMode, Configuration, EscCalibration, EscKind, FailsafeAction, JOG_DRIVE_US, JOG_LIMIT_US,
-    JOG_SPEED_MM_S, RefusalReason, StopCause,
+    JOG_SPEED_MM_S, RefusalReason, StopCause, ToBoard,
 };
 
 use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
@@ -346,6 +346,35 @@ fn every_end_is_neutral_without_a_brake() {
             }
         }
     }
+}
+
+#[test]
+fn jogging_from_the_poll_in_which_a_brake_ends_does_not_brake() {
+    let mut rig = Rig::driving_with(Configuration {
+        failsafe: FailsafeAction::Brake,
+        ..configuration()
+    });
+    rig.pulse_period_us = None;
+    rig.run(TTL + 1);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    assert_eq!(rig.esc_us(), 1_300, "brakes");
+    // The wheels have stood for long enough when the requests arrive together.
+    rig.now = rig.now.wrapping_add(400 * MS);
+    let requests = [
+        ToBoard::from(rig.arm_request()).encode(),
+        ToBoard::from(rig.jog_command(STRAIGHT, 1_560)).encode(),
+    ];
+    let bytes: Vec<u8> = requests
+        .iter()
+        .flat_map(|request| request.as_bytes().iter().copied())
+        .collect();
+    rig.poll(&bytes);
+    assert_eq!(rig.board.mode(), BoardMode::Jogging);
+    for _ in 0..50 {
+        assert!(rig.esc_us() >= NEUTRAL, "{}", rig.esc_us());
+        rig.jog_for(10 * MS, STRAIGHT, 1_560);
+    }
+    assert_eq!(rig.esc_us(), 1_560);
 }
 
 #[test]
