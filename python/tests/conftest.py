@@ -50,7 +50,8 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     lateness = Lateness()
     try:
         return (yield)
-    except Exception as error:
+    # What `pytest.raises` and `pytest.fail` raise is no `Exception`.
+    except (Exception, pytest.fail.Exception) as error:
         if lateness.longest > TOO_LATE:
             raise MachineLate(f"by {lateness.longest * 1e3:.0f} ms") from error
         raise
