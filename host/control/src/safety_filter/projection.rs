@@ -128,7 +128,8 @@ mod tests {
             // ends some 1e-5 m/s from it.
             prop_assert!((ours - theirs).norm() < 1e-3, "{ours} against {theirs}");
             let (of_ours, of_theirs) = ((ours - wanted).norm(), (theirs - wanted).norm());
-            prop_assert!((of_ours - of_theirs).abs() < 1e-6, "{of_ours} against {of_theirs}");
+            // It ends inside of the bounds, up to 1e-5 m/s from where the optimum touches them.
+            prop_assert!(of_ours <= of_theirs + 1e-9, "{of_ours} against {of_theirs}");
             prop_assert!(planes.iter().all(|plane| plane.excess(&ours) <= 1e-9));
             prop_assert!(ours.norm() <= speed + 1e-9);
         }
