@@ -113,19 +113,9 @@ impl Collector {
             }
             // First of all: a controller outside waits for it.
             self.state_lines.tick(&tick);
-            if self.status.states.receiver_count() > 0
-                && let Some(line) = self.state_lines.line(&tick)
-            {
-                // An error means that the last reader has left.
-                let _ = self.status.states.send(Arc::from(line + "\n"));
-            }
-            self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
-            if let Some(measured) = tick.output.braking_measured {
-                let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
-                self.log(tick.start_ns, level, text);
-            }
-            {
-                let mut latest = self.status.latest();
+            let is_read = self.status.states.receiver_count() > 0;
+            let line = is_read.then(|| self.state_lines.line(&tick)).flatten();
+            self.status.publish(line, |latest| {
                 for event in &tick.events {
                     if let Event::Proved(proved) = event {
                         latest.proved = Some(*proved);
@@ -136,6 +126,11 @@ impl Collector {
                 }
                 latest.tick = Some(TickView::from(&tick));
                 latest.tally.tick(&tick);
+            });
+            self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
+            if let Some(measured) = tick.output.braking_measured {
+                let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
+                self.log(tick.start_ns, level, text);
             }
             self.entry(Entry::Tick(tick));
         }

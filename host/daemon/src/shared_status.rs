@@ -62,4 +62,58 @@ impl SharedStatus {
         // The values hold no invariant that a panic could break.
         self.latest.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// Changes the latest values, and then sends the state line of the tick: a client that has
+    /// read in it that the car is ready, and arms, is judged by nothing older.
+    pub(crate) fn publish(&self, line: Option<String>, change: impl FnOnce(&mut Latest)) {
+        change(&mut self.latest());
+        if let Some(line) = line {
+            // An error means that the last reader has left.
+            let _ = self.states.send(Arc::from(line + "\n"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        pin::pin,
+        sync::OnceLock,
+        task::{Context, Poll, Wake},
+    };
+
+    use super::*;
+
+    /// A client at the moment at which a line wakes it.
+    struct Client {
+        status: SharedStatus,
+        /// What it finds then.
+        found: OnceLock<Option<bool>>,
+    }
+
+    impl Wake for Client {
+        fn wake(self: Arc<Self>) {
+            let _ = self.found.set(self.status.latest().proved);
+        }
+    }
+
+    #[test]
+    fn who_is_woken_by_the_line_of_a_tick_finds_its_values() {
+        let client = Arc::new(Client {
+            status: SharedStatus::new(ClockMapping {
+                wall_ns: 0,
+                monotonic_ns: 0,
+            }),
+            found: OnceLock::new(),
+        });
+        let mut lines = client.status.states.subscribe();
+        let waker = Arc::clone(&client).into();
+        let mut reads = pin!(lines.recv());
+        let mut context = Context::from_waker(&waker);
+        assert!(reads.as_mut().poll(&mut context).is_pending());
+        let change = |latest: &mut Latest| latest.proved = Some(true);
+        client.status.publish(Some("line".to_owned()), change);
+        assert_eq!(client.found.get(), Some(&Some(true)));
+        assert_eq!(reads.poll(&mut context), Poll::Ready(Ok("line\n".into())));
+    }
 }
