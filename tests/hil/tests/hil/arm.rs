@@ -248,6 +248,12 @@ pub(crate) fn elapsed_ms(from_ns: u64, to_ns: u64) -> f64 {
     (to_ns as f64 - from_ns as f64) / 1e6
 }
 
+/// From one tick to another by the time that the pilot judges by, in ms: the thread wakes some
+/// microseconds earlier or later.
+pub(crate) fn judged_ms(from: &TickRecord, to: &TickRecord) -> f64 {
+    elapsed_ms(from.pilot_time.0, to.pilot_time.0)
+}
+
 fn killed(bench: &mut Bench) -> Outcome {
     let operator = start(bench, &[])?;
     let killed_ns = monotonic_ns();
@@ -285,7 +291,7 @@ fn hangs(bench: &mut Bench) -> Outcome {
     let renewed = drive
         .last_with(PilotRequest::Hold)
         .ok_or_else(|| Failure::new("the drive was never renewed"))?;
-    let since = |tick: &TickRecord| elapsed_ms(renewed.start_ns, tick.start_ns);
+    let since = |tick: &TickRecord| judged_ms(renewed, tick);
     let (last, stop) = (since(drive.last_driving()?), since(drive.stop));
     ensure!(
         last <= HOLD_TIMEOUT_MS && stop > HOLD_TIMEOUT_MS,
@@ -441,7 +447,7 @@ fn hand_hangs(bench: &mut Bench) -> Outcome {
         .iter()
         .rfind(given)
         .ok_or_else(|| Failure::new("no pulses were given"))?;
-    let since = |tick: &TickRecord| elapsed_ms(pulses.start_ns, tick.start_ns);
+    let since = |tick: &TickRecord| judged_ms(pulses, tick);
     ensure!(
         since(last) <= JOG_TIMEOUT_MS && since(end) > JOG_TIMEOUT_MS,
         "it went on for {} ms after the last pulses, and ended after {} ms",

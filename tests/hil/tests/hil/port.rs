@@ -19,7 +19,7 @@ use singletrackd::monotonic_ns;
 use crate::{
     Scenario,
     arm::{
-        Drive, HANGS_LIMIT_MS, HOLD_TIMEOUT_MS, KILLED_LIMIT_MS, elapsed_ms, has, ticks,
+        Drive, HANGS_LIMIT_MS, HOLD_TIMEOUT_MS, KILLED_LIMIT_MS, elapsed_ms, has, judged_ms, ticks,
         ticks_so_far,
     },
 };
@@ -142,7 +142,7 @@ fn hangs(bench: &mut Bench) -> Outcome {
     let renewed = drive
         .last_with(PilotRequest::Hold)
         .ok_or_else(|| Failure::new("the drive was never renewed"))?;
-    let since = |tick: &TickRecord| elapsed_ms(renewed.start_ns, tick.start_ns);
+    let since = |tick: &TickRecord| judged_ms(renewed, tick);
     let (last, stop) = (since(drive.last_driving()?), since(drive.stop));
     ensure!(
         last <= HOLD_TIMEOUT_MS && stop > HOLD_TIMEOUT_MS,
