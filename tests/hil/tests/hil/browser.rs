@@ -15,14 +15,33 @@ use singletrack_hil::{Failure, Outcome, bench::Bench, ensure, rig::Need, wait};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket};
 
-use crate::Scenario;
+use crate::{
+    Scenario,
+    viewers::{ROUNDS, compare, lateness},
+};
 
-pub(crate) const SCENARIOS: &[Scenario] = &[Scenario::new(
-    "the_page_shows_a_drive_at_a_desk_and_on_a_telephone_in_a_browser",
-    shows_a_drive,
-)
-.needing(&[Need::Browser])
-.alone()];
+pub(crate) const SCENARIOS: &[Scenario] = &[
+    Scenario::new(
+        "the_page_shows_a_drive_at_a_desk_and_on_a_telephone_in_a_browser",
+        shows_a_drive,
+    )
+    .needing(&[Need::Browser])
+    .alone(),
+    Scenario::new(
+        "twenty_people_with_slow_lines_do_not_affect_driving_in_chromium",
+        with_slow_people,
+    )
+    .needing(&[Need::Browser])
+    .alone(),
+];
+
+/// People at a time, each with a tab.
+const PEOPLE: usize = 20;
+
+/// The line of a slow tab: bytes of the page in a second, less than the daemon has for it, and
+/// delay, in ms.
+const SLOW_BYTES_S: u32 = 1_000;
+const SLOW_DELAY_MS: u32 = 400;
 
 /// The largest time from the command to open a page to what is expected of it.
 const PATIENCE: Duration = Duration::from_secs(15);
@@ -103,6 +122,39 @@ fn shows_a_drive(bench: &mut Bench) -> Outcome {
     tab.screenshot("no-connection")
 }
 
+fn with_slow_people(bench: &mut Bench) -> Outcome {
+    let page = &mut bench.config_mut().page;
+    page.enabled = true;
+    page.port = 0;
+    bench.start_daemon()?;
+    let (address, _) = bench.wait_until_ready()?.page()?;
+    let origin = format!("http://{address}");
+    let (mut alone, mut watched) = (Vec::new(), Vec::new());
+    // Before the drive: a browser that starts takes the processors.
+    let mut browser = Browser::start()?;
+    let mut tabs = Vec::new();
+    for _ in 0..PEOPLE {
+        let mut tab = browser.open(&origin)?;
+        tab.wait_for(STATUS, "ready")?;
+        tab.slow_down()?;
+        tabs.push(tab);
+    }
+    bench.arm_and_drive()?;
+    for _ in 0..ROUNDS {
+        lateness(bench, &mut watched)?;
+    }
+    let (_, connected) = bench.status()?.page()?;
+    ensure!(connected == PEOPLE as u64, "{connected} viewers");
+    for tab in &mut tabs {
+        tab.wait_for(STATUS, "driving")?;
+    }
+    drop((tabs, browser));
+    for _ in 0..ROUNDS {
+        lateness(bench, &mut alone)?;
+    }
+    compare(bench, alone, watched)
+}
+
 /// A browser, which ends with this value.
 struct Browser {
     process: Child,
@@ -173,7 +225,7 @@ impl Browser {
         Ok(browser)
     }
 
-    /// Opens a page in a tab.
+    /// Opens a page in a tab of another person.
     fn open(&mut self, url: &str) -> Outcome<Tab> {
         let host = self.address.trim_start_matches("ws://");
         let host = host.split('/').next().unwrap_or_default();
@@ -189,7 +241,12 @@ impl Browser {
             requests: 0,
             seen: Vec::new(),
         };
-        let made = tab.call("Target.createTarget", &json!({"url": "about:blank"}))?;
+        // Of its own: the tabs of one person share six connections to a server.
+        let person = tab.call("Target.createBrowserContext", &json!({}))?;
+        let made = tab.call(
+            "Target.createTarget",
+            &json!({"url": "about:blank", "browserContextId": person["browserContextId"]}),
+        )?;
         let attached = tab.call(
             "Target.attachToTarget",
             &json!({"targetId": made["targetId"], "flatten": true}),
@@ -251,6 +308,16 @@ impl Tab {
         self.call("Emulation.setDeviceMetricsOverride", &metrics)?;
         let media = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
         self.call("Emulation.setEmulatedMedia", &media).map(drop)
+    }
+
+    /// Gives it a slow line.
+    fn slow_down(&mut self) -> Outcome {
+        let line = json!({
+            "offline": false, "latency": SLOW_DELAY_MS,
+            "downloadThroughput": SLOW_BYTES_S, "uploadThroughput": SLOW_BYTES_S,
+        });
+        self.call("Network.emulateNetworkConditions", &line)
+            .map(drop)
     }
 
     fn evaluate(&mut self, expression: &str) -> Outcome<Value> {

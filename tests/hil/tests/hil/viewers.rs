@@ -37,7 +37,7 @@ const BROWSERS: usize = 20;
 const RECEIVE_BUFFER: usize = 4_096;
 
 /// Rounds with and without viewers alternate.
-const ROUNDS: usize = 2;
+pub(crate) const ROUNDS: usize = 2;
 const ROUND: Duration = Duration::from_secs(2);
 
 /// Limit for the 99th percentile of the lateness; the processors are shared.
@@ -82,6 +82,11 @@ fn disturb<V>(
         ensure!(connected == count as u64, "{connected} viewers");
         drop(viewers);
     }
+    compare(bench, alone, watched)
+}
+
+/// Compares the lateness of a drive with that with viewers, in us.
+pub(crate) fn compare(bench: &mut Bench, alone: Vec<f64>, watched: Vec<f64>) -> Outcome {
     let status = bench.status()?;
     let lost = status.figure("/dropped/record_entries")?;
     ensure!(lost == 0.0, "the record lacks {lost} entries");
@@ -105,7 +110,7 @@ fn disturb<V>(
 }
 
 /// Records the lateness of the ticks of a round, in us.
-fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
+pub(crate) fn lateness(bench: &mut Bench, values: &mut Vec<f64>) -> Outcome {
     let mut ticks = bench.client()?.watch_ticks()?;
     let begin = Instant::now();
     while begin.elapsed() < ROUND {
