@@ -118,7 +118,7 @@ section! {
     /// Age assumed of a frame at its arrival, if the server sends no mid-exposure time.
     @restart assumed_latency_us: u32 => assumed_latency_ns, in 0..=50_000;
     /// Constant error of the server's time stamps, subtracted from every mid-exposure.
-    /// Positive: the stamps are too late. `singletrack calibrate` measures it.
+    /// Positive: the stamps are too late. `singletrack doctor` measures it.
     stamp_offset_ms: f64 => stamp_offset_ns, in -200.0..=200.0;
 }
 

@@ -28,6 +28,10 @@ pub use terminal::Terminal;
 /// How often terminal and car are looked at.
 const LOOK: Duration = Duration::from_millis(5);
 
+/// What a person takes to read a question before a hand moves. A car that is carried a tenth of a
+/// second after its stop moves although it was stopped.
+const REACTION: Duration = Duration::from_millis(500);
+
 /// Radius of the circle in an owner's configuration.
 pub const CIRCLE_RADIUS_M: f64 = 1.0;
 
@@ -264,6 +268,8 @@ impl Newcomer {
     ) -> Outcome<Session> {
         let begun = Instant::now();
         let (mut heard, mut length) = (begun, 0);
+        // When a question was first seen; the question, and when it is answered.
+        let mut printed: Option<Instant> = None;
         let mut asked: Option<(Question, Instant)> = None;
         loop {
             self.hands.poll()?;
@@ -299,6 +305,7 @@ impl Newcomer {
             );
             if asked.is_none()
                 && let Some(text) = terminal.question()
+                && printed.get_or_insert_with(Instant::now).elapsed() >= REACTION
             {
                 let question = rehearsal
                     .question(text)
@@ -318,7 +325,7 @@ impl Newcomer {
             {
                 let answer = self.person.answer(question, &self.hands);
                 terminal.answer(&typed(&question.answers, answer))?;
-                asked = None;
+                (asked, printed) = (None, None);
             }
             thread::sleep(LOOK);
         }
