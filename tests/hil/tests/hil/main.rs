@@ -139,7 +139,9 @@ fn main() -> ExitCode {
     };
     libtest.test_threads.get_or_insert(together);
     let measurements = Measurements::default();
-    let scenarios = [
+    let mut scenarios = [
+        // The long ones first: the others run beside them.
+        newcomer::SCENARIOS,
         drive::SCENARIOS,
         markers::SCENARIOS,
         line::SCENARIOS,
@@ -149,7 +151,6 @@ fn main() -> ExitCode {
         arm::SCENARIOS,
         pad::SCENARIOS,
         port::SCENARIOS,
-        newcomer::SCENARIOS,
         teach::SCENARIOS,
         tuning::SCENARIOS,
         proving::SCENARIOS,
@@ -160,6 +161,8 @@ fn main() -> ExitCode {
         browser::SCENARIOS,
     ]
     .concat();
+    // Nothing has to wait for those that run alone if nothing follows them.
+    scenarios.sort_by_key(|scenario| scenario.alone);
     let program = if libtest.list {
         PathBuf::new()
     } else {
