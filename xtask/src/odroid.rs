@@ -81,8 +81,7 @@ enum Programs {
 impl Programs {
     fn profile(self) -> &'static [&'static str] {
         match self {
-            // Debug information would take a third of the time.
-            Self::AsInstalled => &["--release", "--config", "profile.release.debug=false"],
+            Self::AsInstalled => &["--release"],
             Self::AsCompared => &[
                 "--profile",
                 "compared",

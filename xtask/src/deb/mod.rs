@@ -112,10 +112,6 @@ impl Architecture {
             }
         };
         cargo.arg("--release");
-        if self.triple().is_some() {
-            // Debug information would take a third of the time, and is removed from packages.
-            cargo.args(["--config", "profile.release.debug=false"]);
-        }
         for (program, package) in PROGRAMS {
             cargo.args(["--package", package, "--bin", program]);
         }
