@@ -1,18 +1,15 @@
-//! Checks of the image: forbidden symbols and size.
+//! Checks of the image: forbidden symbols, and use of flash, SRAM and processor.
 
-use std::{path::Path, process::Command};
+use std::{fmt::Write as _, path::Path, process::Command};
 
 use crate::process::{Failure, output};
 
-/// Size of the image, in bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Size {
-    /// Program, constants and initial values of variables.
-    pub(crate) flash: u32,
-    /// Static variables and constants. AVR programs have their constants in SRAM
-    /// too.
-    pub(crate) static_sram: u32,
-}
+/// The processor has 32,768 B of flash, and 2,048 B of SRAM for variables and stack.
+const BUDGETS: [(&str, f64, &str); 3] = [
+    ("flash", 24_576.0, "B"),
+    ("SRAM in all", 1_400.0, "B"),
+    ("cpu", 20.0, "%"),
+];
 
 /// Refuses symbols that are known to fail on an AVR.
 pub(crate) fn refuse_forbidden(elf: &Path) -> Result<(), Failure> {
@@ -22,133 +19,207 @@ pub(crate) fn refuse_forbidden(elf: &Path) -> Result<(), Failure> {
 }
 
 fn forbidden(symbols: &str) -> Result<(), String> {
-    let names = || {
-        symbols
-            .lines()
-            .filter_map(|line| line.split_whitespace().last())
-    };
-    if !names().any(|name| name.starts_with("__vector_")) {
+    let names: Vec<&str> = symbols
+        .lines()
+        .filter_map(|line| line.split_whitespace().last())
+        .collect();
+    if !names.iter().any(|name| name.starts_with("__vector_")) {
         return Err("no interrupt among its symbols, so it can't be checked".into());
     }
-    if let Some(name) = names().find(|name| ["__mulosi4", "__mulodi4", "__muloti4"].contains(name))
-    {
-        return Err(format!(
-            "it contains {name}, which is miscompiled on AVR: the caller has 2 bytes on its stack \
-             for the overflow, the function writes 4. The image must not use checked_mul, \
-             overflowing_mul or saturating_mul of i32 and wider, nor overflow checks: bound the \
-             factors, or multiply in a wider type"
-        ));
-    }
-    // The mangled path of core::fmt, and of its traits in implementations.
-    if let Some(name) =
-        names().find(|name| name.contains("4core3fmt") || name.contains("core..fmt.."))
-    {
-        return Err(format!(
-            "it contains {name}: formatting takes 3 to 7 KB of flash, and the text is never shown. \
-             Look for a derived Debug, unwrap, expect or an index that can panic"
-        ));
+    for name in names {
+        if ["__mulosi4", "__mulodi4", "__muloti4"].contains(&name) {
+            return Err(format!(
+                "it contains {name}, which is miscompiled on AVR: the caller has 2 bytes on its stack \
+                 for the overflow, the function writes 4. The image must not use checked_mul, \
+                 overflowing_mul or saturating_mul of i32 and wider, nor overflow checks: bound the \
+                 factors, or multiply in a wider type"
+            ));
+        }
+        // The mangled path of core::fmt, and of its traits in implementations.
+        if name.contains("4core3fmt") || name.contains("core..fmt..") {
+            return Err(format!(
+                "it contains {name}: formatting takes 3 to 7 KB of flash, and the text is never shown. \
+                 Look for a derived Debug, unwrap, expect or an index that can panic"
+            ));
+        }
     }
     Ok(())
 }
 
-/// Measures the size of the image.
-pub(crate) fn size(elf: &Path) -> Result<Size, Failure> {
-    let sections = output(Command::new("avr-size").arg("-A").arg(elf))?;
-    size_of(&String::from_utf8_lossy(&sections)).ok_or_else(|| {
-        Failure::new(format!(
-            "{}: avr-size finds no section .text",
-            elf.display()
-        ))
-    })
+/// Flash and static SRAM of the image by avr-size, in bytes.
+pub(crate) fn size(elf: &Path) -> Result<[f64; 2], Failure> {
+    let text = output(Command::new("avr-size").arg(elf))?;
+    size_of(&String::from_utf8_lossy(&text))
+        .ok_or_else(|| Failure::new(format!("{}: avr-size finds no program", elf.display())))
 }
 
-fn size_of(sections: &str) -> Option<Size> {
-    let mut size = Size::default();
-    for line in sections.lines() {
-        let mut words = line.split_whitespace();
-        let (Some(name), Some(Ok(bytes))) = (words.next(), words.next().map(str::parse::<u32>))
-        else {
-            continue;
-        };
-        match name {
-            ".text" => size.flash += bytes,
-            ".data" | ".rodata" => {
-                size.flash += bytes;
-                size.static_sram += bytes;
-            }
-            ".bss" | ".noinit" => size.static_sram += bytes,
-            _ => {}
+fn size_of(text: &str) -> Option<[f64; 2]> {
+    let numbers = text.lines().nth(1)?.split_whitespace();
+    let numbers: Vec<f64> = numbers.map_while(|word| word.parse().ok()).collect();
+    let [code, data, zeroed, ..] = numbers[..] else {
+        return None;
+    };
+    // Initial values and constants are in flash and in SRAM.
+    (code > 0.0).then_some([code + data, data + zeroed])
+}
+
+/// Compares what `uno-figures` has measured, in lines such as `stack 248 B`, with the budgets, with
+/// the size by avr-size and with the car that the image is for. Returns a table, and what is wrong.
+pub(crate) fn judge(
+    [flash, static_sram]: [f64; 2],
+    car_id: u16,
+    measured: &str,
+) -> Result<(String, Vec<String>), Failure> {
+    let mut figures = Vec::new();
+    for line in measured.lines().filter(|line| !line.trim().is_empty()) {
+        figures.push(parse(line).ok_or_else(|| {
+            Failure::new(format!(
+                "uno-figures: {line:?} is not of the form `name value unit`"
+            ))
+        })?);
+    }
+    let find = |figures: &[(&str, f64, &str)], name, unit| {
+        figures
+            .iter()
+            .find(|figure| (figure.0, figure.2) == (name, unit))
+            .map(|figure| figure.1)
+            .ok_or_else(|| Failure::new(format!("uno-figures prints no `{name}` in {unit}")))
+    };
+    let sram = find(&figures, "static", "B")? + find(&figures, "stack", "B")?;
+    figures.insert(0, ("SRAM in all", sram, "B"));
+    let mut wrong = Vec::new();
+    // uno-figures reads the file independently of avr-size.
+    for (name, ours) in [("flash", flash), ("static", static_sram)] {
+        let theirs = find(&figures, name, "B")?;
+        if theirs != ours {
+            wrong.push(format!(
+                "{name}: {ours} B by avr-size, {theirs} B by uno-figures: one of them reads the \
+                 image wrongly"
+            ));
         }
     }
-    (size.flash > 0).then_some(size)
+    for (name, budget, unit) in BUDGETS {
+        let value = find(&figures, name, unit)?;
+        if value > budget {
+            wrong.push(format!(
+                "{name}: {value} {unit} are more than the budget of {budget} {unit}"
+            ));
+        }
+    }
+    let greeted = find(&figures, "car-id", "greeted")?;
+    if greeted != f64::from(car_id) {
+        wrong.push(format!(
+            "the image is for car {car_id}, and greets as car {greeted}"
+        ));
+    }
+    let mut table = String::new();
+    for (name, value, unit) in figures {
+        let budget = BUDGETS.iter().find(|budget| budget.0 == name);
+        let budget = budget.map_or(String::new(), |(_, most, _)| format!("  of {most}"));
+        let _ = writeln!(table, "{name:30} {value:>9} {unit}{budget}");
+    }
+    Ok((table, wrong))
+}
+
+/// Name, value and unit. Only the name may contain blanks.
+fn parse(line: &str) -> Option<(&str, f64, &str)> {
+    let (rest, unit) = line.trim().rsplit_once(' ')?;
+    let (name, value) = rest.trim_end().rsplit_once(' ')?;
+    let value = value.parse().ok().filter(|value: &f64| value.is_finite())?;
+    Some((name.trim_end(), value, unit))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const SECTIONS: &str = "\
-uno.elf  :
-section                     size      addr
-.data                         62   8388864
-.text                       6450         0
-.bss                         220   8388926
-.noinit                        7   8389146
-.comment                      17         0
-.note.gnu.avr.deviceinfo      64         0
-.debug_info                 1500         0
-Total                       8320
-";
-
     #[test]
     fn initial_values_count_in_flash_and_in_sram() {
-        assert_eq!(
-            size_of(SECTIONS),
-            Some(Size {
-                flash: 6_512,
-                static_sram: 289
-            })
-        );
+        let text = "   text\t   data\t    bss\t    dec\t    hex\tfilename\n   \
+                    6450\t     62\t    227\t   6739\t   1a53\tuno.elf\n";
+        assert_eq!(size_of(text), Some([6_512.0, 289.0]));
+        assert_eq!(size_of("text data bss\n0 0 0 0 0 empty.elf\n"), None);
+        assert_eq!(size_of(""), None);
     }
 
     #[test]
-    fn a_file_without_a_program_has_no_size() {
-        assert_eq!(size_of("section size addr\n.comment 17 0\n"), None);
-    }
-
-    #[test]
-    fn a_clean_image_passes() {
-        assert_eq!(
-            forbidden("00000080 T __vector_1\n00000120 t _ZN15singletrack_uno4main17h0E\n"),
-            Ok(())
-        );
-    }
-
-    #[test]
-    fn each_miscompiled_multiplication_is_reported() {
-        for name in ["__mulosi4", "__mulodi4", "__muloti4"] {
-            let symbols = format!("00000080 T __vector_1\n00000a12 T {name}\n");
-            assert!(forbidden(&symbols).unwrap_err().contains(name));
-        }
-    }
-
-    #[test]
-    fn formatting_is_found_with_either_mangling() {
+    fn forbidden_symbols_are_reported() {
+        let image = |name: &str| forbidden(&format!("00000080 T __vector_1\n00000a12 T {name}\n"));
+        assert_eq!(image("_ZN15singletrack_uno4main17h0E"), Ok(()));
         for name in [
+            "__mulosi4",
+            "__mulodi4",
+            "__muloti4",
+            // Formatting, with either mangling.
             "_ZN4core3fmt9Formatter3pad17h0123456789abcdefE",
             "_RNvNtCs1234_4core3fmt5write",
             "_ZN42_$LT$u8$u20$as$u20$core..fmt..Debug$GT$3fmt17h01E",
         ] {
-            let symbols = format!("00000080 T __vector_1\n00000a12 T {name}\n");
-            assert!(
-                forbidden(&symbols).unwrap_err().contains("format"),
-                "{name}"
-            );
+            assert!(image(name).unwrap_err().contains(name), "{name}");
+        }
+        assert!(forbidden("").is_err(), "a stripped image");
+    }
+
+    fn wrong(lines: &str) -> String {
+        let judged = judge(
+            [6_512.0, 289.0],
+            7,
+            &format!("{lines}interrupt INT0, most 56 cycles\n"),
+        );
+        match judged {
+            Ok((_, wrong)) => wrong.join("; "),
+            Err(failure) => failure.to_string(),
         }
     }
 
     #[test]
-    fn a_stripped_image_is_refused() {
-        assert!(forbidden("").is_err());
+    fn every_exceeded_budget_is_reported() {
+        let measured = |stack: u32, cpu: f64| {
+            format!("flash 6512 B\nstatic 289 B\nstack {stack} B\ncpu {cpu} %\ncar-id 7 greeted\n")
+        };
+        assert_eq!(wrong(&measured(1_111, 20.0)), "");
+        assert_eq!(
+            wrong(&measured(1_112, 20.25)),
+            "SRAM in all: 1401 B are more than the budget of 1400 B; \
+             cpu: 20.25 % are more than the budget of 20 %"
+        );
+        let (table, _) = judge([6_512.0, 289.0], 7, &measured(248, 7.12)).unwrap();
+        assert!(
+            table.contains("SRAM in all                          537 B  of 1400\n"),
+            "{table}"
+        );
+    }
+
+    #[test]
+    fn contradictions_and_missing_figures_are_refused() {
+        for (lines, why) in [
+            (
+                "flash 6513 B\nstatic 289 B\nstack 2 B\ncpu 7 %\ncar-id 7 greeted\n",
+                "reads the image wrongly",
+            ),
+            (
+                "flash 6512 B\nstatic 288 B\nstack 2 B\ncpu 7 %\ncar-id 7 greeted\n",
+                "reads the image wrongly",
+            ),
+            (
+                "flash 6512 B\nstatic 289 B\nstack 2 B\ncpu 7 %\ncar-id 0 greeted\n",
+                "greets as car 0",
+            ),
+            (
+                "flash 6512 B\nstatic 289 B\nstack 2 B\ncpu 7 %\n",
+                "no `car-id`",
+            ),
+            ("flash 6512 B\nstatic 289 B\nstack 2 B\n", "no `cpu` in %"),
+            (
+                "flash 6512 B\nstatic 289 B\nstack 2 %\ncpu 7 %\n",
+                "no `stack` in B",
+            ),
+            ("stack\n", "not of the form"),
+            ("248 B\n", "not of the form"),
+            ("stack many B\n", "not of the form"),
+            ("stack NaN B\n", "not of the form"),
+        ] {
+            assert!(wrong(lines).contains(why), "{lines}{}", wrong(lines));
+        }
     }
 }

@@ -8,39 +8,12 @@ use std::{
 };
 
 use crate::{
-    compiler::{self, AVR, Compiler},
-    cross_cargo::cross_cargo,
-    machine::Machine,
-    prerequisites,
+    prerequisites::{self, AVR_CLIPPY, IMAGE, Prerequisite},
     process::{Failure, check},
     target,
+    toolchain::{AVR, Compiler},
     workspace::{cargo, root},
 };
-
-/// Verbosity of the builds.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Progress {
-    /// Cargo's default.
-    Shown,
-    /// Warnings and errors only.
-    Quiet,
-}
-
-impl Progress {
-    /// Progress is shown on a terminal only.
-    pub(crate) fn of_stderr() -> Self {
-        if io::stderr().is_terminal() {
-            Self::Shown
-        } else {
-            Self::Quiet
-        }
-    }
-
-    /// Cargo's option for it.
-    pub(crate) fn option(self) -> Option<&'static str> {
-        (self == Self::Quiet).then_some("--quiet")
-    }
-}
 
 /// The variable with the car's number, which the image's source reads.
 const CAR_ID: &str = "SINGLETRACK_CAR_ID";
@@ -55,21 +28,21 @@ pub(crate) struct Image {
     pub(crate) cycles_elf: PathBuf,
 }
 
-/// Installs the prerequisites, builds simulator and image, for this car or for none (zero),
-/// and places them.
-pub(crate) fn ensure(progress: Progress, car_id: u16) -> Result<Image, Failure> {
-    let machine = Machine::this();
-    prerequisites::ensure(&machine, &prerequisites::IMAGE, &mut |found| {
-        if progress == Progress::Shown {
-            eprintln!("{found}");
-        }
-    })?;
-    build(progress, car_id, || {
+/// Cargo's option for builds on the way to something else: progress is shown on a terminal only.
+pub(crate) fn quiet() -> Option<&'static str> {
+    (!io::stderr().is_terminal()).then_some("--quiet")
+}
+
+/// Installs the prerequisites of the image and others, builds simulator and image, for this car or
+/// for none (zero), and places them.
+pub(crate) fn ensure(car_id: u16, others: &[Prerequisite]) -> Result<Image, Failure> {
+    prerequisites::ensure(&[&IMAGE, others].concat())?;
+    build(car_id, || {
         check(
             cargo()
                 .args(["build", "--release", "--package", "singletrack-simavr"])
                 .args(["--features", "simavr"])
-                .args(progress.option())
+                .args(quiet())
                 .stdout(Stdio::null()),
         )
     })
@@ -77,27 +50,24 @@ pub(crate) fn ensure(progress: Progress, car_id: u16) -> Result<Image, Failure> 
 
 /// Builds the image and the simulator, and places both.
 pub(crate) fn build(
-    progress: Progress,
     car_id: u16,
     build_simulator: impl FnOnce() -> Result<(), Failure>,
 ) -> Result<Image, Failure> {
     let target = target::folder()?;
-    let build = build_folder(&target);
     check(
-        uno_cargo(&compiler()?, "build", &build)
-            .args(progress.option())
+        uno_cargo(&Compiler::find(AVR)?, "build", &target)
+            .args(quiet())
             .env(CAR_ID, car_id.to_string())
             .stdout(Stdio::null()),
     )?;
     build_simulator()?;
-
-    let built = build.join("avr-none/release");
     let folder = target.join("uno");
     let image = Image {
         elf: folder.join("singletrack-uno.elf"),
         cycles_elf: folder.join("singletrack-uno-cycles.elf"),
         folder,
     };
+    let built = target.join("uno-build/avr-none/release");
     target::put(&built.join("singletrack-uno.elf"), &image.elf)?;
     target::put(&built.join("singletrack-uno-cycles.elf"), &image.cycles_elf)?;
     target::put(
@@ -107,23 +77,17 @@ pub(crate) fn build(
     Ok(image)
 }
 
-/// The compiler of the image.
-fn compiler() -> Result<Compiler, Failure> {
-    compiler::find(&Machine::this(), AVR).map_err(|reasons| Failure::new(reasons.join("\n")))
-}
-
 /// Checks that the image builds without warnings of compiler and clippy.
 pub(crate) fn lint() -> Result<(), Failure> {
-    let compiler = compiler()?;
-    let clippy = compiler.clippy(&Machine::this()).map_err(Failure::new)?;
-    let build = build_folder(&target::folder()?);
+    let compiler = Compiler::find(AVR_CLIPPY)?;
+    let target = target::folder()?;
     // RUSTFLAGS would replace the image's own flags.
     let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
-    check(uno_cargo(&compiler, "build", &build).args(deny))?;
+    check(uno_cargo(&compiler, "build", &target).args(deny))?;
     check(
-        uno_cargo(&compiler, "check", &build)
+        uno_cargo(&compiler, "check", &target)
             .args(deny)
-            .env("RUSTC_WORKSPACE_WRAPPER", clippy),
+            .env("RUSTC_WORKSPACE_WRAPPER", compiler.clippy()),
     )
 }
 
@@ -132,19 +96,15 @@ pub(crate) fn folder() -> PathBuf {
     root().join("firmware/uno")
 }
 
-fn build_folder(target: &Path) -> PathBuf {
-    target.join("uno-build")
-}
-
 /// The common part of all commands. The image's `.cargo/config.toml` has the other
 /// options.
 fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
-    let mut cargo = cross_cargo(compiler, &folder());
+    let mut cargo = compiler.cargo(&folder());
     cargo
         // Suppresses the warning that AVR's linker does not support -no-pie.
         .env("RUSTC_LOG", "error")
         .env(CAR_ID, "0")
         .args([command, "--release", "--locked", "--target-dir"])
-        .arg(target);
+        .arg(target.join("uno-build"));
     cargo
 }

@@ -5,18 +5,12 @@
 //! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
 
 mod beside;
-mod compiler;
-mod cross_cargo;
 mod deb;
-mod debian;
 mod demo;
 mod faults;
-mod figures;
-mod foreign;
 mod gates;
 mod image;
 mod libraries;
-mod machine;
 mod odroid;
 mod onboard;
 mod packages;
@@ -31,6 +25,7 @@ mod same_bits;
 mod slurm;
 mod step;
 mod target;
+mod toolchain;
 mod units;
 mod uno;
 mod verify;

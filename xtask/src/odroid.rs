@@ -3,12 +3,11 @@
 use std::{path::PathBuf, process::Stdio};
 
 use crate::{
-    foreign::ARMHF,
-    machine::Machine,
     prerequisites,
     process::{Failure, check, output},
     release::Release,
     same_bits,
+    toolchain::ARMHF,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -18,13 +17,21 @@ Build singletrackd and singletrack for the Odroid and print their paths.
 Installs missing Debian packages.
 ";
 
+/// Without the commands that reproduce the paper, which are not for the car.
+const AS_INSTALLED: &[&str] = &[
+    "--features",
+    "singletrack/desk,singletrack/live,singletrack/page,singletrackd/live,singletrackd/page",
+];
+
+/// Also without the live view and the demo, which take most of the build time and are not compared.
+/// This combination of features is linted only here.
+const AS_COMPARED: &[&str] = &["-Zwarnings", "--config", "build.warnings=\"deny\""];
+
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
         [] => {
-            prerequisites::ensure(&Machine::this(), &prerequisites::ODROID, &mut |found| {
-                eprintln!("{found}");
-            })?;
-            let folder = build(Programs::AsInstalled)?;
+            prerequisites::ensure(&prerequisites::ODROID)?;
+            let folder = build("release", AS_INSTALLED)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }
@@ -43,7 +50,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 /// Checks that the Odroid's programs compute the same bits as this machine: records
 /// of the car are replayed here.
 pub(crate) fn verify(release: Release) -> Result<(), Failure> {
-    let folder = build(Programs::AsCompared)?;
+    let folder = build("compared", AS_COMPARED)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
         let answer = output(ARMHF.emulated(&daemon).arg(question))?;
@@ -54,73 +61,25 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
         }
     }
     for scenario in same_bits::SCENARIOS {
+        let mut emulated = ARMHF.emulated(folder.join("singletrack"));
         same_bits::compare(
             scenario,
             ("this machine", &mut same_bits::simulate(release, scenario)?),
-            (
-                "ARMv7",
-                ARMHF
-                    .emulated(folder.join("singletrack"))
-                    .args(["simulate", scenario]),
-            ),
+            ("ARMv7", emulated.args(["simulate", scenario])),
         )?;
     }
     Ok(())
 }
 
-/// Variants of the two programs.
-#[derive(Clone, Copy)]
-enum Programs {
-    /// Without the commands that reproduce the paper, which are not for the car.
-    AsInstalled,
-    /// Also without the live view and the demo, which take most of the build time and are
-    /// not compared.
-    AsCompared,
-}
-
-impl Programs {
-    fn profile(self) -> &'static [&'static str] {
-        match self {
-            Self::AsInstalled => &["--release"],
-            Self::AsCompared => &[
-                "--profile",
-                "compared",
-                // This combination of features is linted only here.
-                "-Zwarnings",
-                "--config",
-                "build.warnings=\"deny\"",
-            ],
-        }
-    }
-
-    fn features(self) -> &'static [&'static str] {
-        match self {
-            Self::AsInstalled => &[
-                "--features",
-                "singletrack/desk,singletrack/live,singletrack/page,singletrackd/live,singletrackd/page",
-            ],
-            Self::AsCompared => &[],
-        }
-    }
-
-    fn folder(self) -> &'static str {
-        match self {
-            Self::AsInstalled => "release",
-            Self::AsCompared => "compared",
-        }
-    }
-}
-
 /// Builds both programs and returns their folder.
-fn build(programs: Programs) -> Result<PathBuf, Failure> {
-    let (mut cargo, target) = ARMHF.cargo_build()?;
+fn build(profile: &str, options: &[&str]) -> Result<PathBuf, Failure> {
+    let (mut cargo, folder) = ARMHF.cargo_build(profile)?;
     check(
         cargo
-            .args(programs.profile())
             .args(["--package", "singletrackd", "--package", "singletrack"])
             .arg("--no-default-features")
-            .args(programs.features())
+            .args(options)
             .stdout(Stdio::null()),
     )?;
-    Ok(ARMHF.programs(&target, programs.folder()))
+    Ok(folder)
 }

@@ -8,7 +8,6 @@ use std::{
 };
 
 use crate::{
-    machine::Machine,
     prerequisites,
     process::{Failure, check as run, silent},
     release::Release,
@@ -56,7 +55,7 @@ pub(crate) fn environment(
     if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
         return Ok(python);
     }
-    let maker = prerequisites::python(&Machine::this()).map_err(Failure::new)?;
+    let maker = prerequisites::python()?;
     silent(
         Command::new(maker)
             .args(["-m", "venv", "--clear"])

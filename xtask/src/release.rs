@@ -7,7 +7,7 @@
 use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use crate::{
-    image::{self, Image, Progress},
+    image::{self, Image},
     prerequisites::Part,
     process::{Failure, check},
     target,
@@ -75,7 +75,7 @@ impl Release {
 
     /// Builds this source's image, with its simulator from this release build.
     pub(crate) fn image(self) -> Result<Image, Failure> {
-        image::build(Progress::Shown, 0, || self.build())
+        image::build(0, || self.build())
     }
 
     /// The hardware-in-the-loop suite; its own arguments follow.
@@ -98,12 +98,12 @@ pub(crate) fn run(package: &str, needs_image: bool, arguments: &[String]) -> Res
     }
     let mut cargo = cargo_here();
     if needs_image {
-        let image = image::ensure(Progress::of_stderr(), 0)?;
+        let image = image::ensure(0, &[])?;
         cargo.env("SINGLETRACK_UNO", image.folder);
     }
     cargo
         .args(["run", "--release", "--package", package, "--bin", package])
-        .args(Progress::of_stderr().option())
+        .args(image::quiet())
         .arg("--")
         .args(arguments);
     Err(Failure::new(format!(

@@ -8,7 +8,6 @@ use std::{
 };
 
 use crate::{
-    machine::Machine,
     prerequisites,
     process::{Failure, check as run, silent},
     readers::empty,
@@ -86,7 +85,7 @@ fn environment(folder: &Path, source: &Path) -> Result<PathBuf, Failure> {
     if fs::read(&installed).is_ok_and(|installed| installed == required) && works().is_ok() {
         return Ok(python);
     }
-    let maker = prerequisites::python(&Machine::this()).map_err(Failure::new)?;
+    let maker = prerequisites::python()?;
     // The wheels of ROS write into the environment and start its Python again.
     silent(
         Command::new(maker)

@@ -8,10 +8,9 @@ use std::{
 };
 
 use crate::{
-    figures, gates,
-    image::{self, Image, Progress},
-    machine::Machine,
-    prerequisites,
+    gates,
+    image::{self, Image},
+    prerequisites::PROGRAMMER,
     process::{Failure, check, output},
     workspace::cargo,
 };
@@ -28,94 +27,74 @@ packages.
   -h, --help     print this help
 ";
 
-/// The requested action.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum UnoCommand {
-    Help,
-    Build {
-        /// Zero for none.
-        car_id: u16,
-        flash: Option<PathBuf>,
-    },
+/// What to build.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(crate) struct Options {
+    car_id: Option<u16>,
+    flash: Option<PathBuf>,
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    match parse(arguments)? {
-        UnoCommand::Help => {
-            print!("{USAGE}");
-            Ok(())
-        }
-        UnoCommand::Build {
-            car_id,
-            flash: port,
-        } => {
-            if let Some(port) = &port {
-                // Before the build, which takes minutes.
-                check_port(port)?;
-                let required = [&[prerequisites::PROGRAMMER][..], &prerequisites::IMAGE].concat();
-                prerequisites::ensure(&Machine::this(), &required, &mut |_| {})?;
-            }
-            let image = build_and_check(car_id)?;
-            port.map_or(Ok(()), |port| flash(&image.elf, &port))
-        }
+    let Some(options) = parse(arguments)? else {
+        print!("{USAGE}");
+        return Ok(());
+    };
+    if let Some(port) = &options.flash {
+        // Before the build, which takes minutes.
+        check_port(port)?;
     }
-}
-
-pub(crate) fn parse(arguments: &[String]) -> Result<UnoCommand, Failure> {
-    let refused = |reason: String| Err(Failure::new(format!("{reason}\n\n{USAGE}")));
-    let (mut car_id, mut flash) = (None, None);
-    let mut arguments = arguments.iter().map(String::as_str);
-    while let Some(argument) = arguments.next() {
-        let (name, value) = match argument.split_once('=') {
-            Some((name, value)) => (name, Some(value)),
-            None => (argument, None),
-        };
-        match name {
-            "--help" | "-h" if argument == name && car_id.is_none() && flash.is_none() => {
-                return match arguments.next() {
-                    None => Ok(UnoCommand::Help),
-                    Some(more) => refused(format!("unexpected argument {more:?}")),
-                };
-            }
-            "--flash" if flash.is_none() => {
-                match value.or_else(|| arguments.next()).unwrap_or_default() {
-                    "" => {
-                        return refused(
-                            "--flash needs the UNO's port, such as /dev/ttyACM0".to_owned(),
-                        );
-                    }
-                    port => flash = Some(PathBuf::from(port)),
-                }
-            }
-            "--car-id" if car_id.is_none() => {
-                let value = value.or_else(|| arguments.next()).unwrap_or_default();
-                match value.parse() {
-                    Ok(number @ 1_u16..) => car_id = Some(number),
-                    _ => {
-                        return refused(format!(
-                            "--car-id needs a number from 1 to 65535, not {value:?}"
-                        ));
-                    }
-                }
-            }
-            _ => return refused(format!("unexpected argument {argument:?}")),
-        }
-    }
-    Ok(UnoCommand::Build {
-        car_id: car_id.unwrap_or(0),
-        flash,
-    })
-}
-
-/// Builds image and simulator, and checks the image against its budgets.
-fn build_and_check(car_id: u16) -> Result<Image, Failure> {
-    let image = image::ensure(Progress::Shown, car_id)?;
+    let car_id = options.car_id.unwrap_or(0);
+    let programmer = options.flash.as_ref().map(|_| PROGRAMMER);
+    let image = image::ensure(car_id, programmer.as_slice())?;
     let mut figures = cargo();
     figures
         .args(["run", "--release", "--package", "singletrack-sim"])
         .args(["--bin", "uno-figures"]);
     check_image(&image, car_id, &mut figures)?;
-    Ok(image)
+    options
+        .flash
+        .map_or(Ok(()), |port| flash(&image.elf, &port))
+}
+
+/// `None` for help.
+pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
+    let refused = |reason: String| Failure::new(format!("{reason}\n\n{USAGE}"));
+    if let [help] = arguments
+        && (help == "--help" || help == "-h")
+    {
+        return Ok(None);
+    }
+    let words: Vec<&str> = arguments
+        .iter()
+        .flat_map(|word| match word.split_once('=') {
+            Some((name, value)) if name.starts_with("--") => vec![name, value],
+            _ => vec![word.as_str()],
+        })
+        .collect();
+    let mut options = Options::default();
+    for option in words.chunks(2) {
+        match option {
+            ["--flash", port] if !port.is_empty() && options.flash.is_none() => {
+                options.flash = Some(PathBuf::from(port));
+            }
+            ["--flash"] | ["--flash", ""] => {
+                return Err(refused(
+                    "--flash needs the UNO's port, such as /dev/ttyACM0".to_owned(),
+                ));
+            }
+            ["--car-id", rest @ ..] if options.car_id.is_none() => {
+                let value = rest.concat();
+                let number = value.parse().ok().filter(|number| *number > 0);
+                options.car_id = Some(number.ok_or_else(|| {
+                    refused(format!(
+                        "--car-id needs a number from 1 to 65535, not {value:?}"
+                    ))
+                })?);
+            }
+            _ => return Err(refused(format!("unexpected argument {:?}", option[0]))),
+        }
+    }
+    Ok(Some(options))
 }
 
 /// Checks the image for a car against its budgets, with the measuring program.
@@ -132,10 +111,13 @@ pub(crate) fn check_image(
         // This image, not one named by the environment.
         measure.env("SINGLETRACK_UNO", &image.folder),
     )?;
-    let table = figures::table(size, &String::from_utf8_lossy(&measured))?;
-    println!("\n{}\n\n{}", image.elf.display(), figures::render(&table));
-    figures::check_car(&table, car_id)?;
-    figures::check(&table)
+    let (table, wrong) = gates::judge(size, car_id, &String::from_utf8_lossy(&measured))?;
+    println!("\n{}\n\n{table}", image.elf.display());
+    if wrong.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::new(wrong.join("; ")))
+    }
 }
 
 /// Checks the port early, with clearer messages than avrdude's.
@@ -178,16 +160,7 @@ fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
     write.push(":i");
     check(
         Command::new("avrdude")
-            .args([
-                "-p",
-                "atmega328p",
-                "-c",
-                "arduino",
-                "-b",
-                "115200",
-                "-D",
-                "-P",
-            ])
+            .args("-p atmega328p -c arduino -b 115200 -D -P".split(' '))
             .arg(port)
             .arg("-U")
             .arg(write)
@@ -206,64 +179,52 @@ fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(arguments: &[&str]) -> Result<UnoCommand, Failure> {
-        parse(
-            &arguments
-                .iter()
-                .map(|&argument| argument.to_owned())
-                .collect::<Vec<_>>(),
-        )
+    fn parsed(line: &str) -> Result<Option<Options>, Failure> {
+        let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
+        parse(&words)
     }
 
     #[test]
-    fn the_port_has_two_forms() {
-        for arguments in [&["--flash", "/dev/ttyACM0"][..], &["--flash=/dev/ttyACM0"]] {
+    fn options_have_two_forms() {
+        for (line, car_id, flash) in [
+            ("--flash /dev/ttyACM0", None, Some("/dev/ttyACM0")),
+            ("--flash=/dev/ttyACM0", None, Some("/dev/ttyACM0")),
+            ("--car-id 7", Some(7), None),
+            ("--car-id=7", Some(7), None),
+            (
+                "--flash /dev/a --car-id 65535",
+                Some(u16::MAX),
+                Some("/dev/a"),
+            ),
+        ] {
+            let flash = flash.map(PathBuf::from);
             assert_eq!(
-                parsed(arguments).unwrap(),
-                UnoCommand::Build {
-                    car_id: 0,
-                    flash: Some("/dev/ttyACM0".into())
-                }
+                parsed(line).unwrap(),
+                Some(Options { car_id, flash }),
+                "{line}"
             );
         }
-    }
-
-    #[test]
-    fn the_cars_number_goes_with_and_without_a_port() {
-        for arguments in [&["--car-id", "7"][..], &["--car-id=7"]] {
-            assert_eq!(
-                parsed(arguments).unwrap(),
-                UnoCommand::Build {
-                    car_id: 7,
-                    flash: None
-                }
-            );
-        }
-        assert_eq!(
-            parsed(&["--flash", "/dev/ttyACM0", "--car-id", "65535"]).unwrap(),
-            UnoCommand::Build {
-                car_id: u16::MAX,
-                flash: Some("/dev/ttyACM0".into())
-            }
-        );
+        assert_eq!(parse(&[]).unwrap(), Some(Options::default()));
+        assert_eq!(parsed("--help").unwrap(), None);
     }
 
     #[test]
     fn unexpected_arguments_are_refused_with_the_usage() {
-        for arguments in [
-            &["--flsh", "/dev/ttyACM0"][..],
-            &["--flash"],
-            &["--flash="],
-            &["--flash", ""],
-            &["--flash", "/dev/ttyACM0", "again"],
-            &["--help", "me"],
-            &["--car-id"],
-            &["--car-id", "0"],
-            &["--car-id", "65536"],
-            &["--car-id", "seven"],
-            &["--car-id", "7", "--car-id", "8"],
+        for line in [
+            "--flsh /dev/ttyACM0",
+            "--flash",
+            "--flash=",
+            "--flash ",
+            "--flash /dev/ttyACM0 again",
+            "--flash /dev/a --flash /dev/b",
+            "--help me",
+            "--car-id",
+            "--car-id 0",
+            "--car-id 65536",
+            "--car-id seven",
+            "--car-id 7 --car-id 8",
         ] {
-            let error = parsed(arguments).unwrap_err().to_string();
+            let error = parsed(line).unwrap_err().to_string();
             assert!(error.contains(USAGE), "{error}");
         }
     }

@@ -3,9 +3,7 @@
 use std::process::Command;
 
 use crate::{
-    deb, image,
-    machine::Machine,
-    odroid, packages,
+    deb, image, odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check},
     publish, python, readers,
@@ -61,12 +59,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     let first = Step::new(
         PREREQUISITES,
         "the machine meets the prerequisites",
-        move || {
-            let required = prerequisites::of_parts(&parts);
-            prerequisites::ensure(&Machine::this(), &required, &mut |found| {
-                println!("{found}");
-            })
-        },
+        move || prerequisites::ensure(&prerequisites::of_parts(&parts)),
     );
     let steps: Vec<Step> = [first].into_iter().chain(steps).collect();
     let chosen = |step: &Step| step.name == PREREQUISITES || request.chooses(step);

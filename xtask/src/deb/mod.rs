@@ -11,13 +11,12 @@ use std::{
 use pack::Compression::{Fast, Small};
 
 use crate::{
-    foreign::{AARCH64, ARMHF, Foreign},
-    image::{self, Image, Progress},
-    machine::Machine,
-    prerequisites::{self, IMAGE, PACKAGE, PACKAGE_ARM64, PACKAGE_ARMHF},
+    image::{self, Image},
+    prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE},
     process::{Failure, check, output},
     release::Release,
     target,
+    toolchain::{AARCH64, ARMHF, Target},
     workspace::{cargo, root},
 };
 
@@ -45,7 +44,7 @@ const PROGRAMS: [(&str, &str); 4] = [
 enum Architecture {
     /// This machine; Debian's name.
     Native(&'static str),
-    Foreign(Foreign),
+    Foreign(Target),
 }
 
 /// Debian's names of the architectures.
@@ -94,7 +93,7 @@ impl Architecture {
     fn triple(self) -> Option<&'static str> {
         match self {
             Self::Native(_) => None,
-            Self::Foreign(foreign) => Some(foreign.rust.triple),
+            Self::Foreign(foreign) => Some(foreign.triple),
         }
     }
 
@@ -103,15 +102,11 @@ impl Architecture {
         let (mut cargo, folder) = match self {
             Self::Native(_) => {
                 let mut cargo = cargo();
-                cargo.arg("build");
+                cargo.args(["build", "--release"]);
                 (cargo, target::folder()?.join("release"))
             }
-            Self::Foreign(foreign) => {
-                let (cargo, target) = foreign.cargo_build()?;
-                (cargo, foreign.programs(&target, "release"))
-            }
+            Self::Foreign(foreign) => foreign.cargo_build("release")?,
         };
-        cargo.arg("--release");
         for (program, package) in PROGRAMS {
             cargo.args(["--package", package, "--bin", program]);
         }
@@ -125,17 +120,14 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         print!("{USAGE}");
         return Ok(());
     };
-    let required = |more: &[_]| {
-        let all = [&PACKAGE[..], &IMAGE, more].concat();
-        prerequisites::ensure(&Machine::this(), &all, &mut |found| eprintln!("{found}"))
-    };
     let architecture = Architecture::find(name)?;
+    let mut required = PACKAGE.to_vec();
     match architecture.name() {
-        _ if architecture.triple().is_none() => required(&[]),
-        "armhf" => required(&PACKAGE_ARMHF),
-        _ => required(&PACKAGE_ARM64),
-    }?;
-    let image = image::ensure(Progress::of_stderr(), 0)?;
+        _ if architecture.triple().is_none() => {}
+        "armhf" => required.extend(ODROID.into_iter().chain([EMULATOR])),
+        _ => required.extend(ARM64),
+    }
+    let image = image::ensure(0, &required)?;
     let package = pack::pack(architecture, &architecture.build()?, Some(&image), Small)?;
     inspect::inspect(architecture, &package, true)?;
     println!("{}", package.display());

@@ -1,0 +1,179 @@
+//! Compilers for Arduino, Odroid and other ARM computers, and what runs their programs here.
+//! They need nightly features and the sources of the standard library.
+
+use std::{
+    env,
+    ffi::OsStr,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use crate::{
+    prerequisites::{answer, shell},
+    process::Failure,
+    target,
+    workspace::{cargo_here, root},
+};
+
+/// Searches the compiler for the Arduino's processor.
+pub(crate) const AVR: &str = "compiler avr-none core";
+
+/// A processor with Linux.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Target {
+    pub(crate) triple: &'static str,
+    /// Searches the compiler.
+    pub(crate) probe: &'static str,
+    /// Debian's name of the architecture.
+    pub(crate) architecture: &'static str,
+    /// Prefix of the C compiler, and the folder of its libraries.
+    gnu: &'static str,
+    /// The emulator.
+    qemu: &'static str,
+}
+
+/// The Odroid, and 32-bit systems on a Raspberry Pi.
+pub(crate) const ARMHF: Target = Target {
+    triple: "armv7-unknown-linux-gnueabihf",
+    probe: "compiler armv7-unknown-linux-gnueabihf std",
+    architecture: "armhf",
+    gnu: "arm-linux-gnueabihf",
+    qemu: "qemu-arm-static",
+};
+
+/// 64-bit systems on a Raspberry Pi and other ARM computers.
+pub(crate) const AARCH64: Target = Target {
+    triple: "aarch64-unknown-linux-gnu",
+    probe: "compiler aarch64-unknown-linux-gnu std",
+    architecture: "arm64",
+    gnu: "aarch64-linux-gnu",
+    qemu: "qemu-aarch64-static",
+};
+
+/// A compiler that builds for a target.
+#[derive(Debug)]
+pub(crate) struct Compiler {
+    rustc: PathBuf,
+    /// Cargo of the same release, if any.
+    cargo: Option<PathBuf>,
+}
+
+impl Compiler {
+    /// The first that works: the one that `SINGLETRACK_RUSTC` names, a nightly of rustup with
+    /// `rust-src`, Debian's. The script is one such as [`AVR`].
+    pub(crate) fn find(probe: &str) -> Result<Self, Failure> {
+        let found = answer(&mut shell(probe)).map_err(Failure::new)?;
+        let mut paths = found.lines().skip(1).map(PathBuf::from);
+        Ok(Self {
+            rustc: paths.next().unwrap_or_default(),
+            cargo: paths.next(),
+        })
+    }
+
+    /// Its clippy.
+    pub(crate) fn clippy(&self) -> PathBuf {
+        self.rustc.with_file_name("clippy-driver")
+    }
+
+    /// Cargo in a folder, without environment variables that would change the program: the tested
+    /// program is the one that is flashed or installed.
+    pub(crate) fn cargo(&self, folder: &Path) -> Command {
+        let mut cargo = self.cargo.as_ref().map_or_else(cargo_here, Command::new);
+        for (name, _) in env::vars_os() {
+            if name.to_str().is_some_and(changes_a_build) {
+                cargo.env_remove(name);
+            }
+        }
+        cargo
+            .current_dir(folder)
+            // Empty overrides the user's configuration, too.
+            .envs([("RUSTC_WRAPPER", ""), ("RUSTC_WORKSPACE_WRAPPER", "")])
+            // Enables unstable options, such as building the standard library.
+            .env("RUSTC", &self.rustc)
+            .env("RUSTC_BOOTSTRAP", "1");
+        cargo
+    }
+}
+
+/// Whether an environment variable could change the program.
+fn changes_a_build(name: &str) -> bool {
+    const HARMLESS: [&str; 7] = [
+        "CARGO_HOME",
+        "CARGO_HTTP_",
+        "CARGO_NET_",
+        "CARGO_REGISTR",
+        "CARGO_SOURCE_",
+        "CARGO_TERM_",
+        "CARGO_BUILD_JOBS",
+    ];
+    name == "RUSTFLAGS"
+        || (name.starts_with("CARGO_") && !HARMLESS.iter().any(|start| name.starts_with(start)))
+}
+
+impl Target {
+    /// The words before a program that let it run in the emulator: where it finds the C library.
+    pub(crate) fn emulator(&self) -> [String; 3] {
+        [
+            self.qemu.to_owned(),
+            "-L".to_owned(),
+            format!("/usr/{}", self.gnu),
+        ]
+    }
+
+    /// A command that runs a program in the emulator.
+    pub(crate) fn emulated(&self, program: impl AsRef<OsStr>) -> Command {
+        let [qemu, options @ ..] = self.emulator();
+        let mut command = Command::new(qemu);
+        command.current_dir(root()).args(options).arg(program);
+        command
+    }
+
+    /// `cargo build` for this processor, and the folder of the programs of a profile. The standard
+    /// library is built from its sources.
+    pub(crate) fn cargo_build(&self, profile: &str) -> Result<(Command, PathBuf), Failure> {
+        let folder = target::folder()?.join("odroid");
+        let triple = self.triple.replace('-', "_");
+        let gcc = format!("{}-gcc", self.gnu);
+        let mut cargo = Compiler::find(self.probe)?.cargo(root());
+        cargo
+            .env(
+                format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase()),
+                &gcc,
+            )
+            // zstd is C.
+            .env(format!("CC_{triple}"), &gcc)
+            .args(["build", "--locked", "--profile", profile])
+            .args(["-Zbuild-std=std,panic_unwind", "--target", self.triple])
+            .arg("--target-dir")
+            .arg(&folder);
+        Ok((cargo, folder.join(self.triple).join(profile)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::changes_a_build;
+
+    #[test]
+    fn variables_that_change_a_build_are_recognised() {
+        for name in [
+            "RUSTFLAGS",
+            "CARGO_ENCODED_RUSTFLAGS",
+            "CARGO_BUILD_TARGET",
+            "CARGO_PROFILE_RELEASE_OPT_LEVEL",
+            "CARGO_TARGET_DIR",
+            "CARGO_UNSTABLE_BUILD_STD",
+        ] {
+            assert!(changes_a_build(name), "{name}");
+        }
+        for name in [
+            "PATH",
+            "CARGO",
+            "CARGO_HOME",
+            "CARGO_NET_OFFLINE",
+            "CARGO_REGISTRIES_X_INDEX",
+        ] {
+            assert!(!changes_a_build(name), "{name}");
+        }
+    }
+}
