@@ -9,12 +9,12 @@ use std::{
 use crate::{
     image::{self, Image},
     libraries,
-    prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE},
+    prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
     process::{Failure, check, output, silent},
-    release::Release,
+    programs::{INSTALLED, Packages, installed},
     target,
     toolchain::{AARCH64, ARMHF, Target},
-    workspace::{cargo, root},
+    workspace::root,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -27,14 +27,6 @@ target/debian/. Installs missing Debian packages.
                           another architecture run in an emulator
   -h, --help              print this help
 ";
-
-/// The programs of the package. Their names, and the packages of the workspace.
-const PROGRAMS: [(&str, &str); 4] = [
-    ("singletrackd", "singletrackd"),
-    ("singletrack", "singletrack"),
-    ("singletrack-sim", "singletrack-sim"),
-    ("singletrack-newcomer", "singletrack-hil"),
-];
 
 /// For a package that is to be installed; and for one that is only checked: a third larger, in an
 /// eighth of the time.
@@ -69,15 +61,11 @@ impl Architecture {
 
     /// Builds the programs and returns their folder.
     fn build(&self) -> Result<PathBuf, Failure> {
-        let (mut cargo, folder) = match self.foreign {
-            None => {
-                let mut cargo = cargo();
-                cargo.args(["build", "--release"]);
-                (cargo, target::folder()?.join("release"))
-            }
-            Some(foreign) => foreign.cargo_build("release")?,
+        let Some(foreign) = self.foreign else {
+            return installed();
         };
-        for (program, package) in PROGRAMS {
+        let (mut cargo, folder) = foreign.cargo_build("release")?;
+        for (program, package) in INSTALLED {
             cargo.args(["--package", package, "--bin", program]);
         }
         check(cargo.stdout(Stdio::null()))?;
@@ -104,7 +92,7 @@ impl Architecture {
                 .arg(&self.name)
                 .current_dir(root()),
         )?;
-        let crates = PROGRAMS.map(|(_, package)| package);
+        let crates = INSTALLED.map(|(_, package)| package);
         let notices = libraries::notices(&crates, self.foreign.map(|foreign| foreign.triple))?;
         fs::write(stage.join("libraries.txt"), notices)
             .map_err(|error| Failure::new(format!("{}: {error}", stage.display())))?;
@@ -165,11 +153,9 @@ fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
 
 /// Packs the programs of the release build for this machine, and checks the package. Without the
 /// Arduino's part, the package has no image.
-pub(crate) fn verify(release: Release) -> Result<(), Failure> {
-    let image: Option<Image> = release.uno.then(|| release.image()).transpose()?;
-    let daemon = release.path("singletrackd")?;
-    let programs = daemon.parent().unwrap_or(root());
-    Architecture::find(None)?.pack(programs, image.as_ref(), FAST)
+pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
+    let image = packages.has(Part::Uno).then(|| packages.image());
+    Architecture::find(None)?.pack(&installed()?, image.transpose()?.as_ref(), FAST)
 }
 
 #[cfg(test)]

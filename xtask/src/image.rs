@@ -40,8 +40,7 @@ pub(crate) fn ensure(car_id: u16, others: &[Prerequisite]) -> Result<Image, Fail
     build(car_id, || {
         check(
             cargo()
-                .args(["build", "--release", "--package", "singletrack-simavr"])
-                .args(["--features", "simavr"])
+                .args(["build", "--package", "singletrack-simavr-process"])
                 .args(quiet())
                 .stdout(Stdio::null()),
         )
@@ -71,7 +70,7 @@ pub(crate) fn build(
     target::put(&built.join("singletrack-uno.elf"), &image.elf)?;
     target::put(&built.join("singletrack-uno-cycles.elf"), &image.cycles_elf)?;
     target::put(
-        &target.join("release/singletrack-simavr"),
+        &target.join("debug/singletrack-simavr"),
         &image.folder.join("singletrack-simavr"),
     )?;
     Ok(image)

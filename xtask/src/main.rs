@@ -2,27 +2,19 @@
 //! `cargo deb`, `cargo demo`, `cargo faults`, `cargo odroid`, `cargo onboard`, `cargo uno`,
 //! `cargo verify`.
 //!
-//! It has no dependencies, so that it runs on a machine with only a Rust toolchain.
+//! It has no dependencies, so that it is built in seconds.
 
-mod beside;
 mod deb;
-mod demo;
-mod faults;
 mod gates;
 mod image;
 mod libraries;
 mod odroid;
-mod onboard;
 mod packages;
 mod prerequisites;
 mod process;
-mod publish;
+mod programs;
 mod python;
-mod readers;
-mod release;
 mod ros;
-mod same_bits;
-mod slurm;
 mod step;
 mod target;
 mod toolchain;
@@ -33,24 +25,24 @@ mod workspace;
 
 use std::process::ExitCode;
 
+const COMMANDS: &str = "cargo deb | demo | faults | odroid | onboard | uno | verify";
+
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let Some((command, arguments)) = arguments.split_first() else {
-        eprintln!(
-            "usage: cargo deb | demo | faults | odroid | onboard | uno | verify, each with --help"
-        );
+        eprintln!("usage: {COMMANDS}, each with --help");
         return ExitCode::FAILURE;
     };
     let result = workspace::find().and_then(|_| match command.as_str() {
         "deb" => deb::main(arguments),
-        "demo" => demo::main(arguments),
-        "faults" => faults::main(arguments),
-        "onboard" => onboard::main(arguments),
+        "demo" => programs::DEMO.run(arguments),
+        "faults" => programs::FAULTS.run(arguments),
+        "onboard" => programs::ONBOARD.run(arguments),
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
         "verify" => verify::main(arguments),
         unknown => Err(process::Failure::new(format!(
-            "unknown command {unknown:?}; known: cargo deb | demo | faults | odroid | onboard | uno | verify"
+            "unknown command {unknown:?}; known: {COMMANDS}"
         ))),
     });
     match result {

@@ -5,8 +5,7 @@ use std::{path::PathBuf, process::Stdio};
 use crate::{
     prerequisites,
     process::{Failure, check, output},
-    release::Release,
-    same_bits,
+    programs::{Packages, compare},
     toolchain::ARMHF,
 };
 
@@ -18,20 +17,33 @@ Installs missing Debian packages.
 ";
 
 /// Without the commands that reproduce the paper, which are not for the car.
-const AS_INSTALLED: &[&str] = &[
+const INSTALLED: &[&str] = &[
+    "--package",
+    "singletrack",
+    "--no-default-features",
     "--features",
     "singletrack/desk,singletrack/live,singletrack/page,singletrackd/live,singletrackd/page",
 ];
 
-/// Also without the live view and the demo, which take most of the build time and are not compared.
-/// This combination of features is linted only here.
-const AS_COMPARED: &[&str] = &["-Zwarnings", "--config", "build.warnings=\"deny\""];
+/// The daemon, and what simulates the compared bits; this combination of features is linted only here.
+const COMPARED: &[&str] = &[
+    "--package",
+    "singletrack-scenario",
+    "--bin",
+    "singletrackd",
+    "--example",
+    "trajectory",
+    "--no-default-features",
+    "-Zwarnings",
+    "--config",
+    "build.warnings=\"deny\"",
+];
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
         [] => {
             prerequisites::ensure(&prerequisites::ODROID)?;
-            let folder = build("release", AS_INSTALLED)?;
+            let folder = build("release", INSTALLED)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }
@@ -49,8 +61,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// Checks that the Odroid's programs compute the same bits as this machine: records
 /// of the car are replayed here.
-pub(crate) fn verify(release: Release) -> Result<(), Failure> {
-    let folder = build("compared", AS_COMPARED)?;
+pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
+    let folder = build("dev", COMPARED)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
         let answer = output(ARMHF.emulated(&daemon).arg(question))?;
@@ -60,24 +72,19 @@ pub(crate) fn verify(release: Release) -> Result<(), Failure> {
             )));
         }
     }
-    for scenario in same_bits::SCENARIOS {
-        let mut emulated = ARMHF.emulated(folder.join("singletrack"));
-        same_bits::compare(
-            scenario,
-            ("this machine", &mut same_bits::simulate(release, scenario)?),
-            ("ARMv7", emulated.args(["simulate", scenario])),
-        )?;
-    }
-    Ok(())
+    let emulated = || ARMHF.emulated(folder.join("examples/trajectory"));
+    compare(
+        ("this machine", &packages.trajectory()?),
+        ("ARMv7", &emulated),
+    )
 }
 
-/// Builds both programs and returns their folder.
+/// Builds the daemon and other programs, and returns their folder.
 fn build(profile: &str, options: &[&str]) -> Result<PathBuf, Failure> {
     let (mut cargo, folder) = ARMHF.cargo_build(profile)?;
     check(
         cargo
-            .args(["--package", "singletrackd", "--package", "singletrack"])
-            .arg("--no-default-features")
+            .args(["--package", "singletrackd"])
             .args(options)
             .stdout(Stdio::null()),
     )?;

@@ -1,14 +1,15 @@
-//! Checks that each pure package builds alone. In the workspace's build, a package
-//! has the features requested by all others, which hides missing ones. The host's
-//! packages are not checked: it takes minutes, and missing features of those that
+//! Packages built alone. In the workspace's build, a package has the features that all others ask
+//! for, which hides missing ones. The host's packages are not checked: missing features of those that
 //! users build alone (`cargo demo`, `cargo faults`) are errors at once.
 
 use crate::{
     process::{Failure, check},
+    target,
     workspace::cargo,
 };
 
-const PACKAGES: [&str; 7] = [
+/// The packages without I/O.
+const PURE: [&str; 7] = [
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
@@ -18,8 +19,64 @@ const PACKAGES: [&str; 7] = [
     "singletrack-analysis",
 ];
 
-pub(crate) fn check_all() -> Result<(), Failure> {
-    PACKAGES
-        .into_iter()
+/// The packages with `publish = true`.
+const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
+
+/// Checks that each pure package builds alone.
+pub(crate) fn check_pure() -> Result<(), Failure> {
+    PURE.into_iter()
         .try_for_each(|package| check(cargo().args(["check", "--quiet", "--package", package])))
+}
+
+/// Checks that the packages for others can be published: `cargo package` packs each from its
+/// `include` list and builds the result outside of the workspace. A file that is not packed, and a
+/// dependency without a version, are errors there only.
+pub(crate) fn check_published() -> Result<(), Failure> {
+    let packages = PUBLISHED.iter().flat_map(|package| ["--package", package]);
+    check(
+        cargo()
+            // The working tree may hold changes. Offline, the versions are those of the workspace,
+            // and nothing waits for the registry: `check_pure` has downloaded what they need.
+            .args(["package", "--quiet", "--offline", "--allow-dirty"])
+            .args(packages)
+            // A packed package is a workspace of its own. Its dependencies are built once for all
+            // of them, and kept.
+            .env("CARGO_TARGET_DIR", target::folder()?),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use crate::workspace;
+
+    use super::*;
+
+    #[test]
+    fn every_package_that_may_be_published_is_checked() {
+        let root = workspace::find().unwrap();
+        let workspace = fs::read_to_string(root.join("Cargo.toml")).unwrap();
+        let (_, members) = workspace.split_once("\nmembers = [").unwrap();
+        let (members, _) = members.split_once(']').unwrap();
+        let mut publishable: Vec<String> = members
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix('"')?.strip_suffix("\","))
+            .filter_map(|member| {
+                let manifest = root.join(member).join("Cargo.toml");
+                let manifest = fs::read_to_string(manifest).unwrap();
+                let name = manifest
+                    .lines()
+                    .find_map(|line| line.strip_prefix("name = "))
+                    .unwrap()
+                    .trim_matches('"')
+                    .to_owned();
+                let publish = manifest.lines().any(|line| line == "publish = true");
+                publish.then_some(name)
+            })
+            .collect();
+        publishable.sort();
+        assert_eq!(publishable, PUBLISHED);
+        assert!(PUBLISHED.iter().all(|package| PURE.contains(package)));
+    }
 }

@@ -1,25 +1,92 @@
-//! Checks the Python package: installs it into an environment of its own, as its users do, and
-//! runs its tests, with the examples and notebooks, and the type checker.
+//! Checks with Python: the package, and the readers of records in other labs' tools.
 
-use std::{path::Path, process::Command, thread};
-
-use crate::{
-    process::{Failure, check as run, silent},
-    readers::environment,
-    release::Release,
-    target,
-    workspace::{cargo, root},
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    thread,
 };
 
-pub(crate) fn check(release: Release) -> Result<(), Failure> {
+use crate::{
+    prerequisites,
+    process::{Failure, check as run, silent},
+    programs::Packages,
+    target,
+    workspace::root,
+};
+
+/// An environment with packages of the Python package index, in the target folder.
+pub(crate) struct Environment {
+    /// Its folder.
+    pub(crate) name: &'static str,
+    /// The folder with `requirements.txt`.
+    pub(crate) source: PathBuf,
+    /// Options of `python -m venv`.
+    pub(crate) options: &'static [&'static str],
+    /// Packages that are installed before the others, whose builds need them.
+    pub(crate) first: &'static [&'static str],
+    /// A program that succeeds if the packages work.
+    pub(crate) probe: &'static str,
+    /// Other files of the source that decide what is installed.
+    pub(crate) also: &'static [&'static str],
+}
+
+impl Environment {
+    /// Creates it, unless it is there with these requirements; returns its Python. `more` installs
+    /// what is on no package index.
+    pub(crate) fn ensure(
+        &self,
+        more: &dyn Fn(&Path) -> Result<(), Failure>,
+    ) -> Result<PathBuf, Failure> {
+        let folder = target::folder()?.join(self.name);
+        let failed =
+            |path: &Path, error: io::Error| Failure::new(format!("{}: {error}", path.display()));
+        let requirements = self.source.join("requirements.txt");
+        let mut required = Vec::new();
+        for file in ["requirements.txt"].iter().chain(self.also) {
+            let file = self.source.join(file);
+            required.extend(fs::read(&file).map_err(|error| failed(&file, error))?);
+        }
+        let python = folder.join("bin/python");
+        // Written after the last successful installation.
+        let installed = folder.join("installed.txt");
+        // Its Python may have been removed or replaced.
+        let works = || silent(Command::new(&python).args(["-c", self.probe])).is_ok();
+        if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
+            return Ok(python);
+        }
+        let mut maker = Command::new(prerequisites::python()?);
+        maker.args(["-m", "venv", "--clear"]).args(self.options);
+        silent(maker.arg(&folder))?;
+        println!("Installing Python packages into {}", folder.display());
+        let pip = || {
+            let mut pip = Command::new(&python);
+            pip.args(["-m", "pip", "install", "--disable-pip-version-check"]);
+            pip
+        };
+        if !self.first.is_empty() {
+            silent(pip().args(self.first))?;
+        }
+        silent(pip().arg("-r").arg(&requirements))?;
+        more(&python)?;
+        fs::write(&installed, required).map_err(|error| failed(&installed, error))?;
+        Ok(python)
+    }
+}
+
+/// Installs the package into an environment of its own, as its users do, and runs its tests, with
+/// the examples and notebooks, and the type checker.
+pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let source = root().join("python");
-    let target = target::folder()?;
-    run(cargo().current_dir(&source).args(["fmt", "--check"]))?;
-    let python = environment(
-        &target.join("python-venv"),
-        &source.join("requirements.txt"),
-        "import gymnasium, maturin, mypy, osqp, pytest, xdist",
-    )?;
+    let python = Environment {
+        name: "python-venv",
+        source: source.clone(),
+        options: &[],
+        first: &[],
+        probe: "import gymnasium, maturin, mypy, osqp, pytest, xdist",
+        also: &[],
+    }
+    .ensure(&|_| Ok(()))?;
     let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
         // `-P`: the installed package, not the folder of its sources.
@@ -29,17 +96,14 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
             .current_dir(&source);
         command
     };
-    // Not in an isolated environment, which would fetch maturin each time. A workspace of its own,
-    // with the versions and profiles of this one: what is built is shared. Compiled by clippy,
-    // which saves a check of all dependencies.
+    // Not in an isolated environment, which would fetch maturin each time. With the profile of the
+    // tests, whose dependencies are there.
     let mut install = Command::new(&python);
     install
         .args(["-m", "pip", "install", "--disable-pip-version-check"])
         .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
         .arg(&source)
-        .env("CARGO_TARGET_DIR", &target)
-        .env("RUSTC_WORKSPACE_WRAPPER", "clippy-driver")
-        .env("MATURIN_PEP517_ARGS", "--locked -- -Dwarnings")
+        .env("MATURIN_PEP517_ARGS", "--profile dev --locked")
         .env("PATH", path_with(&python)?);
     // The types are those of the sources: they need no build.
     thread::scope(|scope| {
@@ -52,14 +116,9 @@ pub(crate) fn check(release: Release) -> Result<(), Failure> {
     // Two at a time: those in real time wait more than they calculate.
     let mut tests = in_source("-m pytest --quiet -n 2 -p no:cacheprovider");
     tests
-        .env("SINGLETRACKD", release.path("singletrackd")?)
-        .env("SINGLETRACK_SIM", release.path("singletrack-sim")?)
-        // Not an image that is older, or another's.
-        .env_remove("SINGLETRACK_UNO");
-    if release.uno {
-        tests.env("SINGLETRACK_UNO", release.image()?.folder);
-    }
-    run(&mut tests)
+        .env("SINGLETRACKD", packages.path("singletrackd")?)
+        .env("SINGLETRACK_SIM", packages.path("singletrack-sim")?);
+    packages.check_with_image(&mut tests)
 }
 
 /// The search path with the programs of the environment, of which maturin is one.
@@ -70,45 +129,38 @@ fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
         .map_err(|error| Failure::new(error.to_string()))
 }
 
-#[cfg(test)]
-mod tests {
-    use std::{collections::HashSet, fs};
-
-    use super::root;
-
-    /// Name and version of every locked package.
-    fn locked(file: &str) -> HashSet<(String, String)> {
-        let text = fs::read_to_string(root().join(file)).unwrap();
-        let value = |line: &str, key: &str| {
-            let value = line.strip_prefix(key)?.strip_prefix(" = ")?;
-            Some(value.trim_matches('"').to_owned())
-        };
-        let lines: Vec<&str> = text.lines().collect();
-        lines
-            .windows(2)
-            .filter_map(|pair| Some((value(pair[0], "name")?, value(pair[1], "version")?)))
-            .collect()
+/// Two readers from the Python package index open a record and compare its contents.
+pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
+    let source = root().join("tests/readers");
+    let python = Environment {
+        name: "readers-venv",
+        source: source.clone(),
+        options: &[],
+        first: &[],
+        probe: "import mcap_ros2, rosbags",
+        also: &[],
     }
+    .ensure(&|_| Ok(()))?;
+    let singletrack = packages.path("singletrack")?;
+    let folder = target::folder()?.join("readers");
+    empty(&folder)?;
+    let record = folder.join("circle.mcap");
+    run(Command::new(&singletrack)
+        .arg("simulate")
+        .arg(source.join("circle.toml"))
+        .arg("--record")
+        .arg(&record)
+        .stdout(Stdio::null()))?;
+    run(Command::new(python)
+        .arg(source.join("check.py"))
+        .args([&singletrack, &record]))
+}
 
-    /// Versions of the same series replace each other: 1.x, 0.2.x.
-    fn series((name, version): &(String, String)) -> (String, String) {
-        let parts: Vec<&str> = version.split('.').collect();
-        let major = usize::from(parts[0] == "0");
-        (name.clone(), parts[..=major].join("."))
+/// Creates or empties a folder.
+pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => fs::create_dir_all(folder),
     }
-
-    #[test]
-    fn the_package_has_the_versions_of_the_workspace() {
-        let workspace = locked("Cargo.lock");
-        let known: HashSet<_> = workspace.iter().map(series).collect();
-        let package = locked("python/Cargo.lock");
-        assert!(package.len() > 100, "the lock file was not read");
-        for package in package {
-            let (name, version) = &package;
-            assert!(
-                !known.contains(&series(&package)) || workspace.contains(&package),
-                "{name} {version}: copy Cargo.lock to python/ and run `cargo update --workspace` there"
-            );
-        }
-    }
+    .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))
 }

@@ -1,259 +1,170 @@
-//! Steps of a verification, with names and times.
+//! Steps of a verification, with what each may cost.
 
-use std::{process::Command, time::Instant};
-
-use crate::{
-    beside::Beside,
-    prerequisites::Part,
-    process::{Failure, check},
-    workspace::cargo,
+use std::{
+    fs,
+    time::{Duration, Instant},
 };
 
+use crate::{prerequisites::Part, process::Failure, programs::Packages};
+
 /// One check.
+#[derive(Clone, Copy)]
 pub(crate) struct Step {
     pub(crate) name: &'static str,
+    /// Processor time that it may take from nothing, in seconds; docs/verification.md names the
+    /// machine.
+    pub(crate) budget_s: u32,
+    pub(crate) scope: Scope,
     pub(crate) what: &'static str,
-    /// The optional part of the checks that it belongs to.
-    pub(crate) part: Option<Part>,
-    /// Other parts whose prerequisites it needs.
-    needs: Vec<Part>,
-    /// When it runs.
-    turn: Turn,
-    run: Box<dyn Fn() -> Result<(), Failure>>,
+    pub(crate) run: fn(&Packages) -> Result<(), Failure>,
 }
 
-/// When a step runs.
+/// Which command a step belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Turn {
-    /// After the steps before it.
-    Next,
-    /// In a process of its own, while those after it run.
-    Beside,
-    /// After all steps before it, also those in other processes: it measures real time.
-    Quiet,
+pub(crate) enum Scope {
+    /// `cargo verify`: it needs nothing but Rust and a C compiler.
+    Always,
+    /// `cargo verify --all` alone.
+    All,
+    /// The same, and an optional part of it.
+    Of(Part),
 }
 
-impl Step {
-    pub(crate) fn new(
-        name: &'static str,
-        what: &'static str,
-        run: impl Fn() -> Result<(), Failure> + 'static,
-    ) -> Self {
-        Self {
-            name,
-            what,
-            part: None,
-            needs: Vec::new(),
-            turn: Turn::Next,
-            run: Box::new(run),
-        }
-    }
-
-    /// A step that is one call of cargo.
-    pub(crate) fn cargo(
-        name: &'static str,
-        what: &'static str,
-        arguments: impl IntoIterator<Item = &'static str>,
-    ) -> Self {
-        let arguments: Vec<_> = arguments.into_iter().collect();
-        Self::new(name, what, move || check(cargo().args(&arguments)))
-    }
-
-    pub(crate) fn of(mut self, part: Part) -> Self {
-        self.part = Some(part);
-        self
-    }
-
-    /// Adds the prerequisites of a part without making it belong to the part.
-    pub(crate) fn needing(mut self, part: Option<Part>) -> Self {
-        self.needs.extend(part);
-        self
-    }
-
-    /// Lets it run in a process of its own, while those after it run.
-    pub(crate) fn beside(mut self) -> Self {
-        self.turn = Turn::Beside;
-        self
-    }
-
-    /// Lets it wait for what runs beside others.
-    pub(crate) fn quiet(mut self) -> Self {
-        self.turn = Turn::Quiet;
-        self
-    }
-
-    /// The parts whose prerequisites it needs.
-    pub(crate) fn parts_needed(&self) -> impl Iterator<Item = Part> + '_ {
-        self.part.iter().chain(&self.needs).copied()
-    }
+/// What a step has cost.
+struct Cost {
+    name: &'static str,
+    wall: Duration,
+    processor_s: f64,
+    budget_s: u32,
 }
 
-/// Runs the selected steps up to the first failure. `other` is this program with these steps
-/// alone: it runs those that go beside others. Prints the time of each, and the steps that were
-/// not run.
-pub(crate) fn run_all(
-    steps: &[Step],
-    chosen: &dyn Fn(&Step) -> bool,
-    other: &dyn Fn(&[&'static str]) -> Command,
-) -> Result<(), Failure> {
+/// Runs the steps up to the first failure. Prints the cost of each, those over their budgets, and the
+/// steps that were not run.
+pub(crate) fn run_all(steps: &[Step], packages: &Packages) -> Result<(), Failure> {
     let begin = Instant::now();
-    let mut took = Vec::new();
+    let mut costs: Vec<Cost> = Vec::new();
     let mut result = Ok(());
-    let mut beside: Option<Beside> = None;
-    let mut rest = steps.iter().filter(|step| chosen(step)).peekable();
-    while let Some(step) = rest.next() {
-        if step.turn == Turn::Beside && beside.is_none() {
-            let mut names = vec![step.name];
-            let mut after = rest.clone();
-            while let Some(next) = after.next_if(|next| next.turn == Turn::Beside) {
-                names.push(next.name);
-            }
-            if after.peek().is_some_and(|next| next.turn == Turn::Next) {
-                rest = after;
-                match Beside::start(&names, other(&names)) {
-                    Ok(started) => beside = Some(started),
-                    Err(failure) => result = Err(failure),
-                }
-                if result.is_err() {
-                    break;
-                }
-                continue;
-            }
-        }
-        if step.turn == Turn::Quiet
-            && let Some(beside) = beside.take()
-        {
-            result = beside.finish(&mut took);
-            if result.is_err() {
-                break;
-            }
-        }
+    for step in steps {
         println!("\n== {}: {}", step.name, step.what);
-        let start = Instant::now();
-        result = (step.run)()
+        let (start, start_s) = (Instant::now(), processor_s());
+        result = (step.run)(packages)
             .map_err(|failure| Failure::new(format!("{} failed: {failure}", step.name)));
-        took.push((step.name, start.elapsed()));
-        println!("-- {}: {:.1} s", step.name, start.elapsed().as_secs_f64());
+        costs.push(Cost {
+            name: step.name,
+            wall: start.elapsed(),
+            processor_s: processor_s() - start_s,
+            budget_s: step.budget_s,
+        });
         if result.is_err() {
             break;
         }
     }
-    if let Some(beside) = beside {
-        // The first failure is the one that counts.
-        let others = beside.finish(&mut took);
-        result = result.and(others);
-    }
-    println!();
-    for (name, duration) in &took {
-        println!("{name:>22}  {:>6.1} s", duration.as_secs_f64());
-    }
-    println!("{:>22}  {:>6.1} s", "total", begin.elapsed().as_secs_f64());
-    let ran: Vec<&str> = took.iter().map(|(name, _)| *name).collect();
-    let not_run = not_run(steps, &ran);
+    print!("\n{}", table(&costs, begin.elapsed()));
+    let not_run: Vec<&str> = steps[costs.len()..].iter().map(|step| step.name).collect();
     if !not_run.is_empty() {
-        println!("\nNOT RUN: {}", not_run.join(", "));
+        println!("NOT RUN: {}", not_run.join(", "));
     }
     result
 }
 
-/// The names of the steps that did not run.
-fn not_run(steps: &[Step], ran: &[&str]) -> Vec<&'static str> {
-    steps
-        .iter()
-        .map(|step| step.name)
-        .filter(|name| !ran.contains(name))
-        .collect()
+/// A line a step, their sum, and the steps that took half more than their budgets.
+fn table(costs: &[Cost], wall: Duration) -> String {
+    let mut text = format!(
+        "{:>22}  {:>9}  {:>11}  {:>8}\n",
+        "step", "time", "processor", "budget"
+    );
+    let mut line = |name: &str, wall: Duration, processor_s: f64, budget_s: u32| {
+        text += &format!(
+            "{name:>22}  {:>7.1} s  {processor_s:>9.1} s  {budget_s:>6} s\n",
+            wall.as_secs_f64()
+        );
+    };
+    for cost in costs {
+        line(cost.name, cost.wall, cost.processor_s, cost.budget_s);
+    }
+    let processor_s = costs.iter().map(|cost| cost.processor_s).sum();
+    let budget_s = costs.iter().map(|cost| cost.budget_s).sum();
+    line("total", wall, processor_s, budget_s);
+    for cost in costs {
+        if cost.processor_s > 1.5 * f64::from(cost.budget_s) {
+            text += &format!(
+                "OVER BUDGET: {} took {:.0} s of processor time, {} s are planned (xtask/src/verify.rs)\n",
+                cost.name, cost.processor_s, cost.budget_s
+            );
+        }
+    }
+    text
+}
+
+/// User and system time of all processes that this one has started and that have ended.
+fn processor_s() -> f64 {
+    /// Linux reports times in units of 10 ms on every processor of today.
+    const UNIT_S: f64 = 0.01;
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    children_ticks(&stat).unwrap_or_default() as f64 * UNIT_S
+}
+
+/// Fields 16 and 17 of `/proc/PID/stat`; the second may hold blanks and ends with a parenthesis.
+fn children_ticks(stat: &str) -> Option<u64> {
+    let (_, rest) = stat.rsplit_once(')')?;
+    let mut fields = rest.split_whitespace().skip(13);
+    let mut next = || fields.next()?.parse::<u64>().ok();
+    Some(next()? + next()?)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::{cell::RefCell, rc::Rc};
+    use std::sync::Mutex;
 
     use super::*;
 
-    fn unused() -> Command {
-        unreachable!("nothing runs beside another step")
-    }
-
-    /// What ran in this process, with the steps of the other one in braces when they were waited
-    /// for, and the result.
-    fn order(steps: &str, other: &str) -> (String, Result<(), Failure>) {
-        let ran = Rc::new(RefCell::new(String::new()));
-        let step = |name: char| {
-            let ran = Rc::clone(&ran);
-            let names = ["a", "b", "c", "d", "e"];
-            let lower = name.to_ascii_lowercase();
-            let name = names
-                .into_iter()
-                .find(|known| *known == lower.to_string())
-                .unwrap();
-            Step::new(name, "", move || {
-                ran.borrow_mut().push_str(name);
-                Ok(())
-            })
-        };
-        let mut all: Vec<Step> = Vec::new();
-        let mut letters = steps.chars().peekable();
-        while let Some(letter) = letters.next() {
-            all.push(match letters.next_if(|next| "&!".contains(*next)) {
-                Some('&') => step(letter).beside(),
-                Some(_) => step(letter).quiet(),
-                None => step(letter),
-            });
-        }
-        let begun = Rc::clone(&ran);
-        let result = run_all(&all, &|_| true, &|names| {
-            begun
-                .borrow_mut()
-                .push_str(&format!("({})", names.concat()));
-            let mut command = Command::new("/bin/sh");
-            command.args(["-c", other]);
-            command
-        });
-        let ran = ran.borrow().clone();
-        (ran, result)
-    }
-
-    #[test]
-    fn steps_that_may_run_beside_others_start_together_and_before_them() {
-        assert_eq!(order("ab&c&de!", "exit 0").0, "a(bc)de");
-        // Alone or before one that wants quiet they run here: the other process does the same.
-        assert_eq!(order("b&", "exit 0").0, "b");
-        assert_eq!(order("ab&c&d!", "exit 0").0, "abcd");
-    }
-
-    #[test]
-    fn a_failure_beside_others_ends_before_a_step_that_wants_quiet() {
-        let (ran, result) = order("a&bc!", "echo this is why; exit 1");
-        assert_eq!(ran, "(a)b");
-        let failure = result.unwrap_err().to_string();
-        assert!(failure.starts_with("a failed"), "{failure}");
-        let (ran, result) = order("a&b", "exit 1");
-        assert_eq!(ran, "(a)b");
-        assert!(result.is_err(), "at the end at the latest");
-    }
-
     #[test]
     fn steps_run_in_order_up_to_the_first_failure() {
-        let ran = Rc::new(RefCell::new(Vec::new()));
-        let step = |name: &'static str, succeeds: bool| {
-            let ran = Rc::clone(&ran);
-            Step::new(name, "", move || {
-                ran.borrow_mut().push(name);
-                succeeds
-                    .then_some(())
-                    .ok_or_else(|| Failure::new("broken".to_owned()))
-            })
+        static RAN: Mutex<Vec<&str>> = Mutex::new(Vec::new());
+        let step = |name, run| Step {
+            name,
+            budget_s: 1,
+            scope: Scope::Always,
+            what: "",
+            run,
         };
         let steps = [
-            step("one", true),
-            step("two", true).of(Part::Uno),
-            step("three", false),
-            step("four", true),
+            step("one", |_| {
+                RAN.lock().unwrap().push("one");
+                Ok(())
+            }),
+            step("two", |_| Err(Failure::new("broken".to_owned()))),
+            step("three", |_| {
+                RAN.lock().unwrap().push("three");
+                Ok(())
+            }),
         ];
-        let failure = run_all(&steps, &|step| step.part.is_none(), &|_| unused()).unwrap_err();
-        assert_eq!(failure.to_string(), "three failed: broken");
-        assert_eq!(*ran.borrow(), ["one", "three"]);
-        assert_eq!(not_run(&steps, &ran.borrow()), ["two", "four"]);
+        let failure = run_all(&steps, &Packages::Default).unwrap_err();
+        assert_eq!(failure.to_string(), "two failed: broken");
+        assert_eq!(*RAN.lock().unwrap(), ["one"]);
+    }
+
+    #[test]
+    fn a_step_half_over_its_budget_is_named() {
+        let cost = |name, processor_s| Cost {
+            name,
+            wall: Duration::from_secs(1),
+            processor_s,
+            budget_s: 10,
+        };
+        let text = table(&[cost("near", 14.9), cost("far", 15.1)], Duration::ZERO);
+        assert!(text.contains("OVER BUDGET: far took 15 s"), "{text}");
+        assert!(!text.contains("OVER BUDGET: near"), "{text}");
+    }
+
+    #[test]
+    fn the_processor_time_of_ended_processes_is_counted() {
+        let stat = "7 (a) b) S 1 7 7 0 -1 4194304 1 2 3 4 50 60 700 80 20 0 1 0 9";
+        assert_eq!(children_ticks(stat), Some(780));
+        assert_eq!(children_ticks("7 (a) S 1"), None);
+        let before = processor_s();
+        let busy = "i=0; while [ $i -lt 60000 ]; do i=$((i+1)); done";
+        crate::process::check(std::process::Command::new("sh").args(["-c", busy])).unwrap();
+        assert!(processor_s() > before, "{before}");
     }
 }

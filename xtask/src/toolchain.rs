@@ -146,7 +146,8 @@ impl Target {
             .args(["-Zbuild-std=std,panic_unwind", "--target", self.triple])
             .arg("--target-dir")
             .arg(&folder);
-        Ok((cargo, folder.join(self.triple).join(profile)))
+        let name = if profile == "dev" { "debug" } else { profile };
+        Ok((cargo, folder.join(self.triple).join(name)))
     }
 }
 

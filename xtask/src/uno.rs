@@ -48,7 +48,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     let image = image::ensure(car_id, programmer.as_slice())?;
     let mut figures = cargo();
     figures
-        .args(["run", "--release", "--package", "singletrack-sim"])
+        .args(["run", "--package", "singletrack-sim"])
         .args(["--bin", "uno-figures"]);
     check_image(&image, car_id, &mut figures)?;
     options

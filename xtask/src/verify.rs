@@ -1,4 +1,4 @@
-//! `cargo verify`: every check of the project.
+//! `cargo verify`: the checks of the project.
 
 use std::process::Command;
 
@@ -6,22 +6,24 @@ use crate::{
     deb, image, odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check},
-    publish, python, readers,
-    release::{Release, features},
-    ros, same_bits, slurm,
-    step::{Step, run_all},
+    programs::{NAMED_TESTS, Packages, compare, installed},
+    python, ros,
+    step::{
+        Scope::{self, All, Always, Of},
+        Step, run_all,
+    },
     target, units, uno,
-    workspace::cargo,
+    workspace::{cargo, root},
 };
 
 pub(crate) const USAGE: &str = "\
-usage: cargo verify [STEP...] [--without PART[,PART...]]
+usage: cargo verify [--all] [--without PART[,PART...]] [STEP...]
 
-Run every check of the project, or the named steps. First tests the prerequisites on
-this machine, and installs Debian packages that are missing or too old. Prints the time
-of each step, stops at the first failure, and lists the steps that were not run.
+Run the checks that need nothing but Rust and a C compiler, or the named steps. Prints the time,
+the processor time and the budget of each step, and stops at the first failure.
 
-  --without PART   skip all steps of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units, debian
+  --all            run every check of the project; installs Debian packages that are missing
+  --without PART   every check but those of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units, debian
   -h, --help       print this help
 ";
 
@@ -31,6 +33,7 @@ const PREREQUISITES: &str = "prerequisites";
 /// The selected steps.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Selection {
+    all: bool,
     steps: Vec<String>,
     without: Vec<Part>,
 }
@@ -40,62 +43,70 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         .iter()
         .any(|argument| argument == "--help" || argument == "-h")
     {
-        print!("{USAGE}\nSteps, and the part that each belongs to:\n");
-        println!(
-            "  {PREREQUISITES:14} {:8} the machine meets the prerequisites; always first",
-            ""
+        print!(
+            "{USAGE}\nSteps, those of --all alone with a +, and the part that each belongs to:\n"
         );
-        for step in steps(&[]) {
-            let part = step.part.map_or("", Part::name);
-            println!("  {:14} {part:8} {}", step.name, step.what);
+        for step in STEPS {
+            let (mark, part) = match step.scope {
+                Always => (' ', ""),
+                All => ('+', ""),
+                Of(part) => ('+', part.name()),
+            };
+            println!("{mark} {:14} {part:8} {}", step.name, step.what);
         }
         return Ok(());
     }
-    let request = parse(arguments)?;
-    let steps = steps(&request.without);
-    request.check(&steps)?;
+    let selection = parse(arguments)?;
+    selection.check()?;
     target::adopt()?;
-    let parts = request.parts_needed(&steps);
-    let first = Step::new(
-        PREREQUISITES,
-        "the machine meets the prerequisites",
-        move || prerequisites::ensure(&prerequisites::of_parts(&parts)),
-    );
-    let steps: Vec<Step> = [first].into_iter().chain(steps).collect();
-    let chosen = |step: &Step| step.name == PREREQUISITES || request.chooses(step);
-    let result = run_all(&steps, &chosen, &|names| request.alone(names));
-    if !request.without.is_empty() {
-        let parts: Vec<&str> = request.without.iter().map(|part| part.name()).collect();
-        println!("Skipped by --without: {}", parts.join(", "));
-    }
-    if request.without.contains(&Part::Uno) {
-        println!("Without uno, lints and tests do not cover the simulated Arduino and its image.");
+    let (chosen, rest): (Vec<Step>, Vec<Step>) =
+        STEPS.into_iter().partition(|step| selection.chooses(step));
+    let result = run_all(&chosen, &selection.packages());
+    if selection.steps.is_empty() && !rest.is_empty() {
+        let rest: Vec<&str> = rest.iter().map(|step| step.name).collect();
+        println!(
+            "Not part of it: {}. `cargo verify --all` checks everything.",
+            rest.join(", ")
+        );
     }
     result
 }
 
 impl Selection {
-    /// Whether a step is to run.
-    fn chooses(&self, step: &Step) -> bool {
-        !step.part.is_some_and(|part| self.without.contains(&part))
-            && (self.steps.is_empty() || self.steps.iter().any(|name| name == step.name))
+    fn names(&self, step: &Step) -> bool {
+        self.steps.iter().any(|name| name == step.name)
     }
 
-    /// The command that runs these steps alone.
-    fn alone(&self, names: &[&'static str]) -> Command {
-        let this = std::env::current_exe().unwrap_or_else(|_| "xtask".into());
-        let mut command = Command::new(this);
-        command.arg("verify").args(names);
-        for part in &self.without {
-            command.args(["--without", part.name()]);
+    /// The packages to check: more than the default ones if a step needs more. Named steps need the
+    /// parts that they belong to, and no other.
+    fn packages(&self) -> Packages {
+        if self.all || (self.steps.is_empty() && !self.without.is_empty()) {
+            return Packages::AllWithout(self.without.clone());
         }
-        command
+        let named = STEPS.into_iter().filter(|step| self.names(step));
+        if named.clone().all(|step| step.scope == Always) {
+            return Packages::Default;
+        }
+        let unneeded = |part: &Part| named.clone().all(|step| step.scope != Of(*part));
+        Packages::AllWithout(Part::ALL.into_iter().filter(unneeded).collect())
+    }
+
+    /// Whether a step is to run.
+    fn chooses(&self, step: &Step) -> bool {
+        if matches!(step.scope, Of(part) if self.without.contains(&part)) {
+            return false;
+        }
+        if self.steps.is_empty() {
+            step.scope == Always || self.packages() != Packages::Default
+        } else {
+            step.name == PREREQUISITES || self.names(step)
+        }
     }
 
     /// Refuses steps that do not exist or are skipped.
-    fn check(&self, steps: &[Step]) -> Result<(), Failure> {
-        for name in self.steps.iter().filter(|name| *name != PREREQUISITES) {
-            let Some(step) = steps.iter().find(|step| step.name == name) else {
+    fn check(&self) -> Result<(), Failure> {
+        for name in &self.steps {
+            let Some(step) = STEPS.iter().find(|step| step.name == name) else {
                 return Err(Failure::new(format!(
                     "unknown step {name:?}; `cargo verify --help` lists the steps"
                 )));
@@ -108,25 +119,10 @@ impl Selection {
         }
         Ok(())
     }
-
-    /// The parts whose prerequisites the selected steps need. The step
-    /// `prerequisites`, if named, tests those of all parts that are not skipped.
-    fn parts_needed(&self, steps: &[Step]) -> Vec<Part> {
-        let everything = self.steps.iter().any(|name| name == PREREQUISITES);
-        let needed: Vec<Part> = steps
-            .iter()
-            .filter(|step| everything || self.chooses(step))
-            .flat_map(Step::parts_needed)
-            .collect();
-        Part::ALL
-            .into_iter()
-            .filter(|part| needed.contains(part) && !self.without.contains(part))
-            .collect()
-    }
 }
 
 fn parse(arguments: &[String]) -> Result<Selection, Failure> {
-    let mut request = Selection::default();
+    let mut selection = Selection::default();
     let mut arguments = arguments.iter().map(String::as_str);
     while let Some(argument) = arguments.next() {
         let list = match argument.strip_prefix("--without") {
@@ -134,13 +130,17 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 Failure::new(format!("--without needs the names of parts\n\n{USAGE}"))
             })?,
             Some(list) if list.starts_with('=') => &list[1..],
+            _ if argument == "--all" => {
+                selection.all = true;
+                continue;
+            }
             _ if argument.starts_with('-') => {
                 return Err(Failure::new(format!(
                     "unknown option {argument:?}\n\n{USAGE}"
                 )));
             }
             _ => {
-                request.steps.push(argument.to_owned());
+                selection.steps.push(argument.to_owned());
                 continue;
             }
         };
@@ -149,259 +149,143 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
                 .into_iter()
                 .find(|part| part.name() == name)
                 .ok_or_else(|| {
-                    Failure::new(format!(
-                        "--without {name:?}: the parts are uno, odroid, readers, python, ros, octave, browser, slurm, units, debian"
-                    ))
+                    let known = Part::ALL.map(Part::name).join(", ");
+                    Failure::new(format!("--without {name:?}: the parts are {known}"))
                 })?;
-            if !request.without.contains(&part) {
-                request.without.push(part);
+            if !selection.without.contains(&part) {
+                selection.without.push(part);
             }
         }
     }
-    Ok(request)
+    Ok(selection)
 }
 
 /// The checks in order: fast ones first, real-time ones last.
-fn steps(without: &[Part]) -> Vec<Step> {
-    let release = Release {
-        uno: !without.contains(&Part::Uno),
+#[rustfmt::skip]
+const STEPS: [Step; 25] = [
+    // Static checks.
+    row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
+        let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
+        prerequisites::ensure(&prerequisites::of_parts(&parts.collect::<Vec<_>>()))
+    }),
+    row("format", 5, Always, "the code is formatted", |_| format()),
+    row("lints", 160, Always, "no warning from compiler or clippy", lint),
+    row("documentation", 60, Always, "the documentation builds without a warning", |packages| {
+        let mut doc = packages.cargo("doc");
+        check(doc.arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
+    }),
+    row("lints-uno", 25, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
+    row("packages", 60, All, "each pure package builds alone, and those for others can be packed",
+        |_| packages::check_pure().and_then(|()| packages::check_published())),
+    row("units", 5, Of(Part::Units),
+        "systemd accepts the service's unit without warnings and rates its exposure as low",
+        |_| units::check()),
+    // Checks of the programs in virtual time.
+    row("tests", 350, Always, "unit, property and virtual-time tests",
+        |packages| packages.check_with_image(&mut packages.tests(None))),
+    row("faults", 20, Always, "random faults in virtual time violate no invariant",
+        |packages| check(packages.program("singletrack-faults")?.args(["--count", "300"]))),
+    row("tutorial", 30, Always, "the commands of README and tutorial are accepted and run",
+        |packages| check(packages.tests(Some("book")).args(["README", "tutorial"]))),
+    row("uno", 30, Of(Part::Uno),
+        "the Arduino's image has no miscompiled code and stays within its budgets", |packages| {
+        let mut figures = packages.program("uno-figures")?;
+        uno::check_image(&packages.image()?, 0, &mut figures)
+    }),
+    row("tests-uno", 60, Of(Part::Uno),
+        "the tests and random faults of the Arduino's image, in its simulator", |packages| {
+        packages.check_with_image(&mut packages.tests(Some("uno")))?;
+        let mut faults = packages.program("singletrack-faults")?;
+        packages.check_with_image(faults.args(["--count", "8", "--board", "uno"]))
+    }),
+    row("onboard", 20, All,
+        "cars of all kinds come from the parts to the circle, led by the three procedures",
+        |packages| check(packages.program("singletrack-onboard")?.args(["--count", "3"]))),
+    row("readers", 20, Of(Part::Readers),
+        "independent readers agree on the contents of a record and of a repaired one",
+        python::check_readers),
+    row("slurm", 40, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
+        |packages| {
+        let mut job_array = Command::new(root().join("tests/slurm/job-array.sh"));
+        // A Slurm that is installed does not count.
+        check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
+    }),
+    row("book", 50, All, "the commands of all pages are accepted by their programs, and most are run",
+        |packages| check(&mut packages.tests(Some("book")))),
+    row("release", 450, All,
+        "the programs build as they are installed, and simulate the bits of the tested ones",
+        compare_release),
+    row("debian", 20, Of(Part::Debian),
+        "this machine's Debian package is clean by lintian, complete, and its programs run",
+        deb::verify),
+    row("odroid", 200, Of(Part::Odroid),
+        "the daemon builds for the Odroid, and the same bits are simulated there", odroid::verify),
+    row("python", 150, Of(Part::Python),
+        "the Python package installs, and drives the simulator and the daemon on both boards",
+        python::check_package),
+    // Checks in real time.
+    row("hil", 60, Always, "hardware in the loop: the daemon against the simulated board",
+        |packages| check(&mut suite(packages, "native")?)),
+    row("hil-uno", 100, Of(Part::Uno), "the same against the Arduino's image",
+        |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
+    row("octave", 10, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
+        |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
+    row("browser", 15, Of(Part::Browser),
+        "the daemon's page shows a drive in Chromium, at a desk and on a telephone",
+        |packages| check(suite(packages, "native")?.args(["--browser", "in_a_browser"]))),
+    row("ros", 60, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
+];
+
+const fn row(
+    name: &'static str,
+    budget_s: u32,
+    scope: Scope,
+    what: &'static str,
+    run: fn(&Packages) -> Result<(), Failure>,
+) -> Step {
+    Step {
+        name,
+        budget_s,
+        scope,
+        what,
+        run,
+    }
+}
+
+/// The programs as they are installed simulate the same bits as those of the tests.
+fn compare_release(packages: &Packages) -> Result<(), Failure> {
+    let program = installed()?.join("singletrack");
+    let simulate = || {
+        let mut simulate = Command::new(&program);
+        simulate.current_dir(root()).arg("simulate");
+        simulate
     };
-    [
-        text_steps(release),
-        program_steps(release),
-        real_time_steps(release),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    compare(
+        ("the tested build", &packages.trajectory()?),
+        ("the release build", &simulate),
+    )
 }
 
-/// Static checks.
-fn text_steps(release: Release) -> Vec<Step> {
-    vec![
-        Step::new("format", "the code is formatted", format),
-        Step::cargo(
-            "lints",
-            "no warning from compiler or clippy",
-            ["clippy", "--workspace", "--all-targets"]
-                .into_iter()
-                .chain(features(release.uno))
-                .chain(["--", "-D", "warnings"]),
-        )
-        .needing(release.part()),
-        Step::new(
-            "lints-uno",
-            "no warning in the Arduino's image",
-            image::lint,
-        )
-        .of(Part::Uno),
-        Step::new(
-            "packages",
-            "each pure package builds alone, with its own features",
-            packages::check_all,
-        ),
-        Step::new(
-            "publish",
-            "the packages for others can be packed, and build outside of the workspace",
-            publish::check_all,
-        ),
-        Step::new(
-            "documentation",
-            "the documentation builds without a warning",
-            || {
-                check(
-                    cargo()
-                        .args(["doc", "--workspace", "--no-deps"])
-                        .env("RUSTDOCFLAGS", "-D warnings"),
-                )
-            },
-        ),
-        Step::new(
-            "units",
-            "systemd accepts the service's unit without warnings and rates its exposure as low",
-            units::check,
-        )
-        .of(Part::Units),
-    ]
-}
-
-/// Checks of the programs in virtual time. What other compilers build goes beside; from `tests` on
-/// there are tests that use real time now and then.
-fn program_steps(release: Release) -> Vec<Step> {
-    vec![
-        Step::new(
-            "odroid",
-            "daemon and tools build for the Odroid, and simulate the same bits there",
-            move || odroid::verify(release),
-        )
-        .of(Part::Odroid)
-        .needing(release.part())
-        .beside(),
-        Step::new(
-            "same-bits",
-            "debug and release builds simulate the same bits",
-            move || same_bits::check(release),
-        )
-        .needing(release.part())
-        .beside(),
-        Step::new("programs", "release builds of all programs", move || {
-            release.build()
-        })
-        .needing(release.part()),
-        Step::new(
-            "uno",
-            "the Arduino's image has no miscompiled code and stays within its budgets",
-            move || uno::check_image(&release.image()?, 0, &mut release.program("uno-figures")?),
-        )
-        .of(Part::Uno),
-        Step::new(
-            "faults",
-            "random faults in virtual time violate no invariant",
-            move || {
-                check(
-                    release
-                        .program("singletrack-faults")?
-                        .args(["--count", "300"]),
-                )
-            },
-        )
-        .needing(release.part()),
-        Step::new(
-            "faults-uno",
-            "the same with the Arduino's image",
-            move || {
-                with_image(
-                    release,
-                    release
-                        .program("singletrack-faults")?
-                        .args(["--count", "8", "--board", "uno"]),
-                )
-            },
-        )
-        .of(Part::Uno),
-        Step::new(
-            "onboard",
-            "cars of all kinds come from the parts to the circle, led by the three procedures",
-            move || {
-                check(
-                    release
-                        .program("singletrack-onboard")?
-                        .args(["--count", "3"]),
-                )
-            },
-        )
-        .needing(release.part()),
-        Step::new(
-            "readers",
-            "independent readers agree on the contents of a record and of a repaired one",
-            move || readers::check(release),
-        )
-        .of(Part::Readers)
-        .needing(release.part()),
-        Step::new(
-            "tests",
-            if release.uno {
-                "unit, property and virtual-time tests, including the Arduino's image"
-            } else {
-                "unit, property and virtual-time tests, without the Arduino's image"
-            },
-            move || {
-                let mut tests = release.tests();
-                if release.uno {
-                    with_image(release, &mut tests)
-                } else {
-                    check(&mut tests)
-                }
-            },
-        )
-        .needing(release.part())
-        .quiet(),
-        Step::new(
-            "slurm",
-            "campaigns as job arrays of Slurm give what one process gives",
-            move || slurm::check(release),
-        )
-        .of(Part::Slurm)
-        .needing(release.part()),
-        Step::new(
-            "debian",
-            "this machine's Debian package is clean by lintian, complete, and its programs run",
-            move || deb::verify(release),
-        )
-        .of(Part::Debian)
-        .needing(release.part()),
-        Step::new(
-            "book",
-            "the commands of the documentation: all are read by their programs, most are run",
-            move || {
-                let mut book = release.tests();
-                check(book.args(["--test", "book"]))
-            },
-        )
-        .needing(release.part())
-        .quiet(),
-        Step::new(
-            "python",
-            "the Python package installs, and drives the simulator and the daemon on both boards",
-            move || python::check(release),
-        )
-        .of(Part::Python)
-        .needing(release.part())
-        .quiet(),
-    ]
-}
-
-/// Checks in real time.
-fn real_time_steps(release: Release) -> Vec<Step> {
-    let suite = move |board| {
-        let mut suite = release.suite();
-        suite
-            .args(["--board", board, "--daemon"])
-            .arg(release.path("singletrackd")?);
-        Ok::<_, Failure>(suite)
+/// The hardware-in-the-loop suite; its own arguments follow. Its daemon is the one that is installed,
+/// if that was to be built.
+fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
+    let daemon = match packages {
+        Packages::Default => packages.path("singletrackd")?,
+        Packages::AllWithout(_) => installed()?.join("singletrackd"),
     };
-    vec![
-        Step::new(
-            "hil-native",
-            "hardware in the loop: the shipped daemon against the simulated board",
-            move || check(&mut suite("native")?),
-        )
-        .needing(release.part()),
-        Step::new(
-            "hil-uno",
-            "the same against the Arduino's image",
-            move || with_image(release, &mut suite("uno")?),
-        )
-        .of(Part::Uno),
-        Step::new(
-            "octave",
-            "the example for MATLAB drives the car over TCP, in Octave",
-            move || check(suite("native")?.args(["--octave", "in_octave"])),
-        )
-        .of(Part::Octave)
-        .needing(release.part()),
-        Step::new(
-            "browser",
-            "the daemon's page shows a drive in Chromium, at a desk and on a telephone",
-            move || check(suite("native")?.args(["--browser", "in_a_browser"])),
-        )
-        .of(Part::Browser)
-        .needing(release.part()),
-        Step::new(
-            "ros",
-            "a node of ROS 2 in Python reads the car and drives it",
-            move || ros::check(release),
-        )
-        .of(Part::Ros)
-        .needing(release.part()),
-    ]
+    let mut suite = packages.tests(Some("hil"));
+    suite.args(["--board", board, "--daemon"]).arg(daemon);
+    Ok(suite)
 }
 
-/// Runs a command with this source's image: a step that runs alone must not test an
-/// old image or one named by the environment.
-fn with_image(release: Release, command: &mut Command) -> Result<(), Failure> {
-    let image = release.image()?;
-    check(command.env("SINGLETRACK_UNO", &image.folder))
+/// All targets, and the tests that run only when they are named.
+fn lint(packages: &Packages) -> Result<(), Failure> {
+    let mut clippy = packages.cargo("clippy");
+    clippy.arg("--all-targets");
+    for name in NAMED_TESTS {
+        clippy.args(["--test", name]);
+    }
+    check(clippy.args(["--", "-D", "warnings"]))
 }
 
 /// Checks the format of the workspace and of the image, which is not a member.
@@ -421,6 +305,14 @@ mod tests {
     fn parsed(line: &str) -> Result<Selection, Failure> {
         let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         parse(&arguments)
+    }
+
+    /// The steps that a command line chooses.
+    fn chosen(line: &str) -> Vec<&'static str> {
+        let selection = parsed(line).unwrap();
+        selection.check().unwrap();
+        let chosen = STEPS.iter().filter(|step| selection.chooses(step));
+        chosen.map(|step| step.name).collect()
     }
 
     /// The arguments of an alias of cargo in the documentation, without `--help`, which ends them.
@@ -445,8 +337,7 @@ mod tests {
         let verify = documented("verify");
         assert!(verify.len() > 3, "{verify:?}");
         for line in verify {
-            let request = parsed(&line).unwrap();
-            request.check(&steps(&request.without)).unwrap();
+            assert!(!chosen(&line).is_empty(), "{line}");
         }
         let uno = documented("uno");
         assert!(uno.len() > 1, "{uno:?}");
@@ -457,92 +348,61 @@ mod tests {
     }
 
     #[test]
+    fn without_options_nothing_is_checked_that_needs_more_than_rust_and_a_c_compiler() {
+        for step in STEPS {
+            assert_eq!(chosen("").contains(&step.name), step.scope == Always);
+            assert!(chosen("--all").contains(&step.name), "{}", step.name);
+        }
+        assert_eq!(parsed("").unwrap().packages(), Packages::Default);
+        assert_eq!(parsed("lints hil").unwrap().packages(), Packages::Default);
+        assert!(prerequisites::of_parts(&[]).len() < 4);
+    }
+
+    #[test]
+    fn the_steps_stay_within_the_processor_time_of_both_commands() {
+        let all: u32 = STEPS.iter().map(|step| step.budget_s).sum();
+        assert!(all <= 30 * 60, "{all}");
+        let always = STEPS.iter().filter(|step| step.scope == Always);
+        let always: u32 = always.map(|step| step.budget_s).sum();
+        assert!(always <= 12 * 60, "{always}");
+    }
+
+    #[test]
     fn parts_are_skipped_in_either_form() {
         let without = vec![Part::Uno, Part::Readers];
         for line in [
             "--without uno,readers",
             "--without=uno,readers",
-            "--without uno --without=readers,uno",
+            "--all --without uno --without=readers,uno",
         ] {
-            assert_eq!(parsed(line).unwrap().without, without, "{line}");
+            let selection = parsed(line).unwrap();
+            assert_eq!(selection.packages(), Packages::AllWithout(without.clone()));
+            assert!(!chosen(line).contains(&"hil-uno"), "{line}");
+            assert!(chosen(line).contains(&"octave"), "{line}");
         }
-        let request = parsed("format --without uno tests").unwrap();
-        assert_eq!(request.steps, ["format", "tests"]);
     }
 
     #[test]
-    fn an_unknown_part_or_option_is_refused_with_the_known_ones() {
+    fn a_named_step_needs_its_own_part_alone() {
+        let packages = parsed("hil-uno").unwrap().packages();
+        for part in Part::ALL {
+            assert_eq!(packages.has(part), part == Part::Uno, "{}", part.name());
+        }
+        assert_eq!(chosen("hil-uno"), [PREREQUISITES, "hil-uno"]);
+        assert!(parsed("--all lints").unwrap().packages().has(Part::Uno));
+    }
+
+    #[test]
+    fn an_unknown_part_step_or_option_is_refused_with_the_known_ones() {
         let why = parsed("--without arduino").unwrap_err().to_string();
         assert!(
-            why.contains("\"arduino\"")
-                && why.contains(
-                    "uno, odroid, readers, python, ros, octave, browser, slurm, units, debian"
-                )
+            why.contains("\"arduino\"") && why.contains("uno, odroid, readers"),
+            "{why}"
         );
         for line in ["--without", "--witout uno", "--without=", "-x"] {
             assert!(parsed(line).is_err(), "{line}");
         }
-    }
-
-    #[test]
-    fn each_step_has_its_prerequisites_when_run_alone() {
-        let needed = |line: &str| {
-            let request = parsed(line).unwrap();
-            request.parts_needed(&steps(&request.without))
-        };
-        let uno = vec![Part::Uno];
-        for line in [
-            "lints",
-            "tests",
-            "programs",
-            "same-bits",
-            "faults",
-            "hil-native",
-            "uno",
-        ] {
-            assert_eq!(needed(line), uno, "{line}");
-        }
-        assert_eq!(needed("format documentation packages publish"), []);
-        assert_eq!(needed("readers"), [Part::Uno, Part::Readers]);
-        assert_eq!(needed("python"), [Part::Uno, Part::Python]);
-        assert_eq!(needed("odroid"), [Part::Uno, Part::Odroid]);
-        assert_eq!(needed("debian"), [Part::Uno, Part::Debian]);
-        assert_eq!(needed(""), Part::ALL);
-        assert_eq!(needed("prerequisites"), Part::ALL);
-    }
-
-    #[test]
-    fn skipped_parts_need_nothing() {
-        for line in ["--without uno,odroid", "prerequisites --without uno,odroid"] {
-            let request = parsed(line).unwrap();
-            let steps = steps(&request.without);
-            assert_eq!(
-                request.parts_needed(&steps),
-                [
-                    Part::Readers,
-                    Part::Python,
-                    Part::Ros,
-                    Part::Octave,
-                    Part::Browser,
-                    Part::Slurm,
-                    Part::Units,
-                    Part::Debian
-                ]
-            );
-        }
-        let request = parsed("tests --without uno").unwrap();
-        assert_eq!(request.parts_needed(&steps(&request.without)), []);
-    }
-
-    #[test]
-    fn an_unknown_or_skipped_step_is_refused() {
-        let why = |line: &str| {
-            let request = parsed(line).unwrap();
-            request
-                .check(&steps(&request.without))
-                .unwrap_err()
-                .to_string()
-        };
+        let why = |line: &str| parsed(line).unwrap().check().unwrap_err().to_string();
         assert!(why("test").contains("unknown step \"test\""));
         assert!(why("uno --without uno").contains("skipped by --without"));
     }

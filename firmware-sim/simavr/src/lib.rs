@@ -1,14 +1,13 @@
-//! Runs the UNO image in simavr, in a separate process.
+//! What the simulator and the process that runs the UNO image say to each other.
 //!
 //! `singletrack-simavr IMAGE.elf` runs the image instruction by instruction.
 //! Requests on its standard input carry the inputs of the board: bytes on its line,
 //! pulses of the motor, samples of the IMU. Replies on its standard output carry
 //! the outputs. The simulator starts it and runs it in step with the car. Only that
-//! program links libsimavr (under the GPL 3); this library is shared by both sides
-//! and needs no C library. `--features simavr` builds the program, with Debian's
-//! `libsimavr-dev`.
+//! program links libsimavr (under the GPL 3), and is a package of its own; this library
+//! needs no C library.
 //!
-//! simavr runs the instructions; this package models UART, two-wire interface,
+//! simavr runs the instructions; the process models UART, two-wire interface,
 //! timer 1 and watchdog after the ATmega328P's data sheet, to the cycle.
 //!
 //! # Time

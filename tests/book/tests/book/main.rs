@@ -1,7 +1,7 @@
 //! The commands of the documentation: `cargo verify book`.
 //!
-//! `cargo test --release -p singletrack-book --test book -- tutorial` runs one page. The programs
-//! are those beside this one, from `cargo build --release --workspace --bins`.
+//! `cargo test -p singletrack-book --test book -- tutorial` runs one page. The programs
+//! are those beside this one, from `cargo build --bins`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 

@@ -56,7 +56,7 @@ fn refusal(line: &Line) -> Option<String> {
             Some(format!("{program} {}: {why}", arguments.join(" ")))
         }
         Err(error) => Some(format!(
-            "{program}: {error}; build the programs: cargo build --release --workspace --bins"
+            "{program}: {error}; build the programs: cargo build --bins"
         )),
     }
 }

@@ -170,7 +170,7 @@ fn wrap_programs(folder: &Path, address: &str) -> Result<(), Failed> {
     ] {
         let program = programs().join(name);
         if !program.is_file() {
-            let advice = "cargo build --release --workspace --bins";
+            let advice = "cargo build --bins";
             return Err(format!("{} is missing: {advice}", program.display()).into());
         }
         if name == "singletrack-sim" {

@@ -199,7 +199,8 @@ fn drive(
             return Ok(None);
         }
         last_s = time;
-        progress.driving(time, settings::tracking_error(&now.truth, time), &snapshot);
+        let error_m = settings::tracking_error(&now.truth, time);
+        progress.driving(time, &now.truth, error_m, &snapshot);
         let remaining = Duration::from_secs_f64(wanted_s - time);
         thread::sleep(POLL.min(remaining));
     }

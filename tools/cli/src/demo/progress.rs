@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_pilot::{Mode, Reason};
+use singletrack_sim::Truth;
 use singletrackd::Snapshot;
 
 pub(super) struct Progress {
@@ -16,7 +17,7 @@ impl Progress {
     pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
         // Hidden when standard error is no terminal.
         let bar = ProgressBar::new(u64::try_from(duration.as_millis()).unwrap_or(u64::MAX));
-        if let Ok(style) = ProgressStyle::with_template("{bar:16} {percent:>3} %  {msg}") {
+        if let Ok(style) = ProgressStyle::with_template("{bar:10} {percent:>3} %  {msg}") {
             bar.set_style(style);
         }
         Self { bar, expected_m }
@@ -29,12 +30,14 @@ impl Progress {
         });
     }
 
-    pub(super) fn driving(&mut self, time: f64, error_m: f64, snapshot: &Snapshot) {
+    pub(super) fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, snapshot: &Snapshot) {
         self.bar.set_position((time * 1000.0) as u64);
         let held = snapshot.tick.is_some_and(|tick| tick.held);
         self.bar.set_message(format!(
             // 80 columns wide, with the bar.
-            "{time:4.1} s  P is {:5.1} mm off its reference (theory: {:.0} mm){}",
+            "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
+            truth.x,
+            truth.y,
             error_m * 1000.0,
             self.expected_m * 1000.0,
             if held { "  (markers lost)" } else { "" }
