@@ -5,7 +5,7 @@ use std::hint::black_box;
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_protocol::{Decoder, ToBoard, ToHost};
 
-#[path = "../tests/samples/mod.rs"]
+#[path = "../../../protocol/tests/samples/mod.rs"]
 mod samples;
 
 fn frames(criterion: &mut Criterion) {

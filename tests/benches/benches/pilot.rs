@@ -1,9 +1,8 @@
 //! Cost of a control tick: one pose and one board record in, one command out, with every outer
 //! loop, and with the compensation of the actuators. The ideal car of the tests is driven.
 
-#[path = "../tests/bench/mod.rs"]
+#[path = "../../../host/pilot/tests/bench/mod.rs"]
 mod bench;
-#[path = "../../control/benches/ticks/mod.rs"]
 mod ticks;
 
 use bench::{Bench, config};

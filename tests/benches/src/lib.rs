@@ -1,0 +1,1 @@
+//! Benchmarks with Criterion: `cargo bench -p singletrack-benches --bench NAME`.
