@@ -1,16 +1,15 @@
 //! The fit: gains, parameters and noise levels in turn, until they converge.
 
-use levenberg_marquardt::LevenbergMarquardt;
-use nalgebra_levenberg_marquardt::DVector;
 use singletrack_control::VehicleParameters;
 
 use super::{
     data::{DriveData, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     filter::{FilterRun, run_filter},
+    least_squares::{Minimum, minimise},
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    predictor::{Prediction, Problem},
+    predictor::Prediction,
     settings::Settings,
     uncertainty::{Spread, bounds, spread},
 };
@@ -238,27 +237,17 @@ impl Task<'_> {
         u: &[f64],
         patience: usize,
     ) -> Result<(Vec<f64>, usize), IdentificationError> {
-        let problem = Problem {
-            prediction: self.prediction(servo, run),
-            u: DVector::from_column_slice(u),
-        };
-        let (problem, report) = LevenbergMarquardt::new()
-            .with_ftol(1e-7)
-            .with_xtol(1e-5)
-            .with_gtol(1e-7)
-            .with_stepbound(1.0)
-            .with_patience(patience)
-            .minimize(problem);
-        let u = problem.u.as_slice().to_vec();
+        let prediction = self.prediction(servo, run);
         // Running out of evaluations is no failure: the next round continues with new gains.
-        let failed = matches!(
-            report.termination,
-            levenberg_marquardt::TerminationReason::User(_)
-                | levenberg_marquardt::TerminationReason::Numerical(_)
+        let Minimum { u, evaluations } = minimise(
+            u,
+            |u| prediction.residuals_or_outside(u),
+            |u| prediction.jacobian(u),
+            patience * (u.len() + 1),
         );
-        if failed && !u.iter().all(|u| u.is_finite()) {
+        if !u.iter().all(|u| u.is_finite()) {
             return Err(self.diverged(&u));
         }
-        Ok((u, report.number_of_evaluations))
+        Ok((u, evaluations))
     }
 }

@@ -20,6 +20,7 @@ mod estimate;
 mod filter;
 mod fit;
 mod identify;
+mod least_squares;
 mod model;
 mod noise;
 mod noise_fit;

@@ -5,8 +5,7 @@
 //! parameters multiply innovations, whose mean is zero; without them the minimum is at the
 //! same place, and its curvature the same up to noise.
 
-use levenberg_marquardt::LeastSquaresProblem;
-use nalgebra_levenberg_marquardt::{DMatrix, DVector, Dyn, storage::Owned};
+use nalgebra::{DMatrix, DVector};
 use num_dual::DualSVec64;
 use singletrack_control::Tyres;
 
@@ -18,6 +17,10 @@ use super::{
     timeline::{EventHandler, StateEstimate, replay},
 };
 use crate::dual::Dual;
+
+/// The value of every error, in standard deviations, where the model is not defined: worse
+/// than any fit.
+const OUTSIDE: f64 = 1e4;
 
 /// The data, model and gains of a prediction.
 #[derive(Clone, Copy, Debug)]
@@ -72,6 +75,13 @@ impl Prediction<'_> {
         errors.extend_from_slice(u);
         let finite = errors.iter().all(|error| error.is_finite());
         finite.then(|| DVector::from_vec(errors))
+    }
+
+    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back.
+    pub(super) fn residuals_or_outside(&self, u: &[f64]) -> DVector<f64> {
+        let count = self.rows() + u.len();
+        self.residuals(u)
+            .unwrap_or_else(|| DVector::from_element(count, OUTSIDE))
     }
 
     /// The derivatives of [`Self::residuals`] by `u`.
@@ -208,41 +218,6 @@ impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
         let error = -self.estimate.motion.yaw + pose.yaw_rad;
         let turns = (error.re() / core::f64::consts::TAU).round();
         self.correct(yaw, row + 2, error - turns * core::f64::consts::TAU);
-    }
-}
-
-/// The value of every error, in standard deviations, where the model is not defined: worse
-/// than any fit.
-const OUTSIDE: f64 = 1e4;
-
-/// The prediction with the present parameters of the optimiser.
-pub(super) struct Problem<'a> {
-    pub(super) prediction: Prediction<'a>,
-    pub(super) u: DVector<f64>,
-}
-
-impl LeastSquaresProblem<f64, Dyn, Dyn> for Problem<'_> {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
-    type ParameterStorage = Owned<f64, Dyn>;
-
-    fn set_params(&mut self, u: &DVector<f64>) {
-        self.u.copy_from(u);
-    }
-
-    fn params(&self) -> DVector<f64> {
-        self.u.clone()
-    }
-
-    fn residuals(&self) -> Option<DVector<f64>> {
-        let residuals = self.prediction.residuals(self.u.as_slice());
-        // The optimiser then takes the step back.
-        let count = self.prediction.rows() + self.u.len();
-        Some(residuals.unwrap_or_else(|| DVector::from_element(count, OUTSIDE)))
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        self.prediction.jacobian(self.u.as_slice())
     }
 }
 

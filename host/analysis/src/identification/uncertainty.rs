@@ -1,6 +1,6 @@
 //! The covariance of the estimates.
 
-use nalgebra_levenberg_marquardt::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector};
 
 use super::predictor::Prediction;
 
