@@ -1,25 +1,44 @@
 //! The command line of Singletrack, as a library for its tests.
 
 pub mod arguments;
+#[cfg(feature = "operator")]
 pub mod arm;
+#[cfg(feature = "operator")]
 pub mod bench;
+#[cfg(feature = "operator")]
 pub mod bring_up;
+#[cfg(feature = "operator")]
 pub mod calibrate;
+#[cfg(feature = "operator")]
 pub mod control;
-#[cfg(feature = "desk")]
+#[cfg(feature = "demo")]
 pub mod demo;
+#[cfg(feature = "operator")]
 pub mod doctor;
+#[cfg(feature = "operator")]
 pub mod drive;
+#[cfg(feature = "operator")]
 pub mod dump;
+#[cfg(feature = "operator")]
 pub mod install_files;
+#[cfg(feature = "operator")]
 pub mod jog;
+#[cfg(feature = "operator")]
 pub mod recover;
+#[cfg(feature = "operator")]
 pub mod replay;
+#[cfg(feature = "operator")]
 pub mod set_reference;
+#[cfg(feature = "operator")]
 pub mod setpoint;
+#[cfg(feature = "operator")]
 pub mod status;
+#[cfg(feature = "operator")]
 pub mod teach;
+#[cfg(feature = "operator")]
 pub mod tune;
 
+#[cfg(any(feature = "demo", feature = "operator"))]
 mod interrupt;
+#[cfg(feature = "operator")]
 mod terminal;

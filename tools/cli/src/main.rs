@@ -6,11 +6,15 @@ use std::{
     process::ExitCode,
 };
 
-use clap::{ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
-#[cfg(feature = "desk")]
+use clap::{
+    ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
+    error::ErrorKind,
+};
+use singletrack::arguments::take_negative_numbers;
+#[cfg(feature = "demo")]
 use singletrack::demo;
+#[cfg(feature = "operator")]
 use singletrack::{
-    arguments::take_negative_numbers,
     arm, bring_up, calibrate,
     control::{self, ControlCommand},
     doctor, drive, dump, install_files, jog, recover, replay, set_reference, setpoint, status,
@@ -46,17 +50,20 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    #[cfg(feature = "desk")]
+    #[cfg(feature = "demo")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
+    #[cfg(feature = "operator")]
     /// Check a new car without moving it, and measure what a hand can show.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Doctor(doctor::DoctorArgs),
+    #[cfg(feature = "operator")]
     /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     BringUp(bring_up::BringUpArgs),
+    #[cfg(feature = "operator")]
     /// Drive slowly on the floor to measure steering, motor and brakes: after bring-up.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
@@ -64,12 +71,15 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
+    #[cfg(feature = "operator")]
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),
+    #[cfg(feature = "operator")]
     /// Repair a truncated or damaged record.
     Recover(recover::RecoverArgs),
+    #[cfg(feature = "operator")]
     /// Run the pilot on a record's inputs again and compare its outputs with the recorded ones.
     Replay(replay::ReplayArgs),
     #[cfg(feature = "paper")]
@@ -105,30 +115,41 @@ enum Command {
     /// campaigns, options or builds are refused. --from of the command that wrote them prints the
     /// report.
     Merge(MergeArgs),
+    #[cfg(feature = "operator")]
     /// Print what the daemon does: mode, reason, what to do about it, and what the car senses.
     Status(status::StatusArgs),
+    #[cfg(feature = "operator")]
     /// Arm the car and start driving; the drive ends when this command does.
     ///
     /// With --for the drive ends after a time, with --unattended it does not end by itself. The
     /// exit status is 0 if the drive ended as wanted, 1 if the car was not armed or the
     /// connection was lost, and 3 if something else stopped the car.
     Arm(arm::ArmArgs),
+    #[cfg(feature = "operator")]
     /// Give servo and ESC bare pulses, with the wheels off the floor, while this command runs.
     Jog(jog::JogArgs),
+    #[cfg(feature = "operator")]
     /// Slow down, stop and disarm.
     Disarm(control::ControlArgs),
+    #[cfg(feature = "operator")]
     /// Emergency stop: neutral at once, until the board is reset.
     Stop(control::ControlArgs),
+    #[cfg(feature = "operator")]
     /// Replace the reference of a standing car; it lasts until the configuration is reloaded.
     SetReference(set_reference::SetReferenceArgs),
+    #[cfg(feature = "operator")]
     /// Stream set-points from standard input to a car whose reference is external.
     Setpoint(setpoint::SetpointArgs),
+    #[cfg(feature = "operator")]
     /// Change gains or p within the bounds of the configuration, also while the car drives.
     Tune(tune::TuneArgs),
+    #[cfg(feature = "operator")]
     /// Drive with a game-pad: one button lets the car drive itself, another one gives the sticks.
     Drive(drive::DriveArgs),
+    #[cfg(feature = "operator")]
     /// Record the path that the car is pushed along, as a reference.
     Teach(teach::TeachArgs),
+    #[cfg(feature = "operator")]
     /// Write completions for bash, zsh and fish and the manual pages, for packages.
     #[command(hide = true)]
     InstallFiles(install_files::InstallFilesArgs),
@@ -156,25 +177,86 @@ fn main() -> ExitCode {
     }
 }
 
+/// The commands that only a feature of the package brings, as the shell knows them.
+const OPTIONAL: [(&str, &[&str]); 3] = [
+    ("demo", &["demo"]),
+    (
+        "operator",
+        &[
+            "doctor",
+            "bring-up",
+            "calibrate",
+            "status",
+            "arm",
+            "jog",
+            "disarm",
+            "stop",
+            "set-reference",
+            "setpoint",
+            "tune",
+            "drive",
+            "teach",
+            "dump",
+            "recover",
+            "replay",
+            "install-files",
+        ],
+    ),
+    (
+        "paper",
+        &[
+            "compare",
+            "reproduce",
+            "stability",
+            "identify",
+            "lab",
+            "merge",
+        ],
+    ),
+];
+
 /// The command line; the process ends here if it is wrong.
 fn parse() -> Cli {
     let mut command = take_negative_numbers(Cli::command());
+    if let Some(name) = std::env::args().nth(1)
+        && let Some(feature) = missing_feature(&command, &name)
+    {
+        let kind = ErrorKind::InvalidSubcommand;
+        let how = "`cargo build --release -p singletrack` builds it with every command";
+        let message =
+            format!("this program was built without `{name}`, of the feature `{feature}`: {how}");
+        command.error(kind, message).exit();
+    }
     let matches: ArgMatches = command.get_matches_mut();
     Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command).exit())
 }
 
+/// The feature that the command `name` needs and this program lacks.
+fn missing_feature(command: &clap::Command, name: &str) -> Option<&'static str> {
+    let (feature, _) = OPTIONAL
+        .into_iter()
+        .find(|(_, names)| names.contains(&name))?;
+    command.find_subcommand(name).is_none().then_some(feature)
+}
+
 fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
     let done: Result<(), Box<dyn std::error::Error>> = match &cli.command {
-        #[cfg(feature = "desk")]
+        #[cfg(feature = "demo")]
         Command::Demo(args) => Ok(demo::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Doctor(args) => return Ok(doctor::run(args)?),
+        #[cfg(feature = "operator")]
         Command::BringUp(args) => return Ok(bring_up::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Calibrate(args) => return Ok(calibrate::run(args)?),
         #[cfg(feature = "paper")]
         Command::Compare(args) => Ok(compare::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Dump(args) => Ok(dump::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Recover(args) => Ok(recover::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Replay(args) => Ok(replay::run(args)?),
         #[cfg(feature = "paper")]
         Command::Stability(args) => Ok(stability::run(args)?),
@@ -186,16 +268,27 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Lab(args) => Ok(lab::run(args)?),
         #[cfg(feature = "paper")]
         Command::Merge(args) => Ok(run_merge(args)?),
+        #[cfg(feature = "operator")]
         Command::Status(args) => Ok(status::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Arm(args) => return Ok(arm::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Jog(args) => return Ok(jog::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
+        #[cfg(feature = "operator")]
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
+        #[cfg(feature = "operator")]
         Command::SetReference(args) => Ok(set_reference::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Tune(args) => Ok(tune::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Drive(args) => return Ok(drive::run(args)?),
+        #[cfg(feature = "operator")]
         Command::Teach(args) => Ok(teach::run(args)?),
+        #[cfg(feature = "operator")]
         Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),
         Command::Simulate {
             scenario,
@@ -233,7 +326,33 @@ mod tests {
     use clap::{Arg, Command, CommandFactory};
     use singletrack::arguments::{take_negative_numbers, takes_number};
 
-    use super::Cli;
+    use super::{Cli, OPTIONAL, missing_feature};
+
+    #[test]
+    fn a_command_of_a_feature_is_known_with_it_and_named_without() {
+        let command = Cli::command();
+        for (feature, names) in OPTIONAL {
+            let built = match feature {
+                "demo" => cfg!(feature = "demo"),
+                "operator" => cfg!(feature = "operator"),
+                _ => cfg!(feature = "paper"),
+            };
+            for name in names {
+                let missing = missing_feature(&command, name);
+                assert_eq!(missing, (!built).then_some(feature), "{name}");
+            }
+        }
+        let kept = ["plot", "simulate"];
+        let known: Vec<&str> = OPTIONAL
+            .iter()
+            .flat_map(|(_, names)| *names)
+            .copied()
+            .collect();
+        for subcommand in command.get_subcommands() {
+            let name = subcommand.get_name();
+            assert!(known.contains(&name) || kept.contains(&name), "{name}");
+        }
+    }
 
     #[test]
     fn the_command_line_is_consistent() {

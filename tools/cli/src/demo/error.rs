@@ -12,6 +12,17 @@ use singletrack_figures::plot::PlotError;
 /// Why a demo failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
+    /// The program was built without what an option needs.
+    #[error(
+        "{option} needs the feature `{feature}`, without which this program was built: \
+         `cargo demo {option}` builds it with it"
+    )]
+    NotBuilt {
+        /// The option.
+        option: &'static str,
+        /// The feature of this package.
+        feature: &'static str,
+    },
     /// Something can't be written.
     #[error("can't write {}: {source}", path.display())]
     Write {

@@ -45,6 +45,22 @@ const POLL: Duration = Duration::from_millis(50);
 /// Why the car did not drive to the end; the record and the figures so far are
 /// written all the same.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    for (option, feature, lacks) in [
+        (
+            "--live",
+            "live",
+            args.live.is_some() && !cfg!(feature = "live"),
+        ),
+        (
+            "--watch",
+            "page",
+            args.watch.is_some() && !cfg!(feature = "page"),
+        ),
+    ] {
+        if lacks {
+            return Err(DemoError::NotBuilt { option, feature });
+        }
+    }
     let interrupt = Interrupt::listen().map_err(DemoError::Signals)?;
     prepare(&args.out)?;
     let private = tempfile::Builder::new()
