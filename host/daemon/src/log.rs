@@ -9,8 +9,14 @@ use std::{
 use singletrackd::{Dropped, LogFormat, Summary};
 use tracing::{info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::{
+    filter::{LevelFilter, Targets},
+    layer::SubscriberExt as _,
+    util::SubscriberInitExt as _,
+};
 
+/// The variable with the filter of the log.
+const FILTER: &str = "RUST_LOG";
 /// Lines that may wait to be written; more are dropped.
 const LOG_LINES: usize = 4_096;
 
@@ -22,17 +28,17 @@ pub(crate) fn start_log(format: LogFormat) -> WorkerGuard {
         .lossy(true)
         .buffered_lines_limit(LOG_LINES)
         .finish(io::stderr());
-    let (filter, error) = log_filter(env::var_os(EnvFilter::DEFAULT_ENV));
+    let (filter, error) = log_filter(env::var_os(FILTER));
     let colour = wants_colour(io::stderr().is_terminal(), env::var_os("NO_COLOR"));
     let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_ansi(colour)
         .with_writer(writer)
         // An error of the log's own output has no place to be reported.
         .log_internal_errors(false);
     match format {
-        LogFormat::Text => log.with_target(false).init(),
-        LogFormat::Json => log.json().init(),
+        LogFormat::Text => log.with_target(false).finish().with(filter).init(),
+        LogFormat::Json => log.json().finish().with(filter).init(),
     }
     if let Some(error) = error {
         warn!("{error}");
@@ -69,12 +75,12 @@ fn wants_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
 }
 
 /// The filter from `RUST_LOG`. If the value is invalid, the default filter and the error.
-fn log_filter(value: Option<OsString>) -> (EnvFilter, Option<String>) {
-    let default = || EnvFilter::new("info");
+fn log_filter(value: Option<OsString>) -> (Targets, Option<String>) {
+    let default = || Targets::new().with_default(LevelFilter::INFO);
     let Some(value) = value.filter(|value| !value.is_empty()) else {
         return (default(), None);
     };
-    let error = match value.to_str().map(EnvFilter::try_new) {
+    let error = match value.to_str().map(str::parse::<Targets>) {
         Some(Ok(filter)) => return (filter, None),
         Some(Err(error)) => error.to_string(),
         None => "it is not UTF-8".to_owned(),

@@ -21,7 +21,11 @@ use std::{io, process::ExitCode, sync::Arc};
 
 use arguments::Arguments;
 use clap::Parser as _;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::{
+    filter::{LevelFilter, Targets},
+    layer::SubscriberExt as _,
+    util::SubscriberInitExt as _,
+};
 
 /// Why the program ends.
 #[derive(Debug, thiserror::Error)]
@@ -45,14 +49,22 @@ enum RunError {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let filter = EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| EnvFilter::new("warn,singletrack_ros=info"));
+    let filter = std::env::var("RUST_LOG")
+        .ok()
+        .and_then(|filter| filter.parse::<Targets>().ok())
+        .unwrap_or_else(|| {
+            Targets::new()
+                .with_default(LevelFilter::WARN)
+                .with_target("singletrack_ros", LevelFilter::INFO)
+        });
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(io::stderr)
         .without_time()
         .with_target(false)
         .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
+        .finish()
+        .with(filter)
         .init();
     match run(&arguments) {
         Ok(()) => ExitCode::SUCCESS,
