@@ -1,6 +1,6 @@
 //! Attitude of a car on a floor: yaw and a small tilt; and of what is mounted on it.
 
-use libm::{cos, sin, sqrt};
+use libm::{sincos, sqrt};
 use singletrack_protocol::{ImuAxes, ImuAxis};
 
 /// A tilt beyond this is not small, in rad.
@@ -9,7 +9,7 @@ const SMALL: f64 = 0.1;
 /// The unit quaternion w, x, y, z of a yaw after a roll and a pitch, in rad, of which only
 /// one is not small.
 pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
-    let (c, s) = (cos(yaw / 2.0), sin(yaw / 2.0));
+    let (s, c) = sincos(yaw / 2.0);
     let (mut a, mut b) = (roll / 2.0, pitch / 2.0);
     let half = libm::hypot(a, b);
     if 2.0 * half > SMALL {
@@ -37,10 +37,7 @@ impl Rotation {
         if angles == [0.0; 3] {
             return None;
         }
-        let [(cr, sr), (cp, sp), (cy, sy)] = angles.map(|angle| {
-            let half = angle.to_radians() / 2.0;
-            (cos(half), sin(half))
-        });
+        let [(sr, cr), (sp, cp), (sy, cy)] = angles.map(|angle| sincos(angle.to_radians() / 2.0));
         let about_z = [cy, 0.0, 0.0, sy];
         let about_y = [cp, 0.0, sp, 0.0];
         let about_x = [cr, sr, 0.0, 0.0];
@@ -111,6 +108,8 @@ fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
 
 #[cfg(test)]
 mod tests {
+    use libm::{cos, sin};
+
     use super::*;
 
     #[test]

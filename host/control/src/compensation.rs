@@ -5,7 +5,7 @@
 //! is measured stays measured: the model only says how the state changes until then.
 
 use heapless::Deque;
-use libm::{atan, cos, exp, fabs, sin, tan};
+use libm::{atan, exp, fabs, sincos, tan};
 
 use crate::{Estimate, Motion, Position, Time, VehicleParameters};
 
@@ -329,8 +329,9 @@ impl Predicted {
         self.response = response;
         let turn = 0.5 * (before.yaw_rate + yaw_rate) * dt;
         let course = before.yaw + 0.5 * (turn + before.sideslip + sideslip);
-        self.position.x += self.speed * dt * cos(course);
-        self.position.y += self.speed * dt * sin(course);
+        let (sine, cosine) = sincos(course);
+        self.position.x += self.speed * dt * cosine;
+        self.position.y += self.speed * dt * sine;
         self.motion = Motion {
             yaw: before.yaw + turn,
             yaw_rate,

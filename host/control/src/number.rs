@@ -61,7 +61,7 @@ pub enum Libm {}
 
 impl Functions<f64> for Libm {
     fn sin_cos(angle: f64) -> (f64, f64) {
-        (libm::sin(angle), libm::cos(angle))
+        libm::sincos(angle)
     }
 
     fn tanh(x: f64) -> f64 {

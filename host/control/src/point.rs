@@ -1,6 +1,6 @@
 //! Points, directions and angles in the world frame.
 
-use libm::{cos, sin};
+use libm::sincos;
 use nalgebra::{Point2, Vector2};
 
 use crate::{FrontPointLaw, Motion};
@@ -14,7 +14,8 @@ pub type Velocity = Vector2<f64>;
 /// The unit vector at `angle` from the world's x axis, in rad.
 #[must_use]
 pub fn direction(angle: f64) -> Vector2<f64> {
-    Vector2::new(cos(angle), sin(angle))
+    let (sine, cosine) = sincos(angle);
+    Vector2::new(cosine, sine)
 }
 
 /// Equation 3: the point P, `point_distance` ahead of the front axle in the direction of
@@ -43,7 +44,10 @@ pub fn front_point_velocity(
     speed: f64,
     steering_rate: f64,
 ) -> Velocity {
-    let left = |angle: f64| Velocity::new(-sin(angle), cos(angle));
+    let left = |angle: f64| {
+        let (sine, cosine) = sincos(angle);
+        Velocity::new(-sine, cosine)
+    };
     let turn_of_wheels = motion.yaw_rate + steering_rate;
     speed * direction(motion.yaw + motion.sideslip)
         + law.front_axle_distance() * motion.yaw_rate * left(motion.yaw)

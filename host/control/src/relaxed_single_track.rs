@@ -50,8 +50,12 @@ impl RelaxedSingleTrack {
     /// Sideslip without tyre slip at a steering angle, in rad.
     #[must_use]
     pub fn kinematic_sideslip(&self, steering: f64) -> f64 {
+        self.kinematic_sideslip_of_tangent(tan(steering))
+    }
+
+    fn kinematic_sideslip_of_tangent(&self, tangent: f64) -> f64 {
         let vehicle = self.vehicle();
-        atan(vehicle.rear_axle_distance_m / vehicle.wheelbase_m() * tan(steering))
+        atan(vehicle.rear_axle_distance_m / vehicle.wheelbase_m() * tangent)
     }
 
     /// The derivative at a speed of G (m/s, reverse negative) and a steering
@@ -76,8 +80,9 @@ impl RelaxedSingleTrack {
 
     /// Relaxation of yaw rate and sideslip to rolling without slip.
     fn kinematic(&self, state: &SingleTrackState, speed: f64, steering: f64) -> LateralRate {
-        let sideslip = self.kinematic_sideslip(steering);
-        let yaw_rate = speed * cos(sideslip) * tan(steering) / self.vehicle().wheelbase_m();
+        let tangent = tan(steering);
+        let sideslip = self.kinematic_sideslip_of_tangent(tangent);
+        let yaw_rate = speed * cos(sideslip) * tangent / self.vehicle().wheelbase_m();
         LateralRate {
             yaw_rate: (yaw_rate - state.yaw_rate) / RELAXATION_TIME,
             sideslip: (sideslip - state.sideslip) / RELAXATION_TIME,

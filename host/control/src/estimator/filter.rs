@@ -4,7 +4,7 @@
 //! speed correct it. The only vehicle parameter is the distance of the rear axle, so the
 //! estimate is as robust as the law that uses it.
 
-use libm::{cos, sin};
+use libm::sincos;
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::{config::EstimatorConfig, pose::CarPose};
@@ -80,7 +80,7 @@ impl Filter {
             inertial.left_acceleration - self.mean[LEFT_BIAS],
         );
         let heading = self.predict_mean(dt, inertial);
-        let (c, s) = (cos(heading), sin(heading));
+        let (s, c) = sincos(heading);
         let half = 0.5 * dt * dt;
 
         // Jacobian of the mean's propagation.
@@ -119,7 +119,7 @@ impl Filter {
     pub(super) fn predict_mean(&mut self, dt: f64, inertial: &InertialSample) -> f64 {
         let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
         let heading = self.mean[YAW] + 0.5 * yaw_rate * dt;
-        let (c, s) = (cos(heading), sin(heading));
+        let (s, c) = sincos(heading);
         let forward = inertial.forward_acceleration - self.mean[FORWARD_BIAS];
         let left = inertial.left_acceleration - self.mean[LEFT_BIAS];
         let (ax, ay) = (c * forward - s * left, s * forward + c * left);
@@ -138,7 +138,7 @@ impl Filter {
 
     /// The variance of the velocity across the car, m²/s².
     pub(super) fn left_variance(&self) -> f64 {
-        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (s, c) = sincos(self.mean[YAW]);
         let p = |row, column| self.covariance[(row, column)];
         s * s * p(VX, VX) - 2.0 * s * c * p(VX, VY) + c * c * p(VY, VY)
     }
@@ -183,7 +183,7 @@ impl Filter {
         inertial: &InertialSample,
         config: &EstimatorConfig,
     ) {
-        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (s, c) = sincos(self.mean[YAW]);
         let (vx, vy) = (self.mean[VX], self.mean[VY]);
 
         let mut row = State::zeros();
@@ -194,7 +194,7 @@ impl Filter {
         let noise = config.motor_speed_noise + config.motor_speed_scale_noise * motor_speed.abs();
         self.correct_scalar(&row, innovation, noise);
 
-        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (s, c) = sincos(self.mean[YAW]);
         let (vx, vy) = (self.mean[VX], self.mean[VY]);
         let l_r = config.rear_axle_distance;
         let mut row = State::zeros();
@@ -227,7 +227,7 @@ impl Filter {
     }
 
     pub(super) fn navigation(&self, inertial: &InertialSample) -> Navigation {
-        let (c, s) = (cos(self.mean[YAW]), sin(self.mean[YAW]));
+        let (s, c) = sincos(self.mean[YAW]);
         let (vx, vy) = (self.mean[VX], self.mean[VY]);
         Navigation {
             position: Position::new(self.mean[X], self.mean[Y]),

@@ -1,6 +1,6 @@
 //! The geofence ahead of the leader.
 
-use libm::{cos, fabs, sin, sqrt};
+use libm::{fabs, sincos, sqrt};
 
 use crate::{ConvexArea, Position, Velocity};
 
@@ -71,7 +71,7 @@ impl Room {
 /// The direction turned to the left by an angle (rad), as long as the chord of a bend that turns
 /// by twice the angle is, as a part of its way.
 fn chord(along: &Velocity, angle: f64) -> Velocity {
-    let (sine, cosine) = (sin(angle), cos(angle));
+    let (sine, cosine) = sincos(angle);
     let turned = Velocity::new(
         cosine * along.x - sine * along.y,
         sine * along.x + cosine * along.y,

@@ -1,6 +1,6 @@
 //! The law that the paper proposes.
 
-use libm::{cos, sin};
+use libm::{cos, sin, sincos};
 
 use super::{LawError, Motion, Singularity};
 use crate::{Position, Velocity, front_point};
@@ -128,15 +128,15 @@ impl FrontPointLaw {
         if cosine.abs() < SMALLEST_COSINE {
             return Err(Singularity::WheelsAcrossVelocity { cosine });
         }
-        let wheels = yaw + steering;
-        let course = yaw + sideslip;
+        let (sin_wheels, cos_wheels) = sincos(yaw + steering);
+        let (sin_course, cos_course) = sincos(yaw + sideslip);
         let l_f = self.front_axle_distance;
         let command = FrontPointCommand {
-            speed: (point_velocity.x * cos(wheels) + point_velocity.y * sin(wheels)
+            speed: (point_velocity.x * cos_wheels + point_velocity.y * sin_wheels
                 - yaw_rate * l_f * sin(steering))
                 / cosine,
-            steering_rate: (point_velocity.y * cos(course)
-                - point_velocity.x * sin(course)
+            steering_rate: (point_velocity.y * cos_course
+                - point_velocity.x * sin_course
                 - yaw_rate * l_f * cos(sideslip))
                 / (self.point_distance * cosine)
                 - yaw_rate,

@@ -1,6 +1,6 @@
 //! The law of the paper's appendix, which the proposed law is compared with.
 
-use libm::{cos, sin};
+use libm::sincos;
 
 use super::{LawError, Motion, Singularity};
 use crate::{Position, VehicleParameters, Velocity, velocity_point};
@@ -90,13 +90,12 @@ impl VelocityPointLaw {
         motion: &Motion,
         point_velocity: &Velocity,
     ) -> Result<VelocityPointCommand, Singularity> {
-        let course = motion.yaw + motion.sideslip;
-        let speed = point_velocity.x * cos(course) + point_velocity.y * sin(course);
+        let (sine, cosine) = sincos(motion.yaw + motion.sideslip);
+        let speed = point_velocity.x * cosine + point_velocity.y * sine;
         if speed.abs() < SMALLEST_SPEED {
             return Err(Singularity::Standstill { speed });
         }
-        let turn_rate =
-            (point_velocity.y * cos(course) - point_velocity.x * sin(course)) / self.point_distance;
+        let turn_rate = (point_velocity.y * cosine - point_velocity.x * sine) / self.point_distance;
         let VehicleParameters {
             mass_kg: m,
             front_axle_distance_m: l_f,

@@ -1,6 +1,6 @@
 //! A figure of eight: turns to both sides, and a crossing.
 
-use libm::{cos, sin};
+use libm::sincos;
 
 use super::{ReferenceError, ReferencePoint, finite, positive};
 use crate::{Position, Velocity};
@@ -40,18 +40,17 @@ impl FigureOfEight {
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
         let phase = self.angular_velocity * time;
+        let (sine, cosine) = sincos(phase);
+        let (sine_of_double, cosine_of_double) = sincos(2.0 * phase);
         ReferencePoint {
             position: Some(
                 self.centre
-                    + Velocity::new(
-                        self.half_length * sin(phase),
-                        self.half_width * sin(2.0 * phase),
-                    ),
+                    + Velocity::new(self.half_length * sine, self.half_width * sine_of_double),
             ),
             velocity: self.angular_velocity
                 * Velocity::new(
-                    self.half_length * cos(phase),
-                    2.0 * self.half_width * cos(2.0 * phase),
+                    self.half_length * cosine,
+                    2.0 * self.half_width * cosine_of_double,
                 ),
         }
     }

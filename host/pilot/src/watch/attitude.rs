@@ -1,6 +1,6 @@
 //! Attitude, height and clock of the sensors, and the direction of a car that is pushed.
 
-use libm::{atan2, cos, fabs, hypot, sin};
+use libm::{atan2, fabs, hypot, sincos};
 use singletrack_control::Time;
 
 use super::{config::WatchConfig, steps::Step};
@@ -66,7 +66,7 @@ impl AttitudeWatch {
             return Some(Reason::ImuTilted);
         }
         if let (Some((imu, _)), Some((body, _))) = (self.imu, self.body) {
-            let (c, s) = (cos(marker_yaw), sin(marker_yaw));
+            let (s, c) = sincos(marker_yaw);
             // Tilts are small: they turn as vectors do.
             let roll = c * body.roll + s * body.pitch;
             let pitch = c * body.pitch - s * body.roll;
