@@ -49,6 +49,13 @@ impl Random {
         self.uniform() < probability
     }
 
+    /// Leaves out `words` numbers of 32 bits: [`happens`](Self::happens) draws two, and
+    /// [`below`](Self::below) one.
+    pub(crate) fn skip(&mut self, words: u64) {
+        let position = self.0.get_word_pos();
+        self.0.set_word_pos(position + u128::from(words));
+    }
+
     /// A uniform integer below `n`, for small `n`.
     pub(crate) fn below(&mut self, n: u32) -> u32 {
         ((u64::from(self.0.next_u32()) * u64::from(n)) >> 32) as u32

@@ -43,6 +43,8 @@ pub struct WireFaults {
 #[derive(Clone, Debug)]
 struct Direction {
     random: Random,
+    /// Bytes for which nothing has been drawn, because nothing could happen to them.
+    undrawn: u64,
     /// Time at which the last byte has passed, in picoseconds: a byte at 115200
     /// baud does not take a whole number of microseconds.
     free_at_ps: u64,
@@ -52,10 +54,14 @@ struct Direction {
 
 const PS_PER_US: u64 = 1_000_000;
 
+/// Random numbers of 32 bits that are drawn for each byte.
+const WORDS_PER_BYTE: u64 = 5;
+
 impl Direction {
     fn new(seed: u64, stream: Stream) -> Self {
         Self {
             random: Random::new(seed, stream),
+            undrawn: 0,
             free_at_ps: 0,
             under_way: VecDeque::new(),
         }
@@ -69,14 +75,21 @@ impl Direction {
 
     /// Sends a byte whose stop bit ends at the given time.
     fn pass(&mut self, sent_us: u64, byte: u8, faults: &WireFaults) {
-        // Always three draws, so that faults do not affect each other's draws.
-        let dropped = self.random.happens(faults.drop);
-        let corrupted = self.random.happens(faults.corrupt);
-        let bit = self.random.below(8);
-        if dropped {
-            return;
-        }
-        let byte = if corrupted { byte ^ (1 << bit) } else { byte };
+        let byte = if faults.drop > 0.0 || faults.corrupt > 0.0 {
+            self.random
+                .skip(WORDS_PER_BYTE * core::mem::take(&mut self.undrawn));
+            // Always three draws, so that faults do not affect each other's draws.
+            let dropped = self.random.happens(faults.drop);
+            let corrupted = self.random.happens(faults.corrupt);
+            let bit = self.random.below(8);
+            if dropped {
+                return;
+            }
+            if corrupted { byte ^ (1 << bit) } else { byte }
+        } else {
+            self.undrawn += 1;
+            byte
+        };
         let mut arrival = sent_us + faults.delay_us;
         if let Some((last, _)) = self.under_way.back() {
             // A decreasing delay must not reorder bytes.

@@ -258,6 +258,12 @@ impl World {
         }
     }
 
+    /// Whether [`poll_datagram`](Self::poll_datagram) has one.
+    #[must_use]
+    pub fn has_datagrams(&self) -> bool {
+        !self.datagrams.is_empty()
+    }
+
     /// The next datagram of the NatNet server, answer or frame.
     pub fn poll_datagram(&mut self) -> Option<Datagram> {
         self.datagrams.pop_front()

@@ -365,8 +365,8 @@ impl SimulatedBoard {
         match self.phase {
             PowerState::Off => u64::MAX,
             PowerState::Starting { until_us, .. } => until_us,
-            PowerState::Running { started_us } => match &self.machine {
-                Machine::Native(native) => native.next_event_us(&self.clock, started_us),
+            PowerState::Running { .. } => match &self.machine {
+                Machine::Native(native) => native.next_event_us(),
                 Machine::Image(image) => image.next_event_us(),
             },
         }
@@ -444,7 +444,7 @@ fn battery_mv(car: &Car, p: &BatteryParameters, noise: &mut Random) -> u16 {
     if p.divider_open {
         return supply_mv(p);
     }
-    let volts = car.truth().battery_v + noise.normal() * p.noise_v;
+    let volts = car.battery_v() + noise.normal() * p.noise_v;
     (volts * 1e3).round() as u16
 }
 

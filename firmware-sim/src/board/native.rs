@@ -5,7 +5,7 @@ use singletrack_protocol::{ImuAxes, ResetCause};
 use singletrack_simavr::Motion;
 
 use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time, supply_mv};
-use crate::{car::ImuReading, clock::SkewedClock, pulse_log::PulseRecord};
+use crate::{car::ImuReading, pulse_log::PulseRecord};
 
 /// Version reported by the simulated board: this crate's.
 const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
@@ -60,6 +60,8 @@ pub(super) struct Native {
     /// Numbers of main loop rounds and servo frames so far.
     polls: u64,
     frames: u64,
+    /// When the next of them is due, in µs of the simulation.
+    next_event_us: u64,
     edges: Edges,
     inputs: Inputs,
     hung: bool,
@@ -76,6 +78,7 @@ impl Native {
             board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, parameters.car_id),
             polls: 0,
             frames: 0,
+            next_event_us: 0,
             edges: Edges::default(),
             inputs: Inputs::default(),
             hung: false,
@@ -89,6 +92,7 @@ impl Native {
         self.board = Board::new(cause, SOFTWARE_VERSION, self.parameters.car_id);
         self.polls = 0;
         self.frames = 0;
+        self.next_event_us = 0;
         self.edges = Edges::default();
         self.inputs = Inputs::default();
         self.hung = false;
@@ -107,9 +111,8 @@ impl Native {
         self.imu_is_silent = silent;
     }
 
-    pub(super) fn next_event_us(&self, clock: &SkewedClock, started_us: u64) -> u64 {
-        let when = |elapsed| started_us + clock.when_elapsed(elapsed);
-        when(self.polls * self.parameters.poll_period_us).min(when(self.frames * SERVO_FRAME_US))
+    pub(super) const fn next_event_us(&self) -> u64 {
+        self.next_event_us
     }
 
     pub(super) fn take_imu(&mut self, board_time_us: u32, reading: &ImuReading) {
@@ -214,6 +217,11 @@ impl Native {
             filter.frame(&mut frame);
             car.apply_pulses(frame.servo_us, frame.esc_us);
             pulses.push(frame);
+        }
+        if self.next_event_us <= now_us {
+            let elapsed =
+                (self.polls * self.parameters.poll_period_us).min(self.frames * SERVO_FRAME_US);
+            self.next_event_us = started_us + clock.when_elapsed(elapsed);
         }
     }
 

@@ -6,7 +6,7 @@ mod tests;
 
 use std::collections::VecDeque;
 
-use libm::{cos, sin};
+use libm::{cos, sin, sincos};
 use singletrack_mocap::codec::{CameraTicks, RigidBody};
 
 use crate::{
@@ -77,6 +77,7 @@ pub struct Cameras {
     loss_epoch_us: Option<u64>,
     epoch: Epoch,
     exposures: u64,
+    next_exposure_us: u64,
     last_pose: RigidBody,
     under_way: VecDeque<CameraFrame>,
     counters: CameraCounters,
@@ -84,14 +85,16 @@ pub struct Cameras {
 
 impl Cameras {
     pub(crate) fn new(parameters: CameraParameters, seed: u64) -> Self {
+        let clock = SkewedClock::new(parameters.clock_offset_us, parameters.clock_skew_ppm);
         Self {
-            clock: SkewedClock::new(parameters.clock_offset_us, parameters.clock_skew_ppm),
+            clock,
             noise: Random::new(seed, Stream::CameraNoise),
             latency: Random::new(seed, Stream::CameraLatency),
             faults: CameraFaults::default(),
             loss_epoch_us: Some(0),
             epoch: Epoch::default(),
             exposures: 0,
+            next_exposure_us: clock.when_elapsed(parameters.phase_us),
             // A body that has never been tracked.
             last_pose: RigidBody::tracked(parameters.car.id, [0.0; 3], [0.0, 0.0, 0.0, 1.0])
                 .with_tracking_valid(false),
@@ -159,10 +162,8 @@ impl Cameras {
     }
 
     /// Simulation time of the next exposure, in µs.
-    pub(crate) fn next_exposure_us(&self) -> u64 {
-        let p = &self.parameters;
-        self.clock
-            .when_elapsed(p.phase_us + self.exposures * p.period_us.max(1))
+    pub(crate) const fn next_exposure_us(&self) -> u64 {
+        self.next_exposure_us
     }
 
     /// Simulation time of sending the next frame, in µs.
@@ -174,6 +175,10 @@ impl Cameras {
     pub(crate) fn expose(&mut self, truth: &Truth) {
         let now_us = truth.time_us;
         self.exposures += 1;
+        let p = &self.parameters;
+        self.next_exposure_us = self
+            .clock
+            .when_elapsed(p.phase_us + self.exposures * p.period_us.max(1));
         self.counters.exposed += 1;
         let measured = self.measure(truth);
         let loss = self.faults.loss.or_else(|| self.scheduled_loss(now_us));
@@ -297,7 +302,7 @@ impl Cameras {
             return RigidBody::tracked(p.car.id, [f32::NAN; 3], [f32::NAN; 4]);
         }
         let mut yaw = truth.yaw + p.car.yaw_rad;
-        let (c, s) = (cos(yaw), sin(yaw));
+        let (s, c) = sincos(yaw);
         let [forward, left] = p.car.to_centre_of_mass_m;
         let mut pivot = [
             truth.x - (c * forward - s * left),
@@ -311,7 +316,7 @@ impl Cameras {
                 p.car.height_m * sin(truth.pitch) - on_car[0] * (1.0 - cos(truth.pitch)),
                 -p.car.height_m * sin(truth.roll) - on_car[1] * (1.0 - cos(truth.roll)),
             ];
-            let (c, s) = (cos(truth.yaw), sin(truth.yaw));
+            let (s, c) = sincos(truth.yaw);
             pivot[0] += c * along[0] - s * along[1];
             pivot[1] += s * along[0] + c * along[1];
             pivot[2] = truth.height + p.car.height_m * cos(truth.pitch) * cos(truth.roll)
@@ -319,7 +324,7 @@ impl Cameras {
                 + on_car[1] * sin(truth.roll);
         }
         // Along the body's axes.
-        let (c, s) = (cos(p.car.yaw_rad), sin(p.car.yaw_rad));
+        let (s, c) = sincos(p.car.yaw_rad);
         let mut tilt = [
             c * truth.roll + s * truth.pitch,
             c * truth.pitch - s * truth.roll,

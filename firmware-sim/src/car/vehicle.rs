@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use libm::{cos, sin, tan};
+use libm::{cos, sincos, tan};
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
     Axles, RelaxedSingleTrack, SingleTrackDerivative, SingleTrackState, SlipAngles, Tyres,
@@ -137,10 +137,11 @@ impl Truth {
     /// ahead of G: x and y in m.
     #[must_use]
     pub fn point_p(&self, front_axle_distance_m: f64, point_distance_m: f64) -> [f64; 2] {
-        let course = self.yaw + self.steering;
+        let (sin_yaw, cos_yaw) = sincos(self.yaw);
+        let (sin_course, cos_course) = sincos(self.yaw + self.steering);
         [
-            self.x + front_axle_distance_m * cos(self.yaw) + point_distance_m * cos(course),
-            self.y + front_axle_distance_m * sin(self.yaw) + point_distance_m * sin(course),
+            self.x + front_axle_distance_m * cos_yaw + point_distance_m * cos_course,
+            self.y + front_axle_distance_m * sin_yaw + point_distance_m * sin_course,
         ]
     }
 }
@@ -199,6 +200,8 @@ pub struct Car {
     esc_is_switched_on: bool,
     kill_output: bool,
     epoch: Epoch,
+    /// Whether the parameters have timed events.
+    has_events: bool,
     /// What has happened by the present time.
     happened: Happened,
     way: f64,
@@ -225,6 +228,13 @@ struct Happened {
     moved_rate: f64,
 }
 
+/// What acts on the motor throughout a step.
+struct StepInputs {
+    drive: Drive,
+    /// The battery's voltage over the nominal one.
+    voltage_share: f64,
+}
+
 impl Car {
     /// A car at rest at its start pose at simulation time zero, with straight
     /// wheels and an ESC that has just been powered.
@@ -241,6 +251,11 @@ impl Car {
             esc_is_switched_on: true,
             kill_output: false,
             epoch: Epoch::default(),
+            has_events: parameters.servo.stuck_from_s.is_some()
+                || parameters.battery.dip_at_s.is_some()
+                || parameters.motor.reboot_at_s.is_some()
+                || parameters.motor.stuck_from_s.is_some()
+                || parameters.motor.push.is_some(),
             happened: Happened::default(),
             way: 0.0,
             esc_pending: VecDeque::new(),
@@ -400,6 +415,9 @@ impl Car {
 
     /// Applies the events of the parameters that have come.
     fn take_events(&mut self) {
+        if !self.has_events && !self.hands.is_busy() && self.happened.moved_at.is_none() {
+            return;
+        }
         let p = &self.parameters;
         let (epoch, now_us) = (self.epoch, self.now_us);
         let was = self.happened;
@@ -515,6 +533,11 @@ impl Car {
         self.take_pulses();
     }
 
+    /// Voltage at the battery's terminals, in V.
+    pub(crate) fn battery_v(&self) -> f64 {
+        self.battery.voltage(&self.parameters.battery)
+    }
+
     /// The present ground truth.
     #[must_use]
     pub fn truth(&self) -> Truth {
@@ -523,13 +546,12 @@ impl Car {
             steering,
             wheel_speed,
         } = self.state;
-        let d = self.derivative(&self.state);
-        let cos_sideslip = cos(track.sideslip);
+        let d = self.derivative(&self.state, &self.inputs());
+        let (sin_sideslip, cos_sideslip) = sincos(track.sideslip);
         let speed = course_speed(wheel_speed, track.sideslip);
         let speed_rate =
             d.wheel_speed / cos_sideslip + speed * tan(track.sideslip) * d.track.sideslip;
         let turning = speed * (d.track.sideslip + track.yaw_rate);
-        let sin_sideslip = sin(track.sideslip);
         let (roll, pitch) = self.tilt(track.yaw);
         let free = Truth {
             time_us: self.now_us,
@@ -543,7 +565,7 @@ impl Car {
             wheel_speed,
             longitudinal_acceleration: speed_rate * cos_sideslip - turning * sin_sideslip,
             lateral_acceleration: speed_rate * sin_sideslip + turning * cos_sideslip,
-            battery_v: self.battery.voltage(&self.parameters.battery),
+            battery_v: self.battery_v(),
             way: self.way,
             roll,
             pitch,
@@ -592,7 +614,8 @@ impl Car {
     fn tilt(&self, yaw: f64) -> (f64, f64) {
         let slope = self.parameters.motor.slope_deg.to_radians();
         let across = yaw - self.parameters.motor.slope_heading_deg.to_radians();
-        (-slope * sin(across), -slope * cos(across))
+        let (sine, cosine) = sincos(across);
+        (-slope * sine, -slope * cosine)
     }
 
     fn take_pulses(&mut self) {
@@ -619,10 +642,11 @@ impl Car {
         let start_us = self.now_us;
         let h = (end_us - start_us) as f64 * 1e-6;
         let s = self.state;
-        let k1 = self.derivative(&s);
-        let k2 = self.derivative(&s.plus(&k1, h / 2.0));
-        let k3 = self.derivative(&s.plus(&k2, h / 2.0));
-        let k4 = self.derivative(&s.plus(&k3, h));
+        let inputs = self.inputs();
+        let k1 = self.derivative(&s, &inputs);
+        let k2 = self.derivative(&s.plus(&k1, h / 2.0), &inputs);
+        let k3 = self.derivative(&s.plus(&k2, h / 2.0), &inputs);
+        let k4 = self.derivative(&s.plus(&k3, h), &inputs);
         let mut next = s
             .plus(&k1, h / 6.0)
             .plus(&k2, h / 3.0)
@@ -677,15 +701,20 @@ impl Car {
         self.now_us = end_us;
     }
 
-    fn derivative(&self, s: &State) -> State {
-        let p = &self.parameters;
+    fn inputs(&self) -> StepInputs {
+        StepInputs {
+            drive: self.drive(),
+            voltage_share: self.battery_v() / self.parameters.battery.nominal_v,
+        }
+    }
+
+    fn derivative(&self, s: &State, inputs: &StepInputs) -> State {
         let d = if self.hands.holds() && self.happened.moved_at.is_none() {
             SingleTrackDerivative::default()
         } else {
             let speed = course_speed(s.wheel_speed, s.track.sideslip);
             self.model.derivative(&s.track, speed, s.steering)
         };
-        let voltage_share = self.battery.voltage(&p.battery) / p.battery.nominal_v;
         State {
             track: SingleTrackState {
                 x: d.x,
@@ -697,19 +726,22 @@ impl Car {
             steering: if self.happened.servo_is_stuck || self.happened.supply_dips {
                 0.0
             } else {
-                p.servo.rate(s.steering, self.servo_target)
+                self.parameters.servo.rate(s.steering, self.servo_target)
             },
-            wheel_speed: self.wheel_acceleration(s, voltage_share),
+            wheel_speed: self.wheel_acceleration(s, inputs),
         }
     }
 
     /// Acceleration of the wheels, in m/s².
-    fn wheel_acceleration(&self, s: &State, voltage_share: f64) -> f64 {
+    fn wheel_acceleration(&self, s: &State, inputs: &StepInputs) -> f64 {
         if self.happened.moved_at.is_some() {
             return self.happened.moved_rate;
         }
         let motor = &self.parameters.motor;
-        let drive = self.drive();
+        let StepInputs {
+            drive,
+            voltage_share,
+        } = *inputs;
         if self.hands.holds() {
             return if self.wheels_are_up() {
                 motor
