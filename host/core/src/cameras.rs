@@ -183,7 +183,7 @@ impl CameraReceiver {
         if are_left {
             return now_ns;
         }
-        let idle_ns = now_ns.saturating_add(IDLE_NS);
+        let idle_ns = now_ns.saturating_add(IDLE_NS).min(self.counters_at_ns);
         self.session.poll_timeout().unwrap_or(idle_ns).min(idle_ns)
     }
 

@@ -13,6 +13,7 @@ use crate::{
     line::{Line, Port},
     reconfigure::ChangeError,
     requests::{ControlRequest, Stalled},
+    serial::ReaderWait,
 };
 
 /// The largest number of polls of the camera receiver at one time: enough for all
@@ -37,6 +38,8 @@ pub struct VirtualHost<L> {
     grid: Grid,
     /// When the next tick is due, as far as is known.
     due_ns: u64,
+    serial_wait: ReaderWait,
+    cameras_due_ns: u64,
 }
 
 impl<L: Line> VirtualHost<L> {
@@ -58,6 +61,11 @@ impl<L: Line> VirtualHost<L> {
             host,
             grid,
             due_ns: grid.next_ns(),
+            serial_wait: ReaderWait {
+                readable: false,
+                until_ns: now_ns,
+            },
+            cameras_due_ns: now_ns,
         })
     }
 
@@ -86,10 +94,23 @@ impl<L: Line> VirtualHost<L> {
         self.due_ns
     }
 
+    /// Whether the serial reader has nothing to do before bytes arrive: its port is open, and
+    /// does not hang up by itself.
+    #[must_use]
+    pub const fn awaits_bytes(&self) -> bool {
+        self.serial_wait.readable
+    }
+
+    /// When the camera receiver is to be polled at the latest, even if no datagram arrives.
+    #[must_use]
+    pub const fn cameras_due_ns(&self) -> u64 {
+        self.cameras_due_ns
+    }
+
     /// Runs the serial reader at `now_ns`. Returns whether it read bytes.
     pub fn poll_serial(&mut self, now_ns: u64, port: &mut impl Port<Line = L>) -> bool {
         let before = self.host.reader.counters().bytes;
-        self.host.reader.poll(&|| now_ns, port);
+        self.serial_wait = self.host.reader.poll(&|| now_ns, port);
         self.host.reader.counters().bytes > before
     }
 
@@ -102,7 +123,8 @@ impl<L: Line> VirtualHost<L> {
     ) {
         // A thread polls again at once while datagrams wait.
         for _ in 0..POLLS {
-            if self.host.receiver.poll(&|| now_ns, sockets, on_event) > now_ns {
+            self.cameras_due_ns = self.host.receiver.poll(&|| now_ns, sockets, on_event);
+            if self.cameras_due_ns > now_ns {
                 break;
             }
         }

@@ -379,9 +379,13 @@ impl VirtualDrive {
     fn exchange(&mut self) {
         let now_ns = self.host_us * 1_000;
         self.world.host_read(&mut self.port.received);
-        self.host.poll_serial(now_ns, &mut self.port);
-        self.host
-            .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
+        if !self.port.received.is_empty() || !self.host.awaits_bytes() {
+            self.host.poll_serial(now_ns, &mut self.port);
+        }
+        if self.world.has_datagrams() || self.host.cameras_due_ns() <= now_ns {
+            self.host
+                .poll_cameras(now_ns, &mut SimulatedSockets(&mut self.world), &mut |_| {});
+        }
     }
 
     /// Passes the bytes that the tick wrote to the line.
