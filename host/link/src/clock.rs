@@ -96,6 +96,8 @@ impl Line {
 pub struct BoardClock {
     origin: Option<Origin>,
     points: Vec<Point, POINTS>,
+    /// The edge of their lower convex hull that spans the mean board time.
+    edge: Option<(Point, Point)>,
     line: Line,
     implausible: u8,
 }
@@ -115,6 +117,7 @@ impl BoardClock {
         Self {
             origin: None,
             points: Vec::new(),
+            edge: None,
             line: Line {
                 at_ns: 0,
                 offset_ns: 0.0,
@@ -240,6 +243,7 @@ impl BoardClock {
         {
             if height(&point) < height(last) {
                 *last = point;
+                self.edge = self.middle_edge();
             }
             return;
         }
@@ -247,6 +251,7 @@ impl BoardClock {
         self.points.retain(|kept| kept.board_ns >= oldest_ns);
         // One point for each bucket of the window: there is always room.
         let _ = self.points.push(point);
+        self.edge = self.middle_edge();
     }
 
     fn fit(&mut self, newest_ns: i64) {
@@ -256,7 +261,7 @@ impl BoardClock {
         let span_ns = last.board_ns - first.board_ns;
         let mut edge_ns = None;
         if span_ns >= SHORTEST_SKEW_SPAN_NS
-            && let Some((left, right)) = self.middle_edge()
+            && let Some((left, right)) = self.edge
         {
             let length_ns = (right.board_ns - left.board_ns) as f64;
             self.line.skew =
