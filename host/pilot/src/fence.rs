@@ -118,10 +118,11 @@ impl Fence {
     /// outside and inside the margin.
     #[must_use]
     pub fn clearance(&self, point: &Position) -> f64 {
-        let distance = self
+        let squared = self
             .sides()
-            .map(|(_, from, to)| distance_to_side(point, &from, &to))
+            .map(|(_, from, to)| squared_distance_to_side(point, &from, &to))
             .fold(f64::INFINITY, f64::min);
+        let distance = sqrt(squared);
         let inside = if self.encloses(point) {
             distance
         } else {
@@ -134,17 +135,23 @@ impl Fence {
     /// the margin, and the path crosses no side. False if a coordinate is not finite.
     #[must_use]
     pub fn contains_way(&self, point: &Position, way: &Velocity) -> bool {
-        let end = point + way;
-        let finite = [point.x, point.y, end.x, end.y]
-            .iter()
-            .all(|coordinate| coordinate.is_finite());
-        finite
-            && self.clearance(point) >= 0.0
-            && self.clearance(&end) >= 0.0
-            // Both ends may be inside with a corner of the polygon between them.
-            && self
-                .sides()
-                .all(|(_, from, to)| !sides_meet(point, &end, &from, &to))
+        self.contains_ways(point, &[*way])
+    }
+
+    /// As [`contains_way`](Self::contains_way), for several ways one after the other.
+    pub(crate) fn contains_ways(&self, point: &Position, ways: &[Velocity]) -> bool {
+        let mut at = *point;
+        self.contains(point)
+            && ways.iter().all(|way| {
+                let from = at;
+                at += way;
+                // Both ends may be inside with a corner of the polygon between them.
+                self.contains(&at) && !self.sides().any(|(_, a, b)| sides_meet(&from, &at, &a, &b))
+            })
+    }
+
+    fn contains(&self, point: &Position) -> bool {
+        point.x.is_finite() && point.y.is_finite() && self.clearance(point) >= 0.0
     }
 
     /// Every side: the index of its first corner, and both corners.
@@ -194,7 +201,7 @@ impl Fence {
     }
 }
 
-fn distance_to_side(point: &Position, from: &Position, to: &Position) -> f64 {
+fn squared_distance_to_side(point: &Position, from: &Position, to: &Position) -> f64 {
     let side = to - from;
     let length_squared = side.norm_squared();
     let along = if length_squared > 0.0 {
@@ -203,7 +210,7 @@ fn distance_to_side(point: &Position, from: &Position, to: &Position) -> f64 {
         0.0
     };
     let off = point - (from + along * side);
-    sqrt(off.norm_squared())
+    off.norm_squared()
 }
 
 /// Whether the segments from a to b and from c to d have a point in common.

@@ -144,8 +144,7 @@ impl Pilot {
         let fence = &self.config.fence;
         [present, commanded].into_iter().all(|curvature| {
             let (half, whole) = (way(curvature, 0.5 * ahead), way(curvature, ahead));
-            fence.contains_way(&estimate.position, &half)
-                && fence.contains_way(&(estimate.position + half), &(whole - half))
+            fence.contains_ways(&estimate.position, &[half, whole - half])
         })
     }
 }
