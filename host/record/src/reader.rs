@@ -22,7 +22,7 @@ use crate::{
     chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
     container::{PROFILE, is_data_part, parse_record, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
-    span::span_wall_ns,
+    span::{message_count, span_wall_ns},
 };
 
 /// Bytes of the length of a list.
@@ -192,6 +192,13 @@ impl Reader {
     #[must_use]
     pub fn span_wall_ns(&self) -> Option<[u64; 2]> {
         span_wall_ns(&self.path)
+    }
+
+    /// The number of messages of a topic in a finished record, without reading it; none of an
+    /// unfinished one.
+    #[must_use]
+    pub fn message_count(&self, topic: Topic) -> Option<u64> {
+        message_count(&self.path, topic)
     }
 
     /// How the record ended; none before the end, and after an error.

@@ -138,7 +138,8 @@ impl TickRecord {
                 output: *output,
                 ..*self
             };
-            let mut bytes = Vec::new();
+            // Longer than nearly every tick without its events.
+            let mut bytes = Vec::with_capacity(1 << 10);
             let encoded = cdr::encode(&TickMessage::of(&tick), &mut bytes);
             encoded.is_ok().then_some(bytes)
         };
