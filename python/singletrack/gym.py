@@ -192,7 +192,7 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         if seed is not None or first:
             seed = int(self.np_random.integers(2**63))
         state, observation, *_ = self._native.reset([seed])
-        return self._observation(state, observation), {}
+        return self._observation(state[0], observation[0]), {}
 
     def step(
         self, action: NDArray[np.float32]
@@ -201,17 +201,13 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         row = np.asarray(action, dtype=np.float64)
         if row.shape != self.action_space.shape:
             raise ValueError(f"an action has the shape {self.action_space.shape}, not {row.shape}")
-        state, observation, reward, terminated, truncated, known = self._native.step(row[None])
-        information: dict[str, Any] = dict(zip(_INFORMATION, known[0].tolist(), strict=True))
-        for _, reason in self._native.reasons():
-            information["reason"] = reason
-        return (
-            self._observation(state, observation),
-            float(reward[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            information,
+        state, observation, reward, terminated, truncated, known, reason = self._native.step_one(
+            *row.tolist()
         )
+        information: dict[str, Any] = dict(zip(_INFORMATION, known, strict=True))
+        if reason:
+            information["reason"] = reason
+        return self._observation(state, observation), reward, terminated, truncated, information
 
     @property
     def truth(self) -> dict[str, float]:
@@ -229,10 +225,7 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         return self._native.reference().reshape(4)
 
     def _observation(self, state: NDArray[np.float64], row: NDArray[np.float32]) -> Observation:
-        if self._kind == "tracking":
-            return row[0]
-        values = state[0].astype(np.float32)
-        return {name: np.asarray(value) for name, value in zip(STATE, values, strict=True)}
+        return row if self._kind == "tracking" else _named(state)
 
 
 class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):

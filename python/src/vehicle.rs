@@ -68,7 +68,7 @@ impl Vehicle {
     /// What the controller knows of the car.
     pub(crate) fn seen(&self) -> Seen {
         match self {
-            Self::Plant(plant) => plant.car.truth().into(),
+            Self::Plant(plant) => plant.truth.into(),
             Self::System(system) => system.seen(),
         }
     }
@@ -76,7 +76,7 @@ impl Vehicle {
     /// The ground truth.
     pub(crate) fn truth(&self) -> Seen {
         match self {
-            Self::Plant(plant) => plant.car.truth().into(),
+            Self::Plant(plant) => plant.truth.into(),
             Self::System(system) => system.drive.world().truth().into(),
         }
     }
@@ -106,6 +106,8 @@ impl Vehicle {
 #[derive(Debug)]
 pub(crate) struct Plant {
     car: Car,
+    /// Of the car, now.
+    truth: Truth,
     actuators: Actuators,
     law: LimitedLaw,
     now_us: u64,
@@ -123,8 +125,10 @@ impl Plant {
             .law
             .front_point_law(&config.vehicle)
             .map_err(SetupError::new)?;
+        let car = Car::new(parameters);
         let mut plant = Self {
-            car: Car::new(parameters),
+            truth: car.truth(),
+            car,
             actuators: Actuators::new(board),
             law: LimitedLaw::new(law, config.limits.limits(config.vehicle.wheelbase_m())),
             now_us: 0,
@@ -134,11 +138,12 @@ impl Plant {
             plant.advance();
         }
         plant.car.place(simulation.car.start);
+        plant.truth = plant.car.truth();
         Ok(plant)
     }
 
     fn step(&mut self, command: Command) {
-        let truth = self.car.truth();
+        let truth = self.truth;
         let Actuation {
             speed, steering, ..
         } = self.actuation(command, &truth);
@@ -149,6 +154,7 @@ impl Plant {
         self.actuators
             .control(PERIOD_US as u32, (truth.wheel_speed.abs() * 1e3) as i16);
         self.advance();
+        self.truth = self.car.truth();
     }
 
     /// The command within the limits of the pilot.

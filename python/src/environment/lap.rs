@@ -62,16 +62,27 @@ impl Lap {
 
     /// The place nearest to `point` near `from`, and the distance to it.
     pub(super) fn nearest(&self, [x, y]: [f64; 2], from: usize) -> (usize, f64) {
+        let near = || {
+            (0..=2 * SEARCH).filter_map(|offset| {
+                let at = from + offset + LAP_POINTS - SEARCH / 2;
+                let index = if self.closed {
+                    at % LAP_POINTS
+                } else {
+                    (at - LAP_POINTS.min(at)).min(LAP_POINTS)
+                };
+                let [px, py] = self.points.get(index)?;
+                Some((index, [px - x, py - y]))
+            })
+        };
+        let square = |[x, y]: [f64; 2]| x * x + y * y;
+        let least = near()
+            .map(|(_, way)| square(way))
+            .fold(f64::INFINITY, f64::min);
         let mut best = (from, f64::INFINITY);
-        for offset in 0..=2 * SEARCH {
-            let at = from + offset + LAP_POINTS - SEARCH / 2;
-            let index = if self.closed {
-                at % LAP_POINTS
-            } else {
-                (at - LAP_POINTS.min(at)).min(LAP_POINTS)
-            };
-            if let Some([px, py]) = self.points.get(index) {
-                let distance = libm::hypot(px - x, py - y);
+        for (index, way) in near() {
+            // The square is rounded otherwise than the distance, and cheaper.
+            if square(way) <= least * (1.0 + 1e-12) {
+                let distance = libm::hypot(way[0], way[1]);
                 if distance < best.1 {
                     best = (index, distance);
                 }

@@ -11,7 +11,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use self::{
     lap::Lap,
-    task::{Autoreset, Control, Instance, Reward, Task, state},
+    task::{Autoreset, Control, INFORMATION, Instance, Reward, Task, state},
 };
 use crate::{
     argument::{choice, refuse},
@@ -83,6 +83,17 @@ type Arrays<'py> = (
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray1<bool>>,
     Bound<'py, PyArray2<f64>>,
+);
+
+/// `(state, observation, reward, terminated, truncated, information, reason)` of one car.
+type One<'py> = (
+    Bound<'py, PyArray1<f64>>,
+    Bound<'py, PyArray1<f32>>,
+    f64,
+    bool,
+    bool,
+    [f64; INFORMATION],
+    &'static str,
 );
 
 /// Index of a car, its state and its observation.
@@ -250,6 +261,29 @@ impl Batch {
             .map_err(refuse)
         })?;
         self.arrays(py)
+    }
+
+    /// Steps the only car, without arrays for many.
+    fn step_one<'py>(&self, py: Python<'py>, first: f64, second: f64) -> PyResult<One<'py>> {
+        py.detach(|| {
+            let mut cars = self.cars()?;
+            cars.for_each(|task, _, instance| task.step(instance, [first, second]))
+                .map_err(refuse)
+        })?;
+        let cars = self.cars()?;
+        let [instance] = cars.instances.as_slice() else {
+            return Err(refuse("there is not one car"));
+        };
+        let outcome = &instance.outcome;
+        Ok((
+            PyArray1::from_slice(py, &outcome.state),
+            PyArray1::from_slice(py, &outcome.observation),
+            outcome.reward,
+            outcome.terminated,
+            outcome.truncated,
+            outcome.information,
+            outcome.reason,
+        ))
     }
 
     /// The last state and observation of the episodes that ended in the last step and have

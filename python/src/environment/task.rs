@@ -19,7 +19,7 @@ const HEAD: usize = 6;
 /// Columns of an observation for each previewed point of the reference.
 const PREVIEW: usize = 4;
 /// Columns of the information on a step.
-const INFORMATION: usize = 3;
+pub(super) const INFORMATION: usize = 3;
 
 /// What a car is rewarded for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
