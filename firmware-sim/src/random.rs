@@ -82,6 +82,25 @@ mod tests {
     use super::*;
 
     #[test]
+    fn what_is_left_out_is_what_would_have_been_drawn() {
+        let draw = |random: &mut Random| {
+            let _ = (random.happens(0.5), random.happens(0.5), random.below(8));
+        };
+        for count in 0..60 {
+            let mut drawn = Random::new(7, Stream::HostToBoard);
+            let mut skipped = drawn.clone();
+            for _ in 0..count {
+                draw(&mut drawn);
+            }
+            // Also in the middle of a block.
+            draw(&mut drawn);
+            draw(&mut skipped);
+            skipped.skip(5 * count);
+            assert_eq!(drawn.uniform(), skipped.uniform(), "{count}");
+        }
+    }
+
+    #[test]
     fn normal_values_have_mean_zero_and_unit_variance() {
         let mut random = Random::new(1, Stream::Gyroscope);
         let n = 100_000;

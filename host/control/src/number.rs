@@ -72,3 +72,30 @@ impl Functions<f64> for Libm {
         libm::atan2(y, x)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Functions, Libm};
+
+    #[test]
+    fn sine_and_cosine_together_have_the_bits_of_each_alone() {
+        let check = |angle: f64| {
+            let (sine, cosine) = Libm::sin_cos(angle);
+            let alone = (libm::sin(angle), libm::cos(angle));
+            assert_eq!(sine.to_bits(), alone.0.to_bits(), "{angle:?}");
+            assert_eq!(cosine.to_bits(), alone.1.to_bits(), "{angle:?}");
+        };
+        for angle in [0.0, f64::MIN_POSITIVE, 5e-324] {
+            check(angle);
+            check(-angle);
+        }
+        // Around the arguments at which the approximations change, and all over the range.
+        for exponent in -40..60 {
+            for step in 0..1_000 {
+                let angle = libm::ldexp(1.0 + f64::from(step) * 0.001, exponent);
+                check(angle);
+                check(-angle);
+            }
+        }
+    }
+}
