@@ -3,6 +3,11 @@
 //! It has no mathematics of its own: the car is that of `singletrack-sim`, the law and the
 //! models are those of `singletrack-control`.
 
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "Python's arguments are converted to values of our own"
+)]
+
 use pyo3::prelude::*;
 
 mod argument;

@@ -123,8 +123,11 @@ impl Simulator {
         let first_ns = simulation.first_ns.unwrap_or(now.0);
         state.set_item("t", (now.0 - first_ns) as f64 * 1e-9)?;
         state.set_item("mode", output.mode.name())?;
-        state.set_item("reason", output.reason.map(|reason| reason.name()))?;
-        state.set_item("preflight", output.preflight.map(|reason| reason.name()))?;
+        state.set_item("reason", output.reason.map(singletrack_pilot::Reason::name))?;
+        state.set_item(
+            "preflight",
+            output.preflight.map(singletrack_pilot::Reason::name),
+        )?;
         state.set_item("drive_time", output.drive_time)?;
         state.set_item("held", output.held)?;
         if let Some(estimate) = &output.estimate {
