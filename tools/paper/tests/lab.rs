@@ -310,7 +310,7 @@ fn answers_at_the_edge_of_the_tolerance_count() {
 #[test]
 fn every_student_has_numbers_that_can_be_computed() {
     for lab in 1..=LABS {
-        for number in 0..40 {
+        for number in 0..12 {
             for exercise in exercises(lab, &student(&format!("student {number}"))).unwrap() {
                 let truth = exercise
                     .truth()
