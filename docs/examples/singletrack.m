@@ -11,9 +11,19 @@ speed = 0.3; gain = 1.0;                                     % m/s, 1/s
 drive = connect(file);
 send(drive, ['{"version":2,"command":"set-reference",' ...
              '"reference":{"kind":"external","setpoint_timeout_ms":200}}']);
+heard = ''; answered = 0; begin = tic;
+while answered < 2         % token and reference: a car that was ready before is not just after it
+  if toc(begin) > 2, error('the daemon is silent'); end
+  pause(0.002);
+  [answers, heard] = receive(drive, heard);
+  answered = answered + numel(answers);
+  for answer = answers
+    if isfield(answer{1}, 'error'), error('%s', answer{1}.error); end
+  end
+end
 states = connect(file);
 send(states, '{"version":2,"command":"watch","topics":["state"]}');
-state = []; armed = false; heard = ''; seen = ''; begin = tic; newest = tic;
+state = []; armed = false; seen = ''; begin = tic; newest = tic;
 while toc(begin) < seconds
   [answers, heard] = receive(drive, heard);
   for answer = answers
