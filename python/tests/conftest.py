@@ -58,10 +58,11 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 
 
 class Daemon:
-    """The daemon with its simulator; ``socket`` is the control socket."""
+    """The daemon with its simulator: ``socket``, and ``token`` of its port on TCP."""
 
     def __init__(self, folder: Path, board: str) -> None:
         self.socket = folder / "control.sock"
+        self.token = folder / "control.sock.token"
         line = folder / "uno"
         configuration = folder / "car.toml"
         # The configuration of the simulated car, with the addresses of this test.
@@ -73,7 +74,7 @@ class Daemon:
         text = _set(text, "motion_capture", "data_port", f"{frames}")
         text = _set(text, "record", "directory", f'"{folder / "records"}"')
         text = _set(text, "state", "directory", f'"{folder / "state"}"')
-        text = _set(text, "socket", "path", f'"{self.socket}"')
+        text = _set(text, "socket", "path", f'"{self.socket}"\ntcp_port = 0')
         configuration.write_text(text)
         self.log = (folder / "log").open("wb")
         self.simulator = subprocess.Popen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import os
 import signal
@@ -23,6 +24,7 @@ from singletrack._socket import Connection
 #: Repeated only if the machine was late: see `conftest.py`.
 REAL_TIME = pytest.mark.flaky(reruns=3, only_rerun="MachineLate")
 ON_CIRCLE = {"point": (1.0, 0.0, math.pi / 2)}
+CLIENT = Path(__file__).parents[2] / "docs" / "examples" / "client.py"
 
 
 @REAL_TIME
@@ -33,6 +35,18 @@ def test_one_script_drives_the_simulator_and_the_daemon(daemon: Any) -> None:
     for errors in (simulated, driven):
         assert len(errors) > 120
         assert max(errors) < 0.08
+
+
+@REAL_TIME
+@pytest.mark.parametrize("path", ["socket", "token"])
+def test_the_client_of_the_documentation_drives(daemon: Any, path: str) -> None:
+    program = [sys.executable, str(CLIENT), str(getattr(daemon, path)), "6"]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    (state,) = [line for line in lines if "setpoint" in line]
+    assert state["mode"] == "driving" and state["speed"] > 0.2, done.stdout
+    assert state["setpoint"]["age"] < 0.2, done.stdout
 
 
 @REAL_TIME

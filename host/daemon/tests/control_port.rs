@@ -368,24 +368,3 @@ fn nothing_listens_on_tcp_unless_it_is_configured_and_then_on_loopback_alone() {
         [SocketAddr::from((Ipv4Addr::LOCALHOST, port))]
     );
 }
-
-#[test]
-fn the_client_of_the_documentation_takes_the_file_of_the_token() {
-    let bench = Bench::start();
-    let mut client = bench.client();
-    let external = r#"{"version":2,"command":"set-reference","reference":{"kind":"external","setpoint_timeout_ms":200}}"#;
-    assert_eq!(client.ask(external)["ok"], true);
-    let program = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples/client.py");
-    let output = Command::new("python3")
-        .arg(program)
-        .arg(token_file(bench.folder.path()))
-        .arg("0.5")
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{output:?}");
-    let last: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(last["mode"], "disconnected");
-    let setpoints = &client.ask(STATUS)["status"]["figures"]["setpoints"];
-    assert_eq!(setpoints["rejected"], json!({}));
-    assert!(setpoints["accepted"].as_u64().unwrap() > 5, "{setpoints}");
-}

@@ -606,27 +606,6 @@ fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
 }
 
 #[test]
-fn the_client_of_the_documentation_reads_the_state_and_sends_set_points() {
-    let (_daemon, path, _folder) = start();
-    let mut client = Client::connect(&path);
-    assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
-    let program = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/examples/client.py");
-    let output = std::process::Command::new("python3")
-        .arg(program)
-        .arg(&path)
-        .arg("0.5")
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{output:?}");
-    let last = serde_json::from_slice::<Value>(&output.stdout).unwrap();
-    assert_eq!(last["mode"], "disconnected");
-    assert!(last["setpoint"]["age"].as_f64().unwrap() < 0.2, "{last}");
-    let setpoints = &status(&mut client)["figures"]["setpoints"];
-    assert_eq!(setpoints["rejected"], json!({}));
-    assert!(setpoints["accepted"].as_u64().unwrap() > 5, "{setpoints}");
-}
-
-#[test]
 fn a_request_to_jog_without_a_board_is_refused_and_pulses_need_a_request() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
