@@ -91,7 +91,7 @@ impl Bench for OnTheFloor {
 
 #[test]
 fn a_car_on_the_floor_is_stopped_within_15_cm() {
-    for seed in 0..5 {
+    for seed in 0..12 {
         let car = OnboardCar::planted(seed, None);
         let mut bench = OnTheFloor {
             bench: VirtualBench::new(&car).unwrap(),
