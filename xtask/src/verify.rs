@@ -224,7 +224,7 @@ const STEPS: [Step; 25] = [
         "the Python package installs, and drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 105, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 125, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
     row("hil-uno", 75, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
