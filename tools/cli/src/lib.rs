@@ -20,6 +20,8 @@ pub mod drive;
 #[cfg(feature = "operator")]
 pub mod dump;
 #[cfg(feature = "operator")]
+pub mod import;
+#[cfg(feature = "operator")]
 pub mod install_files;
 #[cfg(feature = "operator")]
 pub mod jog;

@@ -17,8 +17,8 @@ use singletrack::demo;
 use singletrack::{
     arm, bring_up, calibrate,
     control::{self, ControlCommand},
-    doctor, drive, dump, install_files, jog, recover, replay, set_reference, setpoint, status,
-    teach, tune,
+    doctor, drive, dump, import, install_files, jog, recover, replay, set_reference, setpoint,
+    status, teach, tune,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -74,6 +74,9 @@ enum Command {
     #[cfg(feature = "operator")]
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
+    #[cfg(feature = "operator")]
+    /// Make a record of the log of another program.
+    Import(import::ImportArgs),
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),
     #[cfg(feature = "operator")]
@@ -197,6 +200,7 @@ const OPTIONAL: [(&str, &[&str]); 3] = [
             "drive",
             "teach",
             "dump",
+            "import",
             "recover",
             "replay",
             "install-files",
@@ -253,6 +257,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Compare(args) => Ok(compare::run(args)?),
         #[cfg(feature = "operator")]
         Command::Dump(args) => Ok(dump::run(args)?),
+        #[cfg(feature = "operator")]
+        Command::Import(args) => Ok(import::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         #[cfg(feature = "operator")]
         Command::Recover(args) => Ok(recover::run(args)?),

@@ -12,6 +12,7 @@ mod command_line;
 mod control_command;
 mod demo_command;
 mod identify_command;
+mod import_command;
 mod lab_command;
 #[path = "../../figures/tests/picture/mod.rs"]
 mod picture;

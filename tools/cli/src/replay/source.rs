@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use singletrack_core::{Config, ConfigError};
+use singletrack_logs::import;
 use singletrack_pilot::PilotConfig;
 use singletrack_record::{Entry, Reader, RecordError, Replay, Topic};
 
@@ -14,6 +15,12 @@ pub enum SourceError {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// No pilot made the record.
+    #[error(
+        "{} was imported from the log of another program: no pilot made it, so there is nothing to repeat",
+        .0.display()
+    )]
+    Imported(PathBuf),
     /// A change is invalid.
     #[error("--set {0}")]
     Change(#[from] ChangeError),
@@ -52,6 +59,9 @@ pub enum SourceError {
 /// A pilot with the configurations of a record, all of them changed by `changes`.
 pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, SourceError> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration]);
+    if reader.meta().software.contains_key(import::SOFTWARE) {
+        return Err(SourceError::Imported(path.to_owned()));
+    }
     let start = reader.meta().configuration.clone();
     let mut replay = Replay::new(configuration(path, 1, &start, changes)?);
     // Nearly no record has another one.

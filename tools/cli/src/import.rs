@@ -1,0 +1,57 @@
+//! `singletrack import`: makes a record of the log of another program.
+
+use std::{
+    io::{self, Write},
+    path::PathBuf,
+};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_logs::import::{ImportError, import};
+
+/// Options of `singletrack import`.
+#[derive(Args)]
+pub struct ImportArgs {
+    /// The log: a CSV file with the names of the columns in its first line.
+    log: PathBuf,
+    /// What the columns are, such as tools/real/dart-map.toml.
+    #[arg(long, value_name = "MAP.toml")]
+    map: PathBuf,
+    /// Where the record goes. A file that is there is kept, and the command refused.
+    #[arg(long, alias = "output", value_name = "RECORD.mcap")]
+    out: PathBuf,
+}
+
+/// Nothing was imported, or the result could not be printed.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportFailure {
+    /// The import.
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// The output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// When map or log can't be read or the record can't be written. Then no record is left.
+pub fn run(args: &ImportArgs) -> Result<(), ImportFailure> {
+    // Hidden when standard error is no terminal.
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks") {
+        bar.set_style(style);
+    }
+    let result = import(&args.log, &args.map, &args.out, |done, of| {
+        bar.set_length(of);
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    let summary = result?;
+    match writeln!(io::stdout(), "{}: {summary}", args.out.display()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => Ok(result?),
+    }
+}

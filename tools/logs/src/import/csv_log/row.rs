@@ -1,0 +1,180 @@
+//! The cells of a row, by the places of their columns.
+
+use std::{
+    fs::File,
+    io::{self, BufReader, Read as _, Seek as _, SeekFrom},
+    path::Path,
+};
+
+use csv::{Position, StringRecord};
+
+use super::{Cell, CsvError, TimeFault};
+
+const CORRECT: &str = "correct the cell or remove the row";
+
+/// The number of the line of a row, from 1. The position of the CSV reader is that of the blank
+/// lines before the row.
+pub(super) fn line(path: &Path, position: Option<&Position>) -> u64 {
+    let Some(position) = position else {
+        return 1;
+    };
+    let blank = || -> io::Result<u64> {
+        let mut file = BufReader::new(File::open(path)?);
+        file.seek(SeekFrom::Start(position.byte()))?;
+        let mut blank = 0;
+        for byte in file.bytes() {
+            match byte? {
+                b'\n' => blank += 1,
+                b'\r' => {}
+                _ => break,
+            }
+        }
+        Ok(blank)
+    };
+    // A file that can't be read any more has an error of its own.
+    position.line() + blank().unwrap_or_default()
+}
+
+/// The columns of a file.
+pub(super) struct Header<'a> {
+    path: &'a Path,
+    names: &'a StringRecord,
+}
+
+/// The place of a column.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place(usize);
+
+impl<'a> Header<'a> {
+    pub(super) const fn new(path: &'a Path, names: &'a StringRecord) -> Self {
+        Self { path, names }
+    }
+
+    /// The place of the column that `key` in the map names.
+    pub(super) fn find(&self, key: &'static str, column: &str) -> Result<Place, CsvError> {
+        let mut places = self
+            .names
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| *name == column);
+        let Some((place, _)) = places.next() else {
+            let columns: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
+            return Err(CsvError::NoColumn {
+                path: self.path.to_owned(),
+                column: column.to_owned(),
+                key,
+                columns: columns.join(", "),
+            });
+        };
+        match places.count() {
+            0 => Ok(Place(place)),
+            others => Err(CsvError::SameColumns {
+                path: self.path.to_owned(),
+                column: column.to_owned(),
+                key,
+                count: others + 1,
+            }),
+        }
+    }
+
+    /// As [`find`](Self::find), of a key that may be left out.
+    pub(super) fn find_if(
+        &self,
+        key: &'static str,
+        column: &Option<String>,
+    ) -> Result<Option<Place>, CsvError> {
+        let column = column.as_ref();
+        column.map(|column| self.find(key, column)).transpose()
+    }
+
+    /// A row of the file.
+    pub(super) fn row(&self, cells: &'a StringRecord) -> Row<'_> {
+        Row {
+            header: self,
+            cells,
+        }
+    }
+}
+
+/// A row of a file.
+#[derive(Clone, Copy)]
+pub(super) struct Row<'a> {
+    header: &'a Header<'a>,
+    cells: &'a StringRecord,
+}
+
+impl<'a> Row<'a> {
+    /// A cell, without spaces around it.
+    pub(super) fn cell(&self, Place(place): Place) -> &'a str {
+        self.cells.get(place).unwrap_or_default()
+    }
+
+    pub(super) fn are_empty<const N: usize>(&self, places: [Place; N]) -> bool {
+        places.iter().all(|place| self.cell(*place).is_empty())
+    }
+
+    /// The cell, for messages.
+    fn named(&self, place: Place) -> Cell {
+        let Place(index) = place;
+        Cell {
+            path: self.header.path.to_owned(),
+            line: line(self.header.path, self.cells.position()),
+            column: self.header.names.get(index).unwrap_or_default().to_owned(),
+            value: self.cell(place).to_owned(),
+        }
+    }
+
+    /// An error in a cell.
+    pub(super) fn error(
+        &self,
+        place: Place,
+        expected: &'static str,
+        fix: &'static str,
+    ) -> CsvError {
+        CsvError::Cell {
+            cell: self.named(place),
+            expected,
+            fix,
+        }
+    }
+
+    /// An error in the time of the row.
+    pub(super) fn time_error(&self, place: Place, fault: TimeFault) -> CsvError {
+        CsvError::Time {
+            cell: self.named(place),
+            fault,
+        }
+    }
+
+    /// A number, which need not be finite; not a number for an empty cell.
+    pub(super) fn number(&self, place: Place) -> Result<f64, CsvError> {
+        match self.cell(place) {
+            "" => Ok(f64::NAN),
+            cell => cell
+                .parse()
+                .map_err(|_| self.error(place, "a number", CORRECT)),
+        }
+    }
+
+    /// A finite number.
+    pub(super) fn finite(&self, place: Place) -> Result<f64, CsvError> {
+        let number = self.number(place)?;
+        match number.is_finite() {
+            true => Ok(number),
+            false => Err(self.error(place, "a finite number", CORRECT)),
+        }
+    }
+
+    /// A number that is not 0, `true` or `false`.
+    pub(super) fn flag(&self, place: Place) -> Result<bool, CsvError> {
+        let cell = self.cell(place);
+        match cell.to_ascii_lowercase().as_str() {
+            "true" => Ok(true),
+            "false" => Ok(false),
+            _ => match cell.parse::<f64>() {
+                Ok(number) if !number.is_nan() => Ok(number != 0.0),
+                _ => Err(self.error(place, "a number, true or false", CORRECT)),
+            },
+        }
+    }
+}

@@ -1,0 +1,190 @@
+//! The samples of the sensors in the rows of a file.
+
+use singletrack_control::{direction, wrap};
+
+use super::{
+    CsvError,
+    row::{Header, Place, Row},
+};
+use crate::import::{
+    log::{LoggedPose, LoggedState},
+    map::{Conversion, EmptyRows, PoseSection, Quantity, nanoseconds},
+    samples::Sample,
+};
+
+/// Tells the rows with a new value from those that repeat an old one.
+pub(super) struct NewRows {
+    place: Option<Place>,
+    before: Option<String>,
+}
+
+impl NewRows {
+    /// A row is new if the column at this place changes; every row is, without a place.
+    pub(super) const fn new(place: Option<Place>) -> Self {
+        Self {
+            place,
+            before: None,
+        }
+    }
+
+    /// Whether this row is new. The first one is not: its values may be old.
+    fn is_new(&mut self, row: &Row<'_>) -> bool {
+        let Some(place) = self.place else {
+            return true;
+        };
+        let cell = row.cell(place);
+        match &mut self.before {
+            Some(before) if before == cell => false,
+            Some(before) => {
+                cell.clone_into(before);
+                true
+            }
+            None => {
+                self.before = Some(cell.to_owned());
+                false
+            }
+        }
+    }
+}
+
+/// A column with the conversion of its numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Column {
+    place: Place,
+    conversion: Conversion,
+}
+
+impl Column {
+    /// The column of the quantity that is at `key` in the map.
+    pub(super) fn find<D>(
+        header: &Header<'_>,
+        key: &'static str,
+        quantity: &Quantity<D>,
+    ) -> Result<Self, CsvError> {
+        Ok(Self {
+            place: header.find(key, quantity.column())?,
+            conversion: quantity.conversion(),
+        })
+    }
+
+    /// The number in SI units, which need not be finite.
+    fn number(&self, row: &Row<'_>) -> Result<f64, CsvError> {
+        Ok(self.conversion.si(row.number(self.place)?))
+    }
+
+    /// The number in SI units.
+    fn finite(&self, row: &Row<'_>) -> Result<f64, CsvError> {
+        Ok(self.conversion.si(row.finite(self.place)?))
+    }
+}
+
+/// A sensor or a command with `N` columns.
+pub(super) struct Sensor<const N: usize> {
+    columns: [Column; N],
+    new_rows: NewRows,
+    delay_ns: u64,
+    samples: Vec<Sample<N>>,
+}
+
+impl<const N: usize> Sensor<N> {
+    /// With the column by whose changes new rows are known, if there is one.
+    pub(super) const fn new(columns: [Column; N], changes: Option<Place>, delay_ns: u64) -> Self {
+        Self {
+            columns,
+            new_rows: NewRows::new(changes),
+            delay_ns,
+            samples: Vec::new(),
+        }
+    }
+
+    /// Takes the sample of a row, if there is one. A row whose cells are all empty has none.
+    pub(super) fn take(&mut self, row: &Row<'_>, time_ns: u64) -> Result<(), CsvError> {
+        if !self.new_rows.is_new(row) || row.are_empty(self.columns.map(|column| column.place)) {
+            return Ok(());
+        }
+        let mut values = [0.0; N];
+        for (value, column) in values.iter_mut().zip(&self.columns) {
+            *value = column.finite(row)?;
+        }
+        self.samples.push(Sample {
+            time_ns: time_ns - self.delay_ns,
+            values,
+        });
+        Ok(())
+    }
+
+    pub(super) fn into_samples(self) -> Vec<Sample<N>> {
+        self.samples
+    }
+}
+
+/// The poses of a file.
+pub(super) struct Poses<'a> {
+    section: &'a PoseSection,
+    /// x, y and yaw.
+    columns: [Column; 3],
+    tracked: Option<Place>,
+    new_rows: NewRows,
+    delay_ns: u64,
+    poses: Vec<LoggedPose>,
+}
+
+impl<'a> Poses<'a> {
+    pub(super) fn find(header: &Header<'_>, section: &'a PoseSection) -> Result<Self, CsvError> {
+        let changes = header.find_if("pose.new_when_changes", &section.new_when_changes)?;
+        Ok(Self {
+            section,
+            columns: [
+                Column::find(header, "pose.x", &section.x)?,
+                Column::find(header, "pose.y", &section.y)?,
+                Column::find(header, "pose.yaw", &section.yaw)?,
+            ],
+            tracked: header.find_if("pose.tracked", &section.tracked)?,
+            new_rows: NewRows::new(changes),
+            delay_ns: nanoseconds(section.delay_s),
+            poses: Vec::new(),
+        })
+    }
+
+    /// Takes the pose of a row, if there is one.
+    pub(super) fn take(&mut self, row: &Row<'_>, time_ns: u64) -> Result<(), CsvError> {
+        let is_left_out = self.section.empty_rows == EmptyRows::NoSample
+            && row.are_empty(self.columns.map(|column| column.place));
+        if self.new_rows.is_new(row) && !is_left_out {
+            self.poses.push(LoggedPose {
+                receive_ns: time_ns,
+                capture_ns: time_ns - self.delay_ns,
+                state: self.state(row)?,
+            });
+        }
+        Ok(())
+    }
+
+    pub(super) fn into_poses(self) -> Vec<LoggedPose> {
+        self.poses
+    }
+
+    fn state(&self, row: &Row<'_>) -> Result<LoggedState, CsvError> {
+        if let Some(place) = self.tracked
+            && !row.flag(place)?
+        {
+            return Ok(LoggedState::Untracked);
+        }
+        let [x, y, yaw] = &self.columns;
+        let (x, y) = (x.number(row)?, y.number(row)?);
+        let yaw_rad = wrap(yaw.number(row)? - self.section.yaw_rad);
+        let [forward, left] = self.section.point_m;
+        let axis = direction(yaw_rad);
+        let position_m = [
+            x - (axis.x * forward - axis.y * left),
+            y - (axis.y * forward + axis.x * left),
+        ];
+        Ok(match position_m.iter().all(|one| one.is_finite()) {
+            true if yaw_rad.is_finite() => LoggedState::Valid {
+                position_m,
+                yaw_rad,
+            },
+            _ => LoggedState::NotFinite,
+        })
+    }
+}

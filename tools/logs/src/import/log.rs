@@ -1,0 +1,71 @@
+//! What a log says, on the clock of the record.
+
+use super::samples::Series;
+
+/// The contents of a log, each in the order of time.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Log {
+    /// The wall time of the first row, in ns since 1970; 0 if the log does not have it.
+    pub(super) start_wall_ns: u64,
+    /// The time of the last row.
+    pub(super) end_ns: u64,
+    /// Every pose of the log, usable or not.
+    pub(super) poses: Vec<LoggedPose>,
+    /// Forward and left acceleration in m/s², yaw rate in rad/s. `None` if the log has no IMU.
+    pub(super) inertial: Option<Series<3>>,
+    /// Speed of the rear axle from the motor, in m/s.
+    pub(super) motor_speed: Series<1>,
+    /// The steering angle that is commanded, in rad.
+    pub(super) steering: Series<1>,
+    /// The speed that is commanded, in m/s; `None` if the log has no such command.
+    pub(super) speed_command: Option<Series<1>>,
+    /// Changes between driving and not driving; `None` if the log does not say it.
+    pub(super) driving: Option<Vec<(u64, bool)>>,
+    /// The period of the ticks.
+    pub(super) tick_ns: u64,
+}
+
+/// One pose of a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LoggedPose {
+    /// The time of its row.
+    pub(super) receive_ns: u64,
+    /// When it was measured.
+    pub(super) capture_ns: u64,
+    /// The pose itself.
+    pub(super) state: LoggedState,
+}
+
+/// What a row says of the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum LoggedState {
+    /// Position in m, and yaw in rad.
+    Valid {
+        /// In the frame of the cameras.
+        position_m: [f64; 2],
+        /// In -pi to pi.
+        yaw_rad: f64,
+    },
+    /// A number is missing or not finite.
+    NotFinite,
+    /// The log marks the body as not tracked.
+    Untracked,
+}
+
+impl Log {
+    /// Whether the car is driven: always, if the log does not say it.
+    pub(super) fn is_driving(&self, time_ns: u64) -> bool {
+        let Some(changes) = &self.driving else {
+            return true;
+        };
+        let after = changes.partition_point(|(change_ns, _)| *change_ns <= time_ns);
+        let last = after.checked_sub(1).and_then(|place| changes.get(place));
+        last.is_some_and(|(_, is_driving)| *is_driving)
+    }
+
+    /// A commanded value at a time; 0 before the first command.
+    pub(super) fn command(series: &Series<1>, time_ns: u64) -> f64 {
+        let [value] = series.at(time_ns).unwrap_or_default();
+        value
+    }
+}

@@ -1,0 +1,385 @@
+//! The map of a log: which columns it has, and what they mean.
+
+mod error;
+mod quantity;
+mod steering;
+
+pub(super) use quantity::Conversion;
+
+use std::{fmt::Display, fs, path::Path};
+
+use serde::Deserialize;
+
+pub use error::MapError;
+pub use quantity::{Acceleration, Angle, AngularVelocity, Dimension, Length, Quantity, Speed};
+pub use steering::{SteeringMap, SteeringSection};
+
+use super::samples::Interpolation;
+
+/// The longest delay, s. A time of the record is never before its zero.
+const LONGEST_DELAY_S: f64 = 0.9;
+
+/// A map; unknown keys are refused.
+///
+/// `docs/import.md` describes every key, and `tools/real/dart-map.toml` is an example.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Map {
+    /// What is between the cells of a row.
+    #[serde(default = "comma")]
+    pub delimiter: char,
+    /// The period of the ticks of the record, in ms.
+    #[serde(default = "tick_ms")]
+    pub tick_ms: u32,
+    /// The time of a row.
+    pub time: TimeSection,
+    /// The pose from the motion capture.
+    pub pose: PoseSection,
+    /// The inertial sensor, if the log has one.
+    pub imu: Option<ImuSection>,
+    /// The speed of the motor, which the estimator needs.
+    pub motor: MotorSection,
+    /// When the car is driven; always, if left out.
+    pub driving: Option<DrivingSection>,
+    /// The steering command.
+    pub steering: SteeringSection,
+    /// The speed command, if the log has one.
+    pub speed_command: Option<CommandSection>,
+}
+
+/// The time of a row.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimeSection {
+    /// The column.
+    pub column: String,
+    /// Its unit.
+    pub unit: TimeUnit,
+    /// Whether it counts from the start of 1970, UTC. Otherwise its zero has no meaning.
+    pub unix: bool,
+    /// The longest time between two rows that is not taken for an error of the log, in s.
+    #[serde(default = "longest_row_gap_s")]
+    pub longest_gap_s: f64,
+}
+
+/// The unit of a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+pub enum TimeUnit {
+    /// Seconds.
+    #[serde(rename = "s")]
+    Seconds,
+    /// Milliseconds.
+    #[serde(rename = "ms")]
+    Milliseconds,
+    /// Microseconds.
+    #[serde(rename = "us")]
+    Microseconds,
+    /// Nanoseconds.
+    #[serde(rename = "ns")]
+    Nanoseconds,
+}
+
+impl TimeUnit {
+    /// The power of ten by which a number in this unit is multiplied to be in ns.
+    pub(super) const fn exponent(self) -> i32 {
+        match self {
+            Self::Seconds => 9,
+            Self::Milliseconds => 6,
+            Self::Microseconds => 3,
+            Self::Nanoseconds => 0,
+        }
+    }
+}
+
+/// The pose from the motion capture.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseSection {
+    /// Position along the x axis of the cameras, in m.
+    pub x: Quantity<Length>,
+    /// Position along the y axis of the cameras, in m.
+    pub y: Quantity<Length>,
+    /// Yaw, counter-clockwise from above, in rad.
+    pub yaw: Quantity<Angle>,
+    /// The column that says whether the cameras saw the body; 0 and `false` are no.
+    pub tracked: Option<String>,
+    /// From the measurement to the time of the row, in s.
+    #[serde(default)]
+    pub delay_s: f64,
+    /// A row has a pose only if this column differs from the row before.
+    pub new_when_changes: Option<String>,
+    /// What a row is whose cells of the pose are all empty.
+    #[serde(default)]
+    pub empty_rows: EmptyRows,
+    /// Where the logged point is, forward and left of the point that the record shall have, in m.
+    #[serde(default)]
+    pub point_m: [f64; 2],
+    /// The logged yaw of a car that points along x, in rad.
+    #[serde(default)]
+    pub yaw_rad: f64,
+}
+
+/// What a row is whose cells of the pose are all empty.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EmptyRows {
+    /// A pose that is not finite: the cameras did not see the body.
+    #[default]
+    Rejected,
+    /// No pose: the row belongs to other sensors.
+    NoSample,
+}
+
+/// The inertial sensor.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuSection {
+    /// Acceleration forward, without gravity, in m/s².
+    pub forward_acceleration: Quantity<Acceleration>,
+    /// Acceleration to the left, without gravity, in m/s².
+    pub left_acceleration: Quantity<Acceleration>,
+    /// Angular velocity about the vertical, counter-clockwise from above, in rad/s.
+    pub yaw_rate: Quantity<AngularVelocity>,
+    /// From the measurement to the time of the row, in s.
+    #[serde(default)]
+    pub delay_s: f64,
+    /// A row has a sample only if this column differs from the row before.
+    pub new_when_changes: Option<String>,
+    /// Interpolates to so many samples a second.
+    pub interpolate_hz: Option<u32>,
+    /// The longest time between two samples that is interpolated, in s.
+    pub longest_gap_s: Option<f64>,
+}
+
+/// The speed of the motor.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorSection {
+    /// Speed of the driven axle as the motor or an encoder measures it, in m/s.
+    pub speed: Quantity<Speed>,
+    /// From the measurement to the time of the row, in s.
+    #[serde(default)]
+    pub delay_s: f64,
+    /// A row has a sample only if this column differs from the row before.
+    pub new_when_changes: Option<String>,
+    /// Interpolates: at the times of the inertial samples, or without an IMU to so many samples
+    /// a second.
+    pub interpolate_hz: Option<u32>,
+    /// The longest time between two samples that is interpolated, in s.
+    pub longest_gap_s: Option<f64>,
+}
+
+/// When the car is driven.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DrivingSection {
+    /// The column; 0 and `false` are not driving. An empty cell is as the row before.
+    pub column: String,
+}
+
+/// The speed command.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommandSection {
+    /// The commanded speed, in m/s. An empty cell is as the row before.
+    pub speed: Quantity<Speed>,
+    /// From the command to the time of the row, in s.
+    #[serde(default)]
+    pub delay_s: f64,
+}
+
+const fn comma() -> char {
+    ','
+}
+
+const fn tick_ms() -> u32 {
+    10
+}
+
+const fn longest_row_gap_s() -> f64 {
+    10.0
+}
+
+/// The longest gap that is interpolated, in s, unless the map says another one.
+const LONGEST_GAP_S: f64 = 0.3;
+
+impl Map {
+    /// Reads the map in a file.
+    ///
+    /// # Errors
+    ///
+    /// It can't be read, is not a map, or has an invalid value; the error names the key.
+    pub fn read(path: &Path) -> Result<Self, MapError> {
+        let text = fs::read_to_string(path).map_err(|source| MapError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_toml(&text, path)
+    }
+
+    /// Parses a map; `path` is the file in messages.
+    ///
+    /// # Errors
+    ///
+    /// As [`read`](Self::read).
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, MapError> {
+        let map: Self = toml::from_str(text).map_err(|error| match error.message() {
+            "missing field `motor`" => MapError::NoMotor(path.to_owned()),
+            _ => MapError::Parse {
+                path: path.to_owned(),
+                message: error.to_string(),
+            },
+        })?;
+        map.check().map_err(|error| error.at(path))?;
+        Ok(map)
+    }
+
+    fn check(&self) -> Result<(), InvalidValue> {
+        if !self.delimiter.is_ascii() || matches!(self.delimiter, '"' | '\r' | '\n') {
+            let fix = "use an ASCII character such as \",\", \";\" or \"\\t\"";
+            return Err(InvalidValue::new(
+                "delimiter",
+                format!("{:?}", self.delimiter),
+                fix,
+            ));
+        }
+        if !(1..=1_000).contains(&self.tick_ms) {
+            return Err(InvalidValue::new("tick_ms", self.tick_ms, "use 1 to 1000"));
+        }
+        check_positive("time.longest_gap_s", self.time.longest_gap_s)?;
+        self.pose.check()?;
+        if let Some(imu) = &self.imu {
+            imu.check()?;
+        }
+        self.motor.check()?;
+        self.steering.check()?;
+        match &self.speed_command {
+            Some(command) => check_delay("speed_command.delay_s", command.delay_s),
+            None => Ok(()),
+        }
+    }
+}
+
+impl PoseSection {
+    fn check(&self) -> Result<(), InvalidValue> {
+        check_delay("pose.delay_s", self.delay_s)?;
+        let [forward, left] = self.point_m;
+        check_finite("pose.point_m", forward)?;
+        check_finite("pose.point_m", left)?;
+        check_finite("pose.yaw_rad", self.yaw_rad)
+    }
+}
+
+impl ImuSection {
+    fn check(&self) -> Result<(), InvalidValue> {
+        check_delay("imu.delay_s", self.delay_s)?;
+        check_interpolation(
+            ["imu.interpolate_hz", "imu.longest_gap_s"],
+            self.interpolate_hz,
+            self.longest_gap_s,
+        )
+    }
+
+    pub(super) fn interpolation(&self) -> Option<Interpolation> {
+        interpolation(self.interpolate_hz, self.longest_gap_s)
+    }
+}
+
+impl MotorSection {
+    fn check(&self) -> Result<(), InvalidValue> {
+        check_delay("motor.delay_s", self.delay_s)?;
+        check_interpolation(
+            ["motor.interpolate_hz", "motor.longest_gap_s"],
+            self.interpolate_hz,
+            self.longest_gap_s,
+        )
+    }
+
+    pub(super) fn interpolation(&self) -> Option<Interpolation> {
+        interpolation(self.interpolate_hz, self.longest_gap_s)
+    }
+}
+
+fn interpolation(rate_hz: Option<u32>, longest_gap_s: Option<f64>) -> Option<Interpolation> {
+    rate_hz.map(|rate_hz| Interpolation {
+        rate_hz,
+        longest_gap_ns: nanoseconds(longest_gap_s.unwrap_or(LONGEST_GAP_S)),
+    })
+}
+
+/// A duration of the map, which is not negative, rounded to a nanosecond.
+pub(super) const fn nanoseconds(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+/// An invalid value of the map.
+struct InvalidValue {
+    key: &'static str,
+    value: String,
+    fix: String,
+}
+
+impl InvalidValue {
+    fn new(key: &'static str, value: impl Display, fix: impl Into<String>) -> Self {
+        Self {
+            key,
+            value: format!("{value}"),
+            fix: fix.into(),
+        }
+    }
+
+    fn at(self, path: &Path) -> MapError {
+        let Self { key, value, fix } = self;
+        MapError::Value {
+            path: path.to_owned(),
+            key,
+            value,
+            fix,
+        }
+    }
+}
+
+fn check_finite(key: &'static str, value: f64) -> Result<(), InvalidValue> {
+    match value.is_finite() {
+        true => Ok(()),
+        false => Err(InvalidValue::new(key, value, "use a finite number")),
+    }
+}
+
+fn check_positive(key: &'static str, value: f64) -> Result<(), InvalidValue> {
+    match value.is_finite() && value > 0.0 {
+        true => Ok(()),
+        false => Err(InvalidValue::new(key, value, "use a number above 0")),
+    }
+}
+
+fn check_delay(key: &'static str, value: f64) -> Result<(), InvalidValue> {
+    match (0.0..=LONGEST_DELAY_S).contains(&value) {
+        true => Ok(()),
+        false => {
+            let fix = format!("use 0 to {LONGEST_DELAY_S}, in s");
+            Err(InvalidValue::new(key, value, fix))
+        }
+    }
+}
+
+fn check_interpolation(
+    [rate_key, gap_key]: [&'static str; 2],
+    rate_hz: Option<u32>,
+    longest_gap_s: Option<f64>,
+) -> Result<(), InvalidValue> {
+    if let Some(rate_hz) = rate_hz.filter(|rate| !(1..=1_000).contains(rate)) {
+        return Err(InvalidValue::new(rate_key, rate_hz, "use 1 to 1000"));
+    }
+    match longest_gap_s {
+        Some(gap_s) if rate_hz.is_none() => {
+            let fix = format!(
+                "leave it out, or add {rate_key}: only samples that are \
+                               interpolated have a longest gap"
+            );
+            Err(InvalidValue::new(gap_key, gap_s, fix))
+        }
+        Some(gap_s) => check_positive(gap_key, gap_s),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,144 @@
+//! Import of a log of another program as a record.
+//!
+//! A [map](Map) says which columns the log has and what they mean. The result has the poses as
+//! the motion capture saw them, and a tick every `tick_ms` with the events that a pilot would
+//! have been given: poses when they arrived, and samples of the board.
+//!
+//! **Clock.** The first row of the log is at [`FIRST_ROW_NS`] on the monotonic clock of the
+//! record. Everything else is relative to it.
+//!
+//! **Delays are removed.** A sensor's samples are in the record at the time at which they were
+//! measured: the time of the row less the `delay_s` of the sensor. The commands are in force from
+//! the time of their row less their `delay_s`. A pose arrives with its row and was captured its
+//! `delay_s` before.
+//!
+//! **Nothing is guessed.** A sensor without a column has no samples. What can't be read is an
+//! error with its line and column.
+
+mod board;
+mod csv_log;
+mod decimal;
+mod log;
+mod map;
+mod samples;
+mod summary;
+mod timeline;
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use singletrack_record::{ClockMapping, Entry, Meta, RecordError, Recorder, part_path};
+
+pub use csv_log::{Cell, CsvError, TimeFault};
+pub use map::{
+    Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
+    ImuSection, Length, Map, MapError, MotorSection, PoseSection, Quantity, Speed, SteeringMap,
+    SteeringSection, TimeSection, TimeUnit,
+};
+pub use summary::{Gap, Samples, Summary};
+pub use timeline::TooManyEvents;
+
+use log::Log;
+use timeline::Timeline;
+
+/// The time of the first row on the monotonic clock of the record, in ns: later than the longest
+/// delay of a sensor.
+pub const FIRST_ROW_NS: u64 = 1_000_000_000;
+
+/// The name of the software in the metadata of a record.
+pub const SOFTWARE: &str = "singletrack-import";
+
+/// Why a log was not imported.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// The map.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// The log.
+    #[error(transparent)]
+    Csv(#[from] CsvError),
+    /// A tick can't hold its events.
+    #[error("{}: {source}", path.display())]
+    Events {
+        /// The log.
+        path: PathBuf,
+        /// When.
+        source: TooManyEvents,
+    },
+    /// The record.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+}
+
+/// Makes the record `out` of the CSV file `log`, as the map in the file `map` says.
+///
+/// The same log and the same map give the same bytes. `progress` gets the number of ticks that
+/// are written, and that of all.
+///
+/// # Errors
+///
+/// The map or the log can't be read or contradict each other; `out` exists or can't be written.
+/// No file is left then.
+pub fn import(
+    log: &Path,
+    map: &Path,
+    out: &Path,
+    progress: impl FnMut(u64, u64),
+) -> Result<Summary, ImportError> {
+    let contents = csv_log::read(log, &Map::read(map)?)?;
+    let meta = Meta {
+        configuration: format!(
+            "# Imported by singletrack import {} from {} with {}: no configuration\n",
+            env!("CARGO_PKG_VERSION"),
+            name(log),
+            name(map)
+        ),
+        software: BTreeMap::from([(SOFTWARE.to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
+        protocol_version: singletrack_protocol::VERSION,
+        seed: None,
+        start: ClockMapping {
+            monotonic_ns: FIRST_ROW_NS,
+            wall_ns: contents.start_wall_ns,
+        },
+    };
+    let recorder = Recorder::create(out, &meta)?.without_timed_flushes();
+    let result = write(recorder, &contents, log, progress);
+    if result.is_err() {
+        // The error that matters is the first one.
+        let _ = fs::remove_file(part_path(out));
+    }
+    result
+}
+
+fn write(
+    mut recorder: Recorder,
+    contents: &Log,
+    path: &Path,
+    mut progress: impl FnMut(u64, u64),
+) -> Result<Summary, ImportError> {
+    let mut timeline = Timeline::new(contents);
+    let ticks = timeline.ticks();
+    while let Some(tick) = timeline.next_tick().map_err(|source| ImportError::Events {
+        path: path.to_owned(),
+        source,
+    })? {
+        for observation in timeline.arrived() {
+            recorder.write(&Entry::Pose(*observation))?;
+        }
+        let index = tick.index;
+        recorder.write(&Entry::Tick(tick))?;
+        progress(index + 1, ticks);
+    }
+    let summary = timeline.summary();
+    recorder.finish()?;
+    Ok(summary)
+}
+
+/// The name of a file without its folder, which must not change the record, on one line.
+fn name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or(path.as_os_str());
+    name.to_string_lossy().replace(char::is_control, "?")
+}

@@ -1,0 +1,252 @@
+//! The ticks of a record, with the events that came since the tick before.
+
+use singletrack_control::{Actuation, PoseSample, Position, Time};
+use singletrack_mocap::{
+    CaptureTimeSource, Observation, Pose as PlanarPose, PoseState, RejectReason,
+};
+use singletrack_pilot::{DriveCommand, Event, Filtering, LinkState, Mode, Output, PoseMissing};
+use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
+
+use super::{
+    FIRST_ROW_NS,
+    board::BoardSamples,
+    log::{Log, LoggedPose, LoggedState},
+    summary::{Samples, Summary},
+};
+
+/// More events fall in a tick than it can hold.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "more than {MAX_EVENTS} poses and samples fall in the tick {time_s:.3} s after the first row: make tick_ms in the map smaller, or interpolate the sensors at a lower rate"
+)]
+pub struct TooManyEvents {
+    /// The time of the tick, in s since the first row.
+    pub time_s: f64,
+}
+
+/// The observations and the board samples of a log, tick by tick.
+pub(super) struct Timeline<'a> {
+    log: &'a Log,
+    observations: Vec<Observation>,
+    board: BoardSamples,
+    ticks: u64,
+    index: u64,
+    /// Observations and board samples before these are in ticks that were returned.
+    next_observation: usize,
+    next_sample: usize,
+    /// The observations of the last tick begin here.
+    arrived_from: usize,
+    last_pose: Option<Time>,
+}
+
+impl<'a> Timeline<'a> {
+    pub(super) fn new(log: &'a Log) -> Self {
+        let observations = (0..).zip(&log.poses).map(observation);
+        Self {
+            log,
+            observations: observations.collect(),
+            board: BoardSamples::new(log),
+            // The last tick is not before the last row.
+            ticks: (log.end_ns - FIRST_ROW_NS).div_ceil(log.tick_ns) + 1,
+            index: 0,
+            next_observation: 0,
+            next_sample: 0,
+            arrived_from: 0,
+            last_pose: None,
+        }
+    }
+
+    /// The number of ticks.
+    pub(super) const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// The next tick; `None` after the last one.
+    pub(super) fn next_tick(&mut self) -> Result<Option<TickRecord>, TooManyEvents> {
+        if self.index == self.ticks {
+            return Ok(None);
+        }
+        let time = Time(FIRST_ROW_NS + self.index * self.log.tick_ns);
+        self.arrived_from = self.next_observation;
+        let mut tick = TickRecord {
+            index: self.index,
+            scheduled_ns: time.0,
+            start_ns: time.0,
+            finish_ns: time.0,
+            skipped: 0,
+            pilot_time: time,
+            events: Default::default(),
+            events_dropped: 0,
+            output: neutral(),
+            drive: None,
+            link: LinkPhase::Ready,
+        };
+        let full = |_| TooManyEvents {
+            time_s: time.seconds_since(Time(FIRST_ROW_NS)),
+        };
+        if self.index == 0 {
+            tick.events
+                .push(Event::Link(LinkState::Ready))
+                .map_err(full)?;
+        }
+        let mut held = true;
+        while let Some(event) = self.next_event(time) {
+            held &= !matches!(event, Event::Pose(_));
+            tick.events.push(event).map_err(full)?;
+        }
+        tick.output = Output {
+            held,
+            ..self.output(time)
+        };
+        self.index += 1;
+        Ok(Some(tick))
+    }
+
+    /// The observations that arrived since the tick before the last one that was returned.
+    pub(super) fn arrived(&self) -> &[Observation] {
+        self.observations
+            .get(self.arrived_from..self.next_observation)
+            .unwrap_or_default()
+    }
+
+    /// What is made of the log.
+    pub(super) fn summary(&self) -> Summary {
+        let Log { poses, .. } = self.log;
+        let is_valid = |pose: &&LoggedPose| matches!(pose.state, LoggedState::Valid { .. });
+        let count = |state| poses.iter().filter(|pose| pose.state == state).count() as u64;
+        let inertial = self.log.inertial.as_ref();
+        Summary {
+            duration_ns: self.log.end_ns - FIRST_ROW_NS,
+            poses: Samples::at(poses.iter().filter(is_valid).map(|pose| pose.receive_ns)),
+            rejected: count(LoggedState::NotFinite),
+            untracked: count(LoggedState::Untracked),
+            inertial: inertial.map(|series| Samples::at(series.times_ns())),
+            motor: Samples::at(self.log.motor_speed.times_ns()),
+            board: Samples::at(self.board.samples.iter().map(|sample| sample.time.0)),
+            without_motor_speed: self.board.without_motor_speed,
+            ticks: self.ticks,
+        }
+    }
+
+    /// The next event that is not after `time`. Of one time, the board's comes first: a pose
+    /// corrects what the inertial samples up to it have predicted.
+    fn next_event(&mut self, time: Time) -> Option<Event> {
+        let observation = self.observations.get(self.next_observation);
+        let observation = observation.filter(|one| one.receive_time_ns <= time.0);
+        let sample = self.board.samples.get(self.next_sample);
+        let is_first = |one: Time| observation.is_none_or(|other| one.0 <= other.receive_time_ns);
+        if let Some(sample) = sample.filter(|one| one.time <= time && is_first(one.time)) {
+            self.next_sample += 1;
+            return Some(Event::Board(*sample));
+        }
+        let observation = observation?;
+        self.next_observation += 1;
+        Some(match observation.state {
+            PoseState::Valid(pose) => {
+                let capture = Time(pose.capture_time_ns);
+                self.last_pose = Some(capture);
+                Event::Pose(PoseSample {
+                    capture,
+                    receive: Time(pose.receive_time_ns),
+                    frame: pose.frame_number,
+                    position: Position::new(pose.x_m, pose.y_m),
+                    yaw: pose.yaw_rad,
+                })
+            }
+            PoseState::Untracked => Event::PoseMissing(PoseMissing::Untracked),
+            _ => Event::PoseMissing(PoseMissing::Rejected),
+        })
+    }
+
+    /// The commands of the log that are in force at `time`.
+    fn output(&self, time: Time) -> Output {
+        let is_driving = self.log.is_driving(time.0);
+        let steering = Log::command(&self.log.steering, time.0);
+        let speed_command = self.log.speed_command.as_ref();
+        let speed = speed_command.map(|series| Log::command(series, time.0));
+        let command = speed
+            .zip(self.last_pose)
+            .map(|(rear_speed, pose_time)| DriveCommand {
+                rear_speed,
+                steering,
+                pose_time,
+                brake: false,
+            });
+        Output {
+            mode: if is_driving {
+                Mode::Driving
+            } else {
+                Mode::Ready
+            },
+            actuation: Actuation {
+                speed: speed.unwrap_or_default(),
+                steering,
+                steering_rate: 0.0,
+            },
+            command: command.filter(|_| is_driving),
+            ..neutral()
+        }
+    }
+}
+
+fn observation((frame_number, pose): (i32, &LoggedPose)) -> Observation {
+    let state = match pose.state {
+        LoggedState::NotFinite => PoseState::Rejected(RejectReason::NotFinite),
+        LoggedState::Untracked => PoseState::Untracked,
+        LoggedState::Valid {
+            position_m: [x_m, y_m],
+            yaw_rad,
+        } => PoseState::Valid(PlanarPose {
+            x_m,
+            y_m,
+            z_m: 0.0,
+            yaw_rad,
+            tilt_rad: 0.0,
+            roll_rad: 0.0,
+            pitch_rad: 0.0,
+            capture_time_ns: pose.capture_ns,
+            capture_uncertainty_ns: 0,
+            capture_source: CaptureTimeSource::FrameTimestamp,
+            receive_time_ns: pose.receive_ns,
+            frame_number,
+            mean_error_m: 0.0,
+            reacquired: false,
+        }),
+    };
+    Observation {
+        frame_number,
+        receive_time_ns: pose.receive_ns,
+        state,
+    }
+}
+
+/// The output of a pilot that has no estimate and commands nothing.
+fn neutral() -> Output {
+    Output {
+        mode: Mode::Ready,
+        reason: None,
+        estimate: None,
+        held: true,
+        drive_time: None,
+        reference: None,
+        point: None,
+        point_velocity: None,
+        actuation: Actuation::default(),
+        turning_round: false,
+        looked_ahead: None,
+        path: None,
+        slowed_by: None,
+        command: None,
+        request: None,
+        proved: false,
+        disproved: false,
+        braking_measured: None,
+        setpoint_refused: None,
+        filtering: Filtering::None,
+        filtered_ticks: 0,
+        tuned: None,
+        preflight: None,
+        jog: None,
+        setpoint: None,
+    }
+}
