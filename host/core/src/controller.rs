@@ -191,21 +191,7 @@ impl Controller {
             self.attitude.height = Some(pose.z_m);
             self.attitude.capture_uncertainty = Some(pose.capture_uncertainty_ns as f64 * 1e-9);
         }
-        let event = match observation.state {
-            PoseState::Valid(pose) => Event::Pose(PoseSample {
-                capture: Time(pose.capture_time_ns),
-                receive: Time(pose.receive_time_ns),
-                frame: pose.frame_number,
-                position: Position::new(pose.x_m, pose.y_m),
-                yaw: pose.yaw_rad,
-            }),
-            PoseState::Untracked => Event::PoseMissing(PoseMissing::Untracked),
-            PoseState::Absent | PoseState::Unbound(_) => Event::PoseMissing(PoseMissing::Absent),
-            PoseState::Rejected(_) => Event::PoseMissing(PoseMissing::Rejected),
-            PoseState::LockedOut(_) => Event::PoseMissing(PoseMissing::Untrustworthy),
-            PoseState::Stale { .. } | PoseState::NoFrames => Event::PoseMissing(PoseMissing::Stale),
-        };
-        self.push(event);
+        self.push(pose_event(&observation.state));
     }
 
     /// A person or a program asks the pilot for something.
@@ -611,6 +597,25 @@ fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
             BoardMode::PoweringUp => BoardState::PoweringUp,
             BoardMode::Jogging => BoardState::Jogging,
         },
+    }
+}
+
+/// What the pilot is told of a frame of the cameras.
+#[must_use]
+pub const fn pose_event(state: &PoseState) -> Event {
+    match state {
+        PoseState::Valid(pose) => Event::Pose(PoseSample {
+            capture: Time(pose.capture_time_ns),
+            receive: Time(pose.receive_time_ns),
+            frame: pose.frame_number,
+            position: Position::new(pose.x_m, pose.y_m),
+            yaw: pose.yaw_rad,
+        }),
+        PoseState::Untracked => Event::PoseMissing(PoseMissing::Untracked),
+        PoseState::Absent | PoseState::Unbound(_) => Event::PoseMissing(PoseMissing::Absent),
+        PoseState::Rejected(_) => Event::PoseMissing(PoseMissing::Rejected),
+        PoseState::LockedOut(_) => Event::PoseMissing(PoseMissing::Untrustworthy),
+        PoseState::Stale { .. } | PoseState::NoFrames => Event::PoseMissing(PoseMissing::Stale),
     }
 }
 

@@ -31,6 +31,7 @@ mod requests;
 mod restart_keys;
 
 pub use config::{Config, ConfigError};
+pub use controller::pose_event;
 pub use host::{Host, HostOptions};
 pub use meta::record_meta;
 pub use proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};

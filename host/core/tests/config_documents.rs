@@ -271,7 +271,9 @@ fn table() -> String {
 
 /// The unit that a key's name ends with.
 fn unit(name: &str) -> &'static str {
-    const UNITS: [(&str, &str); 23] = [
+    const UNITS: [(&str, &str); 25] = [
+        ("_m_s2_per_sqrt_hz_per_m_s", "m/s²/√Hz per m/s"),
+        ("_rad_per_m_s2", "rad per m/s²"),
         ("_rad_s_per_sqrt_hz", "rad/s/√Hz"),
         ("_rad_s2_per_sqrt_hz", "rad/s²/√Hz"),
         ("_m_s2_per_sqrt_hz", "m/s²/√Hz"),

@@ -396,7 +396,7 @@ fn a_governor_needs_a_convex_geofence_with_room_inside() {
     config.fence.margin_m = Some(0.98);
     let refused = config.pilot().unwrap_err().to_string();
     assert!(
-        refused.contains("the governor keeps 3 cm more"),
+        refused.contains("the governor keeps 5 cm more"),
         "{refused}"
     );
     config.fence.margin_m = None;

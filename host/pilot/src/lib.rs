@@ -19,6 +19,11 @@
 #[cfg(test)]
 extern crate std;
 
+/// The number of the controller's arithmetic. It changes with whatever changes a bit of an output, and a
+/// record names the one that made it: only the same one repeats it. Records before it was counted are
+/// of controller 1.
+pub const CONTROLLER: u32 = 2;
+
 mod event;
 mod fence;
 mod pilot;
@@ -33,7 +38,10 @@ pub use event::{
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
-pub use pilot::{Compensation, DriveCommand, Filtering, Output, Pilot, PilotConfig, Underway};
+pub use pilot::{
+    Commanded, Compensation, DriveCommand, Filtering, Observed, Output, Pilot, PilotConfig,
+    Underway,
+};
 pub use refusal::SetpointRefusal;
 pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,

@@ -791,15 +791,36 @@ fn a_board_that_is_still_armed_is_not_driven_and_is_disarmed_on_request() {
 }
 
 #[test]
-fn a_standing_car_that_was_carried_to_another_place_is_found_again() {
+fn a_body_where_the_car_cannot_have_come_to_is_the_car_only_when_the_operator_says_so() {
     let mut bench = Bench::new();
     assert_eq!(bench.run(100).mode, Mode::Ready);
+    let was = bench.position;
+    // Its wheels have not turned: it was carried, or it is another body.
     bench.position = Position::new(2.0, -1.0);
-    bench.run(100);
-    let output = bench.step();
+    let output = bench.run(500);
+    assert_eq!(
+        (output.mode, output.preflight),
+        (Mode::Idle, Some(Reason::PoseImplausible))
+    );
+    let estimate = output.estimate.unwrap();
+    assert!((estimate.position - was).norm() < 0.1);
+    bench.step_with(Some(PilotRequest::Disarm));
+    let output = bench.run(100);
     assert_eq!((output.mode, output.reason), (Mode::Ready, None));
     let estimate = output.estimate.unwrap();
     assert!((estimate.position - bench.position).norm() < 0.01);
+}
+
+#[test]
+fn a_car_that_is_seen_again_where_it_was_needs_no_word_of_the_operator() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.run(100).mode, Mode::Ready);
+    let was = bench.position;
+    // A ghost for five seconds.
+    bench.position = Position::new(2.0, -1.0);
+    bench.run(500);
+    bench.position = was;
+    assert_eq!(bench.run(100).mode, Mode::Ready);
 }
 
 #[test]

@@ -72,11 +72,12 @@ fn correction(output: &Output) -> (Velocity, Velocity) {
 fn a_gain_acts_in_the_tick_in_which_it_comes() {
     let mut bench = drive(tunable(Some(BOUNDS)));
     bench.position += Velocity::new(0.02, -0.01);
-    let (error, corrects) = correction(&bench.step());
+    // The estimate follows a jump of the poses over some of them.
+    let (error, corrects) = correction(&bench.run(10));
     assert!((corrects - error).norm() < 1e-12, "{corrects} of {error}");
     let output = tune(&mut bench, gain(2.0));
     let (error, corrects) = correction(&output);
-    assert!(error.norm() > 0.01);
+    assert!(error.norm() > 1e-3, "{error}");
     assert!(
         (corrects - 2.0 * error).norm() < 1e-12,
         "{corrects} of {error}"

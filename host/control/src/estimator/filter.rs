@@ -4,13 +4,13 @@
 //! speed correct it. The only vehicle parameter is the distance of the rear axle, so the
 //! estimate is as robust as the law that uses it.
 
-use libm::sincos;
+use libm::{hypot, sincos};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::{config::EstimatorConfig, pose::CarPose};
 use crate::{angle::unwrap_near, measurement::InertialSample, point::Position};
 
-const STATES: usize = 8;
+const STATES: usize = 9;
 /// Position of G, world frame, m.
 const X: usize = 0;
 const Y: usize = 1;
@@ -24,6 +24,8 @@ const GYRO_BIAS: usize = 5;
 /// Accelerometer biases, car's axes, m/s².
 const FORWARD_BIAS: usize = 6;
 const LEFT_BIAS: usize = 7;
+/// What the gyro reads of a yaw rate beyond it, as a fraction.
+const GYRO_SCALE: usize = 8;
 
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
@@ -33,6 +35,8 @@ type Covariance = SMatrix<f64, STATES, STATES>;
 pub(super) struct Filter {
     mean: State,
     covariance: Covariance,
+    /// The normalised innovation squared of the last poses, as a running mean.
+    usual: f64,
 }
 
 /// The navigation state of a filter's mean.
@@ -52,6 +56,16 @@ impl Filter {
         self.mean[GYRO_BIAS]
     }
 
+    /// The estimated scale of the gyro: what it reads of a yaw rate.
+    pub(super) fn gyro_scale(&self) -> f64 {
+        1.0 + self.mean[GYRO_SCALE]
+    }
+
+    /// The yaw rate of a sample without bias and scale, rad/s.
+    fn yaw_rate(&self, inertial: &InertialSample) -> f64 {
+        (inertial.yaw_rate - self.mean[GYRO_BIAS]) / self.gyro_scale()
+    }
+
     /// A filter that starts at a pose, with zero velocity and biases.
     pub(super) fn at_pose(pose: &CarPose, config: &EstimatorConfig) -> Self {
         let mut mean = State::zeros();
@@ -67,9 +81,11 @@ impl Filter {
         variances[GYRO_BIAS] = square(INITIAL_GYRO_BIAS_DEVIATION);
         variances[FORWARD_BIAS] = square(INITIAL_ACCELERATION_BIAS_DEVIATION);
         variances[LEFT_BIAS] = square(INITIAL_ACCELERATION_BIAS_DEVIATION);
+        variances[GYRO_SCALE] = square(config.gyro_scale_noise);
         Self {
             mean,
             covariance: Covariance::from_diagonal(&variances),
+            usual: CONSISTENT,
         }
     }
 
@@ -79,6 +95,7 @@ impl Filter {
             inertial.forward_acceleration - self.mean[FORWARD_BIAS],
             inertial.left_acceleration - self.mean[LEFT_BIAS],
         );
+        let (yaw_rate, scale) = (self.yaw_rate(inertial), self.gyro_scale());
         let heading = self.predict_mean(dt, inertial);
         let (s, c) = sincos(heading);
         let half = 0.5 * dt * dt;
@@ -87,7 +104,8 @@ impl Filter {
         let mut jacobian = Covariance::identity();
         jacobian[(X, VX)] = dt;
         jacobian[(Y, VY)] = dt;
-        jacobian[(YAW, GYRO_BIAS)] = -dt;
+        jacobian[(YAW, GYRO_BIAS)] = -dt / scale;
+        jacobian[(YAW, GYRO_SCALE)] = -yaw_rate * dt / scale;
         let across = (-s * forward - c * left, c * forward - s * left);
         for (row, position_row, d_yaw, d_forward, d_left) in
             [(VX, X, across.0, -c, s), (VY, Y, across.1, -s, -c)]
@@ -101,7 +119,8 @@ impl Filter {
         }
         self.covariance = jacobian * self.covariance * jacobian.transpose();
 
-        let acceleration = square(config.acceleration_noise_density) * dt;
+        let squared_speed = square(self.mean[VX]) + square(self.mean[VY]);
+        let acceleration = config.acceleration_variance(squared_speed) * dt;
         for (velocity, position) in [(VX, X), (VY, Y)] {
             self.covariance[(velocity, velocity)] += acceleration;
             self.covariance[(position, position)] += acceleration * dt * dt / 3.0;
@@ -117,7 +136,7 @@ impl Filter {
 
     /// Predicts the mean only, over `dt` seconds. Returns the yaw at half of them, rad.
     pub(super) fn predict_mean(&mut self, dt: f64, inertial: &InertialSample) -> f64 {
-        let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
+        let yaw_rate = self.yaw_rate(inertial);
         let heading = self.mean[YAW] + 0.5 * yaw_rate * dt;
         let (s, c) = sincos(heading);
         let forward = inertial.forward_acceleration - self.mean[FORWARD_BIAS];
@@ -136,16 +155,24 @@ impl Filter {
         [self.mean[FORWARD_BIAS], self.mean[LEFT_BIAS]]
     }
 
-    /// The variance of the velocity across the car, m²/s².
+    /// The variance of the velocity across the car, m²/s²: of the velocity, and of the yaw by
+    /// which it is across.
     pub(super) fn left_variance(&self) -> f64 {
         let (s, c) = sincos(self.mean[YAW]);
-        let p = |row, column| self.covariance[(row, column)];
-        s * s * p(VX, VX) - 2.0 * s * c * p(VX, VY) + c * c * p(VY, VY)
+        let mut row = State::zeros();
+        row[VX] = -s;
+        row[VY] = c;
+        row[YAW] = -c * self.mean[VX] - s * self.mean[VY];
+        row.dot(&(self.covariance * row))
     }
 
-    /// Corrects with a pose. Returns the normalised innovation squared; `None`, and changes
-    /// nothing, if the pose is outside the innovation gate.
-    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> Option<f64> {
+    /// Corrects with a pose. Returns its normalised innovation squared (3 degrees of freedom),
+    /// and whether it was within the gate; otherwise nothing changes.
+    ///
+    /// A pose that stands out of the last ones counts the less the farther it is off: it counts as
+    /// one whose noise is as much larger. Where all of them are off, it is the estimate that is
+    /// wrong, and they count in full.
+    pub(super) fn correct_pose(&mut self, pose: &CarPose, config: &EstimatorConfig) -> (f64, bool) {
         let innovation = Vector3::new(
             pose.position.x - self.mean[X],
             pose.position.y - self.mean[Y],
@@ -158,21 +185,28 @@ impl Filter {
         );
         let predicted: Matrix3<f64> = self.covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let spread = predicted + Matrix3::from_diagonal(&noise);
-        let gates = [config.position_gate, config.position_gate, config.yaw_gate];
-        for (component, gate) in gates.iter().enumerate() {
-            let deviation = libm::sqrt(spread[(component, component)].max(0.0));
-            let difference = innovation[component].abs();
-            if difference.is_nan() || difference > gate + GATE_DEVIATIONS * deviation {
-                return None;
-            }
-        }
-        let inverse = spread.try_inverse()?;
+        let Some(inverse) = spread.try_inverse() else {
+            return (f64::INFINITY, false);
+        };
         let normalised = innovation.dot(&(inverse * innovation));
+        // What the model lacks widens the gate, not the noise.
+        let lacking = Vector3::new(config.position_gate, config.position_gate, config.yaw_gate);
+        let widened = spread + Matrix3::from_diagonal(&(lacking / GATE_DEVIATIONS).map(square));
+        let within = widened.try_inverse().is_some_and(|inverse| {
+            // A NaN is outside.
+            innovation.dot(&(inverse * innovation)) <= square(GATE_DEVIATIONS)
+        });
+        if !within {
+            return (normalised, false);
+        }
+        let outlier = OUTLIER * (self.usual / CONSISTENT).max(1.0);
+        self.usual += SHARE * (normalised.min(MOST * outlier) - self.usual);
+        let inverse = inverse / (normalised / outlier).max(1.0);
         let gain = self.covariance.fixed_columns::<3>(0) * inverse;
         self.mean += gain * innovation;
         self.covariance -= gain * self.covariance.fixed_rows::<3>(0).into_owned();
-        self.symmetrise();
-        Some(normalised)
+        self.settle();
+        (normalised, true)
     }
 
     /// Corrects with the speed from the motor pulses (m/s), and with a lateral speed of the
@@ -201,23 +235,33 @@ impl Filter {
         row[VX] = -s;
         row[VY] = c;
         row[YAW] = -c * vx - s * vy;
-        row[GYRO_BIAS] = l_r;
-        let yaw_rate = inertial.yaw_rate - self.mean[GYRO_BIAS];
+        let (yaw_rate, scale) = (self.yaw_rate(inertial), self.gyro_scale());
+        row[GYRO_BIAS] = l_r / scale;
+        row[GYRO_SCALE] = l_r * yaw_rate / scale;
         let innovation = -((-s * vx + c * vy) - l_r * yaw_rate);
-        self.correct_scalar(&row, innovation, config.rear_slip_noise);
+        // The tyres slip by an angle in proportion to the lateral acceleration v r.
+        let forward = c * vx + s * vy;
+        let slip = config.rear_slip_compliance * square(forward) * yaw_rate;
+        let noise = hypot(config.rear_slip_noise, slip);
+        self.correct_scalar(&row, innovation, noise);
     }
 
     fn correct_scalar(&mut self, row: &State, innovation: f64, deviation: f64) {
         let projected = self.covariance * row;
         let spread = row.dot(&projected) + square(deviation);
-        let gain = projected / spread;
+        // Wheels that spin, and tyres that slide, count the less the farther they are off.
+        let excess = square(innovation) / spread / SLIDING;
+        let gain = projected / (spread * excess.max(1.0));
         self.mean += gain * innovation;
         self.covariance -= gain * projected.transpose();
-        self.symmetrise();
+        self.settle();
     }
 
-    fn symmetrise(&mut self) {
+    /// Keeps the covariance symmetric, and the gyro's scale in its bounds.
+    fn settle(&mut self) {
         self.covariance = 0.5 * (self.covariance + self.covariance.transpose());
+        let scale = &mut self.mean[GYRO_SCALE];
+        *scale = scale.clamp(-GYRO_SCALE_BOUND, GYRO_SCALE_BOUND);
     }
 
     /// Whether mean and covariance are finite.
@@ -232,7 +276,7 @@ impl Filter {
         Navigation {
             position: Position::new(self.mean[X], self.mean[Y]),
             yaw: self.mean[YAW],
-            yaw_rate: inertial.yaw_rate - self.mean[GYRO_BIAS],
+            yaw_rate: self.yaw_rate(inertial),
             forward: c * vx + s * vy,
             left: -s * vx + c * vy,
         }
@@ -245,8 +289,21 @@ const INITIAL_VELOCITY_DEVIATION: f64 = 0.5;
 const INITIAL_GYRO_BIAS_DEVIATION: f64 = 0.05;
 /// Typical of consumer accelerometers, and of a floor that is not level, m/s².
 const INITIAL_ACCELERATION_BIAS_DEVIATION: f64 = 0.3;
-/// The statistical part of the innovation gate, in standard deviations.
+/// The innovation gate, in standard deviations.
 const GATE_DEVIATIONS: f64 = 5.0;
+/// The mean of the normalised innovation squared of a consistent estimate: its degrees of freedom.
+const CONSISTENT: f64 = 3.0;
+/// The normalised innovation squared from which a pose of a consistent estimate is an outlier: one
+/// of 65,000.
+const OUTLIER: f64 = 25.0;
+/// The share of a pose in what is usual: the last ten count...
+const SHARE: f64 = 0.1;
+/// ...and an outlier as so many times what makes one.
+const MOST: f64 = 4.0;
+/// The same for motor speed and rear axle, with one degree of freedom: three deviations.
+const SLIDING: f64 = 9.0;
+/// The largest error of the gyro's scale: no gyro that works is farther off.
+const GYRO_SCALE_BOUND: f64 = 0.1;
 
 fn square(value: f64) -> f64 {
     value * value

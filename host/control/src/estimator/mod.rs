@@ -101,7 +101,7 @@ struct Track {
     /// Mid-exposure of the last accepted pose.
     pose_time: Time,
     poses: u32,
-    /// The normalised innovation squared of the last accepted pose.
+    /// The normalised innovation squared of the last pose, accepted or not.
     innovation: f64,
     /// The position and yaw of the last estimate, to hold them beyond the horizon.
     held: Option<(Position, f64)>,
@@ -146,6 +146,14 @@ impl Estimator {
             .map_or(0.0, |track| track.filter.gyro_bias())
     }
 
+    /// The estimated scale of the gyro, of what it reads to the yaw rate; 1 before the first pose.
+    #[must_use]
+    pub fn gyro_scale(&self) -> f64 {
+        self.track
+            .as_ref()
+            .map_or(1.0, |track| track.filter.gyro_scale())
+    }
+
     /// The estimated biases of the accelerometer, forward and left, m/s²; 0 before the first
     /// pose.
     #[must_use]
@@ -155,20 +163,24 @@ impl Estimator {
             .map_or([0.0; 2], |track| track.filter.acceleration_bias())
     }
 
-    /// The normalised innovation squared of the last accepted pose: how far it was from its
-    /// prediction, in squared standard deviations of its three coordinates. A consistent
-    /// estimate has a mean of 3. It is 0 for the first pose.
+    /// The normalised innovation squared of the last pose that was not late, accepted or not: how
+    /// far it was from its prediction, in squared standard deviations of its three coordinates,
+    /// before it was weighted. A consistent estimate has a mean of 3. It is 0 for the first pose.
     #[must_use]
     pub fn innovation(&self) -> f64 {
         self.track.as_ref().map_or(0.0, |track| track.innovation)
     }
 
-    /// The variance of the sideslip at this speed (m/s) and the time of the last pose, rad²;
-    /// infinite before the first pose and at standstill.
+    /// The variance of the sideslip of an estimate, rad²; infinite before the first pose and at
+    /// standstill.
     #[must_use]
-    pub fn sideslip_variance(&self, speed: f64) -> f64 {
+    pub fn sideslip_variance(&self, estimate: &Estimate) -> f64 {
         self.track.as_ref().map_or(f64::INFINITY, |track| {
-            track.filter.left_variance() / (speed * speed)
+            // The mean alone is predicted from the last pose to the estimate.
+            let ahead = estimate.time.seconds_since(track.time).max(0.0);
+            let squared = estimate.speed * estimate.speed;
+            let noise = self.config.acceleration_variance(squared) * ahead;
+            (track.filter.left_variance() + noise) / squared
         })
     }
 
@@ -204,11 +216,12 @@ impl Estimator {
             pose.capture,
             &self.config,
         );
-        let Some(innovation) = track.filter.correct_pose(&measurement, &self.config) else {
+        let (innovation, within) = track.filter.correct_pose(&measurement, &self.config);
+        track.innovation = innovation;
+        if !within {
             self.implausible_in_a_row = self.implausible_in_a_row.saturating_add(1);
             return PoseVerdict::Implausible;
-        };
-        track.innovation = innovation;
+        }
         track.pose_time = pose.capture;
         // An accepted pose replaces the held one, however old it is.
         track.held = None;

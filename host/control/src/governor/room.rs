@@ -5,7 +5,7 @@ use libm::{fabs, sincos, sqrt};
 use crate::{ConvexArea, Position, Velocity};
 
 /// The distance that the leader keeps from the edge, m: the car is beside it by noise and lag.
-const RESERVE: f64 = 0.03;
+const RESERVE: f64 = 0.05;
 /// The way of a stop is found to this part of it: 2 to the power of this.
 const HALVES: u32 = 12;
 
@@ -22,7 +22,7 @@ pub struct Room {
 
 impl Room {
     /// The room inside `area` for a car that stops with the deceleration `braking` (m/s²) after
-    /// the time `reaction` (s). The leader keeps 3 cm from the edge. None if so little is left.
+    /// the time `reaction` (s). The leader keeps 5 cm from the edge. None if so little is left.
     #[must_use]
     pub fn new(area: &ConvexArea, braking: f64, reaction: f64) -> Option<Self> {
         let is_valid = braking > 0.0 && braking.is_finite() && reaction >= 0.0;
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     fn room() -> Room {
-        let corners = [(-1.03, -1.03), (1.03, -1.03), (1.03, 1.03), (-1.03, 1.03)];
+        let corners = [(-1.05, -1.05), (1.05, -1.05), (1.05, 1.05), (-1.05, 1.05)];
         let area = ConvexArea::new(&corners.map(|(x, y)| Position::new(x, y))).unwrap();
         Room::new(&area, 1.0, 0.1).unwrap()
     }

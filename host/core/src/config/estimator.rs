@@ -20,17 +20,22 @@ section! {
     position_noise_m: f64 => position_noise, in up_to(0.1);
     /// Standard deviation of a pose's yaw.
     yaw_noise_rad: f64 => yaw_noise, in up_to(0.5);
-    /// A pose farther from the prediction than this is refused.
+    /// A pose farther from the prediction than this, beyond five deviations, is refused.
     position_gate_m: f64 => position_gate, in up_to(1.0);
-    /// A pose whose yaw differs more than this from the prediction is refused.
+    /// A pose whose yaw differs more than this from the prediction, beyond five deviations, is
+    /// refused.
     yaw_gate_rad: f64 => yaw_gate, in up_to(3.0);
     /// Noise density of the gyro.
     gyro_noise_density_rad_s_per_sqrt_hz: f64 => gyro_noise_density, in up_to(1.0);
+    /// Standard deviation of the gyro's scale from one, at the start; 0 takes it for exact.
+    gyro_scale_noise: f64 => gyro_scale_noise, in 0.0..=0.1;
     /// Random walk of the gyro's bias.
     gyro_bias_walk_rad_s2_per_sqrt_hz: f64 => gyro_bias_walk, in up_to(1.0);
-    /// Noise density of the accelerometer, including the car's vibration.
+    /// Noise density of the accelerometer at rest.
     acceleration_noise_density_m_s2_per_sqrt_hz: f64 => acceleration_noise_density,
         in up_to(10.0);
+    /// What the car's vibration adds to it, per m/s of its speed.
+    vibration_noise_density_m_s2_per_sqrt_hz_per_m_s: f64 => vibration_noise_density, in 0.0..=10.0;
     /// Random walk of the accelerometer's bias.
     acceleration_bias_walk_m_s3_per_sqrt_hz: f64 => acceleration_bias_walk, in up_to(10.0);
     /// Standard deviation of the motor's speed at standstill.
@@ -39,6 +44,8 @@ section! {
     motor_speed_scale_noise: f64 => motor_speed_scale_noise, in up_to(1.0);
     /// Standard deviation of the rear axle's lateral speed.
     rear_slip_noise_m_s: f64 => rear_slip_noise, in up_to(1.0);
+    /// Standard deviation of the angle at which its tyres slip, per lateral acceleration.
+    rear_slip_compliance_rad_per_m_s2: f64 => rear_slip_compliance, in 0.0..=1.0;
     /// How far beyond a pose "hold" predicts, to cover the pose's latency.
     prediction_horizon_ms: f64 => prediction_horizon, in 0.0..=100.0;
 }

@@ -44,7 +44,7 @@ impl GovernorSection {
             ConfigError::value(
                 "fence.margin_m",
                 config.fence.margin_m(&config.vehicle),
-                "the governor keeps 3 cm more, and nothing is left; lower it, give a larger \
+                "the governor keeps 5 cm more, and nothing is left; lower it, give a larger \
                  fence.corners_m, or set governor.enabled = false",
             )
         })?;

@@ -4,7 +4,7 @@ use core::f64::consts::{PI, TAU};
 
 use super::{
     config::PoseLimits,
-    observation::{PlanarPose, RejectReason},
+    observation::{PlanarPose, PoseState, RejectReason},
 };
 
 /// The gate's decision on a pose.
@@ -23,6 +23,34 @@ pub(super) struct Gate {
     rejects: u32,
     /// Implausible poses in a row that follow each other, since the lock-out.
     consistent: u32,
+}
+
+/// The plausibility check of a [`PlanarTracker`](super::PlanarTracker) alone, for poses that were
+/// recorded without one.
+#[derive(Clone, Debug)]
+pub struct PoseGate(Gate);
+
+impl PoseGate {
+    /// A gate that has seen no pose.
+    #[must_use]
+    pub const fn new(limits: PoseLimits) -> Self {
+        Self(Gate::new(limits))
+    }
+
+    /// Whether the pose can follow the ones before it.
+    pub fn judge(&mut self, pose: PlanarPose) -> PoseState {
+        self.0.judge(Ok(pose)).state()
+    }
+}
+
+impl Verdict {
+    pub(super) const fn state(self) -> PoseState {
+        match self {
+            Self::Valid(pose) => PoseState::Valid(pose),
+            Self::Rejected(reason) => PoseState::Rejected(reason),
+            Self::LockedOut(reason) => PoseState::LockedOut(reason),
+        }
+    }
 }
 
 impl Gate {

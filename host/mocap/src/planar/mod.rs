@@ -23,6 +23,7 @@ mod tracker;
 
 pub use config::{PlanarConfig, PlanarConfigError, PoseLimits, RigidBodyName};
 pub use counters::{PlanarCounters, RejectedCounts};
+pub use gate::PoseGate;
 pub use level::Level;
 pub use observation::{Observation, PlanarPose, PoseState, RejectReason};
 pub use session::{PlanarEvent, PlanarOutcome, PlanarSession};

@@ -112,21 +112,16 @@ impl PlanarTracker {
             }
             state => self.candidate(state, frame),
         };
-        match self.gate.judge(candidate) {
-            Verdict::Valid(pose) => {
-                self.counters.valid += 1;
-                PoseState::Valid(pose)
-            }
-            Verdict::Rejected(reason) => {
-                self.counters.rejected.count(reason);
-                PoseState::Rejected(reason)
-            }
+        let verdict = self.gate.judge(candidate);
+        match verdict {
+            Verdict::Valid(_) => self.counters.valid += 1,
+            Verdict::Rejected(reason) => self.counters.rejected.count(reason),
             Verdict::LockedOut(reason) => {
                 self.counters.rejected.count(reason);
                 self.counters.locked_out += 1;
-                PoseState::LockedOut(reason)
             }
         }
+        verdict.state()
     }
 
     /// The body's pose in the plane, or why it is rejected without regard to earlier

@@ -4,20 +4,20 @@ use singletrack_control::{External, PoseSample, PoseVerdict, Reference, Setpoint
 
 use super::Pilot;
 use crate::{
-    event::{BoardSample, Event},
+    event::{BoardSample, Event, PilotRequest},
     refusal::SetpointRefusal,
     supervisor::Mode,
 };
 
 impl Pilot {
-    /// Handles an event; true if it is a pose and was accepted.
-    pub(super) fn handle(&mut self, now: Time, event: &Event) -> bool {
+    /// Handles an event; the verdict if it is a pose.
+    pub(super) fn handle(&mut self, now: Time, event: &Event) -> Option<PoseVerdict> {
         match event {
-            Event::Pose(pose) => return self.handle_pose(pose),
+            Event::Pose(pose) => return Some(self.handle_pose(pose)),
             Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
             Event::Board(sample) => self.handle_board(sample),
             Event::Link(link) => self.supervisor.handle_link(*link),
-            Event::Request(request) => self.supervisor.handle_request(*request),
+            Event::Request(request) => self.handle_request(*request),
             Event::ArmRefused => self.supervisor.handle_arm_refused(),
             Event::Health(health) => self.supervisor.handle_health(*health),
             Event::Line(line) => self.supervisor.handle_line(*line),
@@ -38,7 +38,17 @@ impl Pilot {
             // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }
-        false
+        None
+    }
+
+    /// A disarm request while nothing is commanded is the operator's word that the body which the
+    /// cameras show is the car, wherever it is.
+    fn handle_request(&mut self, request: PilotRequest) {
+        self.supervisor.handle_request(request);
+        let lost = self.estimator.implausible_in_a_row() > 0;
+        if request == PilotRequest::Disarm && lost && !self.supervisor.mode().commands() {
+            self.estimator.reset();
+        }
     }
 
     /// Gives the reference a set-point. Without one that it does not refuse, it becomes stale.
@@ -50,10 +60,10 @@ impl Pilot {
         self.setpoint_refused = refused.or(self.setpoint_refused);
     }
 
-    fn handle_pose(&mut self, pose: &PoseSample) -> bool {
+    fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
         self.frozen.pose(pose, &self.config.watch);
-        let accepted = self.estimator.handle_pose(pose) == PoseVerdict::Accepted;
-        if accepted {
+        let verdict = self.estimator.handle_pose(pose);
+        if verdict == PoseVerdict::Accepted {
             self.innovations
                 .pose(self.estimator.innovation(), &self.config.watch);
             self.pose_time = Some(pose.capture);
@@ -74,7 +84,9 @@ impl Pilot {
             if let Some(step) = step {
                 if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
                     let wheelbase = config.estimator.wheelbase;
-                    self.start.step(&step);
+                    let pace = step.rear.norm() / step.time;
+                    let variance = config.estimator.acceleration_variance(pace * pace);
+                    self.start.step(&step, variance);
                     self.gyro.step(&step);
                     self.sideslip.step(&step, &config.watch);
                     self.steering.step(&step, wheelbase, &config.watch);
@@ -86,7 +98,7 @@ impl Pilot {
                 }
             }
         }
-        accepted
+        verdict
     }
 
     fn handle_board(&mut self, sample: &BoardSample) {

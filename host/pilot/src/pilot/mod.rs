@@ -4,11 +4,13 @@ mod compensation;
 mod drive;
 mod events;
 mod interface;
+mod observe;
 mod safety;
+mod sense;
 mod tune;
 mod verdicts;
 
-use libm::{fabs, rint};
+use libm::rint;
 use singletrack_control::{
     Estimator, Governor, LimitedLaw, OuterLoop, Reference, Time, TrackingLoop, Velocity,
 };
@@ -16,7 +18,7 @@ use singletrack_control::{
 use crate::{
     event::{Event, Jog},
     refusal::SetpointRefusal,
-    supervisor::{Conditions, Mode, Reason, Supervisor},
+    supervisor::{Mode, Reason, Supervisor},
     watch::{
         AttitudeWatch, BlindWatch, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
         PROVING_SPEED, Proving, PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch,
@@ -27,9 +29,11 @@ use crate::{
 use compensation::Compensator;
 use drive::command;
 use safety::Safety;
+use sense::Sensed;
 
 pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, Underway};
+pub use observe::{Commanded, Observed};
 pub use safety::Filtering;
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
@@ -195,79 +199,17 @@ impl Pilot {
     /// One control tick: handles the events since the last tick, in their order, and
     /// returns the command until the next one.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
-        let mut held = true;
-        self.setpoint_refused = None;
-        for event in events {
-            held &= !self.handle(now, event);
-        }
-        self.slew_point_distance();
-        let last_tick = self.last_tick.replace(now);
-        let steering = self.law.actuation().steering;
-        let estimate = self.estimator.estimate(now, steering);
-        if estimate.is_none() {
-            self.pose_time = None;
-        }
-        let speed = estimate.map_or(0.0, |estimate| estimate.speed);
-        if let Some(compensator) = &mut self.compensator {
-            compensator.advance(now, speed);
-        }
-        // The largest of all speeds: estimated, measured and commanded.
-        let pace = fabs(speed)
-            .max(fabs(self.motor_speed))
-            .max(fabs(self.law.actuation().speed));
-        self.steps.tick(now, self.commanded_steering);
-        self.attitude.tick(now);
-        let speeds = self.speeds_at(now, estimate.as_ref());
-        let (period, watch) = (self.config.period, &self.config.watch);
-        self.blind.advance(now, pace);
-        let (sent, braking) = (self.commanded_steering, self.braking());
-        self.safety.observe(pace, sent, braking, period);
-        self.ticks.tick(now, period, watch);
-        let max_speed = self.config.limits.max_speed;
-        let most = match &self.proving {
-            Some(_) => max_speed.min(PROVING_SPEED),
-            None => max_speed,
-        };
-        self.speeds.tick(speed, most, watch);
-        let drive_time = self.drive_start.map(|start| now.seconds_since(start));
+        let sensed = self.sense(now, events, None, |_, _, _| {});
+        let Sensed {
+            estimate,
+            speeds,
+            held,
+            last_tick,
+            ..
+        } = sensed;
+        let period = self.config.period;
         let was = self.supervisor.mode();
-        let mut request = self.supervisor.step(&Conditions {
-            now,
-            pose_time: self.pose_time,
-            blind_distance: self.blind.distance(),
-            poses: self.estimator.poses(),
-            implausible: self.estimator.implausible_in_a_row(),
-            imu_time: self.imu_time,
-            imu: self.imu.verdict(self.estimator.gyro_bias(), watch),
-            imu_still: self.imu.is_still(),
-            speed,
-            motor_speed: self.motor_speed,
-            camera_speed: speeds.cameras,
-            stands: speeds
-                .worst()
-                .is_some_and(|speed| speed < self.config.supervisor.standing_speed),
-            preflight: self.preflight(),
-            doubt: self.doubt(),
-            implausible_motion: self.implausible_motion(),
-            contradiction: self.contradiction(),
-            speed_mismatch: self.speeds.is_mismatched(),
-            overspeed: self.speeds.is_overspeed(),
-            commanded_speed: self.law.actuation().speed,
-            filter: self.safety.ends,
-            inside_fence: estimate.is_none_or(|estimate| self.stops_inside(&estimate, pace)),
-            late: self.ticks.is_late(watch),
-            setpoint_stale: match &self.config.reference {
-                Reference::External(external) => external.is_stale(now),
-                _ => false,
-            },
-            reference_finished: match (drive_time, self.config.reference.duration()) {
-                (Some(time), Some(duration)) => {
-                    let governor = self.governor.as_ref();
-                    governor.map_or(time, |governor| governor.path_at(time)) >= duration
-                }
-                _ => false,
-            },
-        });
+        let mut request = self.supervisor.step(&self.conditions(now, &sensed));
         let mode = self.supervisor.mode();
         if mode == Mode::Driving && was == Mode::Arming {
             self.drive_start = Some(now);
@@ -281,12 +223,7 @@ impl Pilot {
                 compensator.begin(self.law.actuation().steering);
             }
             self.safety.begin(self.commanded_steering);
-            self.speeds.reset();
-            self.sideslip.reset();
-            self.steering.reset();
-            self.gyro.reset();
-            self.start.reset();
-            self.innovations.reset();
+            self.begin_watches();
             let unproved = self.config.supervisor.prove && !self.proved;
             self.proving = unproved.then(Proving::default);
         }
@@ -317,7 +254,7 @@ impl Pilot {
         }
         let mode = self.supervisor.mode();
         if matches!(mode, Mode::Idle | Mode::Disconnected | Mode::Fault) {
-            self.stand_by(was);
+            self.stand_by();
         }
 
         let mut output = Output {
@@ -361,7 +298,7 @@ impl Pilot {
                         let share = self.speeds.motor_share();
                         self.stops.begin(now, &speeds, 0.0, share);
                         self.proving = None;
-                        self.stand_by(mode);
+                        self.stand_by();
                         output.mode = self.supervisor.mode();
                         output.reason = self.supervisor.reason();
                         output.preflight = self.supervisor.preflight();
@@ -406,15 +343,19 @@ impl Pilot {
         output
     }
 
+    /// A drive begins: what its watches saw of the last one is forgotten.
+    fn begin_watches(&mut self) {
+        self.speeds.reset();
+        self.sideslip.reset();
+        self.steering.reset();
+        self.gyro.reset();
+        self.start.reset();
+        self.innovations.reset();
+    }
+
     /// Ends the drive: clears its start and the state of the law, and keeps the reason.
-    fn stand_by(&mut self, was: Mode) {
+    fn stand_by(&mut self) {
         self.drive_start = None;
         self.law.reset();
-        // While the car stands, the estimate may restart: it has lost the car if the last
-        // pose was implausible.
-        let lost = self.estimator.implausible_in_a_row() > 0;
-        if lost && !was.commands() {
-            self.estimator.reset();
-        }
     }
 }

@@ -242,7 +242,25 @@ impl LatestState {
         config: &SupervisorConfig,
     ) -> Option<Reason> {
         self.check_health(conditions.now, config)
-            .or_else(|| self.check_imu_health())
+            .or_else(|| self.check_drive(conditions, config))
+    }
+
+    /// What must hold of a car that something else drives: without the board's status, if there
+    /// has never been one.
+    pub(super) fn check_while_observed(
+        &self,
+        conditions: &Conditions,
+        config: &SupervisorConfig,
+    ) -> Option<Reason> {
+        let told = self.health.is_some() && self.real_time.is_some();
+        let health = told.then(|| self.check_health(conditions.now, config));
+        health
+            .flatten()
+            .or_else(|| self.check_drive(conditions, config))
+    }
+
+    fn check_drive(&self, conditions: &Conditions, config: &SupervisorConfig) -> Option<Reason> {
+        self.check_imu_health()
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.blind, config))
             .or_else(|| check_fence_and_deadlines(conditions))

@@ -339,6 +339,24 @@ impl Supervisor {
         BoardRequest::EmergencyStop
     }
 
+    /// Follows a car that something else drives, from here on; true if a drive begins.
+    pub fn observe(&mut self, drives: bool, now: Time) -> bool {
+        let begins = drives && self.mode != Mode::Driving;
+        let mode = if drives { Mode::Driving } else { Mode::Idle };
+        self.enter(mode, None, now);
+        begins
+    }
+
+    /// What would end the observed drive; none outside one.
+    #[must_use]
+    pub fn observed(&mut self, conditions: &Conditions) -> Option<Reason> {
+        self.latest.begin_tick(conditions.now);
+        let drives = self.mode == Mode::Driving;
+        let reason = drives.then(|| self.latest.check_while_observed(conditions, &self.config));
+        let too_far = drives && conditions.blind_distance > self.config.blind_distance;
+        reason.flatten().or(too_far.then_some(Reason::BlindTooFar))
+    }
+
     fn fault_step(&mut self, stop: bool, conditions: &Conditions) -> Option<BoardRequest> {
         let now = conditions.now;
         if self.reason == Some(Reason::StopNotObeyed) {

@@ -155,6 +155,8 @@ pub(crate) struct InnovationWatch {
 
 /// The share of a new pose in the mean: 0.5 s at 100 Hz.
 const SHARE: f64 = 0.02;
+/// A pose counts at most as so many times the limit.
+const MOST: f64 = 5.0;
 /// The number of poses for which the mean must exceed its limit, 0.5 s at 100 Hz: other
 /// watches name the cause by then.
 const POSES: u32 = 50;
@@ -162,6 +164,9 @@ const POSES: u32 = 50;
 impl InnovationWatch {
     /// An accepted pose with this innovation.
     pub(crate) fn pose(&mut self, innovation: f64, config: &WatchConfig) {
+        // The estimator weighs an outlier down; ten in a row say nothing yet of the estimate.
+        let most = MOST * config.max_innovation;
+        let innovation = if innovation > most { most } else { innovation };
         self.mean += SHARE * (innovation - self.mean);
         // A NaN exceeds it.
         self.exceeded = if self.mean <= config.max_innovation {
@@ -461,6 +466,18 @@ mod tests {
         // The mean is 400 (1 - 0.98^n): above 200 from the 35th pose on.
         assert_eq!(first(400.0), Some(84));
         assert_eq!(first(f64::NAN), Some(50));
+        // However far off: above 200 from the twelfth pose on.
+        assert_eq!(first(1e9), Some(61));
+    }
+
+    #[test]
+    fn ten_outliers_in_a_row_are_none_of_the_estimate() {
+        let config = WatchConfig::paper();
+        let mut watch = InnovationWatch::default();
+        for index in 0..500 {
+            watch.pose(if index % 100 < 10 { 1e9 } else { 3.0 }, &config);
+            assert!(!watch.is_inconsistent());
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The accelerometer against the speed of the cameras, while a car starts off.
 
-use libm::hypot;
+use libm::{hypot, sqrt};
 
 use super::steps::Step;
 
@@ -8,6 +8,9 @@ use super::steps::Step;
 /// and as a share.
 const ACCELERATED: f64 = 0.18;
 const TOLERANCE: (f64, f64) = (0.05, 0.5);
+/// The accelerometer's noise counts so many deviations more: a car that vibrates fits its speed less
+/// well.
+const DEVIATIONS: f64 = 3.0;
 /// The change must come within this time, s, or it says nothing: a bias counts for more, and
 /// the linear acceleration of some sensors leaks away.
 const WITHIN: f64 = 0.5;
@@ -23,8 +26,8 @@ pub(crate) struct StartWatch {
 }
 
 impl StartWatch {
-    /// A step of the drive.
-    pub(crate) fn step(&mut self, step: &Step) {
+    /// A step of the drive. `variance` is the power of the accelerometer's noise, m²/s⁴/Hz.
+    pub(crate) fn step(&mut self, step: &Step, variance: f64) {
         if self.judged {
             return;
         }
@@ -40,9 +43,15 @@ impl StartWatch {
         if fast {
             let (margin, share) = TOLERANCE;
             // A NaN differs.
-            let fits = hypot(forward - speed, left) <= margin + share * speed;
+            let noise = DEVIATIONS * sqrt(variance * self.time);
+            let fits = hypot(forward - speed, left) <= margin + share * speed + noise;
             self.differs = !fits;
         }
+    }
+
+    /// The drive begins with a car that moves: its start says nothing.
+    pub(crate) const fn skip(&mut self) {
+        self.judged = true;
     }
 
     /// Whether the start is over.
@@ -86,7 +95,7 @@ mod tests {
     fn after(steps: &[Step]) -> StartWatch {
         let mut watch = StartWatch::default();
         for step in steps {
-            watch.step(step);
+            watch.step(step, 0.0);
         }
         watch
     }
@@ -136,8 +145,8 @@ mod tests {
         assert!(watch.differs());
         watch.reset();
         assert!(!watch.is_judged() && !watch.differs());
-        watch.step(&good);
-        watch.step(&bad);
+        watch.step(&good, 0.0);
+        watch.step(&bad, 0.0);
         assert!(watch.is_judged() && !watch.differs());
     }
 }
