@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Tests that run only when they are named.
-pub(crate) const NAMED_TESTS: [&str; 3] = ["hil", "book", "uno"];
+pub(crate) const NAMED_TESTS: [&str; 4] = ["hil", "book", "uno", "real_logs"];
 
 /// The packages that need more than Rust and a C compiler; they are no default members.
 const OF_PARTS: [(Part, &str); 3] = [

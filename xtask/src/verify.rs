@@ -162,7 +162,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 25] = [
+const STEPS: [Step; 26] = [
     // Static checks.
     row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -185,8 +185,11 @@ const STEPS: [Step; 25] = [
         |packages| packages.check_with_image(&mut packages.tests(None))),
     row("faults", 105, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "300"]))),
-    row("tutorial", 10, Always, "the commands of the tutorial are accepted and run",
+    row("tutorial", 5, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book")).arg("tutorial"))),
+    row("real-logs", 5, Always,
+        "the logs of a real car: what would have stopped it, and the errors of the estimate",
+        real_logs),
     row("uno", 10, Of(Part::Uno),
         "the Arduino's image has no miscompiled code and stays within its budgets", |packages| {
         let mut figures = packages.program("uno-figures")?;
@@ -276,6 +279,17 @@ fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
     let mut suite = packages.tests(Some("hil"));
     suite.args(["--board", board, "--daemon"]).arg(daemon);
     Ok(suite)
+}
+
+/// No log of a real car is part of the project: they are judged where there are some.
+fn real_logs(packages: &Packages) -> Result<(), Failure> {
+    match std::env::var_os("REAL_LOGS") {
+        Some(_) => check(packages.tests(Some("real_logs")).arg("--nocapture")),
+        None => {
+            println!("not run: REAL_LOGS names no folder with logs of a real car");
+            Ok(())
+        }
+    }
 }
 
 /// All targets, and the tests that run only when they are named.

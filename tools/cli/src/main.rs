@@ -23,6 +23,8 @@ use singletrack::{
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_figures::plot;
+#[cfg(feature = "operator")]
+use singletrack_logs::judge;
 #[cfg(feature = "paper")]
 use singletrack_paper::{compare, identify, lab, reproduce, stability};
 use singletrack_scenario::simulate;
@@ -34,6 +36,7 @@ Exit status:
   2    wrong options
   3    arm, drive, jog: something else than the operator stopped the car; doctor, bring-up,
        calibrate: a step failed
+  4    replay: another controller made the record, and its outputs differ
   130  interrupted for the second time, before the first Ctrl-C was obeyed
 
 Environment:
@@ -77,6 +80,9 @@ enum Command {
     #[cfg(feature = "operator")]
     /// Make a record of the log of another program.
     Import(import::ImportArgs),
+    #[cfg(feature = "operator")]
+    /// Say what the pilot would have said of a recorded drive: stops, and errors of its estimate.
+    Judge(judge::JudgeArgs),
     /// Draw the figures of a recorded drive.
     Plot(plot::PlotArgs),
     #[cfg(feature = "operator")]
@@ -201,6 +207,7 @@ const OPTIONAL: [(&str, &[&str]); 3] = [
             "teach",
             "dump",
             "import",
+            "judge",
             "recover",
             "replay",
             "install-files",
@@ -259,11 +266,19 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Dump(args) => Ok(dump::run(args)?),
         #[cfg(feature = "operator")]
         Command::Import(args) => Ok(import::run(args)?),
+        #[cfg(feature = "operator")]
+        Command::Judge(args) => Ok(judge::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         #[cfg(feature = "operator")]
         Command::Recover(args) => Ok(recover::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Replay(args) => Ok(replay::run(args)?),
+        Command::Replay(args) => match replay::run(args) {
+            Err(failure) if failure.status() != 1 => {
+                eprintln!("singletrack: {failure}");
+                return Ok(ExitCode::from(failure.status()));
+            }
+            result => Ok(result?),
+        },
         #[cfg(feature = "paper")]
         Command::Stability(args) => Ok(stability::run(args)?),
         #[cfg(feature = "paper")]

@@ -1,5 +1,4 @@
-//! Logs that other programs made of other cars.
-//!
-//! [`import()`](import::import) makes a record of one, which the tools for records read.
+//! Logs of cars: foreign ones become records, and what the pilot would have said of a drive.
 
 pub mod import;
+pub mod judge;

@@ -1,4 +1,4 @@
-//! Imports of small logs that the tests write.
+//! Imports of small logs that the tests write, and what is judged of them; and of real ones, where they are.
 
 #![allow(
     clippy::unwrap_used,
@@ -9,6 +9,7 @@
 mod bench;
 mod dart;
 mod errors;
+mod judge;
 mod record;
 mod sensors;
 mod steering;

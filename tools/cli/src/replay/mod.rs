@@ -17,7 +17,7 @@ use std::{
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Entry, Reader, RecordError, Topic};
+use singletrack_record::{Ending, Entry, Meta, Reader, RecordError, Topic};
 
 pub use change::{Change, ChangeError};
 pub use source::SourceError;
@@ -81,6 +81,25 @@ pub enum ReplayFailure {
     /// An output differs.
     #[error("{0}")]
     Differs(Box<str>),
+    /// The record was made by another controller.
+    #[error(
+        "{}: made by controller {recorded}, this is {}: {differ} of {ticks} ticks differ, from \
+         {from:.3} s on. An older version of singletrack replays it to the bit.",
+        path.display(),
+        singletrack_pilot::CONTROLLER
+    )]
+    OtherController {
+        /// The record.
+        path: PathBuf,
+        /// The number of its controller.
+        recorded: String,
+        /// Ticks with another output.
+        differ: u64,
+        /// All of them.
+        ticks: u64,
+        /// The first of them, s into the record.
+        from: f64,
+    },
     /// The figure can't be written.
     #[error("can't write {}: {source}; choose another --figure", path.display())]
     Figure {
@@ -92,6 +111,22 @@ pub enum ReplayFailure {
     /// Standard output.
     #[error("standard output: {0}")]
     Output(#[from] io::Error),
+}
+
+impl ReplayFailure {
+    /// The exit status of the program.
+    #[must_use]
+    pub const fn status(&self) -> u8 {
+        match self {
+            Self::OtherController { .. } => 4,
+            _ => 1,
+        }
+    }
+}
+
+/// The number of the controller that made a record.
+fn controller(meta: &Meta) -> &str {
+    meta.software.get("controller").map_or("1", String::as_str)
 }
 
 fn so_far(ticks: u64) -> String {
@@ -114,6 +149,9 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let progress = Progress::new();
     let mut deviations = Deviations::default();
     let mut span = Span::default();
+    let foreign = controller(&meta) != singletrack_pilot::CONTROLLER.to_string();
+    // Ticks that differ, and when the first did.
+    let mut differ: (u64, f64) = (0, 0.0);
     for entry in ticks.by_ref() {
         let Entry::Tick(tick) = entry? else { continue };
         let output = replay.tick(&tick).map_err(|source| ReplayFailure::Replay {
@@ -121,7 +159,15 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             ticks: span.ticks,
             source,
         })?;
-        if args.set.is_empty() {
+        if args.set.is_empty() && foreign {
+            if !tick.is_output(&output) {
+                if differ.0 == 0 {
+                    differ.1 = span.seconds_to(&tick);
+                }
+                differ.0 += 1;
+            }
+            deviations.add(&tick, &output);
+        } else if args.set.is_empty() {
             if !tick.is_output(&output) {
                 progress.done();
                 return Err(ReplayFailure::Differs(verdict::first_difference(
@@ -141,6 +187,16 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     progress.done();
     if span.ticks == 0 {
         return Err(ReplayFailure::Empty(args.record.clone()));
+    }
+    if differ.0 > 0 {
+        print!("{deviations}");
+        return Err(ReplayFailure::OtherController {
+            path: args.record.clone(),
+            recorded: controller(&meta).to_owned(),
+            differ: differ.0,
+            ticks: span.ticks,
+            from: differ.1,
+        });
     }
     let pace = span.pace(start.elapsed());
     let told = if args.set.is_empty() {

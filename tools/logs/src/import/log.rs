@@ -23,6 +23,9 @@ pub(super) struct Log {
     pub(super) driving: Option<Vec<(u64, bool)>>,
     /// The period of the ticks.
     pub(super) tick_ns: u64,
+    /// From the first row to the first tick: with regular exposures, ticks come a fifth of a period
+    /// after them, so that a pose is in the tick that follows it whatever its jitter.
+    pub(super) phase_ns: u64,
 }
 
 /// One pose of a log.

@@ -47,7 +47,11 @@ impl<'a> Timeline<'a> {
             observations: observations.collect(),
             board: BoardSamples::new(log),
             // The last tick is not before the last row.
-            ticks: (log.end_ns - FIRST_ROW_NS).div_ceil(log.tick_ns) + 1,
+            ticks: log
+                .end_ns
+                .saturating_sub(FIRST_ROW_NS + log.phase_ns)
+                .div_ceil(log.tick_ns)
+                + 1,
             index: 0,
             next_observation: 0,
             next_sample: 0,
@@ -66,7 +70,7 @@ impl<'a> Timeline<'a> {
         if self.index == self.ticks {
             return Ok(None);
         }
-        let time = Time(FIRST_ROW_NS + self.index * self.log.tick_ns);
+        let time = Time(FIRST_ROW_NS + self.log.phase_ns + self.index * self.log.tick_ns);
         self.arrived_from = self.next_observation;
         let mut tick = TickRecord {
             index: self.index,

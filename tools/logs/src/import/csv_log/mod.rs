@@ -198,6 +198,10 @@ impl<'a> Columns<'a> {
             speed_command: self.speed_command.map(held),
             driving: self.driving.map(|driving| driving.changes),
             tick_ns: u64::from(map.tick_ms) * 1_000_000,
+            phase_ns: map
+                .pose
+                .exposures_hz
+                .map_or(0, |_| u64::from(map.tick_ms) * 200_000),
         }
     }
 }

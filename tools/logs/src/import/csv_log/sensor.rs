@@ -118,6 +118,48 @@ impl<const N: usize> Sensor<N> {
     }
 }
 
+/// Regular exposures behind messages that come with a jitter.
+struct Exposures {
+    period_ns: f64,
+    /// Of the last row.
+    last_ns: Option<f64>,
+}
+
+/// The share of a message's jitter that moves the next exposure: the clocks of cameras and log drift.
+const FOLLOWED: f64 = 0.02;
+/// The largest jitter, in periods: beyond it the exposures begin anew.
+const LARGEST_JITTER: f64 = 0.4;
+
+impl Exposures {
+    fn new(rate_hz: f64) -> Self {
+        Self {
+            period_ns: 1e9 / rate_hz,
+            last_ns: None,
+        }
+    }
+
+    /// The exposure of a message.
+    fn of(&mut self, message_ns: u64) -> u64 {
+        let message = message_ns as f64;
+        let exposure = match self.last_ns {
+            Some(last) => {
+                let periods = ((message - last) / self.period_ns).round().max(1.0);
+                let expected = last + periods * self.period_ns;
+                let jitter = message - expected;
+                if jitter.abs() > LARGEST_JITTER * self.period_ns {
+                    // Exposures stay in their order.
+                    message.max(last + 0.1 * self.period_ns)
+                } else {
+                    expected + FOLLOWED * jitter
+                }
+            }
+            None => message,
+        };
+        self.last_ns = Some(exposure);
+        exposure.round() as u64
+    }
+}
+
 /// The poses of a file.
 pub(super) struct Poses<'a> {
     section: &'a PoseSection,
@@ -126,6 +168,7 @@ pub(super) struct Poses<'a> {
     tracked: Option<Place>,
     new_rows: NewRows,
     delay_ns: u64,
+    exposures: Option<Exposures>,
     poses: Vec<LoggedPose>,
 }
 
@@ -142,6 +185,7 @@ impl<'a> Poses<'a> {
             tracked: header.find_if("pose.tracked", &section.tracked)?,
             new_rows: NewRows::new(changes),
             delay_ns: nanoseconds(section.delay_s),
+            exposures: section.exposures_hz.map(Exposures::new),
             poses: Vec::new(),
         })
     }
@@ -151,9 +195,13 @@ impl<'a> Poses<'a> {
         let is_left_out = self.section.empty_rows == EmptyRows::NoSample
             && row.are_empty(self.columns.map(|column| column.place));
         if self.new_rows.is_new(row) && !is_left_out {
+            let exposures = self.exposures.as_mut();
+            let regular_ns = exposures.map_or(time_ns, |exposures| exposures.of(time_ns));
+            let capture_ns = regular_ns - self.delay_ns;
             self.poses.push(LoggedPose {
-                receive_ns: time_ns,
-                capture_ns: time_ns - self.delay_ns,
+                // No message is earlier than its exposure.
+                receive_ns: time_ns.max(capture_ns),
+                capture_ns,
                 state: self.state(row)?,
             });
         }

@@ -106,6 +106,9 @@ pub struct PoseSection {
     /// From the measurement to the time of the row, in s.
     #[serde(default)]
     pub delay_s: f64,
+    /// How often the cameras expose. Given, the jitter of the rows' times is taken away: exposures
+    /// are regular, their messages are not. Left out, a row's time is believed as it is.
+    pub exposures_hz: Option<f64>,
     /// A row has a pose only if this column differs from the row before.
     pub new_when_changes: Option<String>,
     /// What a row is whose cells of the pose are all empty.
@@ -266,7 +269,15 @@ impl PoseSection {
         let [forward, left] = self.point_m;
         check_finite("pose.point_m", forward)?;
         check_finite("pose.point_m", left)?;
-        check_finite("pose.yaw_rad", self.yaw_rad)
+        check_finite("pose.yaw_rad", self.yaw_rad)?;
+        match self.exposures_hz {
+            Some(rate) if !(1.0..=1_000.0).contains(&rate) => Err(InvalidValue::new(
+                "pose.exposures_hz",
+                rate,
+                "use 1 to 1000",
+            )),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -1,0 +1,261 @@
+//! `singletrack judge`: what the pilot would have said of a drive, ours or another car's.
+//!
+//! The pilot of the daemon is fed from a record, and commands nothing: estimator, gates, watches and
+//! supervisor see what they would have seen. Its estimate is held against the cameras, smoothed
+//! with what came after.
+
+mod figure;
+mod log;
+mod run;
+mod score;
+mod truth;
+mod verdict;
+
+use std::{
+    fmt::Write as _,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_core::{Config, ConfigError};
+use singletrack_figures::figure::Figure;
+use singletrack_record::{Reader, RecordError};
+
+pub use run::Stop;
+pub use score::Noise;
+pub use verdict::Verdict;
+
+use log::Log;
+
+/// Options of `singletrack judge`.
+#[derive(Clone, Debug, Args)]
+pub struct JudgeArgs {
+    /// A record of a drive, ours or imported.
+    pub record: PathBuf,
+
+    /// The car's configuration, as the daemon takes it [default: that of the record; an imported one
+    /// has none].
+    #[arg(long, value_name = "CAR.toml")]
+    pub config: Option<PathBuf>,
+
+    /// How to print the verdict.
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    pub format: Format,
+
+    /// Where the page of figures goes [default: RECORD.judge.svg].
+    #[arg(long, value_name = "FILE.svg")]
+    pub figure: Option<PathBuf>,
+}
+
+/// How to print the verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For a person.
+    Text,
+    /// One JSON object.
+    Json,
+}
+
+/// Why a log can't be judged.
+#[derive(Debug, thiserror::Error)]
+pub enum JudgeError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The configuration is not one.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The record has no configuration that is one.
+    #[error(
+        "{}: its configuration is none of this version's ({source}); give one with --config",
+        path.display()
+    )]
+    Recorded {
+        /// The record.
+        path: PathBuf,
+        /// What the daemon says of it.
+        source: Box<ConfigError>,
+    },
+    /// Nothing to judge.
+    #[error(
+        "{}: the record has no {what}, and without them nothing can be judged; \
+         `singletrack dump --stats` counts what it has",
+        path.display()
+    )]
+    Empty {
+        /// The record.
+        path: PathBuf,
+        /// What it lacks.
+        what: &'static str,
+    },
+    /// The figure can't be written.
+    #[error("can't write {}: {source}; choose another --figure", path.display())]
+    Figure {
+        /// Where.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Standard output.
+    #[error("standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+/// Judges a record with the configuration of a car. `progress` is told the tick, and how many there
+/// are.
+///
+/// # Errors
+///
+/// What can't be read, and a record without poses, ticks or inertial samples.
+pub fn judge(
+    record: &Path,
+    config: &Config,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<(Verdict, Figure), JudgeError> {
+    let log = Log::read(record)?;
+    let empty = |what| JudgeError::Empty {
+        path: record.to_owned(),
+        what,
+    };
+    if log.ticks.is_empty() {
+        return Err(empty("ticks"));
+    }
+    if log.frames.is_empty() {
+        return Err(empty("frames of the cameras"));
+    }
+    let pilot = config.pilot()?;
+    let estimator = pilot.estimator;
+    let limits = config.motion_capture.session()?.limits;
+    let ticks = log.ticks.len();
+    let run = run::run(&log, pilot, limits, |tick| progress(tick, ticks));
+    if run.samples.is_empty() {
+        return Err(empty("inertial samples"));
+    }
+    Ok((Verdict::of(&log, &run, &estimator), figure::of(&run)))
+}
+
+/// Judges a record, prints the verdict, and writes the figures.
+///
+/// # Errors
+///
+/// Those of [`judge`], and what can't be written.
+pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
+    let config = match &args.config {
+        Some(path) => Config::read(path)?,
+        None => recorded(&args.record)?,
+    };
+    // Hidden when standard error is no terminal.
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks judged") {
+        bar.set_style(style);
+    }
+    let result = judge(&args.record, &config, |tick, ticks| {
+        if tick.is_multiple_of(500) {
+            bar.set_length(ticks as u64);
+            bar.set_position(tick as u64);
+        }
+    });
+    bar.finish_and_clear();
+    let (verdict, figure) = result?;
+    let path = figure_path(args);
+    std::fs::write(&path, figure.to_svg()).map_err(|source| JudgeError::Figure {
+        path: path.clone(),
+        source,
+    })?;
+    let told = match args.format {
+        Format::Text => text(&verdict, &args.record, &path),
+        Format::Json => {
+            let json = serde_json::to_string(&verdict).map_err(io::Error::other)?;
+            format!("{json}\n")
+        }
+    };
+    match io::stdout().write_all(told.as_bytes()) {
+        // The reader of a pipe may close it at any time.
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// The configuration in a record.
+fn recorded(record: &Path) -> Result<Config, JudgeError> {
+    let toml = Reader::open(record)?.meta().configuration.clone();
+    Config::from_toml(&toml).map_err(|source| JudgeError::Recorded {
+        path: record.to_owned(),
+        source: Box::new(source),
+    })
+}
+
+fn figure_path(args: &JudgeArgs) -> PathBuf {
+    let beside = || args.record.with_extension("judge.svg");
+    args.figure.clone().unwrap_or_else(beside)
+}
+
+/// The verdict for a person.
+fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
+    let mut text = String::new();
+    let number =
+        |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
+    // Writing to a string does not fail.
+    let _ = writeln!(
+        text,
+        "{}: {:.1} s, {} poses, {} of the car refused",
+        record.display(),
+        verdict.duration_s,
+        verdict.poses,
+        verdict.rejected
+    );
+    for [from, to] in &verdict.ghosts_s {
+        let _ = writeln!(text, "another body from {from:.2} s to {to:.2} s");
+    }
+    for time in &verdict.flips_s {
+        let _ = writeln!(text, "flipped at {time:.2} s");
+    }
+    for time in &verdict.asked_s {
+        let _ = writeln!(
+            text,
+            "at {time:.2} s the car is where it can't have come to: a person would be asked \
+             (`singletrack disarm` says that it is the car)"
+        );
+    }
+    if verdict.stops.is_empty() {
+        let _ = writeln!(text, "nothing would have stopped the drive");
+    }
+    for stop in &verdict.stops {
+        let _ = writeln!(text, "stop at {:.2} s: {}", stop.t_s, stop.reason);
+    }
+    let _ = writeln!(
+        text,
+        "innovations: NIS mean {} (3 is right; 2 to 6 is good)\n\
+         against the smoothed cameras, above 0.5 m/s (root mean square):\n  \
+         speed    {} m/s\n  yaw rate {} rad/s\n  sideslip {} rad (of {} rad), {} inside the stated 95 %\n\
+         largest speed {:.2} m/s, gyro scale {:.3}\n\
+         noise                         measured  configured",
+        number(verdict.nis_mean),
+        number(verdict.speed_rms_m_s),
+        number(verdict.yaw_rate_rms_rad_s),
+        number(verdict.sideslip_rms_rad),
+        number(verdict.true_sideslip_rms_rad),
+        verdict
+            .sideslip_within_95
+            .map_or_else(|| "-".to_owned(), |share| format!("{:.1} %", 100.0 * share)),
+        verdict.speed_max_m_s,
+        verdict.gyro_scale,
+    );
+    for noise in &verdict.noise {
+        let _ = writeln!(
+            text,
+            "  {:<23} {:>12} {:>11.6} {}",
+            noise.sensor,
+            noise
+                .measured
+                .map_or_else(|| "-".to_owned(), |value| format!("{value:.6}")),
+            noise.configured,
+            noise.unit
+        );
+    }
+    let _ = writeln!(text, "not judged: {}", verdict.not_judged.join(", "));
+    let _ = writeln!(text, "figures: {}", figure.display());
+    text
+}

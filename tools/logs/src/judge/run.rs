@@ -1,0 +1,185 @@
+//! A pilot that watches a log.
+
+use std::collections::VecDeque;
+
+use singletrack_control::{CarPose, InertialSample, PoseVerdict, Time};
+use singletrack_core::pose_event;
+use singletrack_mocap::{PoseLimits, PoseState, planar::PoseGate};
+use singletrack_pilot::{Event, Pilot, PilotConfig};
+
+use super::{
+    log::Log,
+    score::Compared,
+    truth::{self, Kind, Seen},
+};
+
+/// The time after a stop until the next drive is watched, s.
+const PAUSE: f64 = 1.0;
+/// No drive begins without a pose this recent, s.
+const FRESH: f64 = 0.05;
+/// The poses of the car after which a person who was asked for it would say that it is the car.
+const ASKED: u32 = 100;
+
+/// A stop that a drive would have had.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Stop {
+    /// When, from the beginning of the record.
+    pub t_s: f64,
+    /// Why.
+    pub reason: &'static str,
+}
+
+/// What became of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Judged {
+    pub(super) seen: Seen,
+    /// Refused by the gate of the cameras, before the estimator.
+    pub(super) gated: bool,
+    pub(super) verdict: Option<PoseVerdict>,
+    /// Normalised innovation squared, before any weighting.
+    pub(super) innovation: Option<f64>,
+    /// Whether the estimate had settled.
+    pub(super) settled: bool,
+}
+
+/// What a pilot has seen and said.
+#[derive(Debug, Default)]
+pub(super) struct Run {
+    pub(super) stops: Vec<Stop>,
+    pub(super) poses: Vec<Judged>,
+    pub(super) compared: Vec<Compared>,
+    pub(super) samples: Vec<(InertialSample, f64)>,
+    /// When a person would have been asked whether the body is the car, s.
+    pub(super) asked: Vec<f64>,
+    /// The largest estimated speed, m/s.
+    pub(super) speed_max: f64,
+    /// The gyro's scale in the end.
+    pub(super) gyro_scale: f64,
+}
+
+/// The poses of the log as those of the car.
+pub(super) fn seen(log: &Log, pilot: &Pilot) -> Vec<Seen> {
+    let poses: Vec<(Time, CarPose)> = log
+        .frames
+        .iter()
+        .filter_map(|frame| match pose_event(&frame.state) {
+            Event::Pose(pose) => Some((pose.capture, pilot.estimator().centre_of_mass(&pose))),
+            _ => None,
+        })
+        .collect();
+    truth::tell(&poses)
+}
+
+/// Runs a pilot over the log. `progress` is told the number of the tick.
+pub(super) fn run(
+    log: &Log,
+    config: PilotConfig,
+    limits: PoseLimits,
+    mut progress: impl FnMut(usize),
+) -> Run {
+    let settling = config.supervisor.settling_poses;
+    let mut pilot = Pilot::new(config);
+    let seen = seen(log, &pilot);
+    let mut kinds = seen.iter().copied();
+    let mut gate = PoseGate::new(limits);
+    let mut run = Run::default();
+    let mut frames: VecDeque<_> = log.frames.iter().collect();
+    let begin = log.ticks.first().map_or(Time(0), |tick| tick.time);
+    let mut paused: Option<Time> = None;
+    let mut lost: u32 = 0;
+    let mut accepted: Option<Time> = None;
+    for (index, tick) in log.ticks.iter().enumerate() {
+        progress(index);
+        let mut events = tick.events.clone();
+        let mut arrived: VecDeque<usize> = VecDeque::new();
+        while let Some(frame) = frames.front()
+            && frame.receive_time_ns <= tick.time.0
+        {
+            let state = match frame.state {
+                PoseState::Valid(pose) => {
+                    let state = gate.judge(pose);
+                    let gated = !matches!(state, PoseState::Valid(_));
+                    if let Some(seen) = kinds.next() {
+                        if !gated {
+                            arrived.push_back(run.poses.len());
+                        }
+                        run.poses.push(Judged {
+                            seen,
+                            gated,
+                            verdict: None,
+                            innovation: None,
+                            settled: false,
+                        });
+                    }
+                    state
+                }
+                other => other,
+            };
+            events.push(pose_event(&state));
+            frames.pop_front();
+        }
+        for event in &events {
+            if let Event::Board(board) = event
+                && let Some(inertial) = board.inertial
+            {
+                run.samples.push((inertial, board.motor_speed));
+            }
+        }
+        let mut commanded = tick.commanded;
+        let seen_now = accepted.is_some_and(|last| tick.time.seconds_since(last) <= FRESH);
+        if paused.is_some_and(|since| tick.time.seconds_since(since) < PAUSE || !seen_now) {
+            commanded.drives = false;
+        } else {
+            paused = None;
+        }
+        let settled = pilot.estimator().poses() >= settling;
+        let observed = pilot.observe(tick.time, &events, &commanded, |_, verdict, innovation| {
+            if let Some(judged) = arrived.pop_front().and_then(|at| run.poses.get_mut(at)) {
+                judged.verdict = Some(verdict);
+                judged.settled = settled;
+                judged.innovation = (verdict != PoseVerdict::Late).then_some(innovation);
+                if verdict == PoseVerdict::Accepted {
+                    accepted = Some(tick.time);
+                }
+                if judged.seen.kind == Kind::Car {
+                    lost = if verdict == PoseVerdict::Implausible {
+                        lost + 1
+                    } else {
+                        0
+                    };
+                }
+            }
+        });
+        let time = tick.time.seconds_since(begin);
+        if let Some(reason) = observed.stop {
+            run.stops.push(Stop {
+                t_s: time,
+                reason: reason.name(),
+            });
+            paused = Some(tick.time);
+        }
+        if lost >= ASKED {
+            run.asked.push(time);
+            pilot.observe_anew();
+            lost = 0;
+        }
+        if let Some(estimate) = observed.estimate.filter(|_| settled) {
+            run.speed_max = run.speed_max.max(estimate.speed.abs());
+        }
+        if let Some(estimate) = observed.estimate
+            && settled
+            && let Some(truth) = truth::motion(&seen, tick.time)
+        {
+            run.compared.push(Compared {
+                time: tick.time,
+                speed: estimate.speed,
+                yaw_rate: estimate.yaw_rate,
+                sideslip: estimate.sideslip,
+                deviation: pilot.estimator().sideslip_variance(&estimate).sqrt(),
+                truth,
+            });
+        }
+    }
+    run.gyro_scale = pilot.estimator().gyro_scale();
+    run
+}

@@ -1,0 +1,274 @@
+//! How the estimate compares with the smoothed cameras, and what the sensors' noise is.
+
+use singletrack_control::{EstimatorConfig, InertialSample, Time};
+use singletrack_statistics::RootMeanSquare;
+
+use super::truth::{self, Kind, Motion, Seen};
+
+/// Below this speed the cameras do not tell the sideslip, m/s.
+pub(super) const SLOWEST: f64 = 0.5;
+/// Below this speed a car stands, m/s.
+const STANDS: f64 = 0.02;
+/// The time over which white noise is told from what passes, s.
+const WINDOW: f64 = 0.5;
+/// The share of a normal distribution's 95 %, in standard deviations.
+const WITHIN_95: f64 = 1.96;
+
+/// An estimate beside what the cameras say of the same moment.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Compared {
+    pub(super) time: Time,
+    pub(super) speed: f64,
+    pub(super) yaw_rate: f64,
+    pub(super) sideslip: f64,
+    /// Stated standard deviation of the sideslip, rad.
+    pub(super) deviation: f64,
+    pub(super) truth: Motion,
+}
+
+impl Compared {
+    /// Estimated minus true sideslip, rad.
+    pub(super) fn sideslip_error(&self) -> f64 {
+        truth::wrap(self.sideslip - self.truth.sideslip())
+    }
+
+    pub(super) fn is_fast(&self) -> bool {
+        self.truth.forward > SLOWEST
+    }
+}
+
+/// The errors of the estimate while the car moves.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Errors {
+    pub(super) speed: RootMeanSquare,
+    pub(super) yaw_rate: RootMeanSquare,
+    pub(super) sideslip: RootMeanSquare,
+    /// What the cameras say of the sideslip itself.
+    pub(super) true_sideslip: RootMeanSquare,
+    compared: u32,
+    within: u32,
+}
+
+impl Errors {
+    pub(super) fn of(compared: &[Compared]) -> Self {
+        let mut errors = Self::default();
+        for one in compared.iter().filter(|one| one.is_fast()) {
+            errors.speed.add(one.speed - one.truth.speed());
+            errors.yaw_rate.add(one.yaw_rate - one.truth.yaw_rate);
+            errors.sideslip.add(one.sideslip_error());
+            errors.true_sideslip.add(one.truth.sideslip());
+            errors.compared += 1;
+            errors.within += u32::from(one.sideslip_error().abs() <= WITHIN_95 * one.deviation);
+        }
+        errors
+    }
+
+    /// The share of sideslips inside the stated 95 %; none without a moving car.
+    pub(super) fn within_95(&self) -> Option<f64> {
+        (self.compared > 0).then(|| f64::from(self.within) / f64::from(self.compared))
+    }
+}
+
+/// The noise of a sensor, as measured against the cameras and as configured.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Noise {
+    /// Which.
+    pub sensor: &'static str,
+    /// Of both values.
+    pub unit: &'static str,
+    /// By this log; none if it does not show it.
+    pub measured: Option<f64>,
+    /// What the estimator reckons with in the same moments.
+    pub configured: f64,
+}
+
+/// The noise of every sensor.
+pub(super) fn noise(
+    seen: &[Seen],
+    samples: &[(InertialSample, f64)],
+    config: &EstimatorConfig,
+) -> Vec<Noise> {
+    let mut position = RootMeanSquare::default();
+    let mut yaw = RootMeanSquare::default();
+    for index in 0..seen.len() {
+        let moves = seen
+            .get(index)
+            .and_then(|seen_now| truth::motion(seen, seen_now.time))
+            .is_some_and(|motion| motion.speed().abs() > STANDS);
+        if let Some([x, y, turned]) = truth::residual(seen, index).filter(|_| moves) {
+            position.add(x);
+            position.add(y);
+            yaw.add(turned);
+        }
+    }
+    let inertial = Inertial::of(seen, samples, config);
+    let number = |sensor, unit, measured, configured| Noise {
+        sensor,
+        unit,
+        measured,
+        configured,
+    };
+    vec![
+        number(
+            "pose_position",
+            "m",
+            position.value(),
+            config.position_noise,
+        ),
+        number("pose_yaw", "rad", yaw.value(), config.yaw_noise),
+        number(
+            "accelerometer_standing",
+            "m/s2/sqrt(Hz)",
+            inertial.standing.value(),
+            config.acceleration_noise_density,
+        ),
+        number(
+            "accelerometer_moving",
+            "m/s2/sqrt(Hz)",
+            inertial.moving.value(),
+            inertial
+                .configured
+                .value()
+                .unwrap_or(config.acceleration_noise_density),
+        ),
+        number(
+            "gyro",
+            "rad/s/sqrt(Hz)",
+            inertial.gyro.value(),
+            config.gyro_noise_density,
+        ),
+        number(
+            "motor_speed",
+            "m/s",
+            inertial.motor.value(),
+            inertial
+                .motor_configured
+                .value()
+                .unwrap_or(config.motor_speed_noise),
+        ),
+    ]
+}
+
+/// Densities of the noise of the IMU, over spans in which the car stood or moved.
+#[derive(Clone, Copy, Debug, Default)]
+struct Inertial {
+    standing: RootMeanSquare,
+    moving: RootMeanSquare,
+    configured: RootMeanSquare,
+    gyro: RootMeanSquare,
+    motor: RootMeanSquare,
+    motor_configured: RootMeanSquare,
+}
+
+/// Sums over one span.
+#[derive(Clone, Copy, Debug, Default)]
+struct Span {
+    samples: u32,
+    speed: f64,
+    differences: [f64; 3],
+}
+
+impl Inertial {
+    fn of(seen: &[Seen], samples: &[(InertialSample, f64)], config: &EstimatorConfig) -> Self {
+        let mut noise = Self::default();
+        let rows: Vec<(Time, f64, Motion, [f64; 3])> = samples
+            .iter()
+            .filter_map(|(sample, motor)| {
+                let motion = truth::motion(seen, sample.time)?;
+                let [forward, left] = motion.acceleration;
+                let differences = [
+                    sample.forward_acceleration - forward,
+                    sample.left_acceleration - left,
+                    sample.yaw_rate - motion.yaw_rate,
+                ];
+                Some((sample.time, *motor, motion, differences))
+            })
+            .collect();
+        let (bias, scale) = line(rows.iter().map(|row| (row.2.yaw_rate, row.3[2])));
+        for (_, motor, motion, _) in rows.iter().filter(|row| row.2.forward > STANDS) {
+            noise.motor.add(motor - motion.forward);
+            noise
+                .motor_configured
+                .add(config.motor_speed_noise + config.motor_speed_scale_noise * motor.abs());
+        }
+        // Spans in the order of time; the mean of white noise falls with the root of the span.
+        let mut spans: Vec<(Span, f64)> = Vec::new();
+        let mut begin: Option<Time> = None;
+        let mut span = Span::default();
+        let mut last: Option<Time> = None;
+        for (time, _, motion, [forward, left, turned]) in &rows {
+            let broken = last.is_some_and(|last| time.seconds_since(last) > 0.15);
+            let start = *begin.get_or_insert(*time);
+            if broken || time.seconds_since(start) >= WINDOW {
+                let length = last.map_or(0.0, |last| last.seconds_since(start));
+                if length > 0.8 * WINDOW {
+                    spans.push((span, length));
+                }
+                (span, begin) = (Span::default(), Some(*time));
+            }
+            span.samples += 1;
+            span.speed += motion.speed().abs();
+            let turned = turned - bias - scale * motion.yaw_rate;
+            for (sum, value) in span.differences.iter_mut().zip([*forward, *left, turned]) {
+                *sum += value;
+            }
+            last = Some(*time);
+        }
+        let means = |span: &Span, axis: usize| {
+            span.differences.get(axis).copied().unwrap_or(0.0) / f64::from(span.samples)
+        };
+        for stands in [true, false] {
+            let chosen: Vec<&(Span, f64)> = spans
+                .iter()
+                .filter(|(span, _)| (span.speed / f64::from(span.samples) < STANDS) == stands)
+                .collect();
+            for axis in 0..2 {
+                let mean = chosen
+                    .iter()
+                    .map(|(span, _)| means(span, axis))
+                    .sum::<f64>()
+                    / chosen.len() as f64;
+                for (span, length) in &chosen {
+                    let density = (means(span, axis) - mean) * length.sqrt();
+                    if stands {
+                        noise.standing.add(density);
+                    } else {
+                        noise.moving.add(density);
+                        let speed = span.speed / f64::from(span.samples);
+                        let vibration = config.vibration_noise_density * speed;
+                        noise
+                            .configured
+                            .add(config.acceleration_noise_density.hypot(vibration));
+                    }
+                }
+            }
+            for (span, length) in chosen.iter().filter(|_| !stands) {
+                noise.gyro.add(means(span, 2) * length.sqrt());
+            }
+        }
+        noise
+    }
+}
+
+/// The line `y = a + b x` through points, by least squares.
+fn line(points: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
+    let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (px, py) in points {
+        n += 1.0;
+        x += px;
+        y += py;
+        xx += px * px;
+        xy += px * py;
+    }
+    let spread = n * xx - x * x;
+    if spread <= 0.0 {
+        return (0.0, 0.0);
+    }
+    let slope = (n * xy - x * y) / spread;
+    ((y - slope * x) / n, slope)
+}
+
+/// Whether a pose's innovation counts in the mean.
+pub(super) const fn counts(kind: Kind) -> bool {
+    matches!(kind, Kind::Car | Kind::Jump)
+}

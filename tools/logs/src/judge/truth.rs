@@ -1,0 +1,213 @@
+//! What the cameras saw, told apart: the car, ghosts and flips; and the smoothed motion of the car.
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{Matrix3, Vector3};
+use singletrack_control::{CarPose, Time, direction};
+
+/// Half of the time over which the motion is smoothed, s: 110 ms, 11 poses at 100 Hz.
+const HALF: f64 = 0.055;
+/// The fewest poses in that time.
+const FEWEST: usize = 7;
+/// The poses of which the median is taken.
+const MEDIAN: usize = 9;
+/// A pose farther than this from the median is none of a moving car, m and rad.
+const OFF: f64 = 0.02;
+const TURNED: f64 = 0.15;
+/// A pose turned by more than this from the median is a flip, rad.
+const FLIP: f64 = 0.3;
+/// No car is faster, m/s; and what its pose may err, m.
+const FASTEST: f64 = 6.0;
+const ERROR: f64 = 0.1;
+
+/// What a pose is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// The car.
+    Car,
+    /// The car, but off its way for a moment: not in the smoothed motion.
+    Jump,
+    /// The car, turned for a moment.
+    Flip,
+    /// Another body.
+    Ghost,
+}
+
+/// A pose of the car.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    pub(super) time: Time,
+    pub(super) pose: CarPose,
+    pub(super) kind: Kind,
+}
+
+/// The smoothed motion at a time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// Velocity of G in the car's axes, m/s.
+    pub(super) forward: f64,
+    pub(super) left: f64,
+    pub(super) yaw_rate: f64,
+    /// Acceleration of G in the car's axes, m/s².
+    pub(super) acceleration: [f64; 2],
+}
+
+impl Motion {
+    /// Speed of G, negative in reverse, m/s.
+    pub(super) fn speed(&self) -> f64 {
+        self.forward.hypot(self.left).copysign(self.forward)
+    }
+
+    pub(super) fn sideslip(&self) -> f64 {
+        let sign = 1.0_f64.copysign(self.forward);
+        (sign * self.left).atan2(sign * self.forward)
+    }
+}
+
+/// Tells the poses apart.
+pub(super) fn tell(poses: &[(Time, CarPose)]) -> Vec<Seen> {
+    let mut seen: Vec<Seen> = poses
+        .iter()
+        .map(|&(time, pose)| Seen {
+            time,
+            pose,
+            kind: Kind::Car,
+        })
+        .collect();
+    ghosts(&mut seen);
+    moments(&mut seen);
+    seen
+}
+
+/// A stretch of poses that begins where the car can't have come to is of another body, to its end;
+/// so is one that goes on where another body was last.
+fn ghosts(seen: &mut [Seen]) {
+    let reaches = |from: &Seen, to: &Seen, most: f64| {
+        let elapsed = to.time.seconds_since(from.time).min(most);
+        (to.pose.position - from.pose.position).norm() <= ERROR + FASTEST * elapsed
+    };
+    let mut car: Option<Seen> = None;
+    let mut ghost: Option<Seen> = None;
+    for index in 0..seen.len() {
+        let (before, rest) = seen.split_at_mut(index);
+        let Some(now) = rest.first_mut() else { break };
+        let last = before.last();
+        let goes_on = last.is_some_and(|last| reaches(last, now, 0.2));
+        now.kind = match last {
+            Some(last) if goes_on => last.kind,
+            _ if car.is_some_and(|car| !reaches(&car, now, f64::INFINITY)) => Kind::Ghost,
+            _ if ghost.is_some_and(|ghost| reaches(&ghost, now, 0.2)) => Kind::Ghost,
+            _ => Kind::Car,
+        };
+        match now.kind {
+            Kind::Ghost => ghost = Some(*now),
+            _ => car = Some(*now),
+        }
+    }
+}
+
+/// Poses that differ from the median of those around them.
+fn moments(seen: &mut [Seen]) {
+    let of_car: Vec<usize> = (0..seen.len())
+        .filter(|index| seen.get(*index).is_some_and(|seen| seen.kind == Kind::Car))
+        .collect();
+    let car: Vec<CarPose> = of_car
+        .iter()
+        .filter_map(|index| Some(seen.get(*index)?.pose))
+        .collect();
+    for (place, index) in of_car.iter().enumerate() {
+        let first = place.saturating_sub(MEDIAN / 2);
+        let around = car
+            .get(first..(first + MEDIAN).min(car.len()))
+            .unwrap_or(&[]);
+        let (Some(now), Some(seen)) = (car.get(place), seen.get_mut(*index)) else {
+            continue;
+        };
+        let median = |value: &dyn Fn(&CarPose) -> f64| {
+            let mut values: Vec<f64> = around.iter().map(value).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied().unwrap_or(0.0)
+        };
+        let x = median(&|pose| pose.position.x - now.position.x);
+        let y = median(&|pose| pose.position.y - now.position.y);
+        let yaw = median(&|pose| wrap(pose.yaw - now.yaw));
+        seen.kind = match () {
+            () if yaw.abs() > FLIP => Kind::Flip,
+            () if x.hypot(y) > OFF || yaw.abs() > TURNED => Kind::Jump,
+            () => Kind::Car,
+        };
+    }
+}
+
+/// The same angle in -pi to pi.
+pub(super) fn wrap(angle: f64) -> f64 {
+    angle - TAU * ((angle + PI) / TAU).floor()
+}
+
+/// The smoothed motion of the car at `time`: a parabola through the poses of 110 ms (what Savitzky and
+/// Golay's filter of second order is for poses at equal times); none where too few are on either
+/// side, or one of them is off.
+pub(super) fn motion(seen: &[Seen], time: Time) -> Option<Motion> {
+    let begin = seen.partition_point(|seen| seen.time < time.before(HALF));
+    let end = seen.partition_point(|seen| seen.time <= time.after(HALF));
+    let around = seen.get(begin..end)?;
+    let (first, last) = (around.first()?, around.last()?);
+    let at = |seen: &Seen| seen.time.seconds_since(time);
+    let whole = around.iter().all(|seen| seen.kind == Kind::Car);
+    if !whole || around.len() < FEWEST || at(first) > -0.6 * HALF || at(last) < 0.6 * HALF {
+        return None;
+    }
+    let mut normal = Matrix3::zeros();
+    let mut right = [Vector3::zeros(); 3];
+    for seen in around {
+        let t = at(seen);
+        let row = Vector3::new(1.0, t, t * t);
+        normal += row * row.transpose();
+        let offset = seen.pose.position - first.pose.position;
+        let yaw = wrap(seen.pose.yaw - first.pose.yaw);
+        for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
+            *right += row * value;
+        }
+    }
+    let inverse = normal.try_inverse()?;
+    let [x, y, yaw] = right.map(|right| inverse * right);
+    let axis = direction(first.pose.yaw + yaw.x);
+    let in_car = |vx: f64, vy: f64| [axis.x * vx + axis.y * vy, axis.x * vy - axis.y * vx];
+    let [forward, left] = in_car(x.y, y.y);
+    Some(Motion {
+        forward,
+        left,
+        yaw_rate: yaw.y,
+        acceleration: in_car(2.0 * x.z, 2.0 * y.z),
+    })
+}
+
+/// How far a pose is from the smoothed motion of the others, m and rad: along and across together.
+pub(super) fn residual(seen: &[Seen], index: usize) -> Option<[f64; 3]> {
+    let now = seen.get(index)?;
+    let around: Vec<&Seen> = seen
+        .get(index.checked_sub(5)?..index + 6)?
+        .iter()
+        .filter(|seen| seen.kind == Kind::Car)
+        .collect();
+    let last = around.last()?.time;
+    if around.len() < 11 || last.seconds_since(around.first()?.time) > 4.0 * HALF {
+        return None;
+    }
+    let mut normal = Matrix3::zeros();
+    let mut right = [Vector3::zeros(); 3];
+    for seen in &around {
+        let t = seen.time.seconds_since(now.time);
+        let row = Vector3::new(1.0, t, t * t);
+        normal += row * row.transpose();
+        let offset = seen.pose.position - now.pose.position;
+        let yaw = wrap(seen.pose.yaw - now.pose.yaw);
+        for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
+            *right += row * value;
+        }
+    }
+    let inverse = normal.try_inverse()?;
+    // What is left of a pose's own noise in the residual of its fit.
+    let left = (1.0 - inverse.m11).max(0.1).sqrt();
+    Some(right.map(|right| (inverse * right).x / left))
+}
