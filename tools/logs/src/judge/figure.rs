@@ -8,7 +8,7 @@ use singletrack_figures::figure::{
 use super::{
     run::{Judged, Run},
     score::Compared,
-    truth::Kind,
+    truth,
 };
 
 /// Time from the first pose, the same on every panel.
@@ -101,17 +101,8 @@ pub(super) fn of(run: &Run) -> Figure {
 }
 
 fn spans(run: &Run, begin: Time) -> Vec<[f64; 2]> {
-    let mut spans: Vec<[f64; 2]> = Vec::new();
-    let mut was = false;
-    for judged in &run.poses {
-        let is = judged.seen.kind == Kind::Ghost;
-        let time = judged.seen.time.seconds_since(begin);
-        match spans.last_mut() {
-            Some(last) if is && was => last[1] = time,
-            _ if is => spans.push([time, time]),
-            _ => {}
-        }
-        was = is;
-    }
-    spans
+    truth::ghosts_of(run.poses.iter().map(|judged| judged.seen))
+        .into_iter()
+        .map(|ghost| ghost.map(|time| time.seconds_since(begin)))
+        .collect()
 }

@@ -216,7 +216,7 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
         let _ = writeln!(
             text,
             "at {time:.2} s the car is where it can't have come to: a person would be asked \
-             (`singletrack disarm` says that it is the car)"
+             (`singletrack disarm --carried` says that it is the car)"
         );
     }
     if verdict.stops.is_empty() {

@@ -160,7 +160,7 @@ pub(super) fn run(
         }
         if lost >= ASKED {
             run.asked.push(time);
-            pilot.observe_anew();
+            pilot.carried();
             lost = 0;
         }
         if let Some(estimate) = observed.estimate.filter(|_| settled) {

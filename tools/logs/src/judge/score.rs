@@ -90,12 +90,10 @@ pub(super) fn noise(
 ) -> Vec<Noise> {
     let mut position = RootMeanSquare::default();
     let mut yaw = RootMeanSquare::default();
-    for index in 0..seen.len() {
-        let moves = seen
-            .get(index)
-            .and_then(|seen_now| truth::motion(seen, seen_now.time))
-            .is_some_and(|motion| motion.speed().abs() > STANDS);
-        if let Some([x, y, turned]) = truth::residual(seen, index).filter(|_| moves) {
+    for now in seen {
+        let motion = truth::motion(seen, now.time);
+        let moves = motion.is_some_and(|motion| motion.speed().abs() > STANDS);
+        if let Some([x, y, turned]) = truth::residual(seen, now).filter(|_| moves) {
             position.add(x);
             position.add(y);
             yaw.add(turned);

@@ -144,34 +144,59 @@ pub(super) fn wrap(angle: f64) -> f64 {
     angle - TAU * ((angle + PI) / TAU).floor()
 }
 
-/// The smoothed motion of the car at `time`: a parabola through the poses of 110 ms (what Savitzky and
-/// Golay's filter of second order is for poses at equal times); none where too few are on either
-/// side, or one of them is off.
-pub(super) fn motion(seen: &[Seen], time: Time) -> Option<Motion> {
+/// Parabolas through poses, over the time from `origin`: x and y relative to the first pose, and yaw
+/// relative to its yaw. With the weight that a pose at `origin` has in the parabola's value there.
+struct Parabolas {
+    x: Vector3<f64>,
+    y: Vector3<f64>,
+    yaw: Vector3<f64>,
+    weight: f64,
+}
+
+impl Parabolas {
+    fn through(poses: &[Seen], origin: Time) -> Option<Self> {
+        let first = poses.first()?;
+        let mut normal = Matrix3::zeros();
+        let mut right = [Vector3::zeros(); 3];
+        for seen in poses {
+            let t = seen.time.seconds_since(origin);
+            let row = Vector3::new(1.0, t, t * t);
+            normal += row * row.transpose();
+            let offset = seen.pose.position - first.pose.position;
+            let yaw = wrap(seen.pose.yaw - first.pose.yaw);
+            for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
+                *right += row * value;
+            }
+        }
+        let inverse = normal.try_inverse()?;
+        let [x, y, yaw] = right.map(|right| inverse * right);
+        Some(Self {
+            x,
+            y,
+            yaw,
+            weight: inverse.m11,
+        })
+    }
+}
+
+/// The poses that smooth the motion at `time`; none where too few are on either side, or one of
+/// them is off.
+fn around(seen: &[Seen], time: Time) -> Option<&[Seen]> {
     let begin = seen.partition_point(|seen| seen.time < time.before(HALF));
     let end = seen.partition_point(|seen| seen.time <= time.after(HALF));
     let around = seen.get(begin..end)?;
-    let (first, last) = (around.first()?, around.last()?);
     let at = |seen: &Seen| seen.time.seconds_since(time);
+    let reaches = at(around.first()?) <= -0.6 * HALF && at(around.last()?) >= 0.6 * HALF;
     let whole = around.iter().all(|seen| seen.kind == Kind::Car);
-    if !whole || around.len() < FEWEST || at(first) > -0.6 * HALF || at(last) < 0.6 * HALF {
-        return None;
-    }
-    let mut normal = Matrix3::zeros();
-    let mut right = [Vector3::zeros(); 3];
-    for seen in around {
-        let t = at(seen);
-        let row = Vector3::new(1.0, t, t * t);
-        normal += row * row.transpose();
-        let offset = seen.pose.position - first.pose.position;
-        let yaw = wrap(seen.pose.yaw - first.pose.yaw);
-        for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
-            *right += row * value;
-        }
-    }
-    let inverse = normal.try_inverse()?;
-    let [x, y, yaw] = right.map(|right| inverse * right);
-    let axis = direction(first.pose.yaw + yaw.x);
+    (whole && reaches && around.len() >= FEWEST).then_some(around)
+}
+
+/// The smoothed motion of the car at `time`: a parabola through the poses of 110 ms (what Savitzky and
+/// Golay's filter of second order is for poses at equal times).
+pub(super) fn motion(seen: &[Seen], time: Time) -> Option<Motion> {
+    let around = around(seen, time)?;
+    let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
+    let axis = direction(around.first()?.pose.yaw + yaw.x);
     let in_car = |vx: f64, vy: f64| [axis.x * vx + axis.y * vy, axis.x * vy - axis.y * vx];
     let [forward, left] = in_car(x.y, y.y);
     Some(Motion {
@@ -182,32 +207,33 @@ pub(super) fn motion(seen: &[Seen], time: Time) -> Option<Motion> {
     })
 }
 
-/// How far a pose is from the smoothed motion of the others, m and rad: along and across together.
-pub(super) fn residual(seen: &[Seen], index: usize) -> Option<[f64; 3]> {
-    let now = seen.get(index)?;
-    let around: Vec<&Seen> = seen
-        .get(index.checked_sub(5)?..index + 6)?
-        .iter()
-        .filter(|seen| seen.kind == Kind::Car)
-        .collect();
-    let last = around.last()?.time;
-    if around.len() < 11 || last.seconds_since(around.first()?.time) > 4.0 * HALF {
-        return None;
-    }
-    let mut normal = Matrix3::zeros();
-    let mut right = [Vector3::zeros(); 3];
-    for seen in &around {
-        let t = seen.time.seconds_since(now.time);
-        let row = Vector3::new(1.0, t, t * t);
-        normal += row * row.transpose();
-        let offset = seen.pose.position - now.pose.position;
-        let yaw = wrap(seen.pose.yaw - now.pose.yaw);
-        for (right, value) in right.iter_mut().zip([offset.x, offset.y, yaw]) {
-            *right += row * value;
+/// How far a pose is from the parabola through those around it, without its own pull on that: x and
+/// y in m, yaw in rad.
+pub(super) fn residual(seen: &[Seen], now: &Seen) -> Option<[f64; 3]> {
+    let around = around(seen, now.time)?;
+    let first = around.first()?.pose;
+    let Parabolas { x, y, yaw, weight } = Parabolas::through(around, now.time)?;
+    let offset = now.pose.position - first.position;
+    let left = (1.0 - weight).max(0.1).sqrt();
+    Some([
+        (offset.x - x.x) / left,
+        (offset.y - y.x) / left,
+        (wrap(now.pose.yaw - first.yaw) - yaw.x) / left,
+    ])
+}
+
+/// Stretches of poses of another body: first and last time.
+pub(super) fn ghosts_of(seen: impl Iterator<Item = Seen>) -> Vec<[Time; 2]> {
+    let mut ghosts: Vec<[Time; 2]> = Vec::new();
+    let mut was = false;
+    for seen in seen {
+        let is = seen.kind == Kind::Ghost;
+        match ghosts.last_mut() {
+            Some([_, last]) if is && was => *last = seen.time,
+            _ if is => ghosts.push([seen.time, seen.time]),
+            _ => {}
         }
+        was = is;
     }
-    let inverse = normal.try_inverse()?;
-    // What is left of a pose's own noise in the residual of its fit.
-    let left = (1.0 - inverse.m11).max(0.1).sqrt();
-    Some(right.map(|right| (inverse * right).x / left))
+    ghosts
 }

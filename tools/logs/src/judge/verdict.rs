@@ -7,7 +7,7 @@ use super::{
     log::Log,
     run::{Run, Stop},
     score::{self, Errors, Noise},
-    truth::{Kind, Seen},
+    truth::{self, Kind, Seen},
 };
 
 /// What the pilot would have said of a drive, and how its estimate compares with the cameras.
@@ -67,20 +67,14 @@ impl Verdict {
             .filter(|judged| judged.settled)
             .filter_map(|judged| judged.innovation)
             .collect();
-        let mut ghosts: Vec<[f64; 2]> = Vec::new();
+        let ghosts = truth::ghosts_of(run.poses.iter().map(|judged| judged.seen));
         let mut adopted = 0;
-        let (mut was_ghost, mut was_adopted) = (false, false);
+        let mut was_adopted = false;
         for judged in &run.poses {
             let is_ghost = judged.seen.kind == Kind::Ghost;
-            let time = at(&judged.seen);
-            match ghosts.last_mut() {
-                Some(last) if is_ghost && was_ghost => last[1] = time,
-                _ if is_ghost => ghosts.push([time, time]),
-                _ => {}
-            }
             let is_adopted = is_ghost && judged.verdict == Some(PoseVerdict::Accepted);
             adopted += usize::from(is_adopted && !was_adopted);
-            (was_ghost, was_adopted) = (is_ghost, is_adopted);
+            was_adopted = is_adopted;
         }
         let errors = Errors::of(&run.compared);
         let seen: Vec<Seen> = run.poses.iter().map(|judged| judged.seen).collect();
@@ -89,7 +83,10 @@ impl Verdict {
             poses: run.poses.len(),
             rejected: rejected.count(),
             adopted_ghosts: adopted,
-            ghosts_s: ghosts,
+            ghosts_s: ghosts
+                .iter()
+                .map(|ghost| ghost.map(|time| time.seconds_since(begin)))
+                .collect(),
             flips_s: seen
                 .iter()
                 .filter(|seen| seen.kind == Kind::Flip)
