@@ -198,6 +198,7 @@ impl Simulator {
             "disarm" => PilotRequest::Disarm,
             "stop" => PilotRequest::EmergencyStop,
             "halt" => PilotRequest::Halt,
+            "carried" => PilotRequest::Carried,
             other => return Err(refuse(format!("unknown request {other:?}"))),
         };
         self.simulation()?.drive.request(request).map_err(fail)

@@ -90,7 +90,8 @@ impl Requests {
                 | PilotRequest::ArmHeld
                 | PilotRequest::ArmJog
                 | PilotRequest::Hold
-                | PilotRequest::Disarm,
+                | PilotRequest::Disarm
+                | PilotRequest::Carried,
             )
             | ControlRequest::Tune(_)
             | ControlRequest::Reconfigure(_) => false,

@@ -232,5 +232,9 @@ words! {
         /// The operator's dead-man switch is lost: disarm at once, without the ramp of
         /// [`OperatorGone`](Self::OperatorGone).
         Halt = "halt",
+        /// [`Disarm`](Self::Disarm), and the operator's word that the body which the cameras show is
+        /// the car: it was carried out of their sight. Without effect on an estimate that has not
+        /// lost the car, and while the board is commanded. No program says it by itself.
+        Carried = "carried",
     }
 }

@@ -804,7 +804,12 @@ fn a_body_where_the_car_cannot_have_come_to_is_the_car_only_when_the_operator_sa
     );
     let estimate = output.estimate.unwrap();
     assert!((estimate.position - was).norm() < 0.1);
+    // A program that ends disarms as well, and may put another configuration in force.
     bench.step_with(Some(PilotRequest::Disarm));
+    bench.pilot.reconfigure(&config()).unwrap();
+    let output = bench.run(100);
+    assert_eq!(output.preflight, Some(Reason::PoseImplausible));
+    bench.step_with(Some(PilotRequest::Carried));
     let output = bench.run(100);
     assert_eq!((output.mode, output.reason), (Mode::Ready, None));
     let estimate = output.estimate.unwrap();

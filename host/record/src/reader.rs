@@ -508,7 +508,7 @@ impl Catalogue {
                         && Topic::ALL
                             .into_iter()
                             .find(|topic| header.name == topic.schema_name())
-                            .is_some_and(|topic| *data == *topic.schema_text().as_bytes());
+                            .is_some_and(|topic| is_known(&data, &topic.schema_text()));
                     (header.name, same)
                 });
             }
@@ -586,5 +586,45 @@ impl Iterator for Reader {
                 Err(error) => return Some(Err(error)),
             }
         }
+    }
+}
+
+/// Whether a schema is `ours`, or that of an older program, which knew fewer words: constants are
+/// added within a version, and never changed or removed. They take no place in a message.
+fn is_known(schema: &[u8], ours: &str) -> bool {
+    let Ok(schema) = std::str::from_utf8(schema) else {
+        return false;
+    };
+    let mut theirs = schema.lines().peekable();
+    let ours_fit = ours
+        .lines()
+        .all(|line| theirs.next_if_eq(&line).is_some() || line.contains('='));
+    ours_fit && theirs.next().is_none()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_layout_that_lacks_words_is_known_and_every_other_one_is_not() {
+        let ours = Topic::Tick.schema_text();
+        assert!(is_known(ours.as_bytes(), &ours));
+        let word = "uint8 REQUEST_CARRIED=10\n";
+        let older = ours.replace(word, "");
+        assert!(older.len() < ours.len() && is_known(older.as_bytes(), &ours));
+        for other in [
+            // Newer than this program.
+            ours.replace(word, "uint8 REQUEST_CARRIED=10\nuint8 REQUEST_OTHER=11\n"),
+            // The number of another word.
+            ours.replace(word, "uint8 REQUEST_CARRIED=11\n"),
+            // A field less, and one more.
+            ours.replacen("uint8 request\n", "", 1),
+            format!("{ours}uint8 more\n"),
+            String::new(),
+        ] {
+            assert!(!is_known(other.as_bytes(), &ours));
+        }
+        assert!(!is_known(&[0xff], &ours));
     }
 }

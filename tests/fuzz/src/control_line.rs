@@ -137,7 +137,9 @@ fn check_accepted(command: &Command, line: &[u8]) {
     let word = match command {
         Command::Ask(question) => match question {
             singletrackd::Question::Status => "status",
-            singletrackd::Question::Disarm | singletrackd::Question::Halt => "disarm",
+            singletrackd::Question::Disarm
+            | singletrackd::Question::Carried
+            | singletrackd::Question::Halt => "disarm",
             singletrackd::Question::Stop => "stop",
         },
         Command::Commissioned { .. } => "commissioned",

@@ -36,6 +36,18 @@ pub struct ControlArgs {
     pub(crate) socket: PathBuf,
 }
 
+/// Options of `singletrack disarm`.
+#[derive(Clone, Debug, Args)]
+pub struct DisarmArgs {
+    /// The body that the cameras show is the car, though its wheels can't have brought it there: it
+    /// was carried
+    #[arg(long)]
+    carried: bool,
+
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
 /// A path from the command line or the environment.
 fn socket(path: OsString) -> Result<PathBuf, String> {
     if path.is_empty() {
@@ -83,6 +95,22 @@ impl From<serde_json::Error> for ControlError {
     fn from(error: serde_json::Error) -> Self {
         ClientError::from(error).into()
     }
+}
+
+/// Disarms, and says that the car was carried if that is asked for.
+///
+/// # Errors
+///
+/// Those of [`run`].
+pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
+    if !args.carried {
+        return run(ControlCommand::Disarm, &args.control);
+    }
+    ask(
+        &json!({ "version": SOCKET_VERSION, "command": "disarm", "carried": true }),
+        &args.control.socket,
+    )?;
+    print("the car is where the cameras show it; singletrack status says when it is ready")
 }
 
 /// Sends the request and prints the result in words.

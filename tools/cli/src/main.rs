@@ -139,7 +139,7 @@ enum Command {
     Jog(jog::JogArgs),
     #[cfg(feature = "operator")]
     /// Slow down, stop and disarm.
-    Disarm(control::ControlArgs),
+    Disarm(control::DisarmArgs),
     #[cfg(feature = "operator")]
     /// Emergency stop: neutral at once, until the board is reset.
     Stop(control::ControlArgs),
@@ -296,7 +296,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "operator")]
         Command::Jog(args) => return Ok(jog::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Disarm(args) => Ok(control::run(ControlCommand::Disarm, args)?),
+        Command::Disarm(args) => Ok(control::disarm(args)?),
         #[cfg(feature = "operator")]
         Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
         #[cfg(feature = "operator")]

@@ -298,7 +298,7 @@ const CONSISTENT: f64 = 3.0;
 const OUTLIER: f64 = 25.0;
 /// The share of a pose in what is usual: the last ten count...
 const SHARE: f64 = 0.1;
-/// ...and an outlier as so many times what makes one.
+/// ...and an outlier at most as this multiple of the outlier limit.
 const MOST: f64 = 4.0;
 /// The same for motor speed and rear axle, with one degree of freedom: three deviations.
 const SLIDING: f64 = 9.0;

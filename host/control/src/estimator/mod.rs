@@ -120,6 +120,18 @@ impl Estimator {
         }
     }
 
+    /// Replaces the parameters. The estimate settles again; where the car is stays known, unless the
+    /// body is another one: a ghost must not be taken for the car because a parameter has changed.
+    pub fn reconfigure(&mut self, config: EstimatorConfig) {
+        let same_body = config.marker_offset == self.config.marker_offset
+            && config.marker_yaw.to_bits() == self.config.marker_yaw.to_bits();
+        match &mut self.track {
+            Some(track) if same_body => track.poses = 0,
+            _ => *self = Self::new(config),
+        }
+        self.config = config;
+    }
+
     /// Restarts the estimate: the next pose starts a new filter. Inertial samples are kept.
     pub fn reset(&mut self) {
         self.track = None;

@@ -193,7 +193,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
-    if matches!(question, Question::Disarm | Question::Halt | Question::Stop) {
+    if question != Question::Status {
         daemon.drives.stop();
     }
     // No mode in an answer: the effect of a request shows after the next tick only.
@@ -205,6 +205,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
                 "status": daemon.snapshot().to_json(),
             });
         }
+        Question::Carried => push(PilotRequest::Carried),
         Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
             (Ok(()), Some(note)) => {
                 return json!({ "version": SOCKET_VERSION, "ok": true, "note": note });

@@ -41,12 +41,12 @@ impl Pilot {
         None
     }
 
-    /// A disarm request while nothing is commanded is the operator's word that the body which the
-    /// cameras show is the car, wherever it is.
+    /// A lost car is taken up elsewhere by the operator's word alone: a program that ends disarms as
+    /// well.
     fn handle_request(&mut self, request: PilotRequest) {
         self.supervisor.handle_request(request);
         let lost = self.estimator.implausible_in_a_row() > 0;
-        if request == PilotRequest::Disarm && lost && !self.supervisor.mode().commands() {
+        if request == PilotRequest::Carried && lost && !self.supervisor.mode().commands() {
             self.estimator.reset();
         }
     }

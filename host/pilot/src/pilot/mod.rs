@@ -154,7 +154,7 @@ impl Pilot {
         self.governor = config.governor();
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
-        self.estimator = Estimator::new(config.estimator);
+        self.estimator.reconfigure(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.speeds.reset();
         self.steps.reset();

@@ -60,8 +60,9 @@ impl Pilot {
         }
     }
 
-    /// The observed drive has been ended: the next one begins where the car is seen now.
-    pub fn observe_anew(&mut self) {
+    /// A person says that the body which the cameras show is the car: see
+    /// [`PilotRequest::Carried`](crate::PilotRequest::Carried).
+    pub fn carried(&mut self) {
         if self.estimator.implausible_in_a_row() > 0 {
             self.estimator.reset();
         }

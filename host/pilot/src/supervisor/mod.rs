@@ -236,7 +236,7 @@ impl Supervisor {
             PilotRequest::ArmHeld => self.arm_requested = Some(Arming::Held),
             PilotRequest::ArmJog => self.arm_requested = Some(Arming::Jog),
             PilotRequest::Hold => self.hold_heard = true,
-            PilotRequest::Disarm => self.request_stop(Reason::Requested),
+            PilotRequest::Disarm | PilotRequest::Carried => self.request_stop(Reason::Requested),
             PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),
             PilotRequest::TimeUp => self.request_stop(Reason::TimeUp),
             PilotRequest::Halt => {

@@ -155,7 +155,7 @@ pub(crate) struct InnovationWatch {
 
 /// The share of a new pose in the mean: 0.5 s at 100 Hz.
 const SHARE: f64 = 0.02;
-/// A pose counts at most as so many times the limit.
+/// One pose counts at most as this multiple of the limit.
 const MOST: f64 = 5.0;
 /// The number of poses for which the mean must exceed its limit, 0.5 s at 100 Hz: other
 /// watches name the cause by then.

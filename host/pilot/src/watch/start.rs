@@ -8,8 +8,8 @@ use super::steps::Step;
 /// and as a share.
 const ACCELERATED: f64 = 0.18;
 const TOLERANCE: (f64, f64) = (0.05, 0.5);
-/// The accelerometer's noise counts so many deviations more: a car that vibrates fits its speed less
-/// well.
+/// The tolerance for the accelerometer's noise, in standard deviations: it is larger on a car that
+/// vibrates.
 const DEVIATIONS: f64 = 3.0;
 /// The change must come within this time, s, or it says nothing: a bias counts for more, and
 /// the linear acceleration of some sensors leaks away.

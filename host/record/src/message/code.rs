@@ -373,6 +373,7 @@ codes! {
         TimeUp = 7,
         ArmJog = 8,
         Halt = 9,
+        Carried = 10,
     }
     BoardMode as "MODE" {
         Boot = 1,

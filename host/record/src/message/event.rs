@@ -542,6 +542,7 @@ mod tests {
                     esc_us: 1_545
                 }),
                 Event::Request(PilotRequest::Halt),
+                Event::Request(PilotRequest::Carried),
                 Event::Proved(true),
                 Event::Proved(false),
                 Event::ArmRefused,

@@ -43,6 +43,7 @@ pub(super) struct Line {
     servo_us: Option<u16>,
     esc_us: Option<u16>,
     pub(super) at_once: Option<bool>,
+    pub(super) carried: Option<bool>,
     gain_per_s: Option<Value>,
     point_distance_m: Option<f64>,
 }
@@ -169,6 +170,7 @@ impl Line {
             ("servo_us", self.servo_us.is_some(), "jog"),
             ("esc_us", self.esc_us.is_some(), "jog"),
             ("at_once", self.at_once.is_some(), "disarm"),
+            ("carried", self.carried.is_some(), "disarm"),
             ("gain_per_s", self.gain_per_s.is_some(), "tune"),
             ("point_distance_m", self.point_distance_m.is_some(), "tune"),
         ] {

@@ -130,6 +130,8 @@ pub enum Question {
     Status,
     /// Slow down, stop and disarm.
     Disarm,
+    /// The same; and the body that the cameras show is the car, which was carried.
+    Carried,
     /// Disarm at once: neutral without a ramp.
     Halt,
     /// Emergency stop: neutral at once, until the board is reset.
@@ -177,9 +179,16 @@ impl Command {
             "hold" => Self::Hold,
             "jog" => Self::Jog(line.take_jog()?),
             "reload" => Self::Reload,
-            "disarm" => match line.at_once.take() {
-                Some(true) => Self::Ask(Question::Halt),
-                Some(false) | None => Self::Ask(Question::Disarm),
+            "disarm" => match (
+                line.at_once.take().unwrap_or(false),
+                line.carried.take().unwrap_or(false),
+            ) {
+                (true, true) => {
+                    return Err("disarm takes at_once or carried, not both".into());
+                }
+                (true, false) => Self::Ask(Question::Halt),
+                (false, true) => Self::Ask(Question::Carried),
+                (false, false) => Self::Ask(Question::Disarm),
             },
             "stop" => Self::Ask(Question::Stop),
             "set-reference" => {

@@ -180,6 +180,10 @@ fn valid_lines_are_parsed() {
             Command::Ask(Question::Halt),
         ),
         (
+            r#"{"version":2,"command":"disarm","carried":true}"#,
+            Command::Ask(Question::Carried),
+        ),
+        (
             r#"{"version":2,"command":"disarm","at_once":false}"#,
             Command::Ask(Question::Disarm),
         ),

@@ -148,7 +148,7 @@ pub struct ImuSection {
     pub delay_s: f64,
     /// A row has a sample only if this column differs from the row before.
     pub new_when_changes: Option<String>,
-    /// Interpolates to so many samples a second.
+    /// Interpolates to this number of samples a second.
     pub interpolate_hz: Option<u32>,
     /// The longest time between two samples that is interpolated, in s.
     pub longest_gap_s: Option<f64>,
@@ -165,7 +165,7 @@ pub struct MotorSection {
     pub delay_s: f64,
     /// A row has a sample only if this column differs from the row before.
     pub new_when_changes: Option<String>,
-    /// Interpolates: at the times of the inertial samples, or without an IMU to so many samples
+    /// Interpolates: at the times of the inertial samples, or without an IMU to this number of samples
     /// a second.
     pub interpolate_hz: Option<u32>,
     /// The longest time between two samples that is interpolated, in s.
