@@ -4,8 +4,8 @@
 
 use crate::synthetic::Course;
 use singletrack_analysis::identification::{
-    Channel, DriveData, Identification, IdentificationError, Parameter, ServoFrames, Settings,
-    Tyres, Values, Warning, cramer_rao, identify, validate,
+    Channel, Criterion, DriveData, Identification, IdentificationError, NoiseLevels, Parameter,
+    ServoFrames, Settings, Tyres, Values, Warning, cramer_rao, identify, validate,
 };
 use singletrack_control::VehicleParameters;
 
@@ -28,6 +28,7 @@ fn truth(course: &Course, parameter: Parameter) -> f64 {
         Parameter::SteeringTrim => course.trim,
         Parameter::InertialDelay => course.inertial_delay,
         Parameter::LateralBias => course.left_bias,
+        Parameter::GyroScale => course.gyro_scale,
         vehicle => Values::of(&course.vehicle).get(vehicle),
     }
 }
@@ -72,6 +73,117 @@ fn intervals_of_95_percent_contain_the_truth_in_at_least_90_percent_of_the_drive
         // The intervals are not too wide either: the expected ratio is 1.
         let ratio = (squares / f64::from(drives)).sqrt();
         assert!((0.75..1.3).contains(&ratio), "{parameter}: {ratio}");
+    }
+}
+
+/// The sensors of a small real car: ten inertial samples a second with the noise of a car that drives, a
+/// gyro whose scale is wrong, late time stamps, and samples with the time stamp of a pose.
+fn real_sensors(seed: u64, seconds: f64) -> Course {
+    let weaving = Course::weaving(seed, seconds);
+    Course {
+        inertial_period_ms: 100,
+        // A sample 3 ms after a pose's period began is stamped as the pose 7 ms after it.
+        inertial_delay: 0.004,
+        steering_delay: 0.02,
+        gyro_scale: 1.028,
+        noise: NoiseLevels {
+            yaw_rate_rad_s: 0.03,
+            left_m_s2: 0.5,
+            forward_density: 0.03,
+            ..weaving.noise
+        },
+        ..weaving
+    }
+}
+
+/// The samples, of which many have exactly the time stamps of poses.
+fn tied(course: &Course) -> DriveData {
+    let mut data = course.drive();
+    for sample in &mut data.inertial {
+        sample.time_s = (sample.time_s / 0.001).round() * 0.001;
+    }
+    let ties = data.inertial.iter();
+    let ties = ties.filter(|sample| data.poses.iter().any(|pose| pose.time_s == sample.time_s));
+    assert!(ties.count() > 50);
+    data
+}
+
+#[test]
+fn the_intervals_hold_with_the_sensors_of_a_real_car() {
+    let drives = 30;
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        noise: real_sensors(0, 0.0).noise,
+        estimate_noise: false,
+        ..Settings::default()
+    };
+    let mut covered = vec![0; settings.parameters.len()];
+    for seed in 100..100 + drives {
+        let course = real_sensors(seed, 9.0);
+        let found = identify(&tied(&course), &wrong(), &settings).unwrap();
+        assert_eq!(found.criterion, Criterion::Prediction);
+        for (covered, estimate) in covered.iter_mut().zip(&found.estimates) {
+            let [low, high] = estimate.interval;
+            *covered += u64::from((low..=high).contains(&truth(&course, estimate.parameter)));
+        }
+    }
+    for (parameter, covered) in settings.parameters.iter().zip(covered) {
+        assert!(
+            10 * covered >= 9 * drives,
+            "{parameter}: {covered} of {drives}"
+        );
+    }
+}
+
+#[test]
+fn the_simulations_parameters_are_those_of_the_car_where_the_model_is_right() {
+    let course = real_sensors(17, 30.0);
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        criterion: Some(Criterion::Simulation),
+        ..Settings::default()
+    };
+    let found = identify(&tied(&course), &wrong(), &settings).unwrap();
+    assert_eq!(found.criterion, Criterion::Simulation);
+    for (parameter, within) in [
+        (Parameter::FrontStiffness, 0.05),
+        (Parameter::RearStiffness, 0.05),
+        (Parameter::YawInertia, 0.1),
+        (Parameter::GyroScale, 0.01),
+    ] {
+        let error = relative_error(&found, &course, parameter);
+        assert!(error < within, "{parameter}: {error}");
+    }
+}
+
+#[test]
+fn a_car_that_the_model_does_not_describe_is_identified_by_its_simulation() {
+    let course = Course::weaving(18, 21.0);
+    let mut data = course.drive();
+    for (index, sample) in data.inertial.iter_mut().enumerate() {
+        // A body that sways on its springs: what it measures is neither noise nor the model's motion.
+        let wave = (0.037 * index as f64).sin();
+        sample.left_m_s2 += 1.5 * wave;
+        sample.yaw_rate_rad_s += 0.3 * wave;
+    }
+    let found = identify(&data, &wrong(), &Settings::default()).unwrap();
+    assert_eq!(
+        found.criterion,
+        Criterion::Simulation,
+        "{:?}",
+        found.warnings
+    );
+    assert!(
+        found
+            .warnings
+            .iter()
+            .any(|warning| matches!(warning, Warning::Simulated { .. })),
+        "{:?}",
+        found.warnings
+    );
+    for parameter in Parameter::VEHICLE {
+        let error = relative_error(&found, &course, parameter);
+        assert!(error < 0.15, "{parameter}: {error}");
     }
 }
 
@@ -243,23 +355,40 @@ fn a_wrong_centre_of_mass_causes_a_warning_of_unexplained_forces() {
 }
 
 #[test]
-fn a_straight_drive_causes_a_warning_of_undetermined_stiffness() {
+fn an_answer_that_is_the_start_is_an_error_that_says_what_to_drive() {
     let course = Course {
         steering: 0.0,
         trim: 0.0,
         ..Course::weaving(5, 12.0)
     };
-    let found = identify(&course.drive(), &course.vehicle, &Settings::default()).unwrap();
-    for parameter in [Parameter::FrontStiffness, Parameter::YawInertia] {
-        assert!(
-            found.warnings.iter().any(|warning| matches!(
-                warning,
-                Warning::NotTold { parameter: named, .. } if *named == parameter
-            )),
-            "{parameter}: {:?}",
-            found.warnings
-        );
-    }
+    let error = identify(&course.drive(), &course.vehicle, &Settings::default()).unwrap_err();
+    let IdentificationError::NotDetermined { parameters } = &error else {
+        panic!("{error}");
+    };
+    assert!(parameters.contains(&Parameter::FrontStiffness), "{error}");
+    let text = error.to_string();
+    assert!(text.contains("c_f") && text.contains("weave"), "{text}");
+}
+
+#[test]
+fn an_answer_at_the_end_of_its_range_is_an_error() {
+    // Start values that no car near the true one has.
+    let course = Course::weaving(16, 12.0);
+    let start = VehicleParameters {
+        front_cornering_stiffness_n_rad: 0.01 * course.vehicle.front_cornering_stiffness_n_rad,
+        rear_cornering_stiffness_n_rad: 0.01 * course.vehicle.rear_cornering_stiffness_n_rad,
+        ..course.vehicle
+    };
+    let error = identify(&course.drive(), &start, &Settings::default()).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            IdentificationError::AtBound { .. }
+                | IdentificationError::NotSettled { .. }
+                | IdentificationError::Diverged { .. }
+        ),
+        "{error}"
+    );
 }
 
 #[test]

@@ -8,6 +8,7 @@
 )]
 
 use std::{
+    fmt::Write as _,
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -15,11 +16,13 @@ use std::{
 
 use serde_json::Value;
 use singletrack_analysis::identification::Parameter;
-use singletrack_control::VehicleParameters;
+use singletrack_control::{RelaxedSingleTrack, SingleTrackState, VehicleParameters};
+use singletrack_core::Config;
 use singletrack_paper::{
     identify::study::{SCENARIO, StudyPlan, run_study},
     vehicle_file,
 };
+use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, Recorder};
 use singletrack_scenario::simulate::{Scenario, simulate_recorded};
 
@@ -32,6 +35,12 @@ fn identify(record: &Path, arguments: &[&str]) -> Output {
         .args(arguments)
         .output()
         .unwrap()
+}
+
+fn in_repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .join(path)
 }
 
 fn stdout(output: &Output) -> String {
@@ -107,9 +116,21 @@ fn a_simulated_drive_becomes_a_car_in_a_file() {
         // It is not that it knows nothing.
         assert!(deviation / truth < 0.01, "{name}: {estimate}");
     }
-    let nmpe = |drive: &str| found[drive]["score"]["nmpe"].as_f64().unwrap();
-    assert!(nmpe("identification") < 0.05, "{}", nmpe("identification"));
-    assert!(nmpe("validation") < 0.05, "{}", nmpe("validation"));
+    for (index, role) in ["identification", "validation"].iter().enumerate() {
+        let log = &found["logs"][index];
+        assert_eq!(log["role"], *role);
+        let nmpe = log["nmpe"].as_f64().unwrap();
+        assert!(nmpe < 0.05, "{role}: {nmpe}");
+        for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
+            let fit = log[output].as_f64().unwrap();
+            assert!((80.0..100.0).contains(&fit), "{role}, {output}: {fit}");
+        }
+    }
+    assert_eq!(found["converged"], true);
+    assert_eq!(found["criterion"], "prediction");
+    let inertia = &found["parameters"]["i_z"];
+    assert!(inertia["low"].as_f64() < inertia["value"].as_f64());
+    assert!(inertia["value"].as_f64() < inertia["high"].as_f64());
     assert_eq!(
         found["identification"]["warnings"],
         Value::Array(Vec::new())
@@ -134,6 +155,138 @@ fn a_simulated_drive_becomes_a_car_in_a_file() {
     ] {
         let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
         assert!(svg.contains("<path class="), "{name}");
+    }
+}
+
+/// A log of another program as CSV: the car of `tools/real/dart.toml` weaves, its board sends ten samples a
+/// second, and the rows between repeat them.
+fn csv_log(seconds: f64, phase: f64) -> String {
+    const STEP: f64 = 0.001;
+    let car = Config::read(&in_repository("tools/real/dart.toml")).unwrap();
+    let model = RelaxedSingleTrack::new(car.vehicle);
+    let [forward, left] = car.motion_capture.marker_offset_m;
+    let mut state = SingleTrackState::default();
+    let mut steering = 0.0;
+    let mut held = String::from("0,0,0,0,0");
+    // Uniform between -0.5 and 0.5.
+    let mut count = 0.0;
+    let mut noise = || {
+        count += 1.0;
+        (f64::sin(12.9898 * count + phase) * 43_758.545_3).rem_euclid(1.0) - 0.5
+    };
+    let mut log = String::from("t,x,y,yaw,clock,ax,ay,w,v,steer\n");
+    for tick in 0..(seconds / STEP) as u32 {
+        let time = f64::from(tick) * STEP;
+        let angle = |time: f64| 0.15 * (3.1 * time + phase).sin() + 0.1 * (7.3 * time).sin();
+        let speed = 1.4 + 0.2 * (0.9 * time + phase).sin();
+        let along = 0.18 * (0.9 * time + phase).cos();
+        let rate = model.derivative(&state, speed, steering);
+        let across = speed * (rate.sideslip + state.yaw_rate);
+        let (sin, cos) = state.sideslip.sin_cos();
+        if tick % 100 == 0 {
+            let [ax, ay] = [along * cos - across * sin, along * sin + across * cos];
+            let [ax, ay] = [ax + 0.3 * noise(), ay + 0.3 * noise()];
+            let gyro = 1.02 * state.yaw_rate + 0.05 * noise();
+            held = format!("{time},{ax},{ay},{gyro},{speed}");
+        }
+        if tick % 10 == 0 {
+            let (s, c) = state.yaw.sin_cos();
+            let x = state.x + c * forward - s * left;
+            let y = state.y + s * forward + c * left;
+            let yaw = state.yaw + car.motion_capture.marker_yaw_rad;
+            let [x, y, yaw] = [x + 5e-4 * noise(), y + 5e-4 * noise(), yaw + 4e-3 * noise()];
+            writeln!(log, "{time},{x},{y},{yaw},{held},{}", angle(time)).unwrap();
+        }
+        // The servo's command is that of the last row.
+        let target = angle(f64::from(tick / 10 * 10) * STEP);
+        steering += STEP / 0.08 * (target - steering);
+        state.x += STEP * rate.x;
+        state.y += STEP * rate.y;
+        state.yaw += STEP * rate.yaw;
+        state.yaw_rate += STEP * rate.yaw_rate;
+        state.sideslip += STEP * rate.sideslip;
+    }
+    log
+}
+
+#[test]
+fn the_log_of_another_program_identifies_its_car_and_is_validated_on_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let map = write(
+        "map.toml",
+        "[time]\ncolumn = \"t\"\nunit = \"s\"\nunix = false\n\
+         [pose]\nx = \"x\"\ny = \"y\"\nyaw = \"yaw\"\n\
+         [imu]\nforward_acceleration = \"ax\"\nleft_acceleration = \"ay\"\nyaw_rate = \"w\"\n\
+         new_when_changes = \"clock\"\n\
+         [motor]\nspeed = \"v\"\nnew_when_changes = \"clock\"\n\
+         [steering]\ncolumn = \"steer\"\nradians_per_unit = 1.0\n",
+    );
+    let record = |name: &str, log: &str| {
+        let csv = write(&format!("{name}.csv"), log);
+        let path = folder.path().join(format!("{name}.mcap"));
+        let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+            .arg("import")
+            .args([&csv, Path::new("--map"), &map, Path::new("--out"), &path])
+            .output()
+            .unwrap();
+        stdout(&output);
+        path
+    };
+    let [first, second, other] = [("first", 0.0), ("second", 1.0), ("other", 2.0)]
+        .map(|(name, phase)| record(name, &csv_log(16.0, phase)));
+    let config = in_repository("tools/real/dart.toml");
+    let truth = Config::read(&config).unwrap().vehicle;
+    let start = VehicleParameters {
+        front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
+        rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
+        ..truth
+    };
+    let start = write(
+        "start.toml",
+        &format!("[vehicle]\n{}", toml::to_string(&start).unwrap()),
+    );
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("identify")
+        .args([&first, &second, Path::new("--config"), &config])
+        .args([
+            Path::new("--vehicle"),
+            &start,
+            Path::new("--validate"),
+            &other,
+        ])
+        .args(["--format", "json"])
+        .output()
+        .unwrap();
+    let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
+    assert!(
+        said(&output).contains("no telemetry of a board"),
+        "{}",
+        said(&output)
+    );
+    for (name, truth) in [
+        ("c_f", truth.front_cornering_stiffness_n_rad),
+        ("c_r", truth.rear_cornering_stiffness_n_rad),
+        ("gyro_scale", 1.02),
+    ] {
+        let value = found["parameters"][name]["value"].as_f64().unwrap();
+        assert!((value / truth - 1.0).abs() < 0.03, "{name}: {value}");
+    }
+    let logs = found["logs"].as_array().unwrap();
+    let roles: Vec<_> = logs
+        .iter()
+        .map(|log| log["role"].as_str().unwrap())
+        .collect();
+    assert_eq!(roles, ["identification", "identification", "validation"]);
+    for log in logs {
+        for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
+            let fit = log[output].as_f64().unwrap();
+            assert!(fit > 85.0, "{output}: {log}");
+        }
     }
 }
 
@@ -248,12 +401,16 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
     let text = refused(&short, &[]);
     assert!(text.contains("are needed: drive longer"), "{text}");
 
-    // Without the IMU.
+    // Without IMU and board: neither telemetry nor what the ticks took in of it.
     let numb = folder.path().join("numb.mcap");
     let reader = Reader::open(&short).unwrap();
     let mut recorder = Recorder::create(&numb, reader.meta()).unwrap();
     for entry in reader {
-        let entry = entry.unwrap();
+        let mut entry = entry.unwrap();
+        if let Entry::Tick(tick) = &mut entry {
+            tick.events
+                .retain(|event| !matches!(event, Event::Board(_)));
+        }
         if !matches!(entry, Entry::Telemetry(_)) {
             recorder.write(&entry).unwrap();
         }

@@ -114,7 +114,7 @@ impl ServoFrames {
 /// A longer gap between poses ends a stretch, in s.
 const POSE_GAP: f64 = 0.3;
 /// A longer gap between inertial samples ends a stretch, in s.
-const INERTIAL_GAP: f64 = 0.055;
+const INERTIAL_GAP: f64 = 0.25;
 /// Shorter stretches are ignored: the filter needs time to settle, in s.
 const LEAST_STRETCH: f64 = 2.0;
 /// Number of poses on either side over which the speed is measured.

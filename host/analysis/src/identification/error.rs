@@ -2,6 +2,8 @@
 
 use singletrack_control::VehicleParameters;
 
+use super::parameter::Parameter;
+
 /// The reason for which an identification fails.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IdentificationError {
@@ -55,6 +57,46 @@ pub enum IdentificationError {
         /// The smallest speed that is used, in m/s.
         least_speed: f64,
     },
+    /// The fit ended where it began.
+    #[error(
+        "the fit ended at its start values: this drive moves none of them; weave for a minute at 1.5 m/s or \
+         more, with steps of the steering to both sides (docs/identification.md), and check that the record \
+         has the steering that was driven"
+    )]
+    NotMoved,
+    /// The drive says less of some parameters than their start values do.
+    #[error(
+        "this drive does not determine {}: weave for a minute at 1.5 m/s or more, with steps of the \
+         steering to both sides and up to nine tenths of the friction (docs/identification.md), or name \
+         only the others (--parameters)", names(.parameters)
+    )]
+    NotDetermined {
+        /// Them.
+        parameters: Vec<Parameter>,
+    },
+    /// Parameters ended at the bounds of their ranges.
+    #[error(
+        "{} reached the bound of its range, from {start} to {value}: start closer to the car (--vehicle), \
+         check mass, wheelbase, the servo's calibration and the delays of the sensors, or weave faster",
+        .parameter.name()
+    )]
+    AtBound {
+        /// The first of them.
+        parameter: Parameter,
+        /// Its start value.
+        start: f64,
+        /// The bound.
+        value: f64,
+    },
+    /// The fit did not converge.
+    #[error(
+        "the fit has not settled: its last round moved a parameter by {moved:.2} standard deviations; start \
+         closer to the car (--vehicle), estimate fewer parameters, or weave for longer and to both sides"
+    )]
+    NotSettled {
+        /// The last change, in standard deviations.
+        moved: f64,
+    },
     /// The settings name no parameter.
     #[error("no parameter is selected: name some, such as c_f,c_r,i_z")]
     NoParameter,
@@ -71,4 +113,9 @@ pub enum IdentificationError {
         /// The last values.
         vehicle: VehicleParameters,
     },
+}
+
+fn names(parameters: &[Parameter]) -> String {
+    let names: Vec<&str> = parameters.iter().map(|one| one.name()).collect();
+    names.join(", ")
 }

@@ -29,6 +29,8 @@ pub(super) struct Gain {
 /// The gains along a drive.
 #[derive(Clone, Debug)]
 pub(super) struct Gains {
+    /// The values whose delays order the measurements.
+    pub(super) order: Values,
     /// For yaw rate and left acceleration, by inertial sample.
     pub(super) inertial: Vec<[Gain; 2]>,
     /// For x, y and yaw, by pose.
@@ -115,6 +117,7 @@ pub(super) fn run_filter(
         run: FilterRun {
             innovations: Vec::new(),
             gains: Gains {
+                order: *values,
                 inertial: vec![[Gain::default(); 2]; data.inertial.len()],
                 poses: vec![[Gain::default(); 3]; data.poses.len()],
             },
@@ -123,7 +126,7 @@ pub(super) fn run_filter(
     };
     for span in spans {
         filter.time = span.start_s;
-        replay(data, servo, *span, &model, &mut filter)?;
+        replay(data, servo, *span, &model, values, &mut filter)?;
     }
     Some(filter.run)
 }
@@ -265,7 +268,8 @@ impl EventHandler<f64> for Filter<'_> {
             return;
         };
         let estimate = self.seeded();
-        let expected = estimate.motion.yaw_rate + estimate.gyro_bias;
+        let scale = self.model.get(Parameter::GyroScale);
+        let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
         let yaw_rate = self.correct(
             Channel::YawRate,
             expected,

@@ -198,7 +198,7 @@ impl Task<'_> {
         }
     }
 
-    fn values(&self, u: &[f64]) -> Values {
+    pub(super) fn values(&self, u: &[f64]) -> Values {
         let mut values = self.start;
         for (parameter, u) in self.active.iter().zip(u) {
             let value = parameter.prior().value(self.start.get(*parameter), *u);
@@ -207,7 +207,7 @@ impl Task<'_> {
         values
     }
 
-    fn run_filter(
+    pub(super) fn run_filter(
         &self,
         servo: &[ServoTarget],
         u: &[f64],
@@ -224,7 +224,7 @@ impl Task<'_> {
         .ok_or_else(|| self.diverged(u))
     }
 
-    fn diverged(&self, u: &[f64]) -> IdentificationError {
+    pub(super) fn diverged(&self, u: &[f64]) -> IdentificationError {
         IdentificationError::Diverged {
             vehicle: self.values(u).vehicle(),
         }

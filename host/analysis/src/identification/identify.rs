@@ -8,14 +8,14 @@ use super::{
     error::IdentificationError,
     estimate::{self, Estimate},
     filter::TrackPoint,
-    fit::Task,
+    fit::{Fit, Task},
     model,
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     residuals::{self, Residuals},
     score::Score,
-    settings::Settings,
-    simulation::{self, Simulation},
+    settings::{Criterion, Settings},
+    simulation::{self, Inputs, Simulation},
     warning::{self, Warning},
 };
 
@@ -31,6 +31,8 @@ pub struct Identification {
     pub correlation: DMatrix<f64>,
     /// The values of all parameters, estimated or not.
     pub values: Values,
+    /// What was minimised.
+    pub criterion: Criterion,
     /// The noise levels.
     pub noise: NoiseLevels,
     /// The board's periods that begin a servo pulse.
@@ -98,6 +100,16 @@ pub fn identify_from(
     start: &Values,
     settings: &Settings,
 ) -> Result<Identification, IdentificationError> {
+    identified(data, start, settings, check)
+}
+
+/// Identifies, and refuses what `check` refuses.
+fn identified(
+    data: &DriveData,
+    start: &Values,
+    settings: &Settings,
+    check: impl Fn(&Fit, &[Estimate]) -> Result<(), IdentificationError>,
+) -> Result<Identification, IdentificationError> {
     if settings.parameters.is_empty() {
         return Err(IdentificationError::NoParameter);
     }
@@ -109,26 +121,27 @@ pub fn identify_from(
         active: &settings.parameters,
         settings,
     };
-    let fit = task.fit()?;
-    let simulation = simulation::simulate(
-        data,
-        &fit.frames.of(&data.servo),
-        &stretches,
-        &fit.values,
-        settings.tyres,
-        &fit.run.track,
-    )
-    .ok_or(IdentificationError::Diverged {
-        vehicle: fit.values.vehicle(),
-    })?;
+    let Chosen {
+        fit,
+        simulation,
+        criterion,
+        warning,
+    } = choose(&task)?;
     let estimates = estimate::estimates(start, settings, &fit);
-    let residuals = residuals::residuals(&fit);
+    check(&fit, &estimates)?;
     let correlation = estimate::correlation(&fit);
-    let mut warnings = warning::of_fit(&fit, settings.tyres);
+    let residuals = residuals::residuals(&fit);
+    // Those of the filter that only follows the sensors say nothing of the model.
+    let told = match criterion {
+        Criterion::Prediction => &residuals[..],
+        Criterion::Simulation => &[],
+    };
+    let mut warnings: Vec<Warning> = warning.into_iter().collect();
+    warnings.extend(warning::of_fit(&fit, settings.tyres, criterion));
     warnings.extend(warning::warnings(
         &estimates,
         |row, column| correlation[(row, column)],
-        &residuals,
+        told,
         &stretches,
         &fit.run.track,
     ));
@@ -136,6 +149,7 @@ pub fn identify_from(
         correlation,
         estimates,
         values: fit.values,
+        criterion,
         noise: fit.noise,
         frames: fit.frames,
         score: Score::of(&simulation),
@@ -146,6 +160,115 @@ pub fn identify_from(
         track: fit.run.track,
         evaluations: fit.evaluations,
     })
+}
+
+/// A fit with its simulation.
+struct Chosen {
+    fit: Fit,
+    simulation: Simulation,
+    criterion: Criterion,
+    warning: Option<Warning>,
+}
+
+impl Chosen {
+    fn of(task: &Task<'_>, fit: Fit, criterion: Criterion) -> Result<Self, IdentificationError> {
+        let servo = fit.frames.of(&task.data.servo);
+        let inputs = Inputs {
+            data: task.data,
+            servo: &servo,
+            spans: task.spans,
+            run: &fit.run,
+        };
+        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.tyres);
+        let simulation = simulation.ok_or_else(|| task.diverged(&fit.u))?;
+        Ok(Self {
+            fit,
+            simulation,
+            criterion,
+            warning: None,
+        })
+    }
+
+    fn nmpe(&self) -> f64 {
+        Score::of(&self.simulation).nmpe
+    }
+}
+
+/// The simulation's error is minimised instead if that makes it smaller by this share.
+const WORTH: f64 = 0.1;
+
+/// The fit by the criterion of the settings, or the better of the two.
+fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
+    let settings = task.settings;
+    let by_prediction = || Chosen::of(task, task.fit()?, Criterion::Prediction);
+    let by_simulation = |first: Option<&Fit>| {
+        let frames = first.map(|fit| fit.frames).or(settings.frames);
+        let noise = first.map(|fit| fit.noise);
+        let fit = task.fit_simulation(frames.unwrap_or(ServoFrames::Every), noise)?;
+        Chosen::of(task, fit, Criterion::Simulation)
+    };
+    match settings.criterion {
+        Some(Criterion::Prediction) => return by_prediction(),
+        Some(Criterion::Simulation) => return by_simulation(None),
+        None => {}
+    }
+    let prediction = by_prediction();
+    let right = |one: &Chosen| one.fit.unsettled.is_none() && !warning::is_unexplained(&one.fit);
+    if prediction.as_ref().is_ok_and(right) {
+        return prediction;
+    }
+    let fit = prediction.as_ref().ok().map(|one| &one.fit);
+    let Ok(simulation) = by_simulation(fit) else {
+        return prediction;
+    };
+    let nmpe = simulation.nmpe();
+    let (before, settled) = match &prediction {
+        Ok(one) => (Some(one.nmpe()), one.fit.unsettled.is_none()),
+        Err(_) => (None, false),
+    };
+    if settled && before.is_some_and(|before| nmpe > (1.0 - WORTH) * before) {
+        return prediction;
+    }
+    let prediction = before;
+    let warning = Some(Warning::Simulated { nmpe, prediction });
+    Ok(Chosen {
+        warning,
+        ..simulation
+    })
+}
+
+/// A drive says less of a parameter than its start value does above this standard deviation, in those
+/// of the prior.
+const UNTOLD: f64 = core::f64::consts::FRAC_1_SQRT_2;
+
+/// Refuses what is no answer of the drive.
+fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
+    if fit.u.iter().all(|u| *u == 0.0) {
+        return Err(IdentificationError::NotMoved);
+    }
+    let mut parameters = Vec::new();
+    for (index, Estimate { parameter, .. }) in estimates.iter().enumerate() {
+        let told = fit.spread.white[(index, index)].sqrt() < UNTOLD;
+        if !told && !Parameter::NUISANCE.contains(parameter) {
+            parameters.push(*parameter);
+        }
+    }
+    if !parameters.is_empty() {
+        return Err(IdentificationError::NotDetermined { parameters });
+    }
+    if let Some(moved) = fit.unsettled {
+        return Err(IdentificationError::NotSettled { moved });
+    }
+    estimates
+        .iter()
+        .find(|estimate| estimate.at_bound)
+        .map_or(Ok(()), |estimate| {
+            Err(IdentificationError::AtBound {
+                parameter: estimate.parameter,
+                start: estimate.start,
+                value: estimate.value,
+            })
+        })
 }
 
 /// Measures how well an identified car predicts another drive.
@@ -165,10 +288,15 @@ pub fn validate(
         parameters: Parameter::OF_A_DRIVE.to_vec(),
         noise: identified.noise,
         estimate_noise: false,
-        frames: None,
+        // The simulation does not tell which periods begin a pulse.
+        frames: settings
+            .frames
+            .or((identified.criterion == Criterion::Simulation).then_some(identified.frames)),
+        criterion: Some(identified.criterion),
         ..settings.clone()
     };
-    identify_from(data, &identified.values, &settings)
+    // The score tells how well they fit.
+    self::identified(data, &identified.values, &settings, |_, _| Ok(()))
 }
 
 /// The smallest standard deviations of unbiased estimates from this drive (the Cramér-Rao
@@ -202,7 +330,10 @@ fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, Identifica
     data.validate()?;
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
     let stretches = data.stretches(least_speed);
-    let seconds: f64 = stretches.iter().map(Span::seconds).sum();
+    let seconds = stretches
+        .iter()
+        .map(Span::seconds)
+        .fold(0.0, |sum, one| sum + one);
     if seconds >= LEAST_SECONDS {
         return Ok(stretches);
     }

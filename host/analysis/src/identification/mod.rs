@@ -10,8 +10,12 @@
 //! covariance holds for errors that are correlated over up to half a second, and the wider
 //! of the two is reported.
 //!
-//! Estimated jointly are lag, delay and trim of the steering, delay and biases of the IMU,
-//! and, by their likelihood, the levels of all noise.
+//! A car that does not behave as the model does is another matter: the parameters that predict best
+//! are then those that fit the corrections best. There the error of a simulation is minimised instead,
+//! see [`Criterion`].
+//!
+//! Estimated jointly are lag, delay and trim of the steering, delay and biases of the IMU, scale of
+//! the gyro, and, by their likelihood, the levels of all noise.
 
 mod channel;
 mod data;
@@ -30,6 +34,7 @@ mod residuals;
 mod score;
 mod settings;
 mod simulation;
+mod simulation_fit;
 mod timeline;
 mod uncertainty;
 mod warning;
@@ -44,7 +49,7 @@ pub use noise::NoiseLevels;
 pub use parameter::{Parameter, UnknownParameter, Values};
 pub use residuals::Residuals;
 pub use score::{Output, OutputScore, Score};
-pub use settings::Settings;
+pub use settings::{Criterion, Settings};
 pub use simulation::{Simulation, SimulationPoint};
 pub use singletrack_control::Tyres;
 pub use warning::Warning;

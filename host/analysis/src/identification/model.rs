@@ -146,7 +146,7 @@ impl<D: Dual> Model<D> {
         target: f64,
         forward: [D; 2],
     ) -> Option<Motion<D>> {
-        let parts = (step.re() / LONGEST_STEP).ceil().max(1.0);
+        let parts = (step.re().abs() / LONGEST_STEP).ceil().max(1.0);
         let h = step / parts;
         let slope = (forward[1] - forward[0]) / parts;
         let mut from = forward[0];
@@ -172,7 +172,7 @@ impl<D: Dual> Model<D> {
 
     /// The steering angle after `step` seconds at a constant target.
     pub(super) fn steer(&self, steering: D, step: D, target: f64) -> D {
-        let parts = (step.re() / LONGEST_STEP).ceil().clamp(1.0, 250.0);
+        let parts = (step.re().abs() / LONGEST_STEP).ceil().clamp(1.0, 250.0);
         let h = step / parts;
         let mut s = steering;
         for _ in 0..parts as u32 {

@@ -1,6 +1,6 @@
 //! Noise levels of the sensors and of the road.
 
-use singletrack_control::wrap;
+use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
 use super::{
     channel::Channel,
@@ -31,6 +31,17 @@ pub struct NoiseLevels {
 /// The smallest force density on an axle, which the filter needs, in N/√Hz.
 pub(super) const LEAST_FORCE: f64 = 1e-6;
 
+/// The least standard deviations that the fit believes of a sensor. Samples that are held, rounded or
+/// smoothed by the sensor have third differences of nearly zero; with levels as small as that, the filter
+/// would trust single samples to the last digit.
+const LEAST: NoiseLevels = NoiseLevels {
+    position_m: 5e-5,
+    yaw_rad: 3e-4,
+    yaw_rate_rad_s: 1e-3,
+    left_m_s2: 0.02,
+    ..NoiseLevels::exact()
+};
+
 impl NoiseLevels {
     /// Start values of their estimation: a good motion capture system, and a consumer IMU on
     /// a vibrating car.
@@ -45,6 +56,21 @@ impl NoiseLevels {
             force_density: 3e-3,
             gyro_walk: 1e-4,
             forward_walk: 2e-3,
+        }
+    }
+
+    /// Levels with which the filter follows the sensors, whatever the car: a bad IMU on a bad floor, and a
+    /// model that explains little.
+    pub(super) fn loose(vehicle: &VehicleParameters) -> Self {
+        Self {
+            position_m: 1e-3,
+            yaw_rad: 3e-3,
+            yaw_rate_rad_s: 0.05,
+            left_m_s2: 1.0,
+            forward_density: 0.3,
+            force_density: 0.02 * vehicle.mass_kg * GRAVITY,
+            gyro_walk: 1e-4,
+            forward_walk: 0.05,
         }
     }
 
@@ -101,11 +127,14 @@ impl NoiseLevels {
                 left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
             }
         }
+        let level = |differences, usual: f64, least: f64| {
+            deviation(differences).map_or(usual, |measured| measured.max(least))
+        };
         Self {
-            position_m: deviation(position).unwrap_or(self.position_m),
-            yaw_rad: deviation(yaw).unwrap_or(self.yaw_rad),
-            yaw_rate_rad_s: deviation(yaw_rate).unwrap_or(self.yaw_rate_rad_s),
-            left_m_s2: deviation(left).unwrap_or(self.left_m_s2),
+            position_m: level(position, self.position_m, LEAST.position_m),
+            yaw_rad: level(yaw, self.yaw_rad, LEAST.yaw_rad),
+            yaw_rate_rad_s: level(yaw_rate, self.yaw_rate_rad_s, LEAST.yaw_rate_rad_s),
+            left_m_s2: level(left, self.left_m_s2, LEAST.left_m_s2),
             ..self
         }
     }

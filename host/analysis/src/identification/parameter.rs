@@ -31,10 +31,12 @@ pub enum Parameter {
     InertialDelay,
     /// Bias of the acceleration to the left, in m/s².
     LateralBias,
+    /// Ratio of the gyro's yaw rate, without its bias, to the true one.
+    GyroScale,
 }
 
 /// Number of parameters.
-pub(super) const COUNT: usize = 11;
+pub(super) const COUNT: usize = 12;
 
 impl Parameter {
     /// All parameters, in the order of the discriminants.
@@ -50,22 +52,25 @@ impl Parameter {
         Self::SteeringTrim,
         Self::InertialDelay,
         Self::LateralBias,
+        Self::GyroScale,
     ];
 
     /// The parameters that the paper identifies.
     pub const VEHICLE: [Self; 3] = [Self::FrontStiffness, Self::RearStiffness, Self::YawInertia];
 
     /// The parameters that must be estimated jointly, because no other source gives them.
-    pub const NUISANCE: [Self; 5] = [
+    pub const NUISANCE: [Self; 6] = [
         Self::ServoLag,
         Self::SteeringDelay,
         Self::SteeringTrim,
         Self::InertialDelay,
         Self::LateralBias,
+        Self::GyroScale,
     ];
 
-    /// The parameters that differ between drives.
-    pub const OF_A_DRIVE: [Self; 2] = [Self::InertialDelay, Self::LateralBias];
+    /// The parameters that differ between drives. The trim does on a real car, by tens of milliradians:
+    /// the linkage has play.
+    pub const OF_A_DRIVE: [Self; 3] = [Self::InertialDelay, Self::LateralBias, Self::SteeringTrim];
 
     /// The short name.
     #[must_use]
@@ -82,6 +87,7 @@ impl Parameter {
             Self::SteeringTrim => "trim",
             Self::InertialDelay => "imu_delay",
             Self::LateralBias => "lateral_bias",
+            Self::GyroScale => "gyro_scale",
         }
     }
 
@@ -92,7 +98,7 @@ impl Parameter {
             Self::FrontStiffness | Self::RearStiffness => "N/rad",
             Self::YawInertia => "kg m²",
             Self::FrontAxleDistance => "m",
-            Self::Friction | Self::SteeringGain => "",
+            Self::Friction | Self::SteeringGain | Self::GyroScale => "",
             Self::ServoLag | Self::SteeringDelay | Self::InertialDelay => "s",
             Self::SteeringTrim => "rad",
             Self::LateralBias => "m/s²",
@@ -107,10 +113,11 @@ impl Parameter {
             Self::FrontAxleDistance | Self::Friction => Prior::factor(0.5),
             Self::SteeringGain => Prior::factor(0.2),
             Self::ServoLag => Prior::factor(1.0),
-            Self::SteeringDelay => Prior::shift(0.02),
+            Self::SteeringDelay => Prior::shift(0.03),
             Self::SteeringTrim => Prior::shift(0.1),
-            Self::InertialDelay => Prior::shift(0.01),
+            Self::InertialDelay => Prior::shift(0.03),
             Self::LateralBias => Prior::shift(0.3),
+            Self::GyroScale => Prior::factor(0.05),
         }
     }
 
@@ -197,6 +204,15 @@ impl Prior {
         }
     }
 
+    /// The coordinate at which a relative parameter is `factor` of its start value; 0 of another.
+    pub(super) fn coordinate_of_factor(&self, factor: f64) -> f64 {
+        if !self.relative {
+            return 0.0;
+        }
+        let share = factor.ln() / (BOUND * self.deviation);
+        BOUND * share.clamp(-0.99, 0.99).atanh()
+    }
+
     /// Whether `u` is near a bound.
     pub(super) fn is_at_bound(u: f64) -> bool {
         u.abs() > 0.9 * BOUND
@@ -223,6 +239,7 @@ impl Values {
         values[Parameter::FrontAxleDistance.index()] = vehicle.front_axle_distance_m;
         values[Parameter::Friction.index()] = vehicle.friction;
         values[Parameter::SteeringGain.index()] = 1.0;
+        values[Parameter::GyroScale.index()] = 1.0;
         values[Parameter::ServoLag.index()] = 0.05;
         values[Parameter::SteeringDelay.index()] = 0.005;
         Self {

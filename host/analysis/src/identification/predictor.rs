@@ -64,7 +64,8 @@ impl Prediction<'_> {
         };
         let model = predictor.model;
         for span in self.spans {
-            replay(self.data, self.servo, *span, &model, &mut predictor)?;
+            let order = &self.gains.order;
+            replay(self.data, self.servo, *span, &model, order, &mut predictor)?;
         }
         Some(predictor.errors)
     }
@@ -86,8 +87,8 @@ impl Prediction<'_> {
 
     /// The derivatives of [`Self::residuals`] by `u`.
     pub(super) fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
-        if u.len() <= 8 {
-            self.jacobian_of::<8>(u)
+        if u.len() <= 9 {
+            self.jacobian_of::<9>(u)
         } else {
             self.jacobian_of::<COUNT>(u)
         }
@@ -194,7 +195,8 @@ impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
         ) else {
             return;
         };
-        let expected = self.estimate.motion.yaw_rate + self.estimate.gyro_bias;
+        let scale = self.model.get(Parameter::GyroScale);
+        let expected = self.estimate.motion.yaw_rate * scale + self.estimate.gyro_bias;
         self.correct(yaw_rate, 2 * index, -expected + sample.yaw_rate_rad_s);
         let forward = forward - self.estimate.forward_bias;
         let expected = self.model.left_acceleration(&self.estimate.motion, forward)

@@ -1,6 +1,9 @@
 //! How well a simulation without corrections fits a drive.
 
-use super::simulation::{Simulation, SimulationPoint};
+use super::{
+    data::Span,
+    simulation::{Simulation, SimulationPoint},
+};
 
 /// A compared output of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -63,8 +66,20 @@ pub struct Score {
 
 impl Score {
     pub(super) fn of(simulation: &Simulation) -> Self {
+        let all = Span {
+            start_s: f64::NEG_INFINITY,
+            end_s: f64::INFINITY,
+        };
+        Self::within(simulation, all)
+    }
+
+    /// The score of a part of a simulation.
+    #[must_use]
+    pub fn within(simulation: &Simulation, span: Span) -> Self {
         let outputs = Output::ALL.map(|output| {
-            let pairs = simulation.points.iter().map(|point| output.of(point));
+            let points = simulation.points.iter();
+            let points = points.filter(|point| span.contains(point.time_s));
+            let pairs = points.map(|point| output.of(point));
             let pairs: Vec<_> = pairs
                 .filter(|[measured, model]| measured.is_finite() && model.is_finite())
                 .collect();

@@ -4,6 +4,28 @@ use singletrack_control::Tyres;
 
 use super::{data::ServoFrames, noise::NoiseLevels, parameter::Parameter};
 
+/// What a fit minimises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Criterion {
+    /// The errors of the prediction of each sample from those before it: the most exact, if the model
+    /// is right.
+    Prediction,
+    /// The errors of the model alone, without a correction since the stretch began: what a simulation of
+    /// the car needs, and robust against behaviour that the model lacks.
+    Simulation,
+}
+
+impl Criterion {
+    /// The name in tables and files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Prediction => "prediction",
+            Self::Simulation => "simulation",
+        }
+    }
+}
+
 /// The parameters, model and noise levels of an identification.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -18,6 +40,9 @@ pub struct Settings {
     pub noise: NoiseLevels,
     /// Estimates the noise levels too.
     pub estimate_noise: bool,
+    /// What is minimised; none for the prediction, and for the simulation where forces that the model does
+    /// not explain make the prediction's parameters simulate much worse.
+    pub criterion: Option<Criterion>,
     /// The smallest speed that is used, in m/s: at lower speeds the tyres hardly slip.
     pub least_speed: f64,
 }
@@ -45,6 +70,7 @@ impl Settings {
             frames: None,
             noise: NoiseLevels::usual(),
             estimate_noise: true,
+            criterion: None,
             least_speed: 0.5,
         }
     }

@@ -5,11 +5,12 @@ use singletrack_control::{Tyres, wrap};
 
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},
-    filter::TrackPoint,
-    model::Model,
+    filter::{FilterRun, TrackPoint},
+    model::{Model, Motion},
     parameter::{Parameter, Values},
     timeline::{EventHandler, StateEstimate, replay},
 };
+use crate::dual::Dual;
 
 /// Measured and simulated values at an inertial sample.
 ///
@@ -60,101 +61,153 @@ impl Simulation {
     pub const RESTART_S: f64 = 10.0;
 }
 
-/// Simulates the stretches of a drive. None where the model is not defined.
-pub(super) fn simulate(
-    data: &DriveData,
-    servo: &[ServoTarget],
-    spans: &[Span],
-    values: &Values,
-    tyres: Tyres,
-    track: &[TrackPoint],
-) -> Option<Simulation> {
-    let model = Model::new(values, *values.all(), tyres);
-    let mut simulator = Simulator {
-        data,
-        model,
-        track: track.iter(),
-        estimate: None,
-        now: 0.0,
-        since: 0.0,
-        forward_bias: 0.0,
-        points: Vec::with_capacity(track.len()),
-    };
-    for span in spans {
-        simulator.now = span.start_s;
-        replay(data, servo, *span, &model, &mut simulator)?;
-    }
-    Some(Simulation {
-        points: simulator.points,
-    })
+/// What is simulated: a drive, and the filter's estimate of its speed and of the biases.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inputs<'a> {
+    pub(super) data: &'a DriveData,
+    pub(super) servo: &'a [ServoTarget],
+    pub(super) spans: &'a [Span],
+    pub(super) run: &'a FilterRun,
 }
 
-struct Simulator<'a> {
-    data: &'a DriveData,
-    model: Model<f64>,
-    track: core::slice::Iter<'a, TrackPoint>,
-    estimate: Option<StateEstimate<f64>>,
-    now: f64,
-    /// Time since the last restart, in s.
-    since: f64,
-    forward_bias: f64,
-    points: Vec<SimulationPoint>,
+/// The model, alone since the stretch began, at a sample.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Simulated<D> {
+    /// Nominal time, in s.
+    pub(super) time_s: f64,
+    pub(super) sample: Sample,
+    pub(super) motion: Motion<D>,
+    /// Acceleration to the left, in m/s²; zero at a pose.
+    pub(super) left: D,
+    /// Whether position and yaw restart here.
+    pub(super) restarted: bool,
 }
 
-impl EventHandler<f64> for Simulator<'_> {
-    fn begin(&mut self, estimate: StateEstimate<f64>) {
-        self.estimate = Some(estimate);
-        self.since = f64::INFINITY;
-    }
+/// The sample at which the model is compared.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Sample {
+    /// An inertial sample, with the filter's estimate there.
+    Inertial(TrackPoint),
+    /// The pose with this index.
+    Pose(usize),
+}
 
-    fn advance(&mut self, step: f64, target: f64, forward: [f64; 2]) -> Option<()> {
-        let estimate = self.estimate.as_mut()?;
-        let forward = forward.map(|forward| forward - self.forward_bias);
-        estimate.motion = self.model.advance(estimate.motion, step, target, forward)?;
-        self.now += step;
-        self.since += step;
-        Some(())
-    }
-
-    fn inertial(&mut self, index: usize, forward: f64) {
-        let (Some(estimate), Some(sample)) = (&mut self.estimate, self.data.inertial.get(index))
-        else {
-            return;
+impl Inputs<'_> {
+    /// Simulates the stretches. None where the model is not defined.
+    pub(super) fn simulate<D: Dual>(&self, model: &Model<D>) -> Option<Vec<Simulated<D>>> {
+        let mut simulator = Simulator {
+            model: *model,
+            track: self.run.track.iter(),
+            estimate: None,
+            now: 0.0,
+            since: 0.0,
+            forward_bias: 0.0,
+            points: Vec::with_capacity(self.data.poses.len() + self.run.track.len()),
         };
-        // The track has the same samples in the same order.
-        let Some(track) = self.track.next() else {
-            return;
-        };
-        let motion = &mut estimate.motion;
-        motion.speed = track.speed_m_s;
-        self.forward_bias = track.forward_bias_m_s2;
-        let restarted = self.since > Simulation::RESTART_S;
-        if restarted {
-            self.since = 0.0;
-            (motion.x, motion.y, motion.yaw) = (track.x_m, track.y_m, track.yaw_rad);
+        for span in self.spans {
+            simulator.now = span.start_s;
+            let order = &self.run.gains.order;
+            replay(self.data, self.servo, *span, model, order, &mut simulator)?;
         }
-        let left = self
-            .model
-            .left_acceleration(motion, forward - self.forward_bias);
-        self.points.push(SimulationPoint {
-            time_s: self.now,
+        Some(simulator.points)
+    }
+}
+
+/// Simulates the stretches of a drive, beside what was measured. None where the model is not defined.
+pub(super) fn simulate(inputs: &Inputs<'_>, values: &Values, tyres: Tyres) -> Option<Simulation> {
+    let model = Model::new(values, *values.all(), tyres);
+    let points = inputs.simulate(&model)?.into_iter();
+    let points = points.filter_map(|simulated| {
+        let Simulated { motion, left, .. } = simulated;
+        let Sample::Inertial(track) = simulated.sample else {
+            return None;
+        };
+        let sample = inputs.data.inertial.get(track.inertial)?;
+        let unbiased = sample.yaw_rate_rad_s - track.gyro_bias_rad_s;
+        Some(SimulationPoint {
+            time_s: simulated.time_s,
             steering_rad: motion.steering,
             speed_m_s: motion.speed,
-            measured_yaw_rate_rad_s: sample.yaw_rate_rad_s - track.gyro_bias_rad_s,
+            measured_yaw_rate_rad_s: unbiased / values.get(Parameter::GyroScale),
             yaw_rate_rad_s: motion.yaw_rate,
-            measured_sideslip_rad: measured_sideslip(&self.data.poses, self.now),
+            measured_sideslip_rad: sideslip(&inputs.data.poses, simulated.time_s),
             sideslip_rad: motion.sideslip,
-            measured_left_m_s2: sample.left_m_s2 - self.model.get(Parameter::LateralBias),
+            measured_left_m_s2: sample.left_m_s2 - values.get(Parameter::LateralBias),
             left_m_s2: left,
             measured_yaw_rad: track.yaw_rad,
             yaw_rad: motion.yaw,
             measured_m: [track.x_m, track.y_m],
             position_m: [motion.x, motion.y],
+            restarted: simulated.restarted,
+        })
+    });
+    Some(Simulation {
+        points: points.collect(),
+    })
+}
+
+struct Simulator<'a, D> {
+    model: Model<D>,
+    track: core::slice::Iter<'a, TrackPoint>,
+    estimate: Option<StateEstimate<D>>,
+    now: f64,
+    /// Time since the last restart, in s.
+    since: f64,
+    forward_bias: f64,
+    points: Vec<Simulated<D>>,
+}
+
+impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
+    fn begin(&mut self, estimate: StateEstimate<D>) {
+        self.estimate = Some(estimate);
+        self.since = f64::INFINITY;
+    }
+
+    fn advance(&mut self, step: D, target: f64, forward: [D; 2]) -> Option<()> {
+        let estimate = self.estimate.as_mut()?;
+        let forward = forward.map(|forward| forward - self.forward_bias);
+        estimate.motion = self.model.advance(estimate.motion, step, target, forward)?;
+        self.now += step.re();
+        self.since += step.re();
+        Some(())
+    }
+
+    fn inertial(&mut self, _: usize, forward: D) {
+        // The track has the same samples in the same order.
+        let (Some(estimate), Some(track)) = (&mut self.estimate, self.track.next()) else {
+            return;
+        };
+        let motion = &mut estimate.motion;
+        motion.speed = D::from(track.speed_m_s);
+        self.forward_bias = track.forward_bias_m_s2;
+        let restarted = self.since > Simulation::RESTART_S;
+        if restarted {
+            self.since = 0.0;
+            [motion.x, motion.y, motion.yaw] = [track.x_m, track.y_m, track.yaw_rad].map(D::from);
+        }
+        let left = self
+            .model
+            .left_acceleration(motion, forward - self.forward_bias);
+        self.points.push(Simulated {
+            time_s: self.now,
+            sample: Sample::Inertial(*track),
+            motion: *motion,
+            left,
             restarted,
         });
     }
 
-    fn pose(&mut self, _: usize) {}
+    fn pose(&mut self, index: usize) {
+        if let Some(estimate) = &self.estimate {
+            self.points.push(Simulated {
+                time_s: self.now,
+                sample: Sample::Pose(index),
+                motion: estimate.motion,
+                left: D::from(0.0),
+                restarted: false,
+            });
+        }
+    }
 }
 
 /// The sideslip is measured over poses up to this time before and after, in s: with errors
@@ -163,19 +216,23 @@ const AROUND: f64 = 0.036;
 /// The smallest number of poses for a sideslip.
 const LEAST_POSES: usize = 5;
 
-/// The course of the poses around `time` minus their yaw, in rad.
-fn measured_sideslip(poses: &[Pose], time: f64) -> f64 {
+/// The motion that poses around a moment show.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Seen {
+    /// Velocity, in m/s.
+    velocity: [f64; 2],
+    /// Yaw, in rad.
+    yaw: f64,
+    /// Yaw rate, in rad/s.
+    pub(super) yaw_rate: f64,
+}
+
+/// The motion from the straight lines through the poses around `time`. None with too few poses.
+pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
     let from = poses.partition_point(|pose| pose.time_s < time - AROUND);
     let to = poses.partition_point(|pose| pose.time_s <= time + AROUND);
-    let Some(around) = poses
-        .get(from..to)
-        .filter(|poses| poses.len() >= LEAST_POSES)
-    else {
-        return f64::NAN;
-    };
-    let Some(first) = around.first() else {
-        return f64::NAN;
-    };
+    let around = poses.get(from..to)?;
+    let first = around.first().filter(|_| around.len() >= LEAST_POSES)?;
     let count = around.len() as f64;
     let mean = |value: &dyn Fn(&Pose) -> f64| around.iter().map(value).sum::<f64>() / count;
     let middle = mean(&|pose| pose.time_s - time);
@@ -189,7 +246,18 @@ fn measured_sideslip(poses: &[Pose], time: f64) -> f64 {
         }
         product / square
     };
-    let (x, y) = (slope(&|pose| pose.x_m), slope(&|pose| pose.y_m));
     let yaw = &|pose: &Pose| wrap(pose.yaw_rad - first.yaw_rad);
-    wrap(y.atan2(x) - first.yaw_rad - mean(yaw))
+    Some(Seen {
+        velocity: [slope(&|pose| pose.x_m), slope(&|pose| pose.y_m)],
+        yaw: first.yaw_rad + mean(yaw),
+        yaw_rate: slope(yaw),
+    })
+}
+
+/// The course of the poses around `time` minus their yaw, in rad; not a number without enough poses.
+pub(super) fn sideslip(poses: &[Pose], time: f64) -> f64 {
+    seen(poses, time).map_or(f64::NAN, |seen| {
+        let [x, y] = seen.velocity;
+        wrap(y.atan2(x) - seen.yaw)
+    })
 }

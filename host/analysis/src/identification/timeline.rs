@@ -6,9 +6,9 @@
 use singletrack_control::wrap;
 
 use super::{
-    data::{DriveData, ServoTarget, Span},
+    data::{DriveData, Pose, ServoTarget, Span},
     model::{Model, Motion},
-    parameter::Parameter,
+    parameter::{Parameter, Values},
 };
 use crate::dual::Dual;
 
@@ -36,11 +36,12 @@ pub(super) trait EventHandler<D> {
     fn pose(&mut self, index: usize);
 }
 
-#[derive(Clone, Copy, Debug)]
+/// An event, with the index of its sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum EventKind {
-    Servo(f64),
-    Inertial(usize),
     Pose(usize),
+    Inertial(usize),
+    Servo(usize),
 }
 
 /// The servo is simulated for this long before a stretch, in which it settles, in s.
@@ -50,60 +51,47 @@ const SERVO_LEAD: f64 = 0.6;
 /// not depend on their delay, in s.
 const MARGIN: f64 = 0.02;
 
-/// Passes the events of a stretch to `handler`, in order of time. `servo` are the targets
-/// that begin a pulse. None where the model is not defined.
+/// Passes the events of a stretch to `handler`. `servo` are the targets that begin a pulse.
+///
+/// The events are in the order of their times at the delays of `order`, those of equal times in the
+/// order of [`EventKind`]. At other delays some come up to the difference too early, and time runs
+/// back a little: so every prediction is a smooth function of the delays, also where the times of
+/// two samples are equal. None where the model is not defined.
 pub(super) fn replay<D: Dual>(
     data: &DriveData,
     servo: &[ServoTarget],
     span: Span,
     model: &Model<D>,
+    order: &Values,
     handler: &mut impl EventHandler<D>,
 ) -> Option<()> {
+    let events = ordered(data, servo, span, order);
     let delay = model.get(Parameter::SteeringDelay);
     let inertial_delay = model.get(Parameter::InertialDelay);
     let measured = |index: usize| {
         let sample = data.inertial.get(index)?;
         Some((-inertial_delay + sample.time_s, sample.forward_m_s2))
     };
-    let mut events: Vec<(D, EventKind)> = Vec::new();
-    let inner = Span {
-        start_s: span.start_s + MARGIN,
-        end_s: span.end_s - MARGIN,
-    };
-    for (index, sample) in data.inertial.iter().enumerate() {
-        if inner.contains(sample.time_s) {
-            events.push((-inertial_delay + sample.time_s, EventKind::Inertial(index)));
-        }
-    }
-    for (index, pose) in data.poses.iter().enumerate() {
-        if span.contains(pose.time_s) && pose.time_s > span.start_s {
-            events.push((D::from(pose.time_s), EventKind::Pose(index)));
-        }
-    }
-    let (mut steering, mut target) =
-        steering_before(servo, span.start_s - SERVO_LEAD, model, delay);
-    let mut now = D::from(span.start_s - SERVO_LEAD);
     let start = D::from(span.start_s);
+    let lead = span.start_s - SERVO_LEAD;
+    let first = order.get(Parameter::SteeringDelay);
+    let (mut steering, mut target) = steering_before(servo, lead - first, model);
+    let mut now = D::from(lead);
     for command in servo {
-        let time = delay + command.time_s;
-        if time.re() <= now.re() || time.re() > span.end_s {
-            continue;
-        }
-        if time.re() <= span.start_s {
+        let at = command.time_s + first;
+        if at > lead && at <= span.start_s {
+            let time = delay + command.time_s;
             steering = model.steer(steering, time - now, target);
             target = command.angle_rad;
             now = time;
-        } else {
-            events.push((time, EventKind::Servo(command.angle_rad)));
         }
     }
     steering = model.steer(steering, start - now, target);
-    events.sort_by(|one, other| one.0.re().total_cmp(&other.0.re()));
 
     // Index of the last inertial sample.
-    let after = data
-        .inertial
-        .partition_point(|sample| sample.time_s - inertial_delay.re() <= span.start_s);
+    let after = data.inertial.partition_point(|sample| {
+        sample.time_s - order.get(Parameter::InertialDelay) <= span.start_s
+    });
     let mut before = after.saturating_sub(1);
     let forward_at = |before: usize, time: D| {
         let none = D::from(0.0);
@@ -117,21 +105,21 @@ pub(super) fn replay<D: Dual>(
     };
     handler.begin(initial_estimate(data, span.start_s, steering)?);
     let mut now = start;
-    for (time, kind) in events {
+    for kind in events {
+        let time = match kind {
+            EventKind::Pose(index) => D::from(data.poses.get(index)?.time_s),
+            EventKind::Inertial(index) => measured(index)?.0,
+            EventKind::Servo(index) => delay + servo.get(index)?.time_s,
+        };
         let step = time - now;
-        if step.re() > 0.0 {
-            let forward = [forward_at(before, now), forward_at(before, time)];
-            handler.advance(step, target, forward)?;
-            now = time;
-        }
+        let forward = [forward_at(before, now), forward_at(before, time)];
+        handler.advance(step, target, forward)?;
+        now = time;
         match kind {
-            EventKind::Servo(angle) => target = angle,
+            EventKind::Servo(index) => target = servo.get(index)?.angle_rad,
             EventKind::Inertial(index) => {
                 before = index;
-                handler.inertial(
-                    index,
-                    measured(index).map_or(D::from(0.0), |sample| D::from(sample.1)),
-                );
+                handler.inertial(index, D::from(measured(index)?.1));
             }
             EventKind::Pose(index) => handler.pose(index),
         }
@@ -139,14 +127,37 @@ pub(super) fn replay<D: Dual>(
     Some(())
 }
 
-/// Steering angle and target at `time`, with the servo at rest.
-fn steering_before<D: Dual>(
-    servo: &[ServoTarget],
-    time: f64,
-    model: &Model<D>,
-    delay: D,
-) -> (D, f64) {
-    let after = servo.partition_point(|command| command.time_s + delay.re() <= time);
+/// The events of a stretch, in order.
+fn ordered(data: &DriveData, servo: &[ServoTarget], span: Span, order: &Values) -> Vec<EventKind> {
+    let mut events: Vec<(f64, EventKind)> = Vec::new();
+    let inner = Span {
+        start_s: span.start_s + MARGIN,
+        end_s: span.end_s - MARGIN,
+    };
+    for (index, pose) in data.poses.iter().enumerate() {
+        if span.contains(pose.time_s) && pose.time_s > span.start_s {
+            events.push((pose.time_s, EventKind::Pose(index)));
+        }
+    }
+    for (index, sample) in data.inertial.iter().enumerate() {
+        if inner.contains(sample.time_s) {
+            let time = sample.time_s - order.get(Parameter::InertialDelay);
+            events.push((time, EventKind::Inertial(index)));
+        }
+    }
+    for (index, command) in servo.iter().enumerate() {
+        let time = command.time_s + order.get(Parameter::SteeringDelay);
+        if time > span.start_s && time <= span.end_s {
+            events.push((time, EventKind::Servo(index)));
+        }
+    }
+    events.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
+    events.into_iter().map(|(_, kind)| kind).collect()
+}
+
+/// Steering angle and target after the targets until `time`, with the servo at rest.
+fn steering_before<D: Dual>(servo: &[ServoTarget], time: f64, model: &Model<D>) -> (D, f64) {
+    let after = servo.partition_point(|command| command.time_s <= time);
     let target = servo
         .get(after.saturating_sub(1))
         .map_or(0.0, |command| command.angle_rad);
@@ -156,16 +167,21 @@ fn steering_before<D: Dual>(
 /// The motion at `time`, from a linear fit to the poses around it.
 fn initial_estimate<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option<StateEstimate<D>> {
     const REACH: usize = 4;
+    /// In s.
+    const AROUND: f64 = 0.3;
     let at = data.poses.partition_point(|pose| pose.time_s < time);
     let from = at.saturating_sub(REACH);
+    let pose = data.poses.get(at)?;
     let around = data
         .poses
         .get(from..(at + REACH + 1).min(data.poses.len()))?;
-    let pose = data.poses.get(at)?;
+    // None of another drive.
+    let near = |other: &&Pose| (other.time_s - time).abs() <= AROUND;
+    let around: Vec<&Pose> = around.iter().filter(near).collect();
     let (mut squares, mut x, mut y, mut turn) = (0.0, 0.0, 0.0, 0.0);
     let mut mean = [0.0; 4];
     let count = around.len() as f64;
-    for other in around {
+    for other in &around {
         let values = [
             other.time_s - time,
             other.x_m,
@@ -176,7 +192,7 @@ fn initial_estimate<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option
             *mean += value / count;
         }
     }
-    for other in around {
+    for other in &around {
         let since = other.time_s - time - mean[0];
         squares += since * since;
         x += since * (other.x_m - mean[1]);

@@ -32,18 +32,29 @@ const BLOCK: f64 = 0.5;
 pub(super) fn spread(prediction: &Prediction<'_>, u: &[f64]) -> Option<Spread> {
     let jacobian = prediction.jacobian(u)?;
     let residuals = prediction.residuals(u)?;
-    let information = jacobian.tr_mul(&jacobian);
+    spread_of(&jacobian, &residuals, &prediction.times(), BLOCK)
+}
+
+/// The spread of a least-squares problem whose last residuals are those of the prior. `times` are
+/// those of the others, in s; those farther apart than `block` count as independent.
+pub(super) fn spread_of(
+    jacobian: &DMatrix<f64>,
+    residuals: &DVector<f64>,
+    times: &[f64],
+    block: f64,
+) -> Option<Spread> {
+    let information = jacobian.tr_mul(jacobian);
     let white = information.cholesky()?.inverse();
-    let count = u.len();
+    let count = jacobian.ncols();
     let rows = residuals.len() - count;
     // The sums of the scores over blocks of time.
     let mut blocks: std::collections::BTreeMap<i64, DVector<f64>> =
         std::collections::BTreeMap::new();
-    for (row, time) in prediction.times().into_iter().enumerate().take(rows) {
+    for (row, time) in times.iter().enumerate().take(rows) {
         let residual = residuals[row];
         if residual != 0.0 {
             let score = blocks
-                .entry((time / BLOCK).floor() as i64)
+                .entry((time / block).floor() as i64)
                 .or_insert_with(|| DVector::zeros(count));
             for column in 0..count {
                 score[column] += jacobian[(row, column)] * residual;

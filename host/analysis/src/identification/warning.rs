@@ -4,7 +4,7 @@ use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
     channel::Channel, data::Span, estimate::Estimate, filter::TrackPoint, fit::Fit,
-    parameter::Parameter, residuals::Residuals,
+    parameter::Parameter, residuals::Residuals, settings::Criterion,
 };
 
 /// A reason to doubt an identification.
@@ -22,19 +22,6 @@ pub enum Warning {
         /// Its standard deviation over its value.
         relative: f64,
     },
-    /// A parameter is at the bound of its range.
-    #[error(
-        "{parameter} reached its bound, from {start} to {value}: start closer to the car \
-         (--vehicle), and check mass, wheelbase and the servo's calibration"
-    )]
-    AtBound {
-        /// The parameter.
-        parameter: Parameter,
-        /// Its start value.
-        start: f64,
-        /// Its estimate.
-        value: f64,
-    },
     /// The drive does not distinguish two parameters.
     #[error(
         "this drive does not distinguish {} from {} (correlation {correlation:.3}): record another, \
@@ -46,14 +33,18 @@ pub enum Warning {
         /// Their correlation.
         correlation: f64,
     },
-    /// The fit has not converged.
+    /// The simulation's error was minimised instead of the prediction's.
     #[error(
-        "the fit has not settled: its last round moved a parameter by {moved:.2} standard \
-         deviations; use the estimates as the start (--vehicle) of another identification"
+        "the car does not behave as the model does: the parameters are those that simulate the drive best \
+         (NMPE {nmpe:.3}{}), not those that predict the next sample best; they serve a simulation of such \
+         drives, and the intervals hold for errors that are alike over two seconds",
+        prediction.map_or_else(String::new, |nmpe| format!(", {nmpe:.3} with those"))
     )]
-    NotSettled {
-        /// The last change, in standard deviations.
-        moved: f64,
+    Simulated {
+        /// The normalised mean prediction error of the simulation.
+        nmpe: f64,
+        /// The same with the parameters that predict best; none if there are none.
+        prediction: Option<f64>,
     },
     /// The board's periods that begin a servo pulse are uncertain.
     #[error(
@@ -133,18 +124,20 @@ const GUESS: f64 = 5.0;
 /// A larger force density over the mean load of an axle cannot be sensor noise, in 1/√Hz.
 const UNEXPLAINED: f64 = 5e-5;
 
+/// Whether there are forces that the model does not explain.
+pub(super) fn is_unexplained(fit: &Fit) -> bool {
+    fit.noise.force_density > UNEXPLAINED * 0.5 * fit.values.vehicle().mass_kg * GRAVITY
+}
+
 /// Warnings from the fit itself.
-pub(super) fn of_fit(fit: &Fit, tyres: Tyres) -> Vec<Warning> {
+pub(super) fn of_fit(fit: &Fit, tyres: Tyres, criterion: Criterion) -> Vec<Warning> {
     let mut warnings = Vec::new();
-    if let Some(moved) = fit.unsettled {
-        warnings.push(Warning::NotSettled { moved });
-    }
     if fit.lead < GUESS {
         warnings.push(Warning::FramesGuessed { lead: fit.lead });
     }
     let vehicle = fit.values.vehicle();
-    let density = fit.noise.force_density;
-    if density > UNEXPLAINED * 0.5 * vehicle.mass_kg * GRAVITY {
+    if criterion == Criterion::Prediction && is_unexplained(fit) {
+        let density = fit.noise.force_density;
         warnings.push(Warning::Unexplained { density });
     }
     if tyres == Tyres::Linear {
@@ -166,25 +159,13 @@ pub(super) fn warnings(
 ) -> Vec<Warning> {
     let mut warnings = Vec::new();
     for estimate in estimates {
-        let Estimate {
-            parameter,
-            start,
-            value,
-            ..
-        } = *estimate;
-        let relative = estimate.standard_deviation / value.abs();
+        let parameter = estimate.parameter;
+        let relative = estimate.standard_deviation / estimate.value.abs();
         let ratio = !Parameter::NUISANCE.contains(&parameter);
         if ratio && (relative.is_nan() || relative > VAGUE) {
             warnings.push(Warning::NotTold {
                 parameter,
                 relative,
-            });
-        }
-        if estimate.at_bound {
-            warnings.push(Warning::AtBound {
-                parameter,
-                start,
-                value,
             });
         }
     }

@@ -23,6 +23,9 @@ pub(crate) struct Course {
     pub(crate) trim: f64,
     pub(crate) inertial_delay: f64,
     pub(crate) gyro_bias: f64,
+    pub(crate) gyro_scale: f64,
+    /// Time between inertial samples, in ms.
+    pub(crate) inertial_period_ms: u64,
     pub(crate) forward_bias: f64,
     pub(crate) left_bias: f64,
     pub(crate) noise: NoiseLevels,
@@ -43,6 +46,8 @@ impl Course {
             trim: 0.004,
             inertial_delay: 0.0015,
             gyro_bias: 0.006,
+            gyro_scale: 1.0,
+            inertial_period_ms: 10,
             forward_bias: -0.04,
             left_bias: 0.05,
             noise: NoiseLevels {
@@ -85,6 +90,8 @@ impl Course {
         let mut steering = self.trim;
         let mut data = DriveData::default();
         let mut target = 0.0;
+        // A sample is valid until the next.
+        let valid_s = STEP * self.inertial_period_ms as f64;
         let ticks = (self.seconds / STEP).round() as u64;
         for tick in 0..=ticks {
             let time = tick as f64 * STEP;
@@ -104,16 +111,15 @@ impl Course {
             let rate = model.derivative(&state, speed, steering);
             let turning = speed * (rate.sideslip + state.yaw_rate);
             let (sin, cos) = state.sideslip.sin_cos();
-            if tick % 10 == 3 {
+            if tick % self.inertial_period_ms == 3 {
                 data.inertial.push(Inertial {
                     time_s: time + self.inertial_delay,
-                    yaw_rate_rad_s: state.yaw_rate
+                    yaw_rate_rad_s: self.gyro_scale * state.yaw_rate
                         + self.gyro_bias
                         + noise.yaw_rate_rad_s * random.normal(),
-                    // A sample is valid for 10 ms.
                     forward_m_s2: along * cos - turning * sin
                         + self.forward_bias
-                        + noise.forward_density / 0.1 * random.normal(),
+                        + noise.forward_density / valid_s.sqrt() * random.normal(),
                     left_m_s2: along * sin
                         + turning * cos
                         + self.left_bias

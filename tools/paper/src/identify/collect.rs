@@ -3,12 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
-use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoTarget};
+use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoFrames, ServoTarget};
 use singletrack_control::{VehicleParameters, direction};
 use singletrack_core::{Config, ConfigError};
 use singletrack_figures::plot;
-use singletrack_pilot::Event;
-use singletrack_record::{Entry, Reader, TelemetryRecord, Topic, seconds_since};
+use singletrack_pilot::{BoardSample, Event};
+use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seconds_since};
 
 use super::IdentifyError;
 
@@ -23,6 +23,8 @@ pub struct RecordedDrive {
     pub vehicle: VehicleParameters,
     /// What was measured, in s since the drive began.
     pub data: DriveData,
+    /// The periods that begin a servo pulse, if they are known.
+    pub frames: Option<ServoFrames>,
     /// Notes on the record for the reader of the result.
     pub notes: Vec<String>,
 }
@@ -30,25 +32,34 @@ pub struct RecordedDrive {
 /// Servo pulses and samples are used from this time before the drive on, in ns.
 const LEAD_NS: u64 = 1_000_000_000;
 
-/// Reads the drive with this number, from 1, or the longest.
+/// Reads the drive with this number, from 1, or the longest. `config` replaces the configuration that it
+/// was driven with.
 ///
 /// # Errors
 ///
 /// When there is none, or the record can't be read.
-pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, IdentifyError> {
+pub fn read(
+    path: &Path,
+    number: Option<usize>,
+    config: Option<&Config>,
+) -> Result<RecordedDrive, IdentifyError> {
     let record = plot::Record::read(path)?;
     let (number, drive) = record.choose(number)?;
-    let toml = record
-        .configuration(drive)
-        .ok_or_else(|| IdentifyError::NoConfiguration {
-            path: path.to_owned(),
-            drive: number,
-        })?;
     let unusable = |source| IdentifyError::Configuration {
         path: path.to_owned(),
         source: Box::new(source),
     };
-    let config = Config::from_toml(toml).map_err(unusable)?;
+    let config = match config {
+        Some(config) => config.clone(),
+        None => {
+            let toml = record.configuration(drive);
+            let toml = toml.ok_or_else(|| IdentifyError::NoConfiguration {
+                path: path.to_owned(),
+                drive: number,
+            })?;
+            Config::from_toml(toml).map_err(unusable)?
+        }
+    };
     let end_ns = drive.start_ns + (drive.duration() * 1e9) as u64;
     let mut collector = Collector::new(&config, drive.start_ns).map_err(unusable)?;
     let mut reader = Reader::open(&record.path)?.only(&[Topic::Tick, Topic::Telemetry]);
@@ -62,11 +73,18 @@ pub fn read(path: &Path, number: Option<usize>) -> Result<RecordedDrive, Identif
             drive.duration()
         ));
     }
+    let frames = collector.frames();
+    if frames.is_some() {
+        notes.push(
+            "it has no telemetry of a board: the commands stand for the servo's pulses".to_owned(),
+        );
+    }
     Ok(RecordedDrive {
         path: record.path.clone(),
         number,
         vehicle: config.vehicle,
         data: collector.until(end_ns),
+        frames,
         notes,
     })
 }
@@ -82,6 +100,9 @@ pub struct Collector {
     marker_offset: [f64; 2],
     marker_yaw: f64,
     data: DriveData,
+    /// Inertial samples and steering of the ticks, for a record without telemetry: a log of another
+    /// program.
+    of_ticks: DriveData,
     /// Board time that has passed since the first record, in µs, and the newest.
     board: Option<(u64, u32)>,
 }
@@ -105,6 +126,7 @@ impl Collector {
             marker_offset: estimator.marker_offset,
             marker_yaw: estimator.marker_yaw,
             data: DriveData::default(),
+            of_ticks: DriveData::default(),
             board: None,
         })
     }
@@ -112,30 +134,58 @@ impl Collector {
     /// Takes in the next entry.
     pub fn take(&mut self, entry: &Entry) {
         match entry {
-            Entry::Tick(tick) => {
-                for event in &tick.events {
-                    if let Event::Pose(pose) = event
-                        && pose.capture.0 + LEAD_NS >= self.start_ns
-                    {
-                        let yaw = pose.yaw - self.marker_yaw;
-                        let along = direction(yaw);
-                        let [forward, left] = self.marker_offset;
-                        let pose = Pose {
-                            time_s: self.seconds(pose.capture.0),
-                            x_m: pose.position.x - (along.x * forward - along.y * left),
-                            y_m: pose.position.y - (along.y * forward + along.x * left),
-                            yaw_rad: yaw,
-                        };
-                        // A late one is not used.
-                        let last = self.data.poses.last();
-                        if last.is_none_or(|last| pose.time_s > last.time_s) {
-                            self.data.poses.push(pose);
-                        }
-                    }
-                }
-            }
+            Entry::Tick(tick) => self.take_tick(tick),
             Entry::Telemetry(record) => self.take_telemetry(record),
             _ => {}
+        }
+    }
+
+    fn take_tick(&mut self, tick: &TickRecord) {
+        for event in &tick.events {
+            match event {
+                Event::Pose(pose) if pose.capture.0 + LEAD_NS >= self.start_ns => {
+                    let yaw = pose.yaw - self.marker_yaw;
+                    let along = direction(yaw);
+                    let [forward, left] = self.marker_offset;
+                    let pose = Pose {
+                        time_s: self.seconds(pose.capture.0),
+                        x_m: pose.position.x - (along.x * forward - along.y * left),
+                        y_m: pose.position.y - (along.y * forward + along.x * left),
+                        yaw_rad: yaw,
+                    };
+                    // A late one is not used.
+                    let last = self.data.poses.last();
+                    if last.is_none_or(|last| pose.time_s > last.time_s) {
+                        self.data.poses.push(pose);
+                    }
+                }
+                Event::Board(BoardSample {
+                    inertial: Some(sample),
+                    ..
+                }) if sample.time.0 + LEAD_NS >= self.start_ns => {
+                    let sample = Inertial {
+                        time_s: self.seconds(sample.time.0),
+                        yaw_rate_rad_s: sample.yaw_rate,
+                        forward_m_s2: sample.forward_acceleration,
+                        left_m_s2: sample.left_acceleration,
+                    };
+                    let last = self.of_ticks.inertial.last();
+                    if last.is_none_or(|last| sample.time_s > last.time_s) {
+                        self.of_ticks.inertial.push(sample);
+                    }
+                }
+                _ => {}
+            }
+        }
+        let output = &tick.output;
+        if tick.pilot_time.0 + LEAD_NS >= self.start_ns {
+            self.of_ticks.servo.push(ServoTarget {
+                time_s: self.seconds(tick.pilot_time.0),
+                period: tick.index,
+                angle_rad: output
+                    .command
+                    .map_or(output.actuation.steering, |command| command.steering),
+            });
         }
     }
 
@@ -183,10 +233,20 @@ impl Collector {
         seconds_since(self.start_ns, time_ns)
     }
 
+    /// The periods that begin a servo pulse, if no board has recorded its own.
+    #[must_use]
+    pub fn frames(&self) -> Option<ServoFrames> {
+        self.board.is_none().then_some(ServoFrames::Every)
+    }
+
     /// The data collected until `end_ns` of the host's monotonic clock.
     #[must_use]
     pub fn until(mut self, end_ns: u64) -> DriveData {
         let end_s = self.seconds(end_ns);
+        if self.board.is_none() {
+            self.data.inertial = self.of_ticks.inertial;
+            self.data.servo = self.of_ticks.servo;
+        }
         self.data.poses.retain(|pose| pose.time_s <= end_s);
         self.data.inertial.retain(|sample| sample.time_s <= end_s);
         self.data.servo.retain(|target| target.time_s <= end_s);

@@ -19,9 +19,13 @@ const MODEL: &str = "model";
 /// Every figure of an identification, with its name.
 pub fn figures(report: &Report) -> Vec<(String, Figure)> {
     let mut figures = of_drive("", "the drive it was identified from", &report.identified);
-    if let Some(validated) = &report.validated {
+    for (number, validated) in (1..).zip(&report.validated) {
+        let prefix = match number {
+            1 => "validation-".to_owned(),
+            _ => format!("validation-{number}-"),
+        };
         figures.extend(of_drive(
-            "validation-",
+            &prefix,
             "another drive, for validation",
             validated,
         ));

@@ -1,6 +1,7 @@
 //! `singletrack identify`: the car's parameters from its drives.
 
 mod collect;
+mod drives;
 mod figures;
 mod output;
 mod report;
@@ -17,11 +18,9 @@ use std::{
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
-use singletrack_analysis::identification::{
-    self, Identification, IdentificationError, Parameter, Settings, Tyres,
-};
+use singletrack_analysis::identification::{self, IdentificationError, Parameter, Settings, Tyres};
 use singletrack_campaign::CampaignError;
-use singletrack_core::ConfigError;
+use singletrack_core::{Config, ConfigError};
 use singletrack_figures::plot::PlotError;
 use singletrack_record::RecordError;
 
@@ -29,30 +28,37 @@ use crate::vehicle_file::{self, VehicleFileError};
 use study::StudyError;
 
 pub use collect::{Collector, RecordedDrive, read};
+use drives::Drives;
 pub use figures::figures;
-pub use report::{Identified, Report};
+pub use report::{Identified, LogScore, Report};
 pub use study_command::StudyArgs;
 
 /// Options of `singletrack identify`.
 #[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
-    /// The record of a drive (*.mcap), a minute of weaving at 1.5 m/s or more.
+    /// The records of drives (*.mcap), a minute of weaving at 1.5 m/s or more; of several, one fit.
     #[arg(required_unless_present_any = ["study", "from"])]
-    pub record: Option<PathBuf>,
+    pub record: Vec<PathBuf>,
 
-    /// Another drive, to validate the identified parameters.
+    /// Another drive, to validate the identified parameters. May be given several times.
     #[arg(long, value_name = "RECORD")]
-    pub validate: Option<PathBuf>,
+    pub validate: Vec<PathBuf>,
+
+    /// The car's configuration [default: the one in each record].
+    ///
+    /// A record that was imported has none of its own car.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
 
     /// The nominal car: mass, wheelbase, friction, and where the fit starts
-    /// [default: the one in the record's configuration].
+    /// [default: the one in the configuration].
     #[arg(long, value_name = "FILE")]
     pub vehicle: Option<PathBuf>,
 
     /// Parameters to estimate: some of `c_f`, `c_r`, `i_z`, `l_f`, `friction` and `steering_gain`.
     ///
-    /// Lag, delay and trim of the steering, and delay and bias of the IMU are always
-    /// estimated jointly.
+    /// Lag, delay and trim of the steering, and delay and bias of the IMU and the scale of its gyro are
+    /// always estimated jointly.
     #[arg(
         long,
         value_name = "NAMES",
@@ -65,7 +71,7 @@ pub struct IdentifyArgs {
     #[arg(long, value_enum, default_value_t = TyreKind::Saturating)]
     pub tyres: TyreKind,
 
-    /// Which drive of the record, from 1 [default: the longest].
+    /// Which drive of each record, from 1 [default: the longest].
     #[arg(long, value_name = "N")]
     pub drive: Option<usize>,
 
@@ -126,6 +132,9 @@ pub enum IdentifyError {
     /// The record can't be read.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The configuration that was given can't be used.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
     /// The configuration in the record can't be used.
     #[error(
         "the configuration in {}, which has the servo's calibration, is not one that this version \
@@ -165,12 +174,10 @@ pub enum IdentifyError {
     #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
     LeastSpeed(f64),
     /// The drive does not determine the parameters.
-    #[error("{}, drive {drive}: {source}", path.display())]
+    #[error("{records}: {source}")]
     Identification {
-        /// The record.
-        path: PathBuf,
-        /// The drive's number, from 1.
-        drive: usize,
+        /// The records, and which drives in them.
+        records: String,
         /// Why.
         source: IdentificationError,
     },
@@ -208,15 +215,16 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     }
     let report = identify(args)?;
     for (identified, what) in [
-        (Some(&report.identified), ""),
-        (report.validated.as_ref(), "validation: "),
+        (core::slice::from_ref(&report.identified), ""),
+        (&report.validated[..], "validation: "),
     ] {
-        for warning in identified
-            .into_iter()
-            .flat_map(|i| &i.identification.warnings)
-        {
+        let warnings = identified.iter();
+        for warning in warnings.flat_map(|one| &one.identification.warnings) {
             print_note(&format!("warning: {what}{warning}"));
         }
+    }
+    for error in &report.not_validated {
+        print_note(&format!("warning: not validated: {error}"));
     }
     let text = match args.format {
         IdentifyFormat::Table => table::table(&report),
@@ -253,37 +261,51 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         .as_deref()
         .map(vehicle_file::read)
         .transpose()?;
-    let record = args.record.as_deref().ok_or(IdentifyError::NoRecord)?;
-    let recorded = told(read(record, args.drive)?);
-    let vehicle = given.unwrap_or(recorded.vehicle);
+    let config = args.config.as_deref().map(Config::read).transpose()?;
+    let read_all = |paths: &[PathBuf], number| {
+        let drives = paths.iter();
+        let drives = drives.map(|path| read(path, number, config.as_ref()).map(told));
+        drives.collect::<Result<Vec<_>, IdentifyError>>()
+    };
+    let mut recorded = read_all(&args.record, args.drive)?.into_iter();
+    let first = recorded.next().ok_or(IdentifyError::NoRecord)?;
+    let drives = Drives::of(first, recorded.collect());
+    let vehicle = given.unwrap_or(drives.vehicle);
     let settings = Settings {
         tyres: args.tyres.tyres(),
         least_speed: args.least_speed,
+        frames: drives.frames,
         ..Settings::of(&args.parameters)
     };
-    let validation = args.validate.as_deref();
-    let validation = validation
-        .map(|path| read(path, None))
-        .transpose()?
-        .map(told);
+    let validation = read_all(&args.validate, None)?;
 
-    let wait = wait(format!("identifying from {}", record.display()));
-    let identification = identification::identify(&recorded.data, &vehicle, &settings)
-        .map_err(|source| recorded.failed(source))?;
+    let names = args.record.iter().map(|path| path.display().to_string());
+    let wait = wait(format!(
+        "identifying from {}",
+        names.collect::<Vec<_>>().join(", ")
+    ));
+    let identification = identification::identify(&drives.data, &vehicle, &settings)
+        .map_err(|source| drives.failed(source))?;
     wait.finish_and_clear();
-    let validated = match validation {
-        None => None,
-        Some(other) => {
-            let identification = identification::validate(&other.data, &identification, &settings)
-                .map_err(|source| other.failed(source))?;
-            Some(other.identified(identification))
+    let (mut validated, mut not_validated) = (Vec::new(), Vec::new());
+    for other in validation {
+        let other = Drives::of(other, Vec::new());
+        let settings = Settings {
+            frames: other.frames,
+            ..settings.clone()
+        };
+        match identification::validate(&other.data, &identification, &settings) {
+            Ok(found) => validated.push(other.identified(found)),
+            // What was identified stands.
+            Err(source) => not_validated.push(other.failed(source)),
         }
-    };
+    }
     Ok(Report {
         vehicle,
         tyres: settings.tyres,
-        identified: recorded.identified(identification),
+        identified: drives.identified(identification),
         validated,
+        not_validated,
     })
 }
 
@@ -335,24 +357,6 @@ pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyErr
         paths.push(path);
     }
     Ok(paths)
-}
-
-impl RecordedDrive {
-    fn failed(&self, source: IdentificationError) -> IdentifyError {
-        IdentifyError::Identification {
-            path: self.path.clone(),
-            drive: self.number,
-            source,
-        }
-    }
-
-    fn identified(self, identification: Identification) -> Identified {
-        Identified {
-            path: self.path,
-            drive: self.number,
-            identification,
-        }
-    }
 }
 
 fn told(recorded: RecordedDrive) -> RecordedDrive {

@@ -1,12 +1,48 @@
 //! The result for programs: JSON, and a vehicle file.
 
 use serde_json::{Value, json};
-use singletrack_analysis::identification::{Identification, Parameter, Score, ServoFrames};
+use singletrack_analysis::identification::{
+    Criterion, Identification, Output, Parameter, Score, ServoFrames, Warning,
+};
 
 use super::{Identified, Report};
 
 pub(super) fn json(report: &Report) -> String {
+    let Identification {
+        estimates,
+        criterion,
+        warnings,
+        ..
+    } = &report.identified.identification;
+    let parameters = estimates.iter().map(|estimate| {
+        let [low, high] = estimate.interval;
+        let of = json!({ "value": estimate.value, "low": low, "high": high });
+        (estimate.parameter.name().to_owned(), of)
+    });
+    let logs = report.logs().map(|(role, log)| {
+        let fit = |wanted: Output| {
+            let mut outputs = log.score.outputs.iter();
+            let found = outputs.find(|one| one.output == wanted);
+            found.map(|one| one.fit_percent)
+        };
+        json!({
+            "record": log.path.display().to_string(),
+            "drive": log.drive,
+            "role": role,
+            "nmpe": log.score.nmpe,
+            "fit_yaw_rate_percent": fit(Output::YawRate),
+            "fit_sideslip_percent": fit(Output::Sideslip),
+            "fit_left_acceleration_percent": fit(Output::Left),
+        })
+    });
     let document = json!({
+        // A fit that has not converged is an error.
+        "converged": true,
+        "criterion": criterion.name(),
+        "parameters": parameters.collect::<serde_json::Map<String, Value>>(),
+        "logs": logs.collect::<Vec<_>>(),
+        "not_validated": report.not_validated.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "warnings": texts(warnings),
         "tyres": report.tyres.name(),
         "start": report.vehicle,
         "taken_as_exact": taken_as_exact(report)
@@ -14,7 +50,7 @@ pub(super) fn json(report: &Report) -> String {
             .collect::<Vec<_>>(),
         "vehicle": report.identified.identification.vehicle(),
         "identification": identified(&report.identified),
-        "validation": report.validated.as_ref().map(identified),
+        "validation": report.validated.iter().map(identified).collect::<Vec<_>>(),
     });
     format!("{document:#}\n")
 }
@@ -56,8 +92,7 @@ pub(super) fn taken_as_exact(report: &Report) -> impl Iterator<Item = (&'static 
 
 fn identified(identified: &Identified) -> Value {
     let Identified {
-        path,
-        drive,
+        logs,
         identification,
     } = identified;
     let noise = &identification.noise;
@@ -85,26 +120,33 @@ fn identified(identified: &Identified) -> Value {
     });
     let [slowest, fastest] = speeds(identification);
     json!({
-        "record": path.display().to_string(),
-        "drive": drive,
+        "records": logs
+            .iter()
+            .map(|log| json!({ "record": log.path.display().to_string(), "drive": log.drive }))
+            .collect::<Vec<_>>(),
         "seconds": identification.seconds(),
         "slowest_m_s": slowest,
         "fastest_m_s": fastest,
         "servo_frames": frames(identification),
         "estimates": estimates.collect::<Vec<_>>(),
         "correlation": correlation.collect::<Vec<_>>(),
-        "noise": {
+        // The simulation's fit does not estimate them.
+        "noise": (identification.criterion == Criterion::Prediction).then(|| json!({
             "position_m": noise.position_m,
             "yaw_rad": noise.yaw_rad,
             "yaw_rate_rad_s": noise.yaw_rate_rad_s,
             "left_acceleration_m_s2": noise.left_m_s2,
             "forward_acceleration_m_s2_per_root_hz": noise.forward_density,
             "axle_force_n_per_root_hz": noise.force_density,
-        },
+        })),
         "score": score(&identification.score),
         "residuals": residuals.collect::<Vec<_>>(),
-        "warnings": identification.warnings.iter().map(ToString::to_string).collect::<Vec<_>>(),
+        "warnings": texts(&identification.warnings),
     })
+}
+
+fn texts(warnings: &[Warning]) -> Vec<String> {
+    warnings.iter().map(ToString::to_string).collect()
 }
 
 const fn frames(identification: &Identification) -> &'static str {
@@ -134,16 +176,15 @@ pub(super) const VEHICLE_FILE_BEGINS: &str = "# Identified by singletrack ";
 pub(super) fn vehicle_file(report: &Report) -> String {
     let identification = &report.identified.identification;
     let vehicle = identification.vehicle();
-    let mut text = format!(
-        "{VEHICLE_FILE_BEGINS}from {}, drive {}, {:.1} s; NMPE {:.4}.\n",
+    let logs = report.identified.logs.iter();
+    let logs = logs.map(|log| {
         // A line break in the name must not end the comment.
-        report
-            .identified
-            .path
-            .display()
-            .to_string()
-            .replace(['\n', '\r'], " "),
-        report.identified.drive,
+        let path = log.path.display().to_string().replace(['\n', '\r'], " ");
+        format!("{path}, drive {}", log.drive)
+    });
+    let mut text = format!(
+        "{VEHICLE_FILE_BEGINS}from {}; {:.1} s; NMPE {:.4}.\n",
+        logs.collect::<Vec<_>>().join("; "),
         identification.seconds(),
         identification.score.nmpe,
     );

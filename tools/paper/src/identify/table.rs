@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use singletrack_analysis::identification::{Estimate, Parameter, Score};
+use singletrack_analysis::identification::{Criterion, Estimate, Parameter, Score};
 
 use super::{
     Identified, Report,
@@ -16,7 +16,7 @@ const fn shown(parameter: Parameter) -> (&'static str, f64, usize) {
         Parameter::FrontStiffness | Parameter::RearStiffness => ("N/rad", 1.0, 3),
         Parameter::YawInertia => ("kg m²", 1.0, 6),
         Parameter::FrontAxleDistance => ("mm", 1e3, 2),
-        Parameter::Friction | Parameter::SteeringGain => ("", 1.0, 4),
+        Parameter::Friction | Parameter::SteeringGain | Parameter::GyroScale => ("", 1.0, 4),
         Parameter::ServoLag | Parameter::SteeringDelay | Parameter::InertialDelay => ("ms", 1e3, 3),
         Parameter::SteeringTrim => ("mrad", 1e3, 3),
         Parameter::LateralBias => ("mm/s²", 1e3, 1),
@@ -32,15 +32,16 @@ pub(super) fn table(report: &Report) -> String {
 
 fn write(text: &mut String, report: &Report) -> std::fmt::Result {
     let Identified {
-        path,
-        drive,
+        logs,
         identification,
     } = &report.identified;
     let speeds = speeds(identification);
+    for log in logs {
+        writeln!(text, "{}, drive {}", log.path.display(), log.drive)?;
+    }
     writeln!(
         text,
-        "{}, drive {drive}: {:.1} s at {:.2} to {:.2} m/s; tyres {}; servo pulses from {} records",
-        path.display(),
+        "{:.1} s at {:.2} to {:.2} m/s; tyres {}; servo pulses from {} records; minimised: error of the {}",
         identification.seconds(),
         speeds[0],
         speeds[1],
@@ -49,7 +50,8 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
             singletrack_analysis::identification::ServoFrames::Even => "even",
             singletrack_analysis::identification::ServoFrames::Odd => "odd",
             singletrack_analysis::identification::ServoFrames::Every => "all",
-        }
+        },
+        identification.criterion.name(),
     )?;
     writeln!(
         text,
@@ -83,24 +85,26 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
         }
         writeln!(text)?;
     }
-    let noise = &identification.noise;
-    writeln!(
-        text,
-        "\nnoise: position {:.2} mm, yaw {:.2} mrad, gyro {:.2} mrad/s, acceleration {:.3} m/s², \
+    if identification.criterion == Criterion::Prediction {
+        let noise = &identification.noise;
+        writeln!(
+            text,
+            "\nnoise: position {:.2} mm, yaw {:.2} mrad, gyro {:.2} mrad/s, acceleration {:.3} m/s², \
          unexplained force {:.2} mN/√Hz an axle",
-        1e3 * noise.position_m,
-        1e3 * noise.yaw_rad,
-        1e3 * noise.yaw_rate_rad_s,
-        noise.left_m_s2,
-        1e3 * noise.force_density,
-    )?;
+            1e3 * noise.position_m,
+            1e3 * noise.yaw_rad,
+            1e3 * noise.yaw_rate_rad_s,
+            noise.left_m_s2,
+            1e3 * noise.force_density,
+        )?;
+    }
     writeln!(
         text,
         "\nthe model left alone with speed and servo pulses, beside what was measured:"
     )?;
-    score(text, "identification", &identification.score)?;
-    if let Some(validated) = &report.validated {
-        score(text, "validation", &validated.identification.score)?;
+    for (what, log) in report.logs() {
+        writeln!(text, "{}, drive {}", log.path.display(), log.drive)?;
+        score(text, what, &log.score)?;
     }
     writeln!(
         text,

@@ -73,9 +73,10 @@ fn identified(setup: &Setup) -> Result<Report, ModelError> {
     vehicle.yaw_inertia_kg_m2 *= inertia;
     std::fs::write(&start, toml::to_string(&VehicleFile { vehicle })?)?;
     Ok(identify::identify(&IdentifyArgs {
-        record: Some(record),
+        record: vec![record],
         study: StudyArgs::default(),
-        validate: Some(other),
+        validate: vec![other],
+        config: None,
         vehicle: Some(start),
         parameters: Parameter::VEHICLE.to_vec(),
         tyres: TyreKind::Saturating,
@@ -145,7 +146,7 @@ const NAMES: [(&str, &str, &str); 3] = [
 
 /// The validation on the other drive.
 fn validation(report: &Report) -> Option<&Identification> {
-    let validated = report.validated.as_ref();
+    let validated = report.validated.first();
     validated.map(|validated| &validated.identification)
 }
 

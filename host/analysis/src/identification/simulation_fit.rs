@@ -1,0 +1,347 @@
+//! The fit that minimises the errors of a simulation.
+//!
+//! A prediction corrects the model at each sample. Where the car has more effects than the model, the
+//! corrections take them up, and the parameters that predict the next sample best may simulate badly.
+//! This fit leaves yaw rate and sideslip of the model alone for the whole stretch, as
+//! [`super::simulation`] does, and minimises the product of the root mean squares of its errors: each
+//! output is divided by that of the last round. Its errors are correlated over seconds: all of an output
+//! within [`BLOCK`] count as one beside the prior.
+
+use nalgebra::{DMatrix, DVector};
+use num_dual::DualSVec64;
+
+use super::{
+    data::{DriveData, ServoFrames, ServoTarget, Span},
+    error::IdentificationError,
+    fit::{Fit, Task},
+    least_squares::minimise,
+    model::Model,
+    noise::NoiseLevels,
+    parameter::{COUNT, Parameter},
+    simulation::{Inputs, Sample, seen, sideslip},
+    uncertainty::spread_of,
+};
+use crate::dual::Dual;
+
+/// Errors of the simulation farther apart than this count as independent, in s.
+const BLOCK: f64 = 2.0;
+/// The largest number of rounds. A round weighs the outputs and then runs the optimiser.
+const ROUNDS: usize = 25;
+/// The filter runs in the first rounds alone. Its speed and biases hardly depend on the parameters, but
+/// that little can make the rounds swing.
+const FILTER_ROUNDS: usize = 4;
+/// The fit has converged below this change, in standard deviations.
+const SETTLED: f64 = 0.05;
+/// Where further fits start, by factors on stiffness in front, stiffness in the rear and yaw inertia.
+const STARTS: [[f64; 3]; 4] = [
+    [1.0, 1.0, 1.0],
+    [0.5, 0.5, 1.0],
+    [2.0, 2.0, 1.0],
+    [0.6, 1.6, 2.0],
+];
+
+/// The scale of the gyro by the yaw of the cameras, and its standard deviation.
+#[derive(Clone, Copy, Debug)]
+struct GyroScale {
+    value: f64,
+    deviation: f64,
+}
+
+impl GyroScale {
+    /// The regression of the gyro on the yaw rate of the cameras. None without enough turning.
+    fn of(data: &DriveData, spans: &[Span]) -> Option<Self> {
+        let samples = data.inertial.iter();
+        let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
+        let pairs: Vec<[f64; 2]> = samples
+            .filter_map(|sample| {
+                let seen = seen(&data.poses, sample.time_s)?;
+                Some([seen.yaw_rate, sample.yaw_rate_rad_s])
+            })
+            .collect();
+        let count = pairs.len() as f64;
+        let mean = |index: usize| pairs.iter().map(|pair| pair[index]).sum::<f64>() / count;
+        let (camera, gyro) = (mean(0), mean(1));
+        let (mut square, mut product) = (0.0, 0.0);
+        for [one, other] in &pairs {
+            square += (one - camera) * (one - camera);
+            product += (one - camera) * (other - gyro);
+        }
+        let value = product / square;
+        let errors: f64 = pairs
+            .iter()
+            .map(|[one, other]| (other - gyro - value * (one - camera)).powi(2))
+            .sum();
+        // The errors of samples of a few hertz that are interpolated are alike over ten of them.
+        const ALIKE: f64 = 10.0;
+        let deviation = (ALIKE * errors / count / square).sqrt().max(1e-4);
+        (value.is_finite() && deviation.is_finite()).then_some(Self { value, deviation })
+    }
+}
+
+/// A simulation with its errors as a least-squares problem.
+struct Problem<'a> {
+    task: &'a Task<'a>,
+    inputs: Inputs<'a>,
+    scale: Option<GyroScale>,
+    /// What the errors of yaw rate, sideslip and acceleration are divided by, see
+    /// [`Self::measured_sizes`].
+    sizes: [f64; 3],
+    /// The sideslip of the cameras at each pose, in rad.
+    sideslips: &'a [f64],
+}
+
+/// The number of an output of [`Problem::errors`], and its time, in s.
+type Place = (usize, f64);
+
+/// The number of the gyro's scale among them.
+const SCALE: usize = 3;
+
+impl Problem<'_> {
+    /// The errors over their sizes.
+    fn errors<D: Dual>(&self, seeds: &[D]) -> Option<Vec<(Place, D)>> {
+        let Task {
+            start,
+            active,
+            settings,
+            ..
+        } = self.task;
+        let mut parameters = start.all().map(D::from);
+        for (parameter, u) in active.iter().zip(seeds) {
+            parameters[*parameter as usize] = parameter.prior().value(start.get(*parameter), *u);
+        }
+        let model = Model::new(start, parameters, settings.tyres);
+        let mut errors = Vec::with_capacity(3 * self.inputs.data.poses.len());
+        let mut push = |output: usize, time: f64, error: D| {
+            let size = self.sizes.get(output).copied().unwrap_or(1.0);
+            errors.push(((output, time), error / size));
+        };
+        for simulated in self.inputs.simulate(&model)? {
+            let time = simulated.time_s;
+            match simulated.sample {
+                Sample::Inertial(track) => {
+                    let sample = self.inputs.data.inertial.get(track.inertial)?;
+                    let gyro = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
+                    push(
+                        0,
+                        time,
+                        gyro + track.gyro_bias_rad_s - sample.yaw_rate_rad_s,
+                    );
+                    let left = simulated.left + model.get(Parameter::LateralBias);
+                    push(2, time, left - sample.left_m_s2);
+                }
+                Sample::Pose(index) => {
+                    let measured = self.sideslips.get(index)?;
+                    if measured.is_finite() {
+                        push(1, time, simulated.motion.sideslip - *measured);
+                    }
+                }
+            }
+        }
+        if let Some(scale) = self.scale {
+            let error = model.get(Parameter::GyroScale) - scale.value;
+            errors.push(((SCALE, f64::MAX), error / scale.deviation));
+        }
+        Some(errors)
+    }
+
+    /// The errors, followed by those of the prior.
+    fn residuals(&self, u: &[f64]) -> Option<DVector<f64>> {
+        let errors = self.errors(u)?.into_iter().map(|(_, error)| error);
+        let all: Vec<f64> = errors.chain(u.iter().copied()).collect();
+        let finite = all.iter().all(|error| error.is_finite());
+        finite.then(|| DVector::from_vec(all))
+    }
+
+    /// The derivatives of [`Self::residuals`] by `u`.
+    fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
+        let seeds = u.iter().enumerate();
+        let seeds: Vec<_> = seeds
+            .map(|(index, u)| DualSVec64::<COUNT>::from(*u).derivative(index))
+            .collect();
+        let errors = self.errors(&seeds)?;
+        let mut jacobian = DMatrix::zeros(errors.len() + u.len(), u.len());
+        for (row, (_, error)) in errors.iter().enumerate() {
+            if let Some(gradient) = &error.eps.0 {
+                for (column, value) in gradient.iter().take(u.len()).enumerate() {
+                    jacobian[(row, column)] = *value;
+                }
+            }
+        }
+        for column in 0..u.len() {
+            jacobian[(errors.len() + column, column)] = 1.0;
+        }
+        let finite = jacobian.iter().all(|value| value.is_finite());
+        finite.then_some(jacobian)
+    }
+
+    /// The sizes with which the squares of an output's errors sum up to the number of blocks: the root
+    /// mean square times the square root of the samples in a block.
+    fn measured_sizes(&self, u: &[f64]) -> Option<[f64; 3]> {
+        let mut sums = [0.0; 3];
+        for ((output, _), error) in self.errors(u)? {
+            if let Some(sum) = sums.get_mut(output) {
+                *sum += error * error;
+            }
+        }
+        let blocks = self.task.blocks();
+        let mut sizes = self.sizes;
+        for (size, sum) in sizes.iter_mut().zip(sums) {
+            *size *= f64::sqrt(sum / blocks);
+        }
+        let normal = sizes.iter().all(|size: &f64| size.is_normal());
+        normal.then_some(sizes)
+    }
+}
+
+impl Task<'_> {
+    /// The values that simulate the drive best, from several starts. `noise` is reported as that of
+    /// the sensors; of the filter only the speed and the biases are used.
+    pub(super) fn fit_simulation(
+        &self,
+        frames: ServoFrames,
+        noise: Option<NoiseLevels>,
+    ) -> Result<Fit, IdentificationError> {
+        let loose = NoiseLevels::loose(&self.vehicle());
+        let servo = frames.of(&self.data.servo);
+        let poses = &self.data.poses;
+        let sideslips: Vec<f64> = poses
+            .iter()
+            .map(|pose| sideslip(poses, pose.time_s))
+            .collect();
+        let scale = self.active.contains(&Parameter::GyroScale);
+        let scale = scale
+            .then(|| GyroScale::of(self.data, self.spans))
+            .flatten();
+        let mut best: Option<(f64, Fit)> = None;
+        let mut starts: Vec<Vec<f64>> = Vec::new();
+        for factors in STARTS {
+            let start = self.moved(factors, scale);
+            if !starts.contains(&start) {
+                starts.push(start);
+            }
+        }
+        let mut last = self.diverged(&vec![0.0; self.active.len()]);
+        for start in starts {
+            match self.descend(start, &servo, &sideslips, scale, &loose) {
+                Ok((cost, fit)) => {
+                    let better = best.as_ref().is_none_or(|(least, _)| cost < *least);
+                    if better {
+                        best = Some((cost, Fit { frames, ..fit }));
+                    }
+                }
+                Err(error) => last = error,
+            }
+        }
+        let (_, fit) = best.ok_or(last)?;
+        Ok(Fit {
+            noise: noise.unwrap_or(fit.noise),
+            ..fit
+        })
+    }
+
+    /// The coordinates of the start, with the vehicle's three parameters changed by `factors`.
+    fn moved(&self, factors: [f64; 3], scale: Option<GyroScale>) -> Vec<f64> {
+        let coordinate = |parameter: &Parameter| {
+            let factor = match parameter {
+                Parameter::FrontStiffness => factors[0],
+                Parameter::RearStiffness => factors[1],
+                Parameter::YawInertia => factors[2],
+                Parameter::GyroScale => {
+                    scale.map_or(1.0, |scale| scale.value / self.start.get(*parameter))
+                }
+                _ => 1.0,
+            };
+            parameter.prior().coordinate_of_factor(factor)
+        };
+        self.active.iter().map(coordinate).collect()
+    }
+
+    /// The number of independent errors of an output.
+    fn blocks(&self) -> f64 {
+        self.spans.iter().map(Span::seconds).sum::<f64>() / BLOCK
+    }
+
+    /// From one start to its minimum. The cost is minus the logarithm of the posterior density, but for a
+    /// constant.
+    fn descend(
+        &self,
+        mut u: Vec<f64>,
+        servo: &[ServoTarget],
+        sideslips: &[f64],
+        scale: Option<GyroScale>,
+        noise: &NoiseLevels,
+    ) -> Result<(f64, Fit), IdentificationError> {
+        let mut evaluations = 0;
+        let mut sizes = None;
+        let mut moved = f64::INFINITY;
+        let mut run = self.run_filter(servo, &u, noise)?;
+        for round in 1.. {
+            if (2..=FILTER_ROUNDS).contains(&round) {
+                run = self.run_filter(servo, &u, noise)?;
+            }
+            let mut problem = Problem {
+                task: self,
+                inputs: Inputs {
+                    data: self.data,
+                    servo,
+                    spans: self.spans,
+                    run: &run,
+                },
+                scale,
+                sizes: sizes.unwrap_or([1.0; 3]),
+                sideslips,
+            };
+            problem.sizes = problem
+                .measured_sizes(&u)
+                .ok_or_else(|| self.diverged(&u))?;
+            sizes = Some(problem.sizes);
+            if moved < SETTLED || round > ROUNDS {
+                let jacobian = problem.jacobian(&u).ok_or_else(|| self.diverged(&u))?;
+                let residuals = problem.residuals(&u).ok_or_else(|| self.diverged(&u))?;
+                let errors = problem.errors(&u).ok_or_else(|| self.diverged(&u))?;
+                let times: Vec<f64> = errors.iter().map(|((_, time), _)| *time).collect();
+                let spread = spread_of(&jacobian, &residuals, &times, BLOCK)
+                    .ok_or_else(|| self.diverged(&u))?;
+                let errors: f64 = problem.sizes.iter().map(|size| size.ln()).sum();
+                let prior: f64 = u.iter().map(|u| u * u).sum();
+                let cost = self.blocks() * errors + 0.5 * prior;
+                let fit = Fit {
+                    values: self.values(&u),
+                    u,
+                    noise: *noise,
+                    frames: ServoFrames::Every,
+                    spread,
+                    lead: f64::INFINITY,
+                    unsettled: (moved >= SETTLED).then_some(moved),
+                    evaluations,
+                    run,
+                };
+                return Ok((cost, fit));
+            }
+            let rows = problem
+                .residuals(&u)
+                .ok_or_else(|| self.diverged(&u))?
+                .len();
+            let minimum = minimise(
+                &u,
+                |u| {
+                    let residuals = problem.residuals(u);
+                    residuals.unwrap_or_else(|| DVector::from_element(rows, 1e4))
+                },
+                |u| problem.jacobian(u),
+                2 * (u.len() + 1),
+            );
+            evaluations += minimum.evaluations;
+            let jacobian = problem
+                .jacobian(&minimum.u)
+                .ok_or_else(|| self.diverged(&u))?;
+            let information = jacobian.tr_mul(&jacobian).diagonal();
+            let moves = minimum.u.iter().zip(&u).zip(information.iter());
+            moved = moves
+                .map(|((next, last), information)| (next - last).abs() * information.sqrt())
+                .fold(0.0, f64::max);
+            u = minimum.u;
+        }
+        Err(self.diverged(&u))
+    }
+}
