@@ -306,6 +306,12 @@ truth! {
         vibration_m_s2: f64, in 0.0 to 100.0 => |c, v| c.car.imu.vibration_m_s2 = v;
         /// Standard deviation of the angular velocity by vibration while the wheels turn.
         vibration_rad_s: f64, in 0.0 to 30.0 => |c, v| c.car.imu.vibration_rad_s = v;
+        /// What each m/s of the wheels' speed adds to that of the acceleration.
+        vibration_m_s2_per_m_s: f64, in 0.0 to 100.0
+            => |c, v| c.car.imu.vibration_m_s2_per_m_s = v;
+        /// What each m/s of the wheels' speed adds to that of the angular velocity.
+        vibration_rad_s_per_m_s: f64, in 0.0 to 30.0
+            => |c, v| c.car.imu.vibration_rad_s_per_m_s = v;
         /// Time constant with which a lasting acceleration leaks out of the linear acceleration
         /// and tilts the attitude; never if left out.
         leak_s: f64, in 0.05 to 3600.0 => |c, v| c.car.imu.leak_s = Some(v);

@@ -47,6 +47,10 @@ pub struct ImuParameters {
     /// Standard deviation of the angular velocity by vibration while the wheels turn, in
     /// rad/s.
     pub vibration_rad_s: f64,
+    /// What each m/s of the wheels' speed adds to the deviation of the acceleration, in 1/s.
+    pub vibration_m_s2_per_m_s: f64,
+    /// What it adds to that of the angular velocity, in rad/m.
+    pub vibration_rad_s_per_m_s: f64,
     /// Time constant with which a lasting acceleration is taken for gravity, in s: it
     /// leaks out of the linear acceleration, and tilts the attitude. Never if left out.
     pub leak_s: Option<f64>,
@@ -97,6 +101,8 @@ impl Default for ImuParameters {
             acceleration_scale: 1.0,
             vibration_m_s2: 0.0,
             vibration_rad_s: 0.0,
+            vibration_m_s2_per_m_s: 0.0,
+            vibration_rad_s_per_m_s: 0.0,
             leak_s: None,
             torn: 0.0,
             calibration: [3; 3],
@@ -273,13 +279,19 @@ impl Imu {
             pitch -= libm::atan2(forward, GRAVITY);
             roll += libm::atan2(left, GRAVITY);
         }
-        if truth.wheel_speed.abs() > VIBRATING {
-            for (p, values) in [
-                (p.vibration_rad_s, &mut rate),
-                (p.vibration_m_s2, &mut acceleration),
+        let speed = truth.wheel_speed.abs();
+        if speed > VIBRATING {
+            for (always, per_speed, values) in [
+                (p.vibration_rad_s, p.vibration_rad_s_per_m_s, &mut rate),
+                (
+                    p.vibration_m_s2,
+                    p.vibration_m_s2_per_m_s,
+                    &mut acceleration,
+                ),
             ] {
-                if p > 0.0 {
-                    let vibration = self.vibration_random.normal3(p);
+                let deviation = always + per_speed * speed;
+                if deviation > 0.0 {
+                    let vibration = self.vibration_random.normal3(deviation);
                     values
                         .iter_mut()
                         .zip(vibration)
@@ -457,15 +469,20 @@ mod tests {
         )[0];
         assert_eq!(scaled.angular_velocity_mrad_s, [0, 0, 550]);
         assert_eq!(scaled.linear_acceleration_mm_s2, [500, 100, 0]);
-        let deviation = |truth: Truth| {
-            let readings = readings(|p| p.vibration_m_s2 = 2.0, truth, 2_000);
+        let deviation = |truth: Truth, per_speed: f64| {
+            let vibrating = |p: &mut ImuParameters| {
+                (p.vibration_m_s2, p.vibration_m_s2_per_m_s) = (2.0, per_speed);
+            };
+            let readings = readings(vibrating, truth, 2_000);
             let up = readings
                 .iter()
                 .map(|reading| f64::from(reading.linear_acceleration_mm_s2[2]).powi(2));
             (up.sum::<f64>() / 2_000.0).sqrt()
         };
-        assert!((deviation(TURNING) - 2_000.0).abs() < 150.0);
-        assert_eq!(deviation(Truth::AT_REST), 0.0);
+        assert!((deviation(TURNING, 0.0) - 2_000.0).abs() < 150.0);
+        let faster = 2_000.0 + 3_000.0 * TURNING.wheel_speed;
+        assert!((deviation(TURNING, 3.0) / faster - 1.0).abs() < 0.075);
+        assert_eq!(deviation(Truth::AT_REST, 3.0), 0.0);
     }
 
     #[test]

@@ -205,6 +205,18 @@ impl SimulationConfig {
                 not_negative,
             ),
             check(
+                "car.imu.vibration_m_s2_per_m_s",
+                car.imu.vibration_m_s2_per_m_s,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
+                "car.imu.vibration_rad_s_per_m_s",
+                car.imu.vibration_rad_s_per_m_s,
+                zero_or_more,
+                not_negative,
+            ),
+            check(
                 "car.imu.leak_s",
                 car.imu.leak_s.unwrap_or(1.0),
                 above_zero,

@@ -8,7 +8,10 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
+use singletrack_control::VehicleParameters;
+use singletrack_core::Config;
 use singletrack_record::{Ending, Reader};
+use singletrack_sim::SimulationConfig;
 
 /// A demo needs the machine's real time for itself.
 static REAL_TIME: Mutex<()> = Mutex::new(());
@@ -130,6 +133,23 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
 }
 
 #[test]
+fn the_car_that_is_made_of_a_real_ones_logs_drives_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = demo(folder.path(), &["--for", "2s", "--car", "dart"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{said}");
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let believed = Config::from_toml(&read("demo.toml")).unwrap();
+    let truth: SimulationConfig = toml::from_str(&read("simulation.toml")).unwrap();
+    assert_eq!(believed.vehicle.mass_kg, 1.58);
+    assert_eq!(truth.car.vehicle.mass_kg, 1.58);
+    // What is believed is not what is true.
+    let stiffness = |vehicle: &VehicleParameters| vehicle.rear_cornering_stiffness_n_rad;
+    assert_ne!(stiffness(&believed.vehicle), stiffness(&truth.car.vehicle));
+    assert!(truth.car.imu.vibration_m_s2_per_m_s > 0.5);
+}
+
+#[test]
 fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let output = demo(folder.path(), &["--duration", "4s", "--loss", "900ms@1s"]);
@@ -153,6 +173,7 @@ fn options_that_make_no_sense_are_refused_with_the_fix() {
         (["--loss", "2s"], "200ms@2s"),
         (["--loss", "3s@2s"], "shorter"),
         (["--for", "soon"], "duration"),
+        (["--car", "truck"], "dart"),
     ] {
         let output = demo(folder.path(), &options);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -47,6 +47,27 @@ const UNIT_GAIN: (&str, &str) = ("gain_per_s = [4.0, 4.0]", "gain_per_s = [1.0, 
 const OFF: &str = "[compensation]\nclock = false\nactuation = false\n";
 const CLOCK: &str = "[compensation]\nclock = true\nactuation = false\n";
 
+/// The IMU of tools/vehicles/dart-truth.toml, as a section of a scenario.
+fn real_imu() -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../vehicles/dart-truth.toml");
+    let truth: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
+    format!("[truth.imu]\n{}", toml::to_string(&truth["imu"]).unwrap())
+}
+
+#[test]
+fn with_the_imu_of_a_real_car_p_follows_within_four_millimetres() {
+    for name in ["circle-1.0", "circle-1.5", "eight-4x2", "eight-6x3"] {
+        let quiet = with(
+            &best(name),
+            &[],
+            "[supervisor]\nprove_first_metre = false\n",
+        );
+        let shaken = error_mm(&with(&quiet, &[], &real_imu()));
+        assert!(shaken < 4.0, "{name}: {shaken} mm");
+        assert!(shaken > 1.2 * error_mm(&quiet), "{name}: {shaken} mm");
+    }
+}
+
 #[test]
 fn p_follows_within_millimetres() {
     // With other seeds the first circle is up to 0.54 mm off: the times of the poses are known

@@ -161,8 +161,12 @@ impl LatestState {
         conditions: &Conditions,
         config: &SupervisorConfig,
     ) -> Option<Reason> {
+        // The estimated speed of a car at rest is noisier than that of the cameras: it follows an
+        // accelerometer that is believed to shake. A NaN moves.
+        let seen = conditions.camera_speed.unwrap_or(conditions.speed);
         let standing = conditions.motor_speed.abs() < config.standing_speed
-            && conditions.speed.abs() < config.standing_speed;
+            && seen.abs() < config.standing_speed
+            && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_board()
             .or_else(|| self.check_health_to_arm(conditions.now, config))
             .or_else(|| self.check_imu_health())

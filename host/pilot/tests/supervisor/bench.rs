@@ -141,7 +141,7 @@ pub(crate) const DRIVING_FAILURES: [Failure; 4] = [
 ];
 
 /// Failures before a drive only.
-pub(crate) const STANDING_FAILURES: [Failure; 8] = [
+pub(crate) const STANDING_FAILURES: [Failure; 10] = [
     (
         "a battery below the arming limit",
         Reason::BatteryLow,
@@ -163,7 +163,13 @@ pub(crate) const STANDING_FAILURES: [Failure; 8] = [
         },
     ),
     ("a car that moves", Reason::Moving, |bench| {
-        bench.conditions.speed = -0.03;
+        bench.conditions.camera_speed = Some(0.031);
+    }),
+    ("an estimate that moves", Reason::Moving, |bench| {
+        bench.conditions.speed = -0.11;
+    }),
+    ("an estimate that is no number", Reason::Moving, |bench| {
+        bench.conditions.speed = f64::NAN;
     }),
     ("wheels that turn", Reason::Moving, |bench| {
         bench.conditions.motor_speed = -0.03;

@@ -2,7 +2,7 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use singletrack_sim::{BoardKind, LossPattern};
 
 use crate::arguments::parse_duration;
@@ -24,6 +24,10 @@ pub struct DemoArgs {
     /// processor (`cargo uno` builds it)
     #[arg(long, value_name = "native|uno", default_value_t = BoardKind::Native)]
     pub(super) board: BoardKind,
+
+    /// The car: the paper's, or one that is made of the logs of a real car (`tools/vehicles`)
+    #[arg(long, value_enum, default_value_t = Car::Paper)]
+    pub(super) car: Car,
 
     /// Where the configuration, the record, the figures and the summary go
     #[arg(
@@ -54,6 +58,16 @@ pub struct DemoArgs {
     /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     pub(super) loss: Option<LossPattern>,
+}
+
+/// A simulated car.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(super) enum Car {
+    /// The paper's, 1:10.
+    #[default]
+    Paper,
+    /// DART, about 1:18: its tyres, play in the steering, and an IMU that vibrates.
+    Dart,
 }
 
 fn parse_time(text: &str) -> Result<Duration, String> {

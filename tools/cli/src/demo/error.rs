@@ -49,6 +49,12 @@ pub enum DemoError {
     /// The daemon rejects its configuration.
     #[error("the configuration: {0}")]
     Config(#[from] ConfigError),
+    /// The car that was chosen can't be simulated.
+    #[error("the simulated car: {0}")]
+    Car(#[from] singletrack_sim::ConfigError),
+    /// The file of the car that was chosen.
+    #[error("the simulated car: {0}")]
+    CarFile(#[from] toml::de::Error),
     /// The configuration can't be written as TOML.
     #[error("the configuration: {0}")]
     Toml(#[from] toml::ser::Error),

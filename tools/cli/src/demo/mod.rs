@@ -67,11 +67,12 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         .prefix("singletrack-")
         .tempdir()
         .map_err(DemoError::Temporary)?;
-    let simulation = settings::simulation(args);
+    let simulation = settings::simulation(args)?;
+    let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
     let simulator =
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
     simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
-    let config = settings::daemon(&simulator, args, private.path());
+    let config = settings::daemon(&simulator, args, private.path())?;
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
 
@@ -101,6 +102,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         &simulator,
         args.duration,
         start_ns,
+        front_axle_distance_m,
         &mut progress,
         &interrupt,
     )?;
@@ -116,11 +118,12 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         duration_s: ended
             .as_ref()
             .map_or(args.duration.as_secs_f64(), |ended| ended.after_s),
+        front_axle_distance_m,
         truth: finished.trajectory,
         summary,
         board,
     };
-    let plotted = report::plot(args, &driven.truth);
+    let plotted = report::plot(args, &driven);
     report::write(args, &driven, plotted.is_ok())?;
     if let (Some(_), Err(error)) = (&driven.ended, &plotted) {
         // Why the drive ended matters more, and comes last.
@@ -194,6 +197,7 @@ fn drive(
     simulator: &RealTimeSimulator,
     duration: Duration,
     start_ns: u64,
+    front_axle_distance_m: f64,
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Option<Ended>, DemoError> {
@@ -215,7 +219,8 @@ fn drive(
             return Ok(None);
         }
         last_s = time;
-        let error_m = settings::tracking_error(&now.truth, time);
+        let point = settings::point(&now.truth, front_axle_distance_m);
+        let error_m = settings::tracking_error(point, time);
         progress.driving(time, &now.truth, error_m, &snapshot);
         let remaining = Duration::from_secs_f64(wanted_s - time);
         thread::sleep(POLL.min(remaining));

@@ -15,6 +15,8 @@ pub(super) struct Drive {
     pub(super) start_ns: u64,
     /// How long the car drove, in s.
     pub(super) duration_s: f64,
+    /// From the car's centre of mass to its front axle, in m.
+    pub(super) front_axle_distance_m: f64,
     /// Where the car truly was.
     pub(super) truth: Vec<TimedTruth>,
     /// What the daemon counted.

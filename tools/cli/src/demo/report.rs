@@ -9,7 +9,7 @@ use singletrack_figures::plot::{
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
-use singletrack_sim::{LossPattern, TimedTruth};
+use singletrack_sim::LossPattern;
 use singletrackd::{Percentiles, Summary};
 
 use super::{
@@ -132,7 +132,7 @@ fn samples(drive: &Drive) -> Vec<Sample> {
             let time = (truth.monotonic_ns - drive.start_ns) as f64 * 1e-9;
             Sample {
                 time,
-                point: settings::point(&truth.truth),
+                point: settings::point(&truth.truth, drive.front_axle_distance_m),
                 reference: settings::reference(time),
             }
         })
@@ -141,10 +141,10 @@ fn samples(drive: &Drive) -> Vec<Sample> {
 }
 
 /// Writes the figures of the record, with ground truth.
-pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotError> {
+pub(super) fn plot(args: &DemoArgs, driven: &Drive) -> Result<(), PlotError> {
     let mut record = Record::read(&args.out.join(RECORD))?;
     let (number, drive) = record.choose(None)?;
-    let truth = true_samples(truth, drive);
+    let truth = true_samples(driven, drive);
     if let Some(drive) = record.recording.drives.get_mut(number - 1) {
         drive.truth = Some(truth);
     }
@@ -156,15 +156,16 @@ pub(super) fn plot(args: &DemoArgs, truth: &[TimedTruth]) -> Result<(), PlotErro
 }
 
 /// Ground truth while the car drove.
-fn true_samples(truth: &[TimedTruth], drive: &plot::drive::Drive) -> Vec<TruthSample> {
-    truth
+fn true_samples(driven: &Drive, drive: &plot::drive::Drive) -> Vec<TruthSample> {
+    driven
+        .truth
         .iter()
         .filter(|timed| timed.monotonic_ns >= drive.start_ns)
         .map(|timed| {
             let truth = &timed.truth;
             TruthSample {
                 time: (timed.monotonic_ns - drive.start_ns) as f64 * 1e-9,
-                point: settings::point(truth),
+                point: settings::point(truth, driven.front_axle_distance_m),
                 steering: truth.steering,
                 speed: truth.speed,
                 sideslip: truth.sideslip,

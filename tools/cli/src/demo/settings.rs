@@ -7,10 +7,13 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
-    RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
+    CarTruth, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
 
-use super::arguments::DemoArgs;
+use super::{
+    arguments::{Car, DemoArgs},
+    error::DemoError,
+};
 
 /// The paper's circle: radius in m, angular velocity in rad/s.
 pub(super) const RADIUS: f64 = 1.0;
@@ -23,11 +26,39 @@ const GAIN: f64 = 1.0;
 const START_POINT: [f64; 2] = [1.5, -0.5];
 const START_YAW_DEG: f64 = 135.0;
 
-pub(super) fn simulation(args: &DemoArgs) -> SimulationConfig {
+/// What is believed of DART, and what is true of it.
+const DART: &str = include_str!("../../../real/dart.toml");
+const DART_TRUTH: &str = include_str!("../../../vehicles/dart-truth.toml");
+
+impl Car {
+    /// The configuration of a car that is not the paper's.
+    fn config(self) -> Result<Option<Config>, DemoError> {
+        match self {
+            Self::Paper => Ok(None),
+            Self::Dart => Ok(Some(Config::from_toml(DART)?)),
+        }
+    }
+
+    /// The car that is believed.
+    pub(super) fn vehicle(self) -> Result<VehicleParameters, DemoError> {
+        let config = self.config()?;
+        Ok(config.map_or_else(VehicleParameters::paper, |config| config.vehicle))
+    }
+
+    fn truth(self) -> Result<CarTruth, DemoError> {
+        match self {
+            Self::Paper => Ok(CarTruth::default()),
+            Self::Dart => Ok(toml::from_str(DART_TRUTH)?),
+        }
+    }
+}
+
+pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, DemoError> {
     let mut config = SimulationConfig {
         seed: args.seed,
         ..SimulationConfig::default()
     };
+    args.car.truth()?.apply(&mut config)?;
     let yaw_rad = START_YAW_DEG.to_radians();
     let ahead = config.car.vehicle.front_axle_distance_m + POINT_DISTANCE;
     config.car.start = StartPose {
@@ -37,7 +68,7 @@ pub(super) fn simulation(args: &DemoArgs) -> SimulationConfig {
     };
     config.cameras.loss = args.loss;
     config.board.kind = args.board;
-    config
+    Ok(config)
 }
 
 pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTimeConfig {
@@ -54,8 +85,12 @@ pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTim
     }
 }
 
-pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &Path) -> Config {
-    let vehicle = VehicleParameters::paper();
+pub(super) fn daemon(
+    simulator: &RealTimeSimulator,
+    args: &DemoArgs,
+    private: &Path,
+) -> Result<Config, DemoError> {
+    let vehicle = args.car.vehicle()?;
     let mut config = daemon_config(simulated::Drive {
         vehicle,
         law: LawSection {
@@ -73,6 +108,9 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
             centre_m: [0.0, 0.0],
         },
     });
+    if let Some(car) = args.car.config()? {
+        config.estimator = car.estimator;
+    }
     config.serial.port = simulator.pty_path().to_owned();
     config.motion_capture.command_port = simulator.command_address().port();
     config.motion_capture.data_port = simulator.data_address().port();
@@ -87,7 +125,7 @@ pub(super) fn daemon(simulator: &RealTimeSimulator, args: &DemoArgs, private: &P
         config.page.enabled = true;
         config.page.port = port;
     }
-    config
+    Ok(config)
 }
 
 /// What theory expects of P once it has settled on the circle.
@@ -124,17 +162,14 @@ pub(super) fn reference(time: f64) -> [f64; 2] {
     [RADIUS * cos, RADIUS * sin]
 }
 
-/// The true P.
-pub(super) fn point(truth: &Truth) -> [f64; 2] {
-    truth.point_p(
-        VehicleParameters::paper().front_axle_distance_m,
-        POINT_DISTANCE,
-    )
+/// The true P of a car with this distance from G to the front axle, in m.
+pub(super) fn point(truth: &Truth, front_axle_distance_m: f64) -> [f64; 2] {
+    truth.point_p(front_axle_distance_m, POINT_DISTANCE)
 }
 
-/// Distance of the true P from its reference, in m.
-pub(super) fn tracking_error(truth: &Truth, time: f64) -> f64 {
-    let ([x, y], [x_ref, y_ref]) = (point(truth), reference(time));
+/// Distance of a true P from its reference, in m.
+pub(super) fn tracking_error([x, y]: [f64; 2], time: f64) -> f64 {
+    let [x_ref, y_ref] = reference(time);
     (x - x_ref).hypot(y - y_ref)
 }
 

@@ -365,7 +365,7 @@ fn car(random: &mut Random, speed: f64) -> (String, Vec<String>) {
         false => ("", 0.0),
     };
     let marker_loss = ["hold", "dead-reckon"][random.below(2)];
-    let text = format!(
+    let mut text = format!(
         "[fence]\ncorners_m = [[-200.0, -200.0], [200.0, -200.0], [200.0, 200.0], [-200.0, 200.0]]\n\
          braking_m_s2 = {}\n\
          [estimator]\nmarker_loss = \"{marker_loss}\"\n\
@@ -398,8 +398,21 @@ fn car(random: &mut Random, speed: f64) -> (String, Vec<String>) {
         random.between(-2.0, 2.0),
         random.between(0.0001, 0.0005),
     );
+    // Up to the IMU of tools/vehicles/dart-truth.toml.
+    let shakes = random.between(0.0, 1.0);
+    let of_speed = format!(
+        "[truth.imu]\ngyro_scale = {}\nvibration_m_s2_per_m_s = {}\nvibration_rad_s_per_m_s = {}\n",
+        random.between(0.97, 1.03),
+        0.8 * shakes,
+        0.016 * shakes,
+    );
+    text = text.replace("[truth.imu]\n", &of_speed);
     let mut kinds = vec![
         format!("ESC: {kind}, truly {true_kind}"),
+        format!(
+            "vibration by speed: {:.1} and more",
+            0.5 * (2.0 * shakes).floor()
+        ),
         format!("failsafe: {failsafe}"),
         format!("pulse: {:02} mm", pulse_um / 1_000),
         format!("markers lost: {marker_loss}"),
