@@ -430,6 +430,17 @@ impl Network {
                 content.ticks = ticks;
                 content.number = number;
             }
+            FaultKind::CameraGhost => {
+                let mut noise = || (self.random.between(0, 400) as f32 - 200.0) * 1e-6;
+                if let (Some(car), Some(last)) = (&mut content.car, self.last_car) {
+                    *car = RigidBody { id: car.id, ..last };
+                    for coordinate in &mut car.position_m {
+                        *coordinate += noise();
+                    }
+                }
+                move_by(&mut content.car, 10.0 * metres);
+                content.exposure.falsified = true;
+            }
             FaultKind::CameraDrift => {
                 move_by(&mut content.car, metres * since_s(now_us, fault));
                 content.exposure.falsified = true;

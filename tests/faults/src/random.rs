@@ -17,6 +17,8 @@ pub(crate) enum Stream {
     ProgramFaults = 5,
     /// The safety filter and hostile outer loops of a schedule.
     HostileLoops = 6,
+    /// What cameras did in the logs of a real car.
+    CamerasOfLogs = 7,
 }
 
 impl Random {

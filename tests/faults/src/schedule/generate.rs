@@ -93,6 +93,7 @@ impl Schedule {
             faults,
         };
         filter(&mut schedule);
+        cameras_of_logs(&mut schedule);
         schedule
     }
 }
@@ -340,6 +341,41 @@ fn filter(schedule: &mut Schedule) {
     schedule.faults.sort_by_key(|fault| fault.at_ms);
 }
 
+/// What the cameras of a real car did, in a part of the schedules: jumps of centimetres and flips for a few
+/// frames, another body under the car's name, and one that lives metres away. The draws are a stream
+/// of their own, so that they change nothing in the others.
+fn cameras_of_logs(schedule: &mut Schedule) {
+    let random = &mut Random::new(schedule.seed, Stream::CamerasOfLogs);
+    if !random.happens(300) {
+        return;
+    }
+    let kinds = [
+        FaultKind::CameraJump,
+        FaultKind::CameraFlip,
+        FaultKind::CameraSwapped,
+        FaultKind::CameraGhost,
+    ];
+    for _ in 0..random.between(1, 3) {
+        let kind = random.choose(FaultKind::CameraJump, &kinds);
+        let severity = match kind {
+            FaultKind::CameraJump => random.between(5, 80),
+            FaultKind::CameraFlip => random.choose(640, &[Fault::WORST]),
+            _ => random.spread(20, Fault::WORST),
+        };
+        schedule.faults.push(Fault {
+            kind,
+            at_ms: random.between(FIRST_ARM_MS, schedule.end_ms),
+            for_ms: match kind {
+                FaultKind::CameraGhost => random.spread(100, 8_000),
+                // One to ten frames.
+                _ => 10 * random.between(1, 10),
+            },
+            severity,
+        });
+    }
+    schedule.faults.sort_by_key(|fault| fault.at_ms);
+}
+
 /// Makes a car tolerable, with what is configured for it, and gives it room.
 fn calibrate(random: &mut Random, situation: &mut Situation, truth: &mut TrueCar) {
     for (deviation, value) in &mut truth.deviations {
@@ -356,6 +392,7 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
     let kinds = FaultKind::ALL.iter().copied();
     let kinds: Vec<_> = kinds
         .filter(|kind| !kind.is_hostile() && !kind.is_hostile_loop())
+        .filter(|kind| *kind != FaultKind::CameraGhost)
         .collect();
     let kind = random.choose(FaultKind::CameraUntracked, kinds.get(1..).unwrap_or(&[]));
     let early = random.happens(100);

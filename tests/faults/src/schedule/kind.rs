@@ -99,6 +99,9 @@ kinds! {
     CameraSecondCard = "camera-second-card", Cameras;
     /// The car's pose drifts away by s mm/s.
     CameraDrift = "camera-drift", Cameras;
+    /// The car's pose is that of something else, s cm from where the car was, that stands there with
+    /// noise of its own.
+    CameraGhost = "camera-ghost", Cameras;
 
     /// s in 5000 bytes are lost, both ways.
     LineDrop = "line-drop", Line;
@@ -208,6 +211,7 @@ impl FaultKind {
                 | Self::CameraRenamed
                 | Self::CameraFlip
                 | Self::CameraDrift
+                | Self::CameraGhost
         )
     }
 
