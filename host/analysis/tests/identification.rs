@@ -5,7 +5,7 @@
 use crate::synthetic::Course;
 use singletrack_analysis::identification::{
     Channel, Criterion, DriveData, Identification, IdentificationError, NoiseLevels, Parameter,
-    ServoFrames, Settings, Tyres, Values, Warning, cramer_rao, identify, validate,
+    Pose, ServoFrames, Settings, Tyres, Values, Warning, cramer_rao, identify, validate,
 };
 use singletrack_control::VehicleParameters;
 
@@ -532,6 +532,114 @@ fn an_unusable_drive_is_rejected_by_name() {
         identify(&data, &VehicleParameters::paper(), &nothing).err(),
         Some(IdentificationError::NoParameter)
     );
+}
+
+#[test]
+fn sensors_that_contradict_each_other_are_named_before_anything_is_fitted() {
+    let data = Course::weaving(19, 8.0).drive();
+    let with = |change: fn(&mut DriveData)| {
+        let mut data = data.clone();
+        change(&mut data);
+        rejection(&data)
+    };
+    let error = with(|data| {
+        for pose in &mut data.poses {
+            pose.x_m *= 1e3;
+            pose.y_m *= 1e3;
+        }
+    });
+    assert!(
+        matches!(error, IdentificationError::TooFast { .. }),
+        "{error}"
+    );
+    let error = with(|data| {
+        for pose in &mut data.poses {
+            pose.yaw_rad += 3.0;
+        }
+    });
+    assert!(
+        matches!(error, IdentificationError::YawDiffers { .. }),
+        "{error}"
+    );
+    let error = with(|data| {
+        for sample in &mut data.inertial {
+            sample.yaw_rate_rad_s *= -1.0;
+        }
+    });
+    assert!(
+        matches!(error, IdentificationError::GyroDiffers { ratio } if ratio < -0.9),
+        "{error}"
+    );
+    let error = with(|data| {
+        for sample in &mut data.inertial {
+            sample.yaw_rate_rad_s = sample.yaw_rate_rad_s.to_degrees();
+        }
+    });
+    assert!(
+        matches!(error, IdentificationError::GyroDiffers { ratio } if ratio > 50.0),
+        "{error}"
+    );
+    let error = with(|data| {
+        for target in &mut data.servo {
+            target.angle_rad *= -1.0;
+        }
+    });
+    assert!(
+        matches!(error, IdentificationError::SteeringOpposes { .. }),
+        "{error}"
+    );
+    let error = with(|data| {
+        for sample in &mut data.inertial {
+            sample.left_m_s2 = 0.0;
+        }
+    });
+    assert!(matches!(error, IdentificationError::Dead { .. }), "{error}");
+}
+
+#[test]
+fn an_accelerometer_with_the_wrong_sign_causes_a_warning() {
+    let mut data = Course::weaving(20, 12.0).drive();
+    for sample in &mut data.inertial {
+        sample.left_m_s2 *= -1.0;
+    }
+    match identify(&data, &VehicleParameters::paper(), &Settings::default()) {
+        Ok(found) => assert!(
+            found.warnings.iter().any(|warning| matches!(
+                warning,
+                Warning::Unfitted { output, .. } if output.name() == "left_acceleration"
+            )),
+            "{:?}",
+            found.warnings
+        ),
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[test]
+fn a_body_that_is_elsewhere_for_a_while_and_poses_that_are_held_split_a_drive() {
+    let course = Course::weaving(21, 20.0);
+    let mut data = course.drive();
+    for pose in &mut data.poses {
+        if (6.0..6.5).contains(&pose.time_s) {
+            pose.x_m += 5.0;
+        }
+    }
+    let held = data
+        .poses
+        .iter()
+        .position(|pose| pose.time_s > 12.0)
+        .unwrap();
+    for index in held + 1..held + 60 {
+        let Pose { time_s, .. } = data.poses[index];
+        data.poses[index] = Pose {
+            time_s,
+            ..data.poses[held]
+        };
+    }
+    let found = identify(&data, &wrong(), &Settings::default()).unwrap();
+    assert_eq!(found.stretches.len(), 3, "{:?}", found.stretches);
+    let error = relative_error(&found, &course, Parameter::RearStiffness);
+    assert!(error < 0.03, "{error}");
 }
 
 #[test]

@@ -239,6 +239,13 @@ fn the_log_of_another_program_identifies_its_car_and_is_validated_on_another() {
     };
     let [first, second, other] = [("first", 0.0), ("second", 1.0), ("other", 2.0)]
         .map(|(name, phase)| record(name, &csv_log(16.0, phase)));
+    let text = refused(&first, &[]);
+    assert!(
+        text.contains("was imported") && text.contains("--config"),
+        "{text}"
+    );
+    let text = refused(&first, &["--validate", first.to_str().unwrap()]);
+    assert!(text.contains("is given twice"), "{text}");
     let config = in_repository("tools/real/dart.toml");
     let truth = Config::read(&config).unwrap().vehicle;
     let start = VehicleParameters {

@@ -16,6 +16,20 @@ pub struct Pose {
     pub yaw_rad: f64,
 }
 
+impl Pose {
+    /// Whether the car can't have come here from the pose before.
+    fn leaps_from(&self, before: &Self) -> bool {
+        let way = (self.x_m - before.x_m).hypot(self.y_m - before.y_m);
+        way > LEAP + LEAP_SPEED * (self.time_s - before.time_s)
+    }
+
+    /// Whether it is the pose before once more, to the bit.
+    fn repeats(&self, before: &Self) -> bool {
+        let bits = |pose: &Self| [pose.x_m, pose.y_m, pose.yaw_rad].map(f64::to_bits);
+        bits(self) == bits(before)
+    }
+}
+
 /// A sample of the inertial measurement unit at G, axes forward, left, up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertial {
@@ -115,6 +129,10 @@ impl ServoFrames {
 const POSE_GAP: f64 = 0.3;
 /// A longer gap between inertial samples ends a stretch, in s.
 const INERTIAL_GAP: f64 = 0.25;
+/// A car moves by no more than this and [`LEAP_SPEED`] from one pose to the next, in m.
+const LEAP: f64 = 0.1;
+/// In m/s.
+const LEAP_SPEED: f64 = 20.0;
 /// Shorter stretches are ignored: the filter needs time to settle, in s.
 const LEAST_STRETCH: f64 = 2.0;
 /// Number of poses on either side over which the speed is measured.
@@ -156,6 +174,7 @@ impl DriveData {
         let mut open: Option<Span> = None;
         let mut inertial = self.inertial.windows(2).peekable();
         let mut last = f64::NEG_INFINITY;
+        let mut leapt = None;
         for (index, pose) in self.poses.iter().enumerate() {
             let fast = self
                 .speed_at(index)
@@ -169,9 +188,25 @@ impl DriveData {
                 gapless &= other.time_s - one.time_s <= INERTIAL_GAP;
             }
             gapless &= inertial.peek().is_some();
-            let goes_on =
-                fast && gapless && pose.time_s - last <= POSE_GAP && pose.time_s > first_target;
-            last = pose.time_s;
+            let before = index.checked_sub(1).and_then(|index| self.poses.get(index));
+            if before.is_some_and(|before| pose.leaps_from(before)) {
+                // The speeds around a leap are not the car's.
+                leapt = Some(index);
+                if let Some(span) = &mut open {
+                    let end = self.poses.get(index.saturating_sub(REACH + 1));
+                    span.end_s = end.map_or(span.start_s, |end| end.time_s.max(span.start_s));
+                    spans.extend(open.take());
+                }
+            }
+            let goes_on = fast
+                && gapless
+                && leapt.is_none_or(|leapt| index >= leapt + REACH)
+                && pose.time_s - last <= POSE_GAP
+                && pose.time_s > first_target;
+            // A pose that is held is no new one.
+            if before.is_none_or(|before| !pose.repeats(before)) {
+                last = pose.time_s;
+            }
             match (&mut open, goes_on) {
                 (Some(span), true) => span.end_s = pose.time_s,
                 (None, true) => {

@@ -97,6 +97,49 @@ pub enum IdentificationError {
         /// The last change, in standard deviations.
         moved: f64,
     },
+    /// The positions have a wrong unit.
+    #[error("the poses move at {median:.0} m/s: check the unit of the positions")]
+    TooFast {
+        /// The median speed, in m/s.
+        median: f64,
+    },
+    /// A channel of the IMU never changes.
+    #[error(
+        "the {what} of the IMU is {value} in every sample: it is not measured, or its column or sensor is dead"
+    )]
+    Dead {
+        /// The channel.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// The yaw is not that of the car.
+    #[error(
+        "the yaw of the poses is {:.0} degrees off the direction of travel on average, or all around it: check \
+         its sign and the yaw of the rigid body on the car", off.to_degrees()
+    )]
+    YawDiffers {
+        /// Mean course less yaw, in rad.
+        off: f64,
+    },
+    /// The gyro and the cameras measure different yaw rates.
+    #[error(
+        "the gyro measures {ratio:.2} times the yaw rate of the cameras: check its sign, its unit, its mounting and \
+         its rate"
+    )]
+    GyroDiffers {
+        /// The gyro's yaw rate over that of the cameras.
+        ratio: f64,
+    },
+    /// The car turns against its steering.
+    #[error(
+        "the car turns against its steering (correlation {correlation:.2}): check the sign of the steering, left is \
+         positive; a car that slides is not identified"
+    )]
+    SteeringOpposes {
+        /// Of steering angle and curvature.
+        correlation: f64,
+    },
     /// The settings name no parameter.
     #[error("no parameter is selected: name some, such as c_f,c_r,i_z")]
     NoParameter,

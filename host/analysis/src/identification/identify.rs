@@ -12,6 +12,7 @@ use super::{
     model,
     noise::NoiseLevels,
     parameter::{Parameter, Values},
+    plausibility,
     residuals::{self, Residuals},
     score::Score,
     settings::{Criterion, Settings},
@@ -145,6 +146,8 @@ fn identified(
         &stretches,
         &fit.run.track,
     ));
+    let score = Score::of(&simulation);
+    warnings.extend(warning::of_score(&score));
     Ok(Identification {
         correlation,
         estimates,
@@ -152,7 +155,7 @@ fn identified(
         criterion,
         noise: fit.noise,
         frames: fit.frames,
-        score: Score::of(&simulation),
+        score,
         simulation,
         residuals,
         warnings,
@@ -328,6 +331,7 @@ pub fn cramer_rao(
 /// The stretches that can be used, if they are long enough.
 fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, IdentificationError> {
     data.validate()?;
+    plausibility::check_unit(data)?;
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
     let stretches = data.stretches(least_speed);
     let seconds = stretches
@@ -335,6 +339,7 @@ fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, Identifica
         .map(Span::seconds)
         .fold(0.0, |sum, one| sum + one);
     if seconds >= LEAST_SECONDS {
+        plausibility::check_sensors(data, &stretches)?;
         return Ok(stretches);
     }
     // A drive is slow at its start and end: only the fastest speed shows whether it was

@@ -11,14 +11,15 @@ use nalgebra::{DMatrix, DVector};
 use num_dual::DualSVec64;
 
 use super::{
-    data::{DriveData, ServoFrames, ServoTarget, Span},
+    data::{ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     fit::{Fit, Task},
+    gyro_scale::GyroScale,
     least_squares::minimise,
     model::Model,
     noise::NoiseLevels,
     parameter::{COUNT, Parameter},
-    simulation::{Inputs, Sample, seen, sideslip},
+    simulation::{Inputs, Sample, sideslip},
     uncertainty::spread_of,
 };
 use crate::dual::Dual;
@@ -39,44 +40,6 @@ const STARTS: [[f64; 3]; 4] = [
     [2.0, 2.0, 1.0],
     [0.6, 1.6, 2.0],
 ];
-
-/// The scale of the gyro by the yaw of the cameras, and its standard deviation.
-#[derive(Clone, Copy, Debug)]
-struct GyroScale {
-    value: f64,
-    deviation: f64,
-}
-
-impl GyroScale {
-    /// The regression of the gyro on the yaw rate of the cameras. None without enough turning.
-    fn of(data: &DriveData, spans: &[Span]) -> Option<Self> {
-        let samples = data.inertial.iter();
-        let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
-        let pairs: Vec<[f64; 2]> = samples
-            .filter_map(|sample| {
-                let seen = seen(&data.poses, sample.time_s)?;
-                Some([seen.yaw_rate, sample.yaw_rate_rad_s])
-            })
-            .collect();
-        let count = pairs.len() as f64;
-        let mean = |index: usize| pairs.iter().map(|pair| pair[index]).sum::<f64>() / count;
-        let (camera, gyro) = (mean(0), mean(1));
-        let (mut square, mut product) = (0.0, 0.0);
-        for [one, other] in &pairs {
-            square += (one - camera) * (one - camera);
-            product += (one - camera) * (other - gyro);
-        }
-        let value = product / square;
-        let errors: f64 = pairs
-            .iter()
-            .map(|[one, other]| (other - gyro - value * (one - camera)).powi(2))
-            .sum();
-        // The errors of samples of a few hertz that are interpolated are alike over ten of them.
-        const ALIKE: f64 = 10.0;
-        let deviation = (ALIKE * errors / count / square).sqrt().max(1e-4);
-        (value.is_finite() && deviation.is_finite()).then_some(Self { value, deviation })
-    }
-}
 
 /// A simulation with its errors as a least-squares problem.
 struct Problem<'a> {

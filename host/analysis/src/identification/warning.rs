@@ -3,8 +3,15 @@
 use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
-    channel::Channel, data::Span, estimate::Estimate, filter::TrackPoint, fit::Fit,
-    parameter::Parameter, residuals::Residuals, settings::Criterion,
+    channel::Channel,
+    data::Span,
+    estimate::Estimate,
+    filter::TrackPoint,
+    fit::Fit,
+    parameter::Parameter,
+    residuals::Residuals,
+    score::{Output, Score},
+    settings::Criterion,
 };
 
 /// A reason to doubt an identification.
@@ -35,7 +42,8 @@ pub enum Warning {
     },
     /// The simulation's error was minimised instead of the prediction's.
     #[error(
-        "the car does not behave as the model does: the parameters are those that simulate the drive best \
+        "the car does not behave as the model does, or the prediction's fit did not settle: the parameters are \
+         those that simulate the drive best \
          (NMPE {nmpe:.3}{}), not those that predict the next sample best; they serve a simulation of such \
          drives, and the intervals hold for errors that are alike over two seconds",
         prediction.map_or_else(String::new, |nmpe| format!(", {nmpe:.3} with those"))
@@ -83,6 +91,17 @@ pub enum Warning {
     Short {
         /// The duration, in s.
         seconds: f64,
+    },
+    /// The model explains nothing of an output.
+    #[error(
+        "the model explains nothing of the {} (fit {fit_percent:.0} %): check the sign, the unit and the mounting of \
+         what measures it", .output.name().replace('_', " ")
+    )]
+    Unfitted {
+        /// The output.
+        output: Output,
+        /// Its fit, in per cent.
+        fit_percent: f64,
     },
     /// The car was slow, so that the tyres hardly slipped.
     #[error(
@@ -147,6 +166,20 @@ pub(super) fn of_fit(fit: &Fit, tyres: Tyres, criterion: Criterion) -> Vec<Warni
         warnings.push(Warning::LinearTyres { share });
     }
     warnings
+}
+
+/// Warnings from the simulation's score.
+pub(super) fn of_score(score: &Score) -> Vec<Warning> {
+    let unfitted = score
+        .outputs
+        .iter()
+        .filter(|one| one.fit_percent.is_nan() || one.fit_percent <= 0.0);
+    unfitted
+        .map(|one| Warning::Unfitted {
+            output: one.output,
+            fit_percent: one.fit_percent,
+        })
+        .collect()
 }
 
 /// Warnings from the estimates, their correlations, the residuals and the drive.

@@ -57,6 +57,10 @@ pub fn read(
                 path: path.to_owned(),
                 drive: number,
             })?;
+            let empty = |line: &str| line.trim().is_empty() || line.starts_with('#');
+            if toml.lines().all(empty) {
+                return Err(IdentifyError::Imported(path.to_owned()));
+            }
             Config::from_toml(toml).map_err(unusable)?
         }
     };

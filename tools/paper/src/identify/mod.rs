@@ -147,6 +147,12 @@ pub enum IdentifyError {
         /// Why the daemon rejects it.
         source: Box<ConfigError>,
     },
+    /// A record is given twice.
+    #[error("{} is given twice: a drive that is counted twice makes the intervals too narrow, and one that is fitted does not validate", .0.display())]
+    Twice(PathBuf),
+    /// An imported record has no configuration.
+    #[error("{} was imported and holds no configuration of a car: give it with --config CAR.toml", .0.display())]
+    Imported(PathBuf),
     /// The record does not hold the configuration of the drive.
     #[error(
         "{} does not hold the configuration that drive {drive} was driven with: choose another with --drive",
@@ -214,13 +220,17 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
         prepare(folder)?;
     }
     let report = identify(args)?;
-    for (identified, what) in [
-        (core::slice::from_ref(&report.identified), ""),
-        (&report.validated[..], "validation: "),
-    ] {
-        let warnings = identified.iter();
-        for warning in warnings.flat_map(|one| &one.identification.warnings) {
-            print_note(&format!("warning: {what}{warning}"));
+    for warning in &report.identified.identification.warnings {
+        print_note(&format!("warning: {warning}"));
+    }
+    for validated in &report.validated {
+        let logs = validated
+            .logs
+            .iter()
+            .map(|log| log.path.display().to_string());
+        let logs = logs.collect::<Vec<_>>().join(", ");
+        for warning in &validated.identification.warnings {
+            print_note(&format!("warning: validation on {logs}: {warning}"));
         }
     }
     for error in &report.not_validated {
@@ -262,6 +272,15 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         .map(vehicle_file::read)
         .transpose()?;
     let config = args.config.as_deref().map(Config::read).transpose()?;
+    let mut given_before = Vec::new();
+    for path in args.record.iter().chain(&args.validate) {
+        // The same file by another name is the same.
+        let file = path.canonicalize().unwrap_or_else(|_| path.clone());
+        if given_before.contains(&file) {
+            return Err(IdentifyError::Twice(path.clone()));
+        }
+        given_before.push(file);
+    }
     let read_all = |paths: &[PathBuf], number| {
         let drives = paths.iter();
         let drives = drives.map(|path| read(path, number, config.as_ref()).map(told));
@@ -341,6 +360,18 @@ pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyErr
         move |source| IdentifyError::Write { path, source }
     };
     fs::create_dir_all(folder).map_err(failed(folder))?;
+    // Figures of validations that this one does not have.
+    if folder.join("identification.json").exists() {
+        for entry in fs::read_dir(folder).map_err(failed(folder))?.flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let ours = ["inputs.svg", "states.svg"]
+                .iter()
+                .any(|end| name.ends_with(end));
+            if name.starts_with("validation-") && ours {
+                fs::remove_file(entry.path()).map_err(failed(&entry.path()))?;
+            }
+        }
+    }
     let mut files = vec![
         (VEHICLE_FILE.to_owned(), output::vehicle_file(report)),
         ("identification.json".to_owned(), output::json(report)),
