@@ -128,7 +128,9 @@ impl ServoFrames {
 /// A longer gap between poses ends a stretch, in s.
 const POSE_GAP: f64 = 0.3;
 /// A longer gap between inertial samples ends a stretch, in s.
-const INERTIAL_GAP: f64 = 0.25;
+const INERTIAL_GAP: f64 = 0.055;
+/// Unless the samples are rare: a longer one, in their median distance.
+const INERTIAL_PERIODS: f64 = 2.5;
 /// A car moves by no more than this and [`LEAP_SPEED`] from one pose to the next, in m.
 const LEAP: f64 = 0.1;
 /// In m/s.
@@ -175,6 +177,7 @@ impl DriveData {
         let mut inertial = self.inertial.windows(2).peekable();
         let mut last = f64::NEG_INFINITY;
         let mut leapt = None;
+        let longest = INERTIAL_GAP.max(INERTIAL_PERIODS * self.inertial_period());
         for (index, pose) in self.poses.iter().enumerate() {
             let fast = self
                 .speed_at(index)
@@ -185,7 +188,7 @@ impl DriveData {
                 let [one, _] = pair else { return false };
                 one.time_s <= pose.time_s
             }) {
-                gapless &= other.time_s - one.time_s <= INERTIAL_GAP;
+                gapless &= other.time_s - one.time_s <= longest;
             }
             gapless &= inertial.peek().is_some();
             let before = index.checked_sub(1).and_then(|index| self.poses.get(index));
@@ -221,6 +224,14 @@ impl DriveData {
         spans.extend(open);
         spans.retain(|span| span.seconds() >= LEAST_STRETCH);
         spans
+    }
+
+    /// The median distance of the inertial samples, in s.
+    fn inertial_period(&self) -> f64 {
+        let pairs = self.inertial.windows(2);
+        let mut periods: Vec<f64> = pairs.map(|pair| pair[1].time_s - pair[0].time_s).collect();
+        periods.sort_by(f64::total_cmp);
+        periods.get(periods.len() / 2).copied().unwrap_or_default()
     }
 
     /// Speed at the pose with this index from its neighbours, in m/s.

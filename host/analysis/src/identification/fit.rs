@@ -10,8 +10,9 @@ use super::{
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     predictor::Prediction,
+    problem::Problem,
     settings::Settings,
-    uncertainty::{Spread, bounds, spread},
+    uncertainty::{BLOCK, Spread, bounds, spread},
 };
 
 /// The result of a fit.
@@ -118,7 +119,8 @@ impl Task<'_> {
             let (next, count) = self.minimise(&servo, &run, &u, PATIENCE)?;
             evaluations += count;
             let prediction = self.prediction(&servo, &run);
-            let spread = spread(&prediction, &next).ok_or_else(|| self.diverged(&next))?;
+            let spread = spread(&prediction, &next, &prediction.times(), BLOCK)
+                .ok_or_else(|| self.diverged(&next))?;
             let moved = next
                 .iter()
                 .zip(&u)
@@ -199,12 +201,13 @@ impl Task<'_> {
     }
 
     pub(super) fn values(&self, u: &[f64]) -> Values {
-        let mut values = self.start;
-        for (parameter, u) in self.active.iter().zip(u) {
-            let value = parameter.prior().value(self.start.get(*parameter), *u);
-            values = values.with(*parameter, value);
-        }
-        values
+        let moved = self.start.moved(self.active, u);
+        Parameter::ALL
+            .iter()
+            .zip(moved)
+            .fold(self.start, |values, (parameter, value)| {
+                values.with(*parameter, value)
+            })
     }
 
     pub(super) fn run_filter(

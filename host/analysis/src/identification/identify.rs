@@ -242,7 +242,7 @@ fn choose(task: &Task<'_>) -> Result<Chosen, IdentificationError> {
 
 /// A drive says less of a parameter than its start value does above this standard deviation, in those
 /// of the prior.
-const UNTOLD: f64 = core::f64::consts::FRAC_1_SQRT_2;
+const UNDETERMINED: f64 = core::f64::consts::FRAC_1_SQRT_2;
 
 /// Refuses what is no answer of the drive.
 fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
@@ -251,7 +251,7 @@ fn check(fit: &Fit, estimates: &[Estimate]) -> Result<(), IdentificationError> {
     }
     let mut parameters = Vec::new();
     for (index, Estimate { parameter, .. }) in estimates.iter().enumerate() {
-        let told = fit.spread.white[(index, index)].sqrt() < UNTOLD;
+        let told = fit.spread.white[(index, index)].sqrt() < UNDETERMINED;
         if !told && !Parameter::NUISANCE.contains(parameter) {
             parameters.push(*parameter);
         }

@@ -32,6 +32,7 @@ mod noise_fit;
 mod parameter;
 mod plausibility;
 mod predictor;
+mod problem;
 mod residuals;
 mod score;
 mod settings;

@@ -261,6 +261,15 @@ impl Values {
         self
     }
 
+    /// All values, of which the `active` ones are at `u` in the coordinates of the optimiser.
+    pub(super) fn moved<D: Dual>(&self, active: &[Parameter], u: &[D]) -> [D; COUNT] {
+        let mut values = self.values.map(D::from);
+        for (parameter, u) in active.iter().zip(u) {
+            values[parameter.index()] = parameter.prior().value(self.get(*parameter), *u);
+        }
+        values
+    }
+
     pub(super) const fn all(&self) -> &[f64; COUNT] {
         &self.values
     }

@@ -1,11 +1,10 @@
 //! Whether the sensors of a drive agree at all: wrong signs, units and mountings, before anything is fitted.
 
-use singletrack_control::wrap;
-
 use super::{
-    data::{DriveData, Pose, Span},
+    data::{DriveData, Inertial, Span},
     error::IdentificationError,
     gyro_scale::GyroScale,
+    simulation::{Seen, seen},
 };
 
 /// A car with a faster median speed is not a small car, in m/s: the unit of its positions is wrong.
@@ -33,7 +32,7 @@ pub(super) fn check_unit(data: &DriveData) -> Result<(), IdentificationError> {
 /// Whether the sensors agree in the stretches.
 pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), IdentificationError> {
     let within = |time: f64| spans.iter().any(|span| span.contains(time));
-    type Value = fn(&super::data::Inertial) -> f64;
+    type Value = fn(&Inertial) -> f64;
     let channels: [(&'static str, Value); 3] = [
         ("yaw rate", |sample| sample.yaw_rate_rad_s),
         ("acceleration forward", |sample| sample.forward_m_s2),
@@ -51,15 +50,16 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
             return Err(IdentificationError::Dead { what, value: first });
         }
     }
-    let travelled: Vec<Travel> = (0..data.poses.len())
-        .filter_map(|index| Travel::at(data, index))
-        .filter(|travel| within(travel.time_s))
+    let times = data.poses.iter().map(|pose| pose.time_s);
+    let moved = times.filter(|time| within(*time));
+    let moved: Vec<(f64, Seen)> = moved
+        .filter_map(|time| Some((time, seen(&data.poses, time)?)))
         .collect();
-    let count = travelled.len() as f64;
+    let count = moved.len() as f64;
     let sum = |value: fn(f64) -> f64| {
-        travelled
+        moved
             .iter()
-            .map(|travel| value(travel.beside))
+            .map(|(_, seen)| value(seen.sideslip))
             .sum::<f64>()
     };
     let (sine, cosine) = (sum(f64::sin) / count, sum(f64::cos) / count);
@@ -73,42 +73,16 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
     {
         return Err(IdentificationError::GyroDiffers { ratio: scale.value });
     }
-    let pairs = travelled.iter().filter_map(|travel| {
-        let after = data
-            .servo
-            .partition_point(|target| target.time_s <= travel.time_s);
+    let pairs = moved.iter().filter_map(|(time, seen)| {
+        let after = data.servo.partition_point(|target| target.time_s <= *time);
         let target = data.servo.get(after.checked_sub(1)?)?;
-        Some([target.angle_rad, travel.curvature])
+        Some([target.angle_rad, seen.yaw_rate / seen.speed])
     });
     let correlation = correlation(&pairs.collect::<Vec<_>>());
     if correlation < OPPOSES {
         return Err(IdentificationError::SteeringOpposes { correlation });
     }
     Ok(())
-}
-
-/// How the car moved around a pose.
-struct Travel {
-    time_s: f64,
-    /// Course less yaw, in rad.
-    beside: f64,
-    /// Of the path that the yaw shows, in 1/m.
-    curvature: f64,
-}
-
-impl Travel {
-    fn at(data: &DriveData, index: usize) -> Option<Self> {
-        const REACH: usize = 6;
-        let from: &Pose = data.poses.get(index.checked_sub(REACH)?)?;
-        let to = data.poses.get(index + REACH)?;
-        let pose = data.poses.get(index)?;
-        let way = (to.x_m - from.x_m).hypot(to.y_m - from.y_m);
-        (way > 0.0).then(|| Self {
-            time_s: pose.time_s,
-            beside: wrap((to.y_m - from.y_m).atan2(to.x_m - from.x_m) - pose.yaw_rad),
-            curvature: wrap(to.yaw_rad - from.yaw_rad) / way,
-        })
-    }
 }
 
 /// The correlation of pairs of numbers; 0 if one of them does not change.

@@ -5,15 +5,15 @@
 //! parameters multiply innovations, whose mean is zero; without them the minimum is at the
 //! same place, and its curvature the same up to noise.
 
-use nalgebra::{DMatrix, DVector};
-use num_dual::DualSVec64;
+use nalgebra::DVector;
 use singletrack_control::Tyres;
 
 use super::{
     data::{DriveData, ServoTarget, Span},
     filter::{Gain, Gains, STATES},
     model::{Model, Motion},
-    parameter::{COUNT, Parameter, Values},
+    parameter::{Parameter, Values},
+    problem::Problem,
     timeline::{EventHandler, StateEstimate, replay},
 };
 use crate::dual::Dual;
@@ -48,13 +48,17 @@ impl Prediction<'_> {
             .collect()
     }
 
-    /// The prediction errors over their standard deviations.
-    fn errors<D: Dual>(&self, seeds: &[D]) -> Option<Vec<D>> {
-        let mut parameters = self.start.all().map(D::from);
-        for (parameter, u) in self.active.iter().zip(seeds) {
-            parameters[*parameter as usize] =
-                parameter.prior().value(self.start.get(*parameter), *u);
-        }
+    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back.
+    pub(super) fn residuals_or_outside(&self, u: &[f64]) -> DVector<f64> {
+        let count = self.rows() + u.len();
+        self.residuals(u)
+            .unwrap_or_else(|| DVector::from_element(count, OUTSIDE))
+    }
+}
+
+impl Problem for Prediction<'_> {
+    fn errors<D: Dual>(&self, u: &[D]) -> Option<Vec<D>> {
+        let parameters = self.start.moved(self.active, u);
         let zero = D::from(0.0);
         let mut predictor = Predictor {
             prediction: self,
@@ -68,54 +72,6 @@ impl Prediction<'_> {
             replay(self.data, self.servo, *span, &model, order, &mut predictor)?;
         }
         Some(predictor.errors)
-    }
-
-    /// The prediction errors, followed by those of the prior.
-    pub(super) fn residuals(&self, u: &[f64]) -> Option<DVector<f64>> {
-        let mut errors = self.errors(u)?;
-        errors.extend_from_slice(u);
-        let finite = errors.iter().all(|error| error.is_finite());
-        finite.then(|| DVector::from_vec(errors))
-    }
-
-    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back.
-    pub(super) fn residuals_or_outside(&self, u: &[f64]) -> DVector<f64> {
-        let count = self.rows() + u.len();
-        self.residuals(u)
-            .unwrap_or_else(|| DVector::from_element(count, OUTSIDE))
-    }
-
-    /// The derivatives of [`Self::residuals`] by `u`.
-    pub(super) fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
-        if u.len() <= 9 {
-            self.jacobian_of::<9>(u)
-        } else {
-            self.jacobian_of::<COUNT>(u)
-        }
-    }
-
-    fn jacobian_of<const N: usize>(&self, u: &[f64]) -> Option<DMatrix<f64>> {
-        let seeds: Vec<_> = u
-            .iter()
-            .enumerate()
-            .map(|(index, u)| DualSVec64::<N>::from(*u).derivative(index))
-            .collect();
-        let errors = self.errors(&seeds)?;
-        let mut jacobian = DMatrix::zeros(errors.len() + u.len(), u.len());
-        for (row, error) in errors.iter().enumerate() {
-            if let Some(gradient) = &error.eps.0 {
-                for (column, value) in gradient.iter().take(u.len()).enumerate() {
-                    jacobian[(row, column)] = *value;
-                }
-            }
-        }
-        for column in 0..u.len() {
-            jacobian[(errors.len() + column, column)] = 1.0;
-        }
-        jacobian
-            .iter()
-            .all(|value| value.is_finite())
-            .then_some(jacobian)
     }
 }
 
@@ -225,6 +181,7 @@ impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::parameter::COUNT;
     use singletrack_control::VehicleParameters;
 
     use super::{

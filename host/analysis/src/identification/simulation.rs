@@ -219,10 +219,10 @@ const LEAST_POSES: usize = 5;
 /// The motion that poses around a moment show.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
-    /// Velocity, in m/s.
-    velocity: [f64; 2],
-    /// Yaw, in rad.
-    yaw: f64,
+    /// Speed, in m/s.
+    pub(super) speed: f64,
+    /// Course less yaw, in rad.
+    pub(super) sideslip: f64,
     /// Yaw rate, in rad/s.
     pub(super) yaw_rate: f64,
 }
@@ -247,17 +247,15 @@ pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
         product / square
     };
     let yaw = &|pose: &Pose| wrap(pose.yaw_rad - first.yaw_rad);
+    let (x, y) = (slope(&|pose| pose.x_m), slope(&|pose| pose.y_m));
     Some(Seen {
-        velocity: [slope(&|pose| pose.x_m), slope(&|pose| pose.y_m)],
-        yaw: first.yaw_rad + mean(yaw),
+        speed: x.hypot(y),
+        sideslip: wrap(y.atan2(x) - first.yaw_rad - mean(yaw)),
         yaw_rate: slope(yaw),
     })
 }
 
 /// The course of the poses around `time` minus their yaw, in rad; not a number without enough poses.
 pub(super) fn sideslip(poses: &[Pose], time: f64) -> f64 {
-    seen(poses, time).map_or(f64::NAN, |seen| {
-        let [x, y] = seen.velocity;
-        wrap(y.atan2(x) - seen.yaw)
-    })
+    seen(poses, time).map_or(f64::NAN, |seen| seen.sideslip)
 }

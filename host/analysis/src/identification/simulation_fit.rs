@@ -7,8 +7,7 @@
 //! output is divided by that of the last round. Its errors are correlated over seconds: all of an output
 //! within [`BLOCK`] count as one beside the prior.
 
-use nalgebra::{DMatrix, DVector};
-use num_dual::DualSVec64;
+use nalgebra::DVector;
 
 use super::{
     data::{ServoFrames, ServoTarget, Span},
@@ -18,9 +17,10 @@ use super::{
     least_squares::minimise,
     model::Model,
     noise::NoiseLevels,
-    parameter::{COUNT, Parameter},
+    parameter::Parameter,
+    problem::Problem,
     simulation::{Inputs, Sample, sideslip},
-    uncertainty::spread_of,
+    uncertainty::spread,
 };
 use crate::dual::Dual;
 
@@ -41,8 +41,8 @@ const STARTS: [[f64; 3]; 4] = [
     [0.6, 1.6, 2.0],
 ];
 
-/// A simulation with its errors as a least-squares problem.
-struct Problem<'a> {
+/// A simulation with its errors.
+struct Simulated<'a> {
     task: &'a Task<'a>,
     inputs: Inputs<'a>,
     scale: Option<GyroScale>,
@@ -53,26 +53,28 @@ struct Problem<'a> {
     sideslips: &'a [f64],
 }
 
-/// The number of an output of [`Problem::errors`], and its time, in s.
+/// The number of an output, and the time, in s.
 type Place = (usize, f64);
 
 /// The number of the gyro's scale among them.
 const SCALE: usize = 3;
 
-impl Problem<'_> {
-    /// The errors over their sizes.
-    fn errors<D: Dual>(&self, seeds: &[D]) -> Option<Vec<(Place, D)>> {
-        let Task {
-            start,
-            active,
-            settings,
-            ..
-        } = self.task;
-        let mut parameters = start.all().map(D::from);
-        for (parameter, u) in active.iter().zip(seeds) {
-            parameters[*parameter as usize] = parameter.prior().value(start.get(*parameter), *u);
-        }
-        let model = Model::new(start, parameters, settings.tyres);
+impl Problem for Simulated<'_> {
+    fn errors<D: Dual>(&self, u: &[D]) -> Option<Vec<D>> {
+        Some(
+            self.placed(u)?
+                .into_iter()
+                .map(|(_, error)| error)
+                .collect(),
+        )
+    }
+}
+
+impl Simulated<'_> {
+    /// The errors over their sizes, each with its place.
+    fn placed<D: Dual>(&self, u: &[D]) -> Option<Vec<(Place, D)>> {
+        let Task { start, active, .. } = self.task;
+        let model = Model::new(start, start.moved(active, u), self.task.settings.tyres);
         let mut errors = Vec::with_capacity(3 * self.inputs.data.poses.len());
         let mut push = |output: usize, time: f64, error: D| {
             let size = self.sizes.get(output).copied().unwrap_or(1.0);
@@ -107,41 +109,11 @@ impl Problem<'_> {
         Some(errors)
     }
 
-    /// The errors, followed by those of the prior.
-    fn residuals(&self, u: &[f64]) -> Option<DVector<f64>> {
-        let errors = self.errors(u)?.into_iter().map(|(_, error)| error);
-        let all: Vec<f64> = errors.chain(u.iter().copied()).collect();
-        let finite = all.iter().all(|error| error.is_finite());
-        finite.then(|| DVector::from_vec(all))
-    }
-
-    /// The derivatives of [`Self::residuals`] by `u`.
-    fn jacobian(&self, u: &[f64]) -> Option<DMatrix<f64>> {
-        let seeds = u.iter().enumerate();
-        let seeds: Vec<_> = seeds
-            .map(|(index, u)| DualSVec64::<COUNT>::from(*u).derivative(index))
-            .collect();
-        let errors = self.errors(&seeds)?;
-        let mut jacobian = DMatrix::zeros(errors.len() + u.len(), u.len());
-        for (row, (_, error)) in errors.iter().enumerate() {
-            if let Some(gradient) = &error.eps.0 {
-                for (column, value) in gradient.iter().take(u.len()).enumerate() {
-                    jacobian[(row, column)] = *value;
-                }
-            }
-        }
-        for column in 0..u.len() {
-            jacobian[(errors.len() + column, column)] = 1.0;
-        }
-        let finite = jacobian.iter().all(|value| value.is_finite());
-        finite.then_some(jacobian)
-    }
-
     /// The sizes with which the squares of an output's errors sum up to the number of blocks: the root
     /// mean square times the square root of the samples in a block.
     fn measured_sizes(&self, u: &[f64]) -> Option<[f64; 3]> {
         let mut sums = [0.0; 3];
-        for ((output, _), error) in self.errors(u)? {
+        for ((output, _), error) in self.placed(u)? {
             if let Some(sum) = sums.get_mut(output) {
                 *sum += error * error;
             }
@@ -242,7 +214,7 @@ impl Task<'_> {
             if (2..=FILTER_ROUNDS).contains(&round) {
                 run = self.run_filter(servo, &u, noise)?;
             }
-            let mut problem = Problem {
+            let mut problem = Simulated {
                 task: self,
                 inputs: Inputs {
                     data: self.data,
@@ -259,12 +231,10 @@ impl Task<'_> {
                 .ok_or_else(|| self.diverged(&u))?;
             sizes = Some(problem.sizes);
             if moved < SETTLED || round > ROUNDS {
-                let jacobian = problem.jacobian(&u).ok_or_else(|| self.diverged(&u))?;
-                let residuals = problem.residuals(&u).ok_or_else(|| self.diverged(&u))?;
-                let errors = problem.errors(&u).ok_or_else(|| self.diverged(&u))?;
-                let times: Vec<f64> = errors.iter().map(|((_, time), _)| *time).collect();
-                let spread = spread_of(&jacobian, &residuals, &times, BLOCK)
-                    .ok_or_else(|| self.diverged(&u))?;
+                let placed = problem.placed(&u).ok_or_else(|| self.diverged(&u))?;
+                let times: Vec<f64> = placed.iter().map(|((_, time), _)| *time).collect();
+                let spread =
+                    spread(&problem, &u, &times, BLOCK).ok_or_else(|| self.diverged(&u))?;
                 let errors: f64 = problem.sizes.iter().map(|size| size.ln()).sum();
                 let prior: f64 = u.iter().map(|u| u * u).sum();
                 let cost = self.blocks() * errors + 0.5 * prior;

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::predictor::Prediction;
+use super::{predictor::Prediction, problem::Problem};
 
 /// The spread of the estimates in the coordinates of the optimiser.
 #[derive(Clone, Debug)]
@@ -25,25 +25,20 @@ pub(super) fn bounds(prediction: &Prediction<'_>) -> Option<Vec<f64>> {
 }
 
 /// Prediction errors farther apart than this count as independent, in s.
-const BLOCK: f64 = 0.5;
+pub(super) const BLOCK: f64 = 0.5;
 
-/// The spread around `u`. None where the model is not defined, or where the drive does not
-/// determine a combination of the parameters.
-pub(super) fn spread(prediction: &Prediction<'_>, u: &[f64]) -> Option<Spread> {
-    let jacobian = prediction.jacobian(u)?;
-    let residuals = prediction.residuals(u)?;
-    spread_of(&jacobian, &residuals, &prediction.times(), BLOCK)
-}
-
-/// The spread of a least-squares problem whose last residuals are those of the prior. `times` are
-/// those of the others, in s; those farther apart than `block` count as independent.
-pub(super) fn spread_of(
-    jacobian: &DMatrix<f64>,
-    residuals: &DVector<f64>,
+/// The spread around `u`. `times` are those of the errors, in s; those farther apart than `block` count
+/// as independent. None where the model is not defined, or where the drive does not determine a
+/// combination of the parameters.
+pub(super) fn spread(
+    problem: &impl Problem,
+    u: &[f64],
     times: &[f64],
     block: f64,
 ) -> Option<Spread> {
-    let information = jacobian.tr_mul(jacobian);
+    let jacobian = problem.jacobian(u)?;
+    let residuals = problem.residuals(u)?;
+    let information = jacobian.tr_mul(&jacobian);
     let white = information.cholesky()?.inverse();
     let count = jacobian.ncols();
     let rows = residuals.len() - count;
