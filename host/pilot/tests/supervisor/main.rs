@@ -82,6 +82,25 @@ fn every_failure_stops_a_drive_with_its_reason_and_for_good() {
 }
 
 #[test]
+fn a_noisy_estimate_of_a_standing_car_does_not_refuse_a_drive() {
+    let mut bench = Bench::new();
+    for speed in [-0.09, 0.05, 0.031, 0.09] {
+        bench.conditions.speed = speed;
+        bench.conditions.camera_speed = Some(0.01);
+        assert_eq!(bench.step(), (Mode::Ready, None, None), "{speed} m/s");
+    }
+    // Without a speed from the cameras the estimate decides.
+    bench.conditions.camera_speed = None;
+    bench.conditions.speed = 0.031;
+    assert_eq!(bench.step(), (Mode::Idle, Some(Reason::Moving), None));
+    for camera_speed in [0.031, f64::NAN] {
+        bench.conditions.speed = 0.0;
+        bench.conditions.camera_speed = Some(camera_speed);
+        assert_eq!(bench.step(), (Mode::Idle, Some(Reason::Moving), None));
+    }
+}
+
+#[test]
 fn the_reason_of_a_stop_stays_only_while_the_car_settles() {
     for (name, reason, failure) in FAILURES.into_iter().chain(STANDING_FAILURES) {
         let mut bench = Bench::driven();
