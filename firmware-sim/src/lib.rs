@@ -59,7 +59,7 @@ pub use cameras::{
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
     ImuReading, MotorParameters, MotorPulses, MotorSensorFault, MotorSensorParameters, Push,
-    ServoParameters, StartPose, Truth,
+    ServoParameters, StartPose, Truth, WIDE_US, crooked_steering,
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;

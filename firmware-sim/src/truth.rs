@@ -7,7 +7,7 @@ use std::net::Ipv4Addr;
 
 use serde::{Deserialize, Serialize};
 
-use singletrack_control::{SlipAngles, Tyres};
+use singletrack_control::{SlipAngles, SteeringTable, Tyres};
 
 use crate::{
     cameras::UpAxis,
@@ -60,6 +60,7 @@ numbers! {
     [f64; 2] => |values| values.to_vec();
     [f64; 3] => |values| values.to_vec();
     [u8; 3] => |values| values.map(f64::from).to_vec();
+    SteeringTable => |table| table.pairs().concat();
     Push => |push| vec![push.at_s, push.speed_m_s, push.for_s];
 }
 
@@ -172,6 +173,9 @@ truth! {
         gain_us_per_rad: f64, in -5000.0 to 5000.0 => |c, v| c.car.servo.gain_us_per_rad = v;
         /// Pulse that steers straight on (trim).
         centre_us: f64, in 800.0 to 2200.0 => |c, v| c.car.servo.centre_us = v;
+        /// Pairs of pulse, in us, and angle, in rad, instead of that line: 2 to 32, in the order
+        /// of the pulses, the angles all rising or all falling.
+        table: SteeringTable, in -3000.0 to 3000.0 => |c, v| c.car.servo.table = Some(v);
         /// Mechanical stop on both sides.
         stop_deg: f64, in 0.1 to 80.0 => |c, v| c.car.servo.stop_rad = v.to_radians();
         /// Time constant of its lag.

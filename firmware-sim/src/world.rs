@@ -73,7 +73,7 @@ impl World {
     pub fn new(config: SimulationConfig) -> Result<Self, ConfigError> {
         config.validate()?;
         let seed = config.seed;
-        let mut car = Car::new(config.car);
+        let mut car = Car::new(config.car.clone());
         car.seed(seed);
         Ok(Self {
             now_us: 0,

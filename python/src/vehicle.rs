@@ -2,7 +2,7 @@
 
 use singletrack_board::Actuators;
 use singletrack_control::{
-    Actuation, LimitedLaw, Motion, Setpoint, SpeedDemand, SteeringDemand, Velocity,
+    Actuation, LimitedLaw, Motion, Setpoint, SpeedDemand, SteeringDemand, SteeringMap, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
 use singletrack_pilot::{Mode, PilotRequest};
@@ -108,6 +108,7 @@ pub(crate) struct Plant {
     car: Car,
     /// Of the car, now.
     truth: Truth,
+    steering: SteeringMap,
     actuators: Actuators,
     law: LimitedLaw,
     now_us: u64,
@@ -117,8 +118,7 @@ pub(crate) struct Plant {
 impl Plant {
     pub(crate) fn new(setup: &Setup, simulation: &SimulationConfig) -> Result<Self, SetupError> {
         let config = &setup.config;
-        let board = config.board_configuration();
-        let mut parameters = simulation.car;
+        let mut parameters = simulation.car.clone();
         // The episode begins with an ESC that is ready.
         parameters.motor.arming_us = parameters.motor.arming_us.min(SERVO_FRAME_US);
         let law = config
@@ -129,7 +129,8 @@ impl Plant {
         let mut plant = Self {
             truth: car.truth(),
             car,
-            actuators: Actuators::new(board),
+            steering: config.steering_map().map_err(SetupError::new)?,
+            actuators: Actuators::new(config.board_configuration()),
             law: LimitedLaw::new(law, config.limits.limits(config.vehicle.wheelbase_m())),
             now_us: 0,
             next_frame_us: 0,
@@ -149,6 +150,7 @@ impl Plant {
         } = self.actuation(command, &truth);
         // As the pilot does it: the speed of the rear axle.
         let rear_speed = speed * libm::cos(truth.sideslip);
+        let steering = self.steering.commanded(steering);
         self.actuators
             .drive((rear_speed * 1e3) as i16, (steering * 1e4) as i16);
         self.actuators

@@ -13,7 +13,7 @@ pub use hands::HandMotion;
 pub use imu::{ImuFault, ImuParameters, ImuReading};
 pub use motor::{EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
-pub use servo::ServoParameters;
+pub use servo::{ServoParameters, WIDE_US, crooked_steering};
 pub use vehicle::{Car, CarParameters, StartPose, Truth};
 
 pub(crate) use imu::Imu;

@@ -1,18 +1,21 @@
 //! The steering servo.
 
 use serde::{Deserialize, Serialize};
+use singletrack_control::{SteeringMap, SteeringTable};
 
 /// True mapping of the steering servo from pulses to angles, and its dynamics.
 ///
 /// The defaults are the nominal calibration. To test calibration errors, change
 /// these values and keep the board's configuration.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServoParameters {
     /// Pulse for zero steering angle, in µs.
     pub centre_us: f64,
     /// Pulse change per radian to the left, in µs/rad.
     pub gain_us_per_rad: f64,
+    /// Angles over pulses, instead of that line.
+    pub table: Option<SteeringTable>,
     /// Mechanical stop on both sides, in rad.
     pub stop_rad: f64,
     /// Time constant of the first-order lag, in s.
@@ -33,6 +36,7 @@ impl Default for ServoParameters {
         Self {
             centre_us: 1500.0,
             gain_us_per_rad: -800.0,
+            table: None,
             stop_rad: 0.55,
             lag_s: 0.04,
             max_rate_rad_s: 8.0,
@@ -52,7 +56,22 @@ impl ServoParameters {
     }
 
     fn angle(&self, pulse_us: f64) -> f64 {
-        ((pulse_us - self.centre_us) / self.gain_us_per_rad).clamp(-self.stop_rad, self.stop_rad)
+        self.free_angle(pulse_us)
+            .clamp(-self.stop_rad, self.stop_rad)
+    }
+
+    /// The angle of a pulse without the mechanical stops, in rad.
+    pub(crate) fn free_angle(&self, pulse_us: f64) -> f64 {
+        match &self.table {
+            Some(table) => table.angle(pulse_us),
+            None => (pulse_us - self.centre_us) / self.gain_us_per_rad,
+        }
+    }
+
+    /// Follows this map without an error.
+    pub fn follow(&mut self, map: &SteeringMap) {
+        (self.centre_us, self.gain_us_per_rad) = (map.centre_us, map.gain_us_per_rad);
+        self.table.clone_from(&map.table);
     }
 
     /// Target angle after a further pulse, in rad; `held_us` is the pulse that the
@@ -71,9 +90,53 @@ impl ServoParameters {
     }
 }
 
+/// Pulses beyond which no board steers, in µs.
+pub const WIDE_US: [f64; 2] = [500.0, 2_500.0];
+
+/// Pairs of pulse in µs and angle in rad between two pulses, for steering that differs from a line
+/// with this centre in µs and gain in µs/rad: the wheels turn farther to the left by a fraction,
+/// as much less far to the right, and there is a dead band of a width in µs.
+#[must_use]
+pub fn crooked_steering(
+    [centre_us, gain_us_per_rad]: [f64; 2],
+    [first_us, last_us]: [f64; 2],
+    [farther, band_us]: [f64; 2],
+) -> Vec<[f64; 2]> {
+    let half = 0.5 * band_us;
+    let angle = |pulse_us: f64| {
+        let beyond = pulse_us - centre_us;
+        let angle = (beyond - beyond.clamp(-half, half)) / gain_us_per_rad;
+        angle * (1.0 + farther * angle.signum())
+    };
+    let mut pulses = vec![first_us, centre_us - half, centre_us + half, last_us];
+    pulses.dedup();
+    pulses
+        .into_iter()
+        .map(|pulse_us| [pulse_us, angle(pulse_us)])
+        .collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn crooked_steering_turns_farther_to_one_side_and_rests_in_its_dead_band() {
+        let pairs = |farther, band| {
+            crooked_steering([1_500.0, -800.0], [1_100.0, 1_900.0], [farther, band])
+        };
+        let crooked = [[1_100.0, 0.6], [1_500.0, 0.0], [1_900.0, -0.4]];
+        assert_eq!(pairs(0.2, 0.0), crooked);
+        let table = SteeringTable::new(&pairs(0.2, 80.0)).unwrap();
+        for (pulse, angle) in [
+            (1_460.0, 0.0),
+            (1_540.0, 0.0),
+            (1_380.0, 0.12),
+            (1_620.0, -0.08),
+        ] {
+            assert!((table.angle(pulse) - angle).abs() < 1e-12, "{pulse}");
+        }
+    }
 
     #[test]
     fn backlash_is_lost_at_each_change_of_direction() {

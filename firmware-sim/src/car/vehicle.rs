@@ -20,7 +20,7 @@ use super::{
 use crate::epoch::Epoch;
 
 /// Parameters of the car.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CarParameters {
     /// Masses, lengths, tyres.
@@ -266,8 +266,9 @@ impl Car {
             hands: Hands::default(),
             parameters,
         };
-        car.battery.draw(&parameters.battery, false, 0.0, 0.0, 0.0);
-        car.place(parameters.start);
+        car.battery
+            .draw(&car.parameters.battery, false, 0.0, 0.0, 0.0);
+        car.place(car.parameters.start);
         car
     }
 
@@ -327,8 +328,7 @@ impl Car {
     #[must_use]
     pub fn servo_strains(&self) -> bool {
         let servo = &self.parameters.servo;
-        let wanted = (self.servo_held_us - servo.centre_us) / servo.gain_us_per_rad;
-        wanted.abs() > servo.stop_rad + 0.01
+        servo.free_angle(self.servo_held_us).abs() > servo.stop_rad + 0.01
     }
 
     /// The car stands here, or is held.

@@ -44,6 +44,7 @@ mod riccati;
 mod safety_filter;
 mod setpoint;
 mod single_track;
+mod steering_map;
 mod time;
 mod tracking;
 mod vehicle;
@@ -85,6 +86,9 @@ pub use setpoint::{
 };
 pub use single_track::{
     LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
+};
+pub use steering_map::{
+    MAX_STEERING_PAIRS, SteeringMap, SteeringTable, SteeringTableError, interpolate,
 };
 pub use time::Time;
 pub use tracking::{OuterLoop, TrackingInput};

@@ -434,11 +434,19 @@ impl<L: Line> ControlLoop<L> {
                 number,
                 pilot,
                 board,
+                steering,
                 hash,
                 ..
             } = &*change;
             self.controller
-                .reconfigure(Time(now_ns), *number, pilot, *board, *hash)
+                .reconfigure(
+                    Time(now_ns),
+                    *number,
+                    pilot,
+                    *board,
+                    steering.clone(),
+                    *hash,
+                )
                 .map_err(Refusal::from)
         };
         change.outcome = Some(outcome);

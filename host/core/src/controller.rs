@@ -3,7 +3,9 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{InertialSample, PoseSample, Position, Setpoint, Time, TrajectoryPiece};
+use singletrack_control::{
+    InertialSample, PoseSample, Position, Setpoint, SteeringMap, Time, TrajectoryPiece,
+};
 use singletrack_link::{
     ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
 };
@@ -41,6 +43,7 @@ pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 #[derive(Debug)]
 pub struct Controller {
     session: Session,
+    steering: SteeringMap,
     pilot: Pilot,
     /// The hash of the configuration in force, of what the first metre proves.
     configuration: u64,
@@ -85,9 +88,16 @@ impl Controller {
     /// A controller with a closed port, for a configuration with this hash
     /// ([`configuration_hash`](crate::configuration_hash)).
     #[must_use]
-    pub fn new(session: Session, pilot: Pilot, configuration: u64, proofs: Proofs) -> Self {
+    pub fn new(
+        session: Session,
+        steering: SteeringMap,
+        pilot: Pilot,
+        configuration: u64,
+        proofs: Proofs,
+    ) -> Self {
         Self {
             session,
+            steering,
             pilot,
             configuration,
             car_id: None,
@@ -239,6 +249,7 @@ impl Controller {
         number: u32,
         pilot: &PilotConfig,
         board: Configuration,
+        steering: SteeringMap,
         hash: u64,
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
@@ -257,6 +268,7 @@ impl Controller {
             self.push(Event::Link(LinkState::Down));
         }
         self.pilot.reconfigure(pilot)?;
+        self.steering = steering;
         self.push(Event::Reconfigured(number));
         if hash != self.configuration {
             self.configuration = hash;
@@ -315,7 +327,7 @@ impl Controller {
                 now.0,
                 DriveCommand {
                     speed_m_s: self.pilot.speed_for_board(command.rear_speed, rate),
-                    steering_rad: command.steering,
+                    steering_rad: self.steering.commanded(command.steering),
                     brake: command.brake,
                     pose_time_ns: Some(command.pose_time.0),
                 },
@@ -634,6 +646,7 @@ mod tests {
         };
         let mut controller = Controller::new(
             Session::new(config.link(1)).unwrap(),
+            config.steering_map().unwrap(),
             Pilot::new(config.pilot().unwrap()),
             5,
             Proofs::of(&[proof(1), proof(2)]),
@@ -659,6 +672,7 @@ mod tests {
             Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
         let mut controller = Controller::new(
             Session::new(config.link(1)).unwrap(),
+            config.steering_map().unwrap(),
             Pilot::new(config.pilot().unwrap()),
             5,
             Proofs::default(),

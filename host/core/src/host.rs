@@ -100,6 +100,7 @@ impl<L: Line> Host<L> {
         config.reference = config.reference.written_out()?;
         let controller = Controller::new(
             LinkSession::new(config.link(options.nonce_seed))?,
+            config.steering_map()?,
             Pilot::new(config.pilot()?),
             configuration_hash(&config)?,
             options.proofs,

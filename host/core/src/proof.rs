@@ -63,7 +63,8 @@ impl Proofs {
 }
 
 /// The hash of the parts of a configuration that the first metre of a drive proves: the
-/// vehicle, the rigid body and how it is read, what the board is given, and how the car brakes.
+/// vehicle, the rigid body and how it is read, what the board is given, what the steering makes
+/// of it, and how the car brakes.
 /// Another reference, another limit or another geofence needs no other proof.
 ///
 /// # Errors
@@ -82,6 +83,9 @@ pub fn configuration_hash(config: &Config) -> Result<u64, ConfigError> {
     let [forward, left] = body.marker_offset_m;
     let braking = config.fence.braking_m_s2;
     for number in [forward, left, body.marker_yaw_rad, braking] {
+        hash.add(&number.to_bits().to_le_bytes());
+    }
+    for number in config.actuators.steering_table.iter().flatten().flatten() {
         hash.add(&number.to_bits().to_le_bytes());
     }
     let offset_ms = body.timing.stamp_offset_ms;
@@ -133,10 +137,14 @@ mod tests {
             same,
             hash(|config| config.fence.corners_m[0] = [-2.0, -2.0])
         );
-        let changes: [fn(&mut Config); 8] = [
+        let changes: [fn(&mut Config); 9] = [
             |config| config.motion_capture.timing.stamp_offset_ms = -3.0,
             |config| config.fence.braking_m_s2 = 0.8,
             |config| config.board.servo.gain_us_per_rad = 801,
+            |config| {
+                let pairs = vec![[1_080.0, 0.5], [1_500.0, 0.0], [1_920.0, -0.5]];
+                config.actuators.steering_table = Some(pairs);
+            },
             |config| config.board.car_id = 7,
             |config| config.vehicle.mass_kg = 2.0,
             |config| config.motion_capture.marker_yaw_rad = 0.1,

@@ -139,6 +139,7 @@ impl Configurations {
             number: self.number.wrapping_add(1),
             pilot: config.pilot()?,
             board: config.board_configuration(),
+            steering: config.steering_map()?,
             hash: configuration_hash(&config)?,
             until_ns,
             outcome: None,

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
+use singletrack_control::SteeringMap;
 use singletrack_pilot::{PilotConfig, PilotRequest, Tuning};
 use singletrack_protocol::Configuration;
 
@@ -34,6 +35,8 @@ pub struct Reconfiguration {
     pub pilot: PilotConfig,
     /// For the board.
     pub board: Configuration,
+    /// For the angles that the board is commanded.
+    pub steering: SteeringMap,
     /// Its hash: [`configuration_hash`](crate::configuration_hash).
     pub hash: u64,
     /// The caller's time-out: after this the configuration is refused, ns.

@@ -129,6 +129,7 @@ fn controller() -> Controller {
     let config = Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
     Controller::new(
         LinkSession::new(config.link(7)).unwrap(),
+        config.steering_map().unwrap(),
         Pilot::new(config.pilot().unwrap()),
         configuration_hash(&config).unwrap(),
         Proofs::default(),

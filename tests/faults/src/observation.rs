@@ -1,6 +1,7 @@
 //! What an invariant is given in each step: ground truth, and the outputs of the
 //! host.
 
+use singletrack_control::SteeringMap;
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
 use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
 use singletrack_protocol::{BoardMode, Configuration, EscKind, StopCause, ToBoard};
@@ -53,6 +54,8 @@ pub(crate) struct Spec {
     true_stamp_error: [f64; 2],
     /// Whether interference makes edges on the motor sensor's wire.
     pub(crate) has_interference: bool,
+    /// The angle of the front wheels over the servo's pulse, as configured.
+    steering: SteeringMap,
     pub(crate) max_steering: f64,
     pub(crate) max_steering_rate: f64,
     pub(crate) period_s: f64,
@@ -102,6 +105,7 @@ impl Spec {
                 let sensor = &world.car.motor_sensor;
                 sensor.emi_driven_hz + sensor.emi_standstill_hz > 0.0 || sensor.ringing_edges > 0
             },
+            steering: config.steering_map()?,
             max_steering: limits.max_steering_rad,
             max_steering_rate: limits.max_steering_rate_rad_s,
             setpoint_timeout_ns: match config.reference {
@@ -114,6 +118,15 @@ impl Spec {
             period_s: f64::from(config.control.period_ms) * 1e-3,
             fence: config.fence.fence(&config.vehicle)?,
         })
+    }
+
+    /// The angle of the front wheels that is believed of an angle that the board is commanded,
+    /// both in rad.
+    pub(crate) fn believed_angle(&self, commanded_rad: f64) -> f64 {
+        let servo = &self.board.servo;
+        let gain = f64::from(servo.gain_us_per_rad);
+        self.steering
+            .angle(f64::from(servo.centre_us) + commanded_rad * gain)
     }
 
     /// How much younger than it is a pose may look to the host, in µs.

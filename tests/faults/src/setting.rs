@@ -1,9 +1,10 @@
 //! Converts a situation to the world's and the daemon's configuration.
 
+use singletrack_control::SteeringTable;
 use singletrack_core::config::{BoardSection, Config, EscKindName, FailsafeKind};
 use singletrack_sim::{
     BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig,
-    StartPose, WireFaults, WireParameters, default_board_configuration,
+    StartPose, WIDE_US, WireFaults, WireParameters, crooked_steering, default_board_configuration,
 };
 
 use crate::{
@@ -127,6 +128,13 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     let esc = &mut config.board.esc;
     esc.neutral_us = situation.neutral_us;
     esc.deadband_us = esc.deadband_us.max(situation.neutral_us.abs_diff(1_500));
+    if situation.steering_table {
+        let servo = &config.board.servo;
+        let line = [servo.centre_us.into(), servo.gain_us_per_rad.into()];
+        let ends = [servo.min_us, servo.max_us].map(f64::from);
+        config.actuators.steering_table = Some(crooked_steering(line, ends, CROOKED));
+        config.limits.max_steering_rad = 0.4;
+    }
     config.board.speed.pulse_distance_um =
         u16::try_from(situation.pulse_distance_um).unwrap_or(u16::MAX);
     if file == ConfigurationFile::Slower {
@@ -137,6 +145,10 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     config.validate().map_err(SetupError::Config)?;
     Ok(config)
 }
+
+/// How much farther to the left the wheels turn, as a fraction, and the width of the dead band, in
+/// µs, of the configuration with `steering_table`.
+const CROOKED: [f64; 2] = [0.15, 8.0];
 
 /// Mandatory keys of the board; the simulated car's calibration replaces their values.
 const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\
@@ -203,6 +215,20 @@ fn true_car(schedule: &Schedule) -> CarParameters {
     let factor = |deviation| 1.0 + 1e-3 * value(deviation);
     car.servo.centre_us += value(Deviation::ServoTrim);
     car.servo.gain_us_per_rad *= factor(Deviation::ServoGain);
+    let [mut farther, mut band] = [
+        1e-3 * value(Deviation::ServoAsymmetry),
+        value(Deviation::ServoDeadBand),
+    ];
+    if situation.steering_table {
+        farther += CROOKED[0];
+        band += CROOKED[1];
+    }
+    if farther != 0.0 || band != 0.0 {
+        let line = [car.servo.centre_us, car.servo.gain_us_per_rad];
+        let pairs = crooked_steering(line, WIDE_US, [farther, band]);
+        // A gain of zero has no table.
+        car.servo.table = SteeringTable::new(&pairs).ok();
+    }
     if let Some(rate) = stated(Deviation::ServoRate) {
         car.servo.max_rate_rad_s = 1e-3 * rate;
     }

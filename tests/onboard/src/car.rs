@@ -2,8 +2,9 @@
 
 use core::fmt;
 
+use singletrack_control::SteeringTable;
 use singletrack_core::config::{Config, ConfigError};
-use singletrack_sim::{EscKind, SimulationConfig, StartPose, UpAxis};
+use singletrack_sim::{EscKind, SimulationConfig, StartPose, UpAxis, WIDE_US, crooked_steering};
 use toml_edit::{Array, DocumentMut, Item, Table, Value};
 
 use crate::random::Random;
@@ -70,6 +71,9 @@ pub struct OnboardCar {
 
 /// The share of cars with a planted fault.
 const FAULTY: f64 = 0.1;
+
+/// The share of cars whose steering is no straight line.
+const CROOKED: f64 = 0.2;
 
 /// The hall: half its length and half its width, in m.
 pub const HALL_M: [f64; 2] = [3.5, 3.0];
@@ -226,6 +230,12 @@ impl OnboardCar {
                 let gain = 800.0_f64.copysign(-simulation.car.servo.gain_us_per_rad);
                 set("board.servo.gain_us_per_rad", Value::from(gain as i64));
             }
+        }
+        if random.happens(CROOKED) {
+            let shape = [random.between(-0.15, 0.15), random.between(0.0, 8.0)];
+            let servo = &mut simulation.car.servo;
+            let line = [servo.centre_us, servo.gain_us_per_rad];
+            servo.table = SteeringTable::new(&crooked_steering(line, WIDE_US, shape)).ok();
         }
         Self {
             seed,

@@ -102,6 +102,10 @@ pub fn daemon_config(drive: Drive) -> Config {
 /// Makes the simulated car and its cameras as the daemon's configuration says.
 pub fn follow(believed: &Config, simulation: &mut SimulationConfig) {
     simulation.follow(&believed.board.configuration());
+    // What is no table is refused with the configuration.
+    if let Ok(map) = believed.steering_map() {
+        simulation.car.servo.follow(&map);
+    }
     let cameras = &believed.motion_capture;
     let body = &mut simulation.cameras.car;
     body.name.clone_from(&cameras.rigid_body);

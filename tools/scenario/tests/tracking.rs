@@ -252,3 +252,30 @@ fn the_record_says_how_far_the_controller_looked() {
         assert!(ticks >= 100);
     }
 }
+
+/// Of DART, as tools/vehicles/dart-truth.toml has it, as a section of a scenario.
+fn real_servo() -> toml::Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../vehicles/dart-truth.toml");
+    let truth: toml::Table = fs::read_to_string(path).unwrap().parse().unwrap();
+    truth["servo"]["table"].clone()
+}
+
+#[test]
+fn steering_that_is_no_straight_line_costs_nothing_with_its_table() {
+    const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
+    let table = real_servo();
+    let crooked = format!("[truth.servo]\ntable = {table}\n");
+    let known = format!("{crooked}[actuators]\nsteering_table = {table}\n");
+    for name in ["circle-1.0", "eight-4x2"] {
+        let text = with(
+            &best(name),
+            &[("[limits]\n", "[limits]\nmax_steering_rad = 0.3\n")],
+            PROVED,
+        );
+        let straight = error_mm(&text);
+        let [unknown, known] = [&crooked, &known].map(|car| error_mm(&with(&text, &[], car)));
+        println!("{name}: {straight:.2} mm, {unknown:.2} mm, {known:.2} mm");
+        assert!(known < straight + 1.0, "{name}: {known} mm");
+        assert!(unknown > known + 1.0, "{name}: {unknown} mm");
+    }
+}

@@ -1,6 +1,9 @@
 //! Bends to both sides, with a weave: the steering, and the body on the car.
 
-use super::floor::{self, Ends, Figure, SLOW, round};
+use super::{
+    floor::{self, Ends, Figure, SLOW, round},
+    steering_table::bent,
+};
 use crate::{
     Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
     fit::{self, Body, Frames, Motion, Signal, Track, Turning, Wheels},
@@ -133,21 +136,17 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let late = if of > 0.0 { over / of } else { 0.0 };
     let motion = track.motion(late);
     let (pulses, way) = (track.servo(), track.way());
-    let passes: Vec<(Body, Wheels)> = bounds
+    let motions: Vec<Motion> = bounds
         .windows(2)
-        .map(|ends| {
-            pass(
-                &between(&motion, ends[0], ends[1]),
-                &pulses,
-                &way,
-                &believed,
-            )
-        })
+        .map(|ends| between(&motion, ends[0], ends[1]))
+        .collect();
+    let passes: Vec<(Body, Wheels)> = motions
+        .iter()
+        .map(|motion| pass(motion, &pulses, &way, &believed))
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
-    if let ([begin, end, ..], Some(first)) = (bounds, passes.first()) {
-        let first_pass = between(&motion, *begin, *end);
-        plot(bench, &first_pass, &pulses, &believed, first);
+    if let (Some(motion), Some(first)) = (motions.first(), passes.first()) {
+        plot(bench, motion, &pulses, &believed, first);
     }
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
         let values: Vec<f64> = passes.iter().map(of).collect();
@@ -180,14 +179,21 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
 
     let config = bench.configuration();
     let servo = &config.board.servo;
-    let reach = (f64::from(servo.max_us) - centre.value)
-        .min(centre.value - f64::from(servo.min_us))
-        / gain.value.abs();
+    let bent = bent(&motions, &pulses, &believed.turning, &passes, servo)
+        .filter(|bent| bent.is_bent() || config.actuators.steering_table.is_some());
+    let (straight_us, reach) = match &bent {
+        Some(bent) => {
+            let [right, left] = bent.table.reach();
+            (bent.table.pulse(0.0), left.min(-right))
+        }
+        None => {
+            let room = (f64::from(servo.max_us) - centre.value)
+                .min(centre.value - f64::from(servo.min_us));
+            (centre.value, room / gain.value.abs())
+        }
+    };
     let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
-        (
-            "board.servo.centre_us",
-            (centre.value.round() as i64).into(),
-        ),
+        ("board.servo.centre_us", (straight_us.round() as i64).into()),
         (
             "board.servo.gain_us_per_rad",
             (gain.value.round() as i64).into(),
@@ -214,6 +220,9 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     if config.limits.max_steering_rad > reach {
         values.push(("limits.max_steering_rad", reach.into()));
     }
+    if let Some(bent) = &bent {
+        values.push(("actuators.steering_table", bent.value()));
+    }
     let is_doubtful = (gain.value / believed.servo[1] - 1.0).abs() > 0.25;
     let moved = (ahead.value - believed.offset[0]).hypot(left.value - believed.offset[1]);
     floor::change(bench, &values)?;
@@ -226,6 +235,24 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             .find(|(other, _)| *other == key)
             .map(|(key, value)| (*key, value.clone())),
     };
+    let mut parameters = vec![
+        parameter("servo-centre", "us", centre, "board.servo.centre_us"),
+        parameter("servo-gain", "us/rad", gain, "board.servo.gain_us_per_rad"),
+        parameter("body-yaw", "rad", yaw, "motion_capture.marker_yaw_rad"),
+        parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
+        parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
+        parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
+        parameter(
+            "servo-dead-time",
+            "ms",
+            dead,
+            "actuators.steering_dead_time_ms",
+        ),
+    ];
+    if let Some(bent) = &bent {
+        let key = "actuators.steering_table";
+        parameters.push(parameter("steering-bend", "rad", bent.off, key));
+    }
     Ok(Finding {
         step: "bends",
         verdict: if is_doubtful {
@@ -252,20 +279,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         } else {
             String::new()
         },
-        parameters: vec![
-            parameter("servo-centre", "us", centre, "board.servo.centre_us"),
-            parameter("servo-gain", "us/rad", gain, "board.servo.gain_us_per_rad"),
-            parameter("body-yaw", "rad", yaw, "motion_capture.marker_yaw_rad"),
-            parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
-            parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
-            parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
-            parameter(
-                "servo-dead-time",
-                "ms",
-                dead,
-                "actuators.steering_dead_time_ms",
-            ),
-        ],
+        parameters,
     })
 }
 

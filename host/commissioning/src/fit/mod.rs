@@ -33,7 +33,7 @@ pub use statistics::{
     student_quantile,
 };
 pub use track::{Motion, Signal, Track};
-pub use wheels::{Turning, Wheels, wheels, yaw_rates};
+pub use wheels::{Turning, Wheels, wheel_angles, wheels, yaw_rates};
 
 #[cfg(test)]
 pub(crate) mod tests {

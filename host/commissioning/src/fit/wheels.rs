@@ -1,5 +1,7 @@
 //! The steering servo, from a drive with bends.
 
+use singletrack_control::interpolate;
+
 use super::{Frames, Motion, gauss_newton};
 
 /// The steering servo, as one pass shows it.
@@ -55,7 +57,11 @@ pub fn wheels(
     about: [f64; 2],
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
-    let residuals = |parameters: &[f64; 5]| residuals(motion, pulses, speed, turning, parameters);
+    let residuals = |&[centre_us, inverse, lag, delay, play_us]: &[f64; 5]| {
+        let angle = |pulse: f64| 1e-3 * (pulse - centre_us) * inverse;
+        let servo = [lag, delay, play_us];
+        residuals(motion, pulses, speed, turning, &angle, servo)
+    };
     let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.01];
     let reach = 1_000.0 / gain_us_per_rad.abs();
     let bounds = [
@@ -114,6 +120,40 @@ pub fn wheels(
     })
 }
 
+/// The angles of the wheels at these pulses, in rad, with straight lines between them, for a servo
+/// that is otherwise as `found`; every pulse of the pass should lie between them. None if the
+/// drive does not determine them.
+#[must_use]
+pub fn wheel_angles<const N: usize, const M: usize>(
+    motion: &Motion,
+    pulses: &Frames,
+    speed: &[f64],
+    turning: &Turning,
+    found: &Wheels,
+    at_us: &[f64; N],
+) -> Option<[f64; N]> {
+    const { assert!(M == N + 2) };
+    // The lag and the dead time that fitted a straight line are not quite those of this servo.
+    let whole = |parameters: &[f64; M]| {
+        let pairs: [[f64; 2]; N] = std::array::from_fn(|i| [at_us[i], parameters[i]]);
+        let angle = |pulse: f64| interpolate(&pairs, pulse);
+        let servo = [parameters[N], parameters[N + 1], found.play_us];
+        residuals(motion, pulses, speed, turning, &angle, servo)
+    };
+    let start: [f64; M] = std::array::from_fn(|i| match at_us.get(i) {
+        Some(pulse) => (pulse - found.centre_us) / found.gain_us_per_rad,
+        None if i == N => found.lag,
+        None => found.delay,
+    });
+    let bounds = std::array::from_fn(|i| match i {
+        i if i < N => [-1.5, 1.5],
+        i if i == N => [0.002, 0.3],
+        _ => [-0.03, 0.2],
+    });
+    let parameters = gauss_newton(start, [1e-3; M], bounds, whole)?;
+    Some(std::array::from_fn(|i| parameters[i]))
+}
+
 /// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
 #[must_use]
 pub fn yaw_rates(
@@ -123,14 +163,9 @@ pub fn yaw_rates(
     turning: &Turning,
     found: &Wheels,
 ) -> Vec<[f64; 3]> {
-    let parameters = [
-        found.centre_us,
-        1_000.0 / found.gain_us_per_rad,
-        found.lag,
-        found.delay,
-        found.play_us,
-    ];
-    let residuals = residuals(motion, pulses, speed, turning, &parameters);
+    let angle = |pulse: f64| (pulse - found.centre_us) / found.gain_us_per_rad;
+    let servo = [found.lag, found.delay, found.play_us];
+    let residuals = residuals(motion, pulses, speed, turning, &angle, servo);
     let steps = motion.time.windows(2).zip(motion.yaw.windows(2));
     steps
         .zip(residuals)
@@ -147,14 +182,14 @@ fn residuals(
     pulses: &Frames,
     speed: &[f64],
     turning: &Turning,
-    &[centre_us, inverse, lag, delay, play_us]: &[f64; 5],
+    angle: &dyn Fn(f64) -> f64,
+    [lag, delay, play_us]: [f64; 3],
 ) -> Vec<f64> {
     let Some(&start) = motion.time.first() else {
         return Vec::new();
     };
     let mut now = start - AHEAD;
     let mut held = pulses.at(now - delay);
-    let angle = |pulse: f64| (pulse - centre_us) * inverse * 1e-3;
     let mut turned = angle(held);
     let [front, rear] = turning.axles;
     let bend = turned / (front + rear);
@@ -236,6 +271,18 @@ mod tests {
 
     /// A pass over both circles with a weave, by a servo with these parameters.
     fn pass(seed: u64, truth: &Wheels) -> (Motion, Frames, Vec<f64>) {
+        pass_of(seed, truth, &|pulse| {
+            (pulse - truth.centre_us) / truth.gain_us_per_rad
+        })
+    }
+
+    /// The same, with the angle that the wheels have at a pulse; `truth` has the one that the driver
+    /// believes.
+    fn pass_of(
+        seed: u64,
+        truth: &Wheels,
+        turned_by: &dyn Fn(f64) -> f64,
+    ) -> (Motion, Frames, Vec<f64>) {
         let mut noise = Noise::new(seed);
         let phase = 0.02 * noise.uniform();
         let command = 0.01 * noise.uniform();
@@ -279,8 +326,7 @@ mod tests {
             let acted = now - truth.delay;
             let pulse = wanted(((acted - phase) / 0.02 + 1e-9).floor() * 0.02 + phase);
             held = held.clamp(pulse - 0.5 * truth.play_us, pulse + 0.5 * truth.play_us);
-            let angle = (held - truth.centre_us) / truth.gain_us_per_rad;
-            turned += step * (angle - turned) / truth.lag;
+            turned += step * (turned_by(held) - turned) / truth.lag;
             state = CAR.step(state, 0.28, turned, step);
             yaw += step * state[0];
             if index % 50 == 0 && now > 0.3 {
@@ -319,6 +365,38 @@ mod tests {
             assert!((mean(|f| f.gain_us_per_rad) + 720.0).abs() < 2.0);
             assert!((mean(|f| f.lag) - lag).abs() < 0.004);
             assert!((mean(|f| f.delay) - delay).abs() < 0.004);
+        }
+    }
+    #[test]
+    fn steering_that_is_no_straight_line_is_found() {
+        let believed = Wheels {
+            centre_us: 1_500.0,
+            gain_us_per_rad: -800.0,
+            lag: 0.05,
+            delay: 0.008,
+            play_us: 2.0,
+            excess: [0.0; 2],
+        };
+        let table = [
+            [1_080.0, 0.50],
+            [1_250.0, 0.38],
+            [1_500.0, 0.0],
+            [1_750.0, -0.26],
+            [1_920.0, -0.36],
+        ];
+        let at_us = table.map(|[pulse, _]| pulse);
+        let found: Vec<[f64; 5]> = (0..4)
+            .map(|seed| {
+                let turned_by = |pulse| interpolate(&table, pulse);
+                let (motion, pulses, speed) = pass_of(seed, &believed, &turned_by);
+                let line = wheels(&motion, &pulses, &speed, &CAR, [1_500.0, -800.0]).unwrap();
+                wheel_angles::<5, 7>(&motion, &pulses, &speed, &CAR, &line, &at_us).unwrap()
+            })
+            .collect();
+        for (index, [pulse, angle]) in table.into_iter().enumerate() {
+            let mean = found.iter().map(|angles| angles[index]).sum::<f64>() / 4.0;
+            println!("{pulse}: {mean:.4}, {angle}");
+            assert!((mean - angle).abs() < 0.006, "{pulse}: {mean}, {angle}");
         }
     }
 }

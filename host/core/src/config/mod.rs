@@ -39,7 +39,7 @@ mod waypoint_file;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::VehicleParameters;
+use singletrack_control::{SteeringMap, VehicleParameters};
 use singletrack_link::SessionConfig;
 use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
 use singletrack_protocol::Configuration;
@@ -282,6 +282,15 @@ impl Config {
             tuning: self.tuning.bounds(),
             period,
         })
+    }
+
+    /// The angle of the front wheels over the servo's pulse.
+    ///
+    /// # Errors
+    ///
+    /// `actuators.steering_table` is not one of this servo.
+    pub fn steering_map(&self) -> Result<SteeringMap, ConfigError> {
+        self.actuators.steering_map(&self.board.servo)
     }
 
     /// What the board is given.

@@ -42,14 +42,21 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
     let servo = &board.servo;
     let room_us = (servo.max_us.saturating_sub(servo.centre_us))
         .min(servo.centre_us.saturating_sub(servo.min_us));
-    let reach_rad = f64::from(room_us) / f64::from(servo.gain_us_per_rad).abs();
+    let (reach_rad, fix) = match config.steering_map()?.table {
+        None => (
+            f64::from(room_us) / f64::from(servo.gain_us_per_rad).abs(),
+            "widen board.servo.min_us and max_us",
+        ),
+        Some(table) => {
+            let [right, left] = table.reach();
+            (left.min(-right), "correct actuators.steering_table")
+        }
+    };
     refuse_if(
         limits.max_steering_rad > reach_rad,
         "limits.max_steering_rad",
         limits.max_steering_rad,
-        format!(
-            "the servo's pulses reach {reach_rad:.3} rad; lower it, or widen board.servo.min_us and max_us"
-        ),
+        format!("the servo's pulses reach {reach_rad:.3} rad; lower it, or {fix}"),
     )?;
     let pose = &config.motion_capture.pose;
     refuse_if(

@@ -11,8 +11,8 @@ use crate::observation::Observation;
 const SPEED_STEP: f64 = 0.000_5;
 const STEERING_STEP: f64 = 0.000_05;
 
-/// `command-limits`: every command is within the configured speed and steering
-/// angle, to half a step of the wire format.
+/// `command-limits`: every command is within the configured speed and angle of the front
+/// wheels, to half a step of the wire format.
 #[derive(Default)]
 pub(super) struct CommandLimits;
 
@@ -28,7 +28,7 @@ impl Invariant for CommandLimits {
                 continue;
             };
             let speed = f64::from(drive.speed_mm_s) * 1e-3;
-            let steering = f64::from(drive.steering_100urad) * 1e-4;
+            let steering = spec.believed_angle(f64::from(drive.steering_100urad) * 1e-4);
             if speed > spec.max_speed + SPEED_STEP || speed < -spec.max_reverse_speed - SPEED_STEP {
                 return Err(format!("speed command of {speed:.3} m/s"));
             }

@@ -39,6 +39,7 @@ impl Default for Situation {
             braking_mm_s2: 900,
             pulse_distance_um: 3_000,
             safety_filter: false,
+            steering_table: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -126,6 +127,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         braking_mm_s2: 900,
         pulse_distance_um: 3_000,
         safety_filter: false,
+        steering_table: random.happens(300),
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
@@ -227,6 +229,8 @@ fn gross(random: &mut Random, car: &TrueCar) -> (Deviation, i32) {
         D::ImuStatus => random.choose(1, &[0, 2, 3, 4, 6]),
         D::ImuError => random.signed(1, 10),
         D::ImuSelfTest => random.signed(0, 14),
+        D::ServoAsymmetry => sign * random.spread(100, 800) as i32,
+        D::ServoDeadBand => random.signed(15, 150),
         D::DividerOpen => 1,
     };
     (kind, value)

@@ -68,6 +68,9 @@ pub struct Situation {
     pub pulse_distance_um: u32,
     /// Whether the safety filter is on.
     pub safety_filter: bool,
+    /// Whether the steering is crooked, with `actuators.steering_table` in the configuration; the
+    /// true one deviates from it as from a straight line.
+    pub steering_table: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.

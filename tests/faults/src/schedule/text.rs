@@ -46,6 +46,7 @@ impl fmt::Display for Schedule {
             ("reset_on_open", s.reset_on_open),
             ("queue_shows", s.queue_shows),
             ("safety_filter", s.safety_filter),
+            ("steering_table", s.steering_table),
         ] {
             writeln!(out, "{key} {value}")?;
         }
@@ -149,6 +150,7 @@ impl Draft {
             ["reset_on_open", yes] => s.reset_on_open = yes.parse().ok()?,
             ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
             ["safety_filter", yes] => s.safety_filter = yes.parse().ok()?,
+            ["steering_table", yes] => s.steering_table = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
                 s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;

@@ -121,6 +121,10 @@ deviations! {
     ImuError = "imu-error", 0..=0, of 0..=255;
     /// The IMU's register `ST_RESULT`; 15 if all self-tests passed.
     ImuSelfTest = "imu-self-test", 15..=15, of 0..=15;
+    /// The wheels turn v/1000 farther to the left, and as much less far to the right.
+    ServoAsymmetry = "servo-asymmetry-permille", -50..=50, of -800..=800;
+    /// The servo has a dead band of v µs around straight wheels.
+    ServoDeadBand = "servo-dead-band-us", 0..=6, of 0..=200;
     /// 1: the battery is not connected to the board.
     DividerOpen = "divider-open", 0..=0, of 0..=1;
 }

@@ -110,6 +110,8 @@ pub(super) fn daemon(
     });
     if let Some(car) = args.car.config()? {
         config.estimator = car.estimator;
+        config.actuators = car.actuators;
+        config.limits.max_steering_rad = car.limits.max_steering_rad;
     }
     config.serial.port = simulator.pty_path().to_owned();
     config.motion_capture.command_port = simulator.command_address().port();

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoFrames, ServoTarget};
-use singletrack_control::{VehicleParameters, direction};
+use singletrack_control::{SteeringMap, VehicleParameters, direction};
 use singletrack_core::{Config, ConfigError};
 use singletrack_figures::plot;
 use singletrack_pilot::{BoardSample, Event};
@@ -98,8 +98,7 @@ pub fn read(
 pub struct Collector {
     /// Zero of the times, in ns of the host's monotonic clock.
     start_ns: u64,
-    servo_centre_us: f64,
-    servo_gain_us_per_rad: f64,
+    steering: SteeringMap,
     /// From G to the rigid body's origin, forward and left, in m.
     marker_offset: [f64; 2],
     marker_yaw: f64,
@@ -125,8 +124,7 @@ impl Collector {
         let estimator = config.pilot()?.estimator;
         Ok(Self {
             start_ns,
-            servo_centre_us: f64::from(config.board.servo.centre_us),
-            servo_gain_us_per_rad: f64::from(config.board.servo.gain_us_per_rad),
+            steering: config.steering_map()?,
             marker_offset: estimator.marker_offset,
             marker_yaw: estimator.marker_yaw,
             data: DriveData::default(),
@@ -209,8 +207,7 @@ impl Collector {
             let target = ServoTarget {
                 time_s: self.seconds(record.board_time_host_ns),
                 period: (passed + BOARD_PERIOD_US / 2) / BOARD_PERIOD_US,
-                angle_rad: (f64::from(telemetry.servo_us) - self.servo_centre_us)
-                    / self.servo_gain_us_per_rad,
+                angle_rad: self.steering.angle(telemetry.servo_us.into()),
             };
             let last = self.data.servo.last();
             if last.is_none_or(|last| target.time_s > last.time_s) {

@@ -9,7 +9,7 @@ use singletrack_scenario::{
     simulate::{Scenario, virtual_drive_config},
     virtual_drive::VirtualDrive,
 };
-use singletrack_sim::LossPattern;
+use singletrack_sim::{LossPattern, WIDE_US, crooked_steering};
 
 /// A car and its course.
 pub(crate) struct CalibratedCar {
@@ -398,6 +398,10 @@ fn car(random: &mut Random, speed: f64) -> (String, Vec<String>) {
         random.between(-2.0, 2.0),
         random.between(0.0001, 0.0005),
     );
+    let crooked = random.below(3) == 0;
+    if crooked {
+        text = crooked_car(random, &text);
+    }
     // Up to the IMU of tools/vehicles/dart-truth.toml.
     let shakes = random.between(0.0, 1.0);
     let of_speed = format!(
@@ -419,12 +423,26 @@ fn car(random: &mut Random, speed: f64) -> (String, Vec<String>) {
     ];
     for (drawn, name) in [
         (kill, "kill output"),
+        (crooked, "crooked steering, as configured"),
         (leaks, "leaking accelerometer"),
         (turned, "IMU turned by 90 degrees, as configured"),
     ] {
         kinds.extend(drawn.then(|| name.to_owned()));
     }
     (text, kinds)
+}
+
+/// Steering that is not symmetric and has a dead band, known with the errors of a calibration.
+fn crooked_car(random: &mut Random, text: &str) -> String {
+    let shape = [random.between(-0.2, 0.2), random.between(2.0, 12.0)];
+    let known = crooked_steering([1_500.0, -800.0], [1_080.0, 1_920.0], shape);
+    let centre_us = 1_500.0 + random.between(-14.0, 14.0);
+    let gain_us_per_rad = -800.0 * random.between(0.94, 1.06);
+    let own = crooked_steering([centre_us, gain_us_per_rad], WIDE_US, shape);
+    text.replace(
+        "[truth.servo]\n",
+        &format!("[truth.servo]\ntable = {own:?}\n"),
+    ) + &format!("[limits]\nmax_steering_rad = 0.35\n[actuators]\nsteering_table = {known:?}\n")
 }
 
 /// `SplitMix64`.
