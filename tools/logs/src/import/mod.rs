@@ -16,11 +16,14 @@
 //! error with its line and column.
 
 mod board;
+mod columns;
 mod csv_log;
 mod decimal;
 mod log;
 mod map;
+mod row;
 mod samples;
+mod sensor;
 mod summary;
 mod timeline;
 
@@ -88,7 +91,11 @@ pub fn import(
     out: &Path,
     progress: impl FnMut(u64, u64),
 ) -> Result<Summary, ImportError> {
-    let contents = csv_log::read(log, &Map::read(map)?)?;
+    let contents = {
+        let read = Map::read(map)?;
+        read.check_kind(false, map)?;
+        csv_log::read(log, &read)?
+    };
     let meta = Meta {
         configuration: format!(
             "# Imported by singletrack import {} from {} with {}: no configuration\n",

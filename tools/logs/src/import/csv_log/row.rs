@@ -1,6 +1,7 @@
 //! The cells of a row, by the places of their columns.
 
 use std::{
+    borrow::Cow,
     fs::File,
     io::{self, BufReader, Read as _, Seek as _, SeekFrom},
     path::Path,
@@ -9,6 +10,10 @@ use std::{
 use csv::{Position, StringRecord};
 
 use super::{Cell, CsvError, TimeFault};
+use crate::import::{
+    map::Messages,
+    row::{self, Place},
+};
 
 const CORRECT: &str = "correct the cell or remove the row";
 
@@ -41,17 +46,13 @@ pub(super) struct Header<'a> {
     names: &'a StringRecord,
 }
 
-/// The place of a column.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Place(usize);
-
 impl<'a> Header<'a> {
     pub(super) const fn new(path: &'a Path, names: &'a StringRecord) -> Self {
         Self { path, names }
     }
 
     /// The place of the column that `key` in the map names.
-    pub(super) fn find(&self, key: &'static str, column: &str) -> Result<Place, CsvError> {
+    pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, CsvError> {
         let mut places = self
             .names
             .iter()
@@ -67,7 +68,10 @@ impl<'a> Header<'a> {
             });
         };
         match places.count() {
-            0 => Ok(Place(place)),
+            0 => Ok(Place {
+                source: 0,
+                index: place,
+            }),
             others => Err(CsvError::SameColumns {
                 path: self.path.to_owned(),
                 column: column.to_owned(),
@@ -77,22 +81,25 @@ impl<'a> Header<'a> {
         }
     }
 
-    /// As [`find`](Self::find), of a key that may be left out.
-    pub(super) fn find_if(
-        &self,
-        key: &'static str,
-        column: &Option<String>,
-    ) -> Result<Option<Place>, CsvError> {
-        let column = column.as_ref();
-        column.map(|column| self.find(key, column)).transpose()
-    }
-
     /// A row of the file.
     pub(super) fn row(&self, cells: &'a StringRecord) -> Row<'_> {
         Row {
             header: self,
             cells,
         }
+    }
+}
+
+impl row::Header for Header<'_> {
+    type Error = CsvError;
+
+    fn find(
+        &mut self,
+        key: &'static str,
+        _messages: Messages<'_>,
+        column: &str,
+    ) -> Result<Place, CsvError> {
+        self.place(key, column)
     }
 }
 
@@ -105,21 +112,21 @@ pub(super) struct Row<'a> {
 
 impl<'a> Row<'a> {
     /// A cell, without spaces around it.
-    pub(super) fn cell(&self, Place(place): Place) -> &'a str {
-        self.cells.get(place).unwrap_or_default()
-    }
-
-    pub(super) fn are_empty<const N: usize>(&self, places: [Place; N]) -> bool {
-        places.iter().all(|place| self.cell(*place).is_empty())
+    pub(super) fn cell(&self, place: Place) -> &'a str {
+        self.cells.get(place.index).unwrap_or_default()
     }
 
     /// The cell, for messages.
     fn named(&self, place: Place) -> Cell {
-        let Place(index) = place;
         Cell {
             path: self.header.path.to_owned(),
             line: line(self.header.path, self.cells.position()),
-            column: self.header.names.get(index).unwrap_or_default().to_owned(),
+            column: self
+                .header
+                .names
+                .get(place.index)
+                .unwrap_or_default()
+                .to_owned(),
             value: self.cell(place).to_owned(),
         }
     }
@@ -145,9 +152,24 @@ impl<'a> Row<'a> {
             fault,
         }
     }
+}
 
-    /// A number, which need not be finite; not a number for an empty cell.
-    pub(super) fn number(&self, place: Place) -> Result<f64, CsvError> {
+impl row::Row for Row<'_> {
+    type Error = CsvError;
+
+    fn has(&self, _place: Place) -> bool {
+        true
+    }
+
+    fn is_empty(&self, place: Place) -> bool {
+        self.cell(place).is_empty()
+    }
+
+    fn text(&self, place: Place) -> Cow<'_, str> {
+        Cow::Borrowed(self.cell(place))
+    }
+
+    fn number(&self, place: Place) -> Result<f64, CsvError> {
         match self.cell(place) {
             "" => Ok(f64::NAN),
             cell => cell
@@ -156,8 +178,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// A finite number.
-    pub(super) fn finite(&self, place: Place) -> Result<f64, CsvError> {
+    fn finite(&self, place: Place) -> Result<f64, CsvError> {
         let number = self.number(place)?;
         match number.is_finite() {
             true => Ok(number),
@@ -165,8 +186,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// A number that is not 0, `true` or `false`.
-    pub(super) fn flag(&self, place: Place) -> Result<bool, CsvError> {
+    fn flag(&self, place: Place) -> Result<bool, CsvError> {
         let cell = self.cell(place);
         match cell.to_ascii_lowercase().as_str() {
             "true" => Ok(true),

@@ -1,10 +1,14 @@
-//! The map of a log: which columns it has, and what they mean.
+//! The map of a log: which columns or topics it has, and what they mean.
 
 mod error;
+mod messages;
 mod quantity;
 mod steering;
+mod time;
 
+pub(super) use messages::{Messages, Stamp};
 pub(super) use quantity::Conversion;
+pub(super) use time::RowTime;
 
 use std::{fmt::Display, fs, path::Path};
 
@@ -13,8 +17,10 @@ use serde::Deserialize;
 pub use error::MapError;
 pub use quantity::{Acceleration, Angle, AngularVelocity, Dimension, Length, Quantity, Speed};
 pub use steering::{SteeringMap, SteeringSection};
+pub use time::{TimeSection, TimeUnit};
 
 use super::samples::Interpolation;
+use messages::MessageKeys;
 
 /// The longest delay, s. A time of the record is never before its zero.
 const LONGEST_DELAY_S: f64 = 0.9;
@@ -32,6 +38,7 @@ pub struct Map {
     #[serde(default = "tick_ms")]
     pub tick_ms: u32,
     /// The time of a row.
+    #[serde(default)]
     pub time: TimeSection,
     /// The pose from the motion capture.
     pub pose: PoseSection,
@@ -47,54 +54,15 @@ pub struct Map {
     pub speed_command: Option<CommandSection>,
 }
 
-/// The time of a row.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TimeSection {
-    /// The column.
-    pub column: String,
-    /// Its unit.
-    pub unit: TimeUnit,
-    /// Whether it counts from the start of 1970, UTC. Otherwise its zero has no meaning.
-    pub unix: bool,
-    /// The longest time between two rows that is not taken for an error of the log, in s.
-    #[serde(default = "longest_row_gap_s")]
-    pub longest_gap_s: f64,
-}
-
-/// The unit of a time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-pub enum TimeUnit {
-    /// Seconds.
-    #[serde(rename = "s")]
-    Seconds,
-    /// Milliseconds.
-    #[serde(rename = "ms")]
-    Milliseconds,
-    /// Microseconds.
-    #[serde(rename = "us")]
-    Microseconds,
-    /// Nanoseconds.
-    #[serde(rename = "ns")]
-    Nanoseconds,
-}
-
-impl TimeUnit {
-    /// The power of ten by which a number in this unit is multiplied to be in ns.
-    pub(super) const fn exponent(self) -> i32 {
-        match self {
-            Self::Seconds => 9,
-            Self::Milliseconds => 6,
-            Self::Microseconds => 3,
-            Self::Nanoseconds => 0,
-        }
-    }
-}
-
 /// The pose from the motion capture.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// Position along the x axis of the cameras, in m.
     pub x: Quantity<Length>,
     /// Position along the y axis of the cameras, in m.
@@ -137,6 +105,11 @@ pub enum EmptyRows {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImuSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// Acceleration forward, without gravity, in m/s².
     pub forward_acceleration: Quantity<Acceleration>,
     /// Acceleration to the left, without gravity, in m/s².
@@ -158,6 +131,11 @@ pub struct ImuSection {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// Speed of the driven axle as the motor or an encoder measures it, in m/s.
     pub speed: Quantity<Speed>,
     /// From the measurement to the time of the row, in s.
@@ -176,7 +154,13 @@ pub struct MotorSection {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DrivingSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// The column; 0 and `false` are not driving. An empty cell is as the row before.
+    #[serde(alias = "field")]
     pub column: String,
 }
 
@@ -184,6 +168,11 @@ pub struct DrivingSection {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// The commanded speed, in m/s. An empty cell is as the row before.
     pub speed: Quantity<Speed>,
     /// From the command to the time of the row, in s.
@@ -197,10 +186,6 @@ const fn comma() -> char {
 
 const fn tick_ms() -> u32 {
     10
-}
-
-const fn longest_row_gap_s() -> f64 {
-    10.0
 }
 
 /// The longest gap that is interpolated, in s, unless the map says another one.
@@ -237,6 +222,44 @@ impl Map {
         Ok(map)
     }
 
+    /// Checks that the map is one for the kind of log: it names columns, or topics and fields.
+    /// `path` is its file in messages.
+    pub(super) fn check_kind(&self, is_bag: bool, path: &Path) -> Result<(), MapError> {
+        let time = if is_bag {
+            self.time.check_bag()
+        } else {
+            self.time.check_rows()
+        };
+        let mut checked = time;
+        for (keys, messages) in self.all_messages() {
+            checked = checked.and_then(|()| messages.check(keys, is_bag));
+        }
+        checked.map_err(|error| error.at(path))
+    }
+
+    /// The messages of every section that has some, with its keys for them.
+    fn all_messages(&self) -> impl Iterator<Item = (MessageKeys, Messages<'_>)> {
+        let imu = self.imu.as_ref().map(ImuSection::messages);
+        let driving = self.driving.as_ref().map(DrivingSection::messages);
+        let speed_command = self.speed_command.as_ref().map(CommandSection::messages);
+        [
+            (["pose.topic", "pose.stamp"], Some(self.pose.messages())),
+            (["imu.topic", "imu.stamp"], imu),
+            (["motor.topic", "motor.stamp"], Some(self.motor.messages())),
+            (["driving.topic", "driving.stamp"], driving),
+            (
+                ["steering.topic", "steering.stamp"],
+                Some(self.steering.messages()),
+            ),
+            (
+                ["speed_command.topic", "speed_command.stamp"],
+                speed_command,
+            ),
+        ]
+        .into_iter()
+        .filter_map(|(keys, messages)| Some((keys, messages?)))
+    }
+
     fn check(&self) -> Result<(), InvalidValue> {
         if !self.delimiter.is_ascii() || matches!(self.delimiter, '"' | '\r' | '\n') {
             let fix = "use an ASCII character such as \",\", \";\" or \"\\t\"";
@@ -249,7 +272,7 @@ impl Map {
         if !(1..=1_000).contains(&self.tick_ms) {
             return Err(InvalidValue::new("tick_ms", self.tick_ms, "use 1 to 1000"));
         }
-        check_positive("time.longest_gap_s", self.time.longest_gap_s)?;
+        self.time.check()?;
         self.pose.check()?;
         if let Some(imu) = &self.imu {
             imu.check()?;
@@ -264,6 +287,10 @@ impl Map {
 }
 
 impl PoseSection {
+    pub(super) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
+    }
+
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("pose.delay_s", self.delay_s)?;
         let [forward, left] = self.point_m;
@@ -282,6 +309,10 @@ impl PoseSection {
 }
 
 impl ImuSection {
+    pub(super) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
+    }
+
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("imu.delay_s", self.delay_s)?;
         check_interpolation(
@@ -297,6 +328,10 @@ impl ImuSection {
 }
 
 impl MotorSection {
+    pub(super) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
+    }
+
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("motor.delay_s", self.delay_s)?;
         check_interpolation(
@@ -308,6 +343,18 @@ impl MotorSection {
 
     pub(super) fn interpolation(&self) -> Option<Interpolation> {
         interpolation(self.interpolate_hz, self.longest_gap_s)
+    }
+}
+
+impl DrivingSection {
+    pub(super) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
+    }
+}
+
+impl CommandSection {
+    pub(super) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
     }
 }
 

@@ -9,7 +9,8 @@ use serde::{
 
 /// A column with unit, scale and offset.
 ///
-/// In the map it is the name of the column, or a table: `{ column, unit, scale, offset }`. The
+/// In the map it is the name of the column, or a table: `{ column, unit, scale, offset }`. Of a bag
+/// the column is a field of the messages, and the key may be `field`. The
 /// value is the number in the log times `scale`, in `unit`, plus `offset`, which is in SI units.
 /// A negative scale turns the sign.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,6 +88,7 @@ impl<D> Quantity<D> {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Table {
+    #[serde(alias = "field")]
     column: String,
     unit: Option<String>,
     #[serde(default = "one")]

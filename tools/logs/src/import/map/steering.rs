@@ -2,13 +2,19 @@
 
 use serde::Deserialize;
 
-use super::{InvalidValue, check_delay, check_finite};
+use super::{InvalidValue, Messages, check_delay, check_finite};
 
 /// The steering command.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SteeringSection {
+    /// The topic of a bag whose messages have these values. The names of the columns are then those
+    /// of fields.
+    pub topic: Option<String>,
+    /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
+    pub stamp: Option<String>,
     /// The column. An empty cell is as the row before.
+    #[serde(alias = "field")]
     pub column: String,
     /// The angle of a command of 1, in rad, if the angle is linear in the command.
     pub radians_per_unit: Option<f64>,
@@ -37,6 +43,10 @@ pub enum SteeringMap {
 }
 
 impl SteeringSection {
+    pub(in crate::import) fn messages(&self) -> Messages<'_> {
+        Messages::new(&self.topic, &self.stamp)
+    }
+
     pub(super) fn check(&self) -> Result<(), InvalidValue> {
         check_delay("steering.delay_s", self.delay_s)?;
         match (&self.table, self.radians_per_unit) {

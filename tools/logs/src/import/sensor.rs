@@ -1,14 +1,11 @@
-//! The samples of the sensors in the rows of a file.
+//! The samples of the sensors in the rows of a log.
 
 use singletrack_control::{direction, wrap};
 
 use super::{
-    CsvError,
-    row::{Header, Place, Row},
-};
-use crate::import::{
     log::{LoggedPose, LoggedState},
-    map::{Conversion, EmptyRows, PoseSection, Quantity, nanoseconds},
+    map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
+    row::{Header, Place, Row},
     samples::Sample,
 };
 
@@ -28,19 +25,19 @@ impl NewRows {
     }
 
     /// Whether this row is new. The first one is not: its values may be old.
-    fn is_new(&mut self, row: &Row<'_>) -> bool {
+    fn is_new(&mut self, row: &impl Row) -> bool {
         let Some(place) = self.place else {
             return true;
         };
-        let cell = row.cell(place);
+        let cell = row.text(place);
         match &mut self.before {
-            Some(before) if before == cell => false,
+            Some(before) if *before == cell => false,
             Some(before) => {
-                cell.clone_into(before);
+                *before = cell.into_owned();
                 true
             }
             None => {
-                self.before = Some(cell.to_owned());
+                self.before = Some(cell.into_owned());
                 false
             }
         }
@@ -56,24 +53,25 @@ pub(super) struct Column {
 
 impl Column {
     /// The column of the quantity that is at `key` in the map.
-    pub(super) fn find<D>(
-        header: &Header<'_>,
+    pub(super) fn find<D, H: Header>(
+        header: &mut H,
         key: &'static str,
+        messages: Messages<'_>,
         quantity: &Quantity<D>,
-    ) -> Result<Self, CsvError> {
+    ) -> Result<Self, H::Error> {
         Ok(Self {
-            place: header.find(key, quantity.column())?,
+            place: header.find(key, messages, quantity.column())?,
             conversion: quantity.conversion(),
         })
     }
 
     /// The number in SI units, which need not be finite.
-    fn number(&self, row: &Row<'_>) -> Result<f64, CsvError> {
+    fn number<R: Row>(&self, row: &R) -> Result<f64, R::Error> {
         Ok(self.conversion.si(row.number(self.place)?))
     }
 
     /// The number in SI units.
-    fn finite(&self, row: &Row<'_>) -> Result<f64, CsvError> {
+    fn finite<R: Row>(&self, row: &R) -> Result<f64, R::Error> {
         Ok(self.conversion.si(row.finite(self.place)?))
     }
 }
@@ -98,8 +96,12 @@ impl<const N: usize> Sensor<N> {
     }
 
     /// Takes the sample of a row, if there is one. A row whose cells are all empty has none.
-    pub(super) fn take(&mut self, row: &Row<'_>, time_ns: u64) -> Result<(), CsvError> {
-        if !self.new_rows.is_new(row) || row.are_empty(self.columns.map(|column| column.place)) {
+    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+        let places = self.columns.map(|column| column.place);
+        if !places.iter().all(|place| row.has(*place))
+            || !self.new_rows.is_new(row)
+            || row.are_empty(places)
+        {
             return Ok(());
         }
         let mut values = [0.0; N];
@@ -160,7 +162,7 @@ impl Exposures {
     }
 }
 
-/// The poses of a file.
+/// The poses of a log.
 pub(super) struct Poses<'a> {
     section: &'a PoseSection,
     /// x, y and yaw.
@@ -173,16 +175,21 @@ pub(super) struct Poses<'a> {
 }
 
 impl<'a> Poses<'a> {
-    pub(super) fn find(header: &Header<'_>, section: &'a PoseSection) -> Result<Self, CsvError> {
-        let changes = header.find_if("pose.new_when_changes", &section.new_when_changes)?;
+    pub(super) fn find<H: Header>(
+        header: &mut H,
+        section: &'a PoseSection,
+    ) -> Result<Self, H::Error> {
+        let messages = section.messages();
+        let changes =
+            header.find_if("pose.new_when_changes", messages, &section.new_when_changes)?;
         Ok(Self {
             section,
             columns: [
-                Column::find(header, "pose.x", &section.x)?,
-                Column::find(header, "pose.y", &section.y)?,
-                Column::find(header, "pose.yaw", &section.yaw)?,
+                Column::find(header, "pose.x", messages, &section.x)?,
+                Column::find(header, "pose.y", messages, &section.y)?,
+                Column::find(header, "pose.yaw", messages, &section.yaw)?,
             ],
-            tracked: header.find_if("pose.tracked", &section.tracked)?,
+            tracked: header.find_if("pose.tracked", messages, &section.tracked)?,
             new_rows: NewRows::new(changes),
             delay_ns: nanoseconds(section.delay_s),
             exposures: section.exposures_hz.map(Exposures::new),
@@ -191,9 +198,12 @@ impl<'a> Poses<'a> {
     }
 
     /// Takes the pose of a row, if there is one.
-    pub(super) fn take(&mut self, row: &Row<'_>, time_ns: u64) -> Result<(), CsvError> {
-        let is_left_out = self.section.empty_rows == EmptyRows::NoSample
-            && row.are_empty(self.columns.map(|column| column.place));
+    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+        let places = self.columns.map(|column| column.place);
+        if !places.iter().all(|place| row.has(*place)) {
+            return Ok(());
+        }
+        let is_left_out = self.section.empty_rows == EmptyRows::NoSample && row.are_empty(places);
         if self.new_rows.is_new(row) && !is_left_out {
             let exposures = self.exposures.as_mut();
             let regular_ns = exposures.map_or(time_ns, |exposures| exposures.of(time_ns));
@@ -212,7 +222,7 @@ impl<'a> Poses<'a> {
         self.poses
     }
 
-    fn state(&self, row: &Row<'_>) -> Result<LoggedState, CsvError> {
+    fn state<R: Row>(&self, row: &R) -> Result<LoggedState, R::Error> {
         if let Some(place) = self.tracked
             && !row.flag(place)?
         {

@@ -1,0 +1,170 @@
+//! The sensors and commands of a log, column by column.
+
+use super::{
+    log::Log,
+    map::{ImuSection, Map, MotorSection, SteeringMap, nanoseconds},
+    row::{Header, Place, Row},
+    samples::{Sample, Series},
+    sensor::{Column, Poses, Sensor},
+};
+
+/// The columns of a log, with what has been read of them.
+pub(super) struct Columns<'a> {
+    poses: Poses<'a>,
+    imu: Option<Sensor<3>>,
+    motor: Sensor<1>,
+    driving: Option<Driving>,
+    steering: Steering,
+    speed_command: Option<Sensor<1>>,
+}
+
+impl<'a> Columns<'a> {
+    /// Finds the columns that the map names.
+    pub(super) fn find<H: Header>(header: &mut H, map: &'a Map) -> Result<Self, H::Error> {
+        Ok(Self {
+            poses: Poses::find(header, &map.pose)?,
+            imu: map
+                .imu
+                .as_ref()
+                .map(|imu| inertial(header, imu))
+                .transpose()?,
+            motor: motor(header, &map.motor)?,
+            driving: match &map.driving {
+                None => None,
+                Some(section) => Some(Driving {
+                    place: header.find("driving.column", section.messages(), &section.column)?,
+                    changes: Vec::new(),
+                }),
+            },
+            steering: Steering {
+                place: header.find(
+                    "steering.column",
+                    map.steering.messages(),
+                    &map.steering.column,
+                )?,
+                map: map.steering.map(),
+                delay_ns: nanoseconds(map.steering.delay_s),
+                samples: Vec::new(),
+            },
+            speed_command: match &map.speed_command {
+                None => None,
+                Some(section) => {
+                    let column = Column::find(
+                        header,
+                        "speed_command.speed",
+                        section.messages(),
+                        &section.speed,
+                    )?;
+                    Some(Sensor::new([column], None, nanoseconds(section.delay_s)))
+                }
+            },
+        })
+    }
+
+    /// Takes what a row has.
+    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+        self.poses.take(row, time_ns)?;
+        if let Some(imu) = &mut self.imu {
+            imu.take(row, time_ns)?;
+        }
+        self.motor.take(row, time_ns)?;
+        if let Some(driving) = &mut self.driving {
+            driving.take(row, time_ns)?;
+        }
+        self.steering.take(row, time_ns)?;
+        match &mut self.speed_command {
+            Some(command) => command.take(row, time_ns),
+            None => Ok(()),
+        }
+    }
+
+    /// What the rows say.
+    pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64) -> Log {
+        let held = |sensor: Sensor<1>| Series::new(sensor.into_samples(), None);
+        let inertial = self.imu.zip(map.imu.as_ref());
+        Log {
+            start_wall_ns,
+            end_ns,
+            poses: self.poses.into_poses(),
+            inertial: inertial
+                .map(|(sensor, imu)| Series::new(sensor.into_samples(), imu.interpolation())),
+            motor_speed: Series::new(self.motor.into_samples(), map.motor.interpolation()),
+            steering: Series::new(self.steering.samples, None),
+            speed_command: self.speed_command.map(held),
+            driving: self.driving.map(|driving| driving.changes),
+            tick_ns: u64::from(map.tick_ms) * 1_000_000,
+            phase_ns: map
+                .pose
+                .exposures_hz
+                .map_or(0, |_| u64::from(map.tick_ms) * 200_000),
+        }
+    }
+}
+
+fn inertial<H: Header>(header: &mut H, section: &ImuSection) -> Result<Sensor<3>, H::Error> {
+    let messages = section.messages();
+    let forward = &section.forward_acceleration;
+    let left = &section.left_acceleration;
+    let columns = [
+        Column::find(header, "imu.forward_acceleration", messages, forward)?,
+        Column::find(header, "imu.left_acceleration", messages, left)?,
+        Column::find(header, "imu.yaw_rate", messages, &section.yaw_rate)?,
+    ];
+    let changes = header.find_if("imu.new_when_changes", messages, &section.new_when_changes)?;
+    Ok(Sensor::new(columns, changes, nanoseconds(section.delay_s)))
+}
+
+fn motor<H: Header>(header: &mut H, section: &MotorSection) -> Result<Sensor<1>, H::Error> {
+    let messages = section.messages();
+    let column = Column::find(header, "motor.speed", messages, &section.speed)?;
+    let changes = header.find_if(
+        "motor.new_when_changes",
+        messages,
+        &section.new_when_changes,
+    )?;
+    Ok(Sensor::new([column], changes, nanoseconds(section.delay_s)))
+}
+
+/// Whether the car is driven.
+struct Driving {
+    place: Place,
+    changes: Vec<(u64, bool)>,
+}
+
+impl Driving {
+    fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+        if !row.has(self.place) || row.is_empty(self.place) {
+            return Ok(());
+        }
+        let is_driving = row.flag(self.place)?;
+        if self
+            .changes
+            .last()
+            .is_none_or(|(_, last)| *last != is_driving)
+        {
+            self.changes.push((time_ns, is_driving));
+        }
+        Ok(())
+    }
+}
+
+/// The steering command, as an angle.
+struct Steering {
+    place: Place,
+    map: SteeringMap,
+    delay_ns: u64,
+    samples: Vec<Sample<1>>,
+}
+
+impl Steering {
+    fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+        if !row.has(self.place) || row.is_empty(self.place) {
+            return Ok(());
+        }
+        self.samples.push(Sample {
+            time_ns: time_ns - self.delay_ns,
+            values: [self.map.angle(row.finite(self.place)?)],
+        });
+        Ok(())
+    }
+}
