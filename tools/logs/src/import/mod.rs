@@ -1,8 +1,9 @@
 //! Import of a log of another program as a record.
 //!
-//! A [map](Map) says which columns the log has and what they mean. The result has the poses as
-//! the motion capture saw them, and a tick every `tick_ms` with the events that a pilot would
-//! have been given: poses when they arrived, and samples of the board.
+//! The log is a CSV file, or a bag of ROS 2. A [map](Map) says which columns it has, or topics and
+//! fields, and what they mean. The result has the poses as the motion capture saw them, and a tick every
+//! `tick_ms` with the events that a pilot would have been given: poses when they arrived, and samples of
+//! the board.
 //!
 //! **Clock.** The first row of the log is at [`FIRST_ROW_NS`] on the monotonic clock of the
 //! record. Everything else is relative to it.
@@ -13,8 +14,9 @@
 //! `delay_s` before.
 //!
 //! **Nothing is guessed.** A sensor without a column has no samples. What can't be read is an
-//! error with its line and column.
+//! error with its line and column, or with its topic and the number of the message.
 
+mod bag;
 mod board;
 mod columns;
 mod csv_log;
@@ -35,6 +37,7 @@ use std::{
 
 use singletrack_record::{ClockMapping, Entry, Meta, RecordError, Recorder, part_path};
 
+pub use bag::{BagError, Message};
 pub use csv_log::{Cell, CsvError, TimeFault};
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
@@ -60,9 +63,12 @@ pub enum ImportError {
     /// The map.
     #[error(transparent)]
     Map(#[from] MapError),
-    /// The log.
+    /// The log, a CSV file.
     #[error(transparent)]
     Csv(#[from] CsvError),
+    /// The log, a bag.
+    #[error(transparent)]
+    Bag(#[from] BagError),
     /// A tick can't hold its events.
     #[error("{}: {source}", path.display())]
     Events {
@@ -76,7 +82,8 @@ pub enum ImportError {
     Record(#[from] RecordError),
 }
 
-/// Makes the record `out` of the CSV file `log`, as the map in the file `map` says.
+/// Makes the record `out` of `log`, as the map in the file `map` says. A folder is a bag, and so is a file
+/// that ends in `.mcap` or `.db3`; any other file is a CSV file.
 ///
 /// The same log and the same map give the same bytes. `progress` gets the number of ticks that
 /// are written, and that of all.
@@ -91,11 +98,7 @@ pub fn import(
     out: &Path,
     progress: impl FnMut(u64, u64),
 ) -> Result<Summary, ImportError> {
-    let contents = {
-        let read = Map::read(map)?;
-        read.check_kind(false, map)?;
-        csv_log::read(log, &read)?
-    };
+    let contents = read(log, map)?;
     let meta = Meta {
         configuration: format!(
             "# Imported by singletrack import {} from {} with {}: no configuration\n",
@@ -118,6 +121,16 @@ pub fn import(
         let _ = fs::remove_file(part_path(out));
     }
     result
+}
+
+fn read(log: &Path, map: &Path) -> Result<Log, ImportError> {
+    let is_bag = bag::is_bag(log);
+    let contents = Map::read(map)?;
+    contents.check_kind(is_bag, map)?;
+    Ok(match is_bag {
+        true => bag::read(log, &contents)?,
+        false => csv_log::read(log, &contents)?,
+    })
 }
 
 fn write(

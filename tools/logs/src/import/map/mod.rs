@@ -287,10 +287,6 @@ impl Map {
 }
 
 impl PoseSection {
-    pub(super) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
-
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("pose.delay_s", self.delay_s)?;
         let [forward, left] = self.point_m;
@@ -309,10 +305,6 @@ impl PoseSection {
 }
 
 impl ImuSection {
-    pub(super) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
-
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("imu.delay_s", self.delay_s)?;
         check_interpolation(
@@ -328,10 +320,6 @@ impl ImuSection {
 }
 
 impl MotorSection {
-    pub(super) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
-
     fn check(&self) -> Result<(), InvalidValue> {
         check_delay("motor.delay_s", self.delay_s)?;
         check_interpolation(
@@ -346,17 +334,26 @@ impl MotorSection {
     }
 }
 
-impl DrivingSection {
-    pub(super) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
+macro_rules! with_messages {
+    ($($section:ident),*) => {
+        $(
+            impl $section {
+                pub(super) fn messages(&self) -> Messages<'_> {
+                    Messages::new(&self.topic, &self.stamp)
+                }
+            }
+        )*
+    };
 }
 
-impl CommandSection {
-    pub(super) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
-}
+with_messages!(
+    PoseSection,
+    ImuSection,
+    MotorSection,
+    DrivingSection,
+    SteeringSection,
+    CommandSection
+);
 
 fn interpolation(rate_hz: Option<u32>, longest_gap_s: Option<f64>) -> Option<Interpolation> {
     rate_hz.map(|rate_hz| Interpolation {

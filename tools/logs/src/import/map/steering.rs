@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use super::{InvalidValue, Messages, check_delay, check_finite};
+use super::{InvalidValue, check_delay, check_finite};
 
 /// The steering command.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -43,10 +43,6 @@ pub enum SteeringMap {
 }
 
 impl SteeringSection {
-    pub(in crate::import) fn messages(&self) -> Messages<'_> {
-        Messages::new(&self.topic, &self.stamp)
-    }
-
     pub(super) fn check(&self) -> Result<(), InvalidValue> {
         check_delay("steering.delay_s", self.delay_s)?;
         match (&self.table, self.radians_per_unit) {

@@ -1,0 +1,413 @@
+//! The messages of a bag, decoded as they are read.
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    cdr::{self, Fault, Found, Target},
+    definition::{Definition, short},
+    error::{BagError, Message, Seconds},
+    row::{Entry, Row},
+    wanted::{Source, Sources, Wanted},
+};
+
+/// Names of elements that are listed in an error, at most.
+const MAX_NAMES: usize = 20;
+
+/// A topic as a file describes it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Topic<'a> {
+    pub(super) name: &'a str,
+    /// Its type, such as `geometry_msgs/msg/PoseStamped`.
+    pub(super) kind: &'a str,
+    /// How messages are encoded.
+    pub(super) encoding: &'a str,
+    /// The language of the definition of the type, and the definition.
+    pub(super) definition: Option<(&'a str, &'a str)>,
+}
+
+/// The place of a topic that the map wants.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TopicId {
+    topic: usize,
+    plan: usize,
+}
+
+/// The messages that a map wants, from all files of a bag.
+pub(super) struct Messages {
+    path: PathBuf,
+    sources: Sources,
+    topics: Vec<KnownTopic>,
+    plans: Vec<Plan>,
+    entries: Vec<Entry>,
+    values: Vec<Option<f64>>,
+}
+
+struct KnownTopic {
+    name: String,
+    kind: String,
+    messages: u64,
+}
+
+/// How the messages of a topic are read.
+struct Plan {
+    topic: usize,
+    definition: Definition,
+    readings: Vec<Reading>,
+}
+
+/// What a source takes of a message.
+struct Reading {
+    source: usize,
+    stamp: Option<Target>,
+    fields: Vec<Target>,
+}
+
+impl Messages {
+    pub(super) fn new(path: &Path, sources: Sources) -> Self {
+        Self {
+            path: path.to_owned(),
+            sources,
+            topics: Vec::new(),
+            plans: Vec::new(),
+            entries: Vec::new(),
+            values: Vec::new(),
+        }
+    }
+
+    /// Takes the description of a topic; `None` if the map does not want it.
+    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<TopicId>, BagError> {
+        let kind = short(topic.kind);
+        let wrong = |why: String| BagError::Topic {
+            path: self.path.clone(),
+            topic: topic.name.to_owned(),
+            kind: kind.clone(),
+            why,
+        };
+        let known = self.topics.iter().position(|one| one.name == topic.name);
+        let place = match known {
+            Some(place) => place,
+            None => {
+                self.topics.push(KnownTopic {
+                    name: topic.name.to_owned(),
+                    kind: kind.clone(),
+                    messages: 0,
+                });
+                self.topics.len() - 1
+            }
+        };
+        let sources = self.sources.sources.iter().enumerate();
+        let wanted: Vec<_> = sources.filter(|(_, one)| one.topic == topic.name).collect();
+        if wanted.is_empty() {
+            return Ok(None);
+        }
+        if let Some(other) = self.topics.get(place).filter(|one| one.kind != kind) {
+            let other = &other.kind;
+            return Err(wrong(format!(
+                "it has messages of type {other} too: rename one of the two"
+            )));
+        }
+        if topic.encoding != "cdr" {
+            let encoding = topic.encoding;
+            return Err(wrong(format!(
+                "its encoding {encoding:?} is not read, only \"cdr\""
+            )));
+        }
+        // Only the one language is read; the built-in definitions are in it.
+        let text = match topic.definition {
+            Some(("ros2msg", text)) => text,
+            _ => "",
+        };
+        let definition = Definition::parse(&kind, text).map_err(|why| {
+            wrong(format!(
+                "{why}; convert the bag with `ros2 bag convert` to MCAP where the \
+                 type is installed"
+            ))
+        })?;
+        // Each file of a bag, and each publisher, describes the topic again.
+        let mut plans = self.plans.iter();
+        let same = |plan: &Plan| plan.topic == place && plan.definition == definition;
+        if let Some(plan) = plans.position(same) {
+            return Ok(Some(TopicId { topic: place, plan }));
+        }
+        let resolve = |wanted: &Wanted| {
+            let target = wanted.path.resolve(&definition, wanted.takes);
+            target.map_err(|why| {
+                let Wanted { key, text, .. } = wanted;
+                wrong(format!("{key} in the map names {text:?}: {why}"))
+            })
+        };
+        let mut readings = Vec::new();
+        for (place, source) in wanted {
+            let stamp = source.stamp.as_ref().map(resolve).transpose()?;
+            let fields = source
+                .fields
+                .iter()
+                .map(resolve)
+                .collect::<Result<_, _>>()?;
+            readings.push(Reading {
+                source: place,
+                stamp,
+                fields,
+            });
+        }
+        self.plans.push(Plan {
+            topic: place,
+            definition,
+            readings,
+        });
+        Ok(Some(TopicId {
+            topic: place,
+            plan: self.plans.len() - 1,
+        }))
+    }
+
+    /// Takes a message.
+    pub(super) fn message(
+        &mut self,
+        id: TopicId,
+        receive_ns: u64,
+        bytes: &[u8],
+    ) -> Result<(), BagError> {
+        let (Some(topic), Some(plan)) = (self.topics.get_mut(id.topic), self.plans.get(id.plan))
+        else {
+            return Ok(());
+        };
+        topic.messages += 1;
+        let number = topic.messages;
+        let message = || Message {
+            path: self.path.clone(),
+            topic: topic.name.clone(),
+            number,
+            receive_ns,
+        };
+        let failed = |fault: Fault| BagError::Message {
+            message: message(),
+            why: format!(" {fault}"),
+        };
+        let contents = cdr::contents(bytes).map_err(failed)?;
+        contents.check(&plan.definition).map_err(failed)?;
+        for Reading {
+            source: place,
+            stamp,
+            fields,
+        } in &plan.readings
+        {
+            let Some(source) = self.sources.sources.get_mut(*place) else {
+                continue;
+            };
+            let first = self.values.len();
+            for (target, wanted) in fields.iter().zip(&mut source.fields) {
+                let found = contents.find(&plan.definition, target).map_err(failed)?;
+                self.values.push(match found {
+                    Found::Number(value) => Some(value),
+                    Found::Stamp { .. } | Found::Absent(_) => None,
+                });
+                wanted.note(found);
+            }
+            let stamp_ns = match stamp.as_ref().zip(source.stamp.as_mut()) {
+                None => receive_ns,
+                Some((target, wanted)) => {
+                    let found = contents.find(&plan.definition, target).map_err(failed)?;
+                    let stamp_ns = stamp_ns(&found).map_err(|fault| BagError::Message {
+                        message: message(),
+                        why: format!(": its {} {fault}", wanted.text),
+                    })?;
+                    wanted.note(found);
+                    match stamp_ns {
+                        Some(stamp_ns) => stamp_ns,
+                        None => {
+                            // The message is about other bodies.
+                            self.values.truncate(first);
+                            continue;
+                        }
+                    }
+                }
+            };
+            self.entries.push(Entry {
+                source: *place,
+                number,
+                receive_ns,
+                stamp_ns,
+                values: first,
+            });
+        }
+        Ok(())
+    }
+
+    /// All messages as rows, in the order of their times, of which no two are farther apart than the
+    /// longest gap.
+    pub(super) fn into_rows(mut self, longest_gap_ns: u64) -> Result<Rows, BagError> {
+        for source in &self.sources.sources {
+            self.check(source)?;
+        }
+        self.entries.sort_by_key(|entry| entry.receive_ns);
+        self.check_order()?;
+        self.entries.sort_by_key(|entry| entry.stamp_ns);
+        self.check_gaps(longest_gap_ns)?;
+        Ok(Rows {
+            path: self.path,
+            sources: self.sources,
+            entries: self.entries,
+            values: self.values,
+        })
+    }
+
+    /// Fails if the bag does not have what a source wants.
+    fn check(&self, source: &Source) -> Result<(), BagError> {
+        let topic = self.topics.iter().find(|one| one.name == source.topic);
+        if topic.is_none_or(|topic| topic.messages == 0) {
+            let topics = self.topics.iter();
+            let topics: Vec<_> = topics
+                .map(|one| format!("{:?} ({})", one.name, one.kind))
+                .collect();
+            return Err(BagError::NoTopic {
+                path: self.path.clone(),
+                what: match topic {
+                    Some(_) => "no messages on the topic",
+                    None => "no topic",
+                },
+                topic: source.topic.clone(),
+                key: source.key(),
+                topics: listed(&topics),
+            });
+        }
+        let mut wanted = source.fields.iter().chain(&source.stamp);
+        match wanted.find(|wanted| !wanted.is_found) {
+            None => Ok(()),
+            Some(wanted) => {
+                let names = wanted.names.iter().map(|name| format!("{name:?}"));
+                let names: Vec<_> = names.collect();
+                let (key, text, names) = (&wanted.key, &wanted.text, listed(&names));
+                Err(BagError::Topic {
+                    path: self.path.clone(),
+                    topic: source.topic.clone(),
+                    kind: topic.map_or_else(String::new, |topic| topic.kind.clone()),
+                    why: format!(
+                        "no message has the element that {key} in the map names, {text:?}; there are {names}"
+                    ),
+                })
+            }
+        }
+    }
+
+    /// Fails if the times of a source go backwards.
+    fn check_order(&self) -> Result<(), BagError> {
+        let mut last = vec![0; self.sources.sources.len()];
+        for entry in &self.entries {
+            let Some(last) = last.get_mut(entry.source) else {
+                continue;
+            };
+            if entry.stamp_ns < *last {
+                let back = Seconds(*last - entry.stamp_ns);
+                let fault = format!(
+                    "is {back} s before that of the message before: two nodes publish on the topic, or \
+                     a clock was set; stamp = \"receive\" in the map takes the time of reception"
+                );
+                return Err(self.time_error(entry, &fault));
+            }
+            *last = entry.stamp_ns;
+        }
+        Ok(())
+    }
+
+    /// Fails if there is a gap between the messages of all sources.
+    fn check_gaps(&self, longest_gap_ns: u64) -> Result<(), BagError> {
+        for (before, entry) in self.entries.iter().zip(self.entries.iter().skip(1)) {
+            let gap_ns = entry.stamp_ns - before.stamp_ns;
+            if gap_ns > longest_gap_ns {
+                let gap = Seconds(gap_ns);
+                let before = before.message(&self.path, &self.sources);
+                let fault = format!(
+                    "is {gap} s after that of message {} of {:?}, the one before: if the two have other \
+                     clocks, use stamp = \"receive\" in the map; if the bag has a gap, import a part of \
+                     it or raise time.longest_gap_s",
+                    before.number, before.topic
+                );
+                return Err(self.time_error(entry, &fault));
+            }
+        }
+        Ok(())
+    }
+
+    fn time_error(&self, entry: &Entry, fault: &str) -> BagError {
+        let source = self.sources.sources.get(entry.source);
+        let stamp = source.and_then(|source| source.stamp.as_ref());
+        let stamp = stamp.map_or("time of reception", |wanted| &wanted.text);
+        BagError::Message {
+            message: entry.message(&self.path, &self.sources),
+            why: format!(": its {stamp} {fault}"),
+        }
+    }
+}
+
+/// The rows of a bag, in the order of their times.
+pub(super) struct Rows {
+    path: PathBuf,
+    sources: Sources,
+    entries: Vec<Entry>,
+    values: Vec<Option<f64>>,
+}
+
+impl Rows {
+    /// Each row with its time in ns since 1970.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (u64, Row<'_>)> {
+        self.entries.iter().map(|entry| {
+            let row = Row {
+                path: &self.path,
+                sources: &self.sources,
+                entry: *entry,
+                values: &self.values,
+            };
+            (entry.stamp_ns, row)
+        })
+    }
+}
+
+impl Wanted {
+    /// Takes down what a message has.
+    fn note(&mut self, found: Found) {
+        match found {
+            Found::Number(_) | Found::Stamp { .. } => self.is_found = true,
+            Found::Absent(names) if !self.is_found => {
+                for name in names {
+                    if self.names.len() < MAX_NAMES {
+                        self.names.insert(name);
+                    }
+                }
+            }
+            Found::Absent(_) => {}
+        }
+    }
+}
+
+/// A time of a message in ns since 1970; `None` if the message has none, or the reason why it can't be
+/// right.
+fn stamp_ns(found: &Found) -> Result<Option<u64>, &'static str> {
+    let Found::Stamp {
+        seconds,
+        nanoseconds,
+    } = found
+    else {
+        return Ok(None);
+    };
+    match (u64::try_from(*seconds), *nanoseconds) {
+        (Ok(0), 0) => Err(
+            "is 0: its node does not set it; stamp = \"receive\" in the map takes the time of reception",
+        ),
+        (Err(_), _) => {
+            Err("is before 1970: the message is damaged, or of another version of its type")
+        }
+        (_, 1_000_000_000..) => Err(
+            "has more than a second of nanoseconds: the message is damaged, or of another version of \
+                 its type",
+        ),
+        (Ok(seconds), nanoseconds) => Ok(Some(seconds * 1_000_000_000 + u64::from(nanoseconds))),
+    }
+}
+
+fn listed(names: &[String]) -> String {
+    match names.is_empty() {
+        true => "none".to_owned(),
+        false => names.join(", "),
+    }
+}

@@ -1,0 +1,58 @@
+//! A log in a bag of ROS 2: rosbag2, in MCAP or sqlite files.
+
+mod cdr;
+mod definition;
+mod error;
+mod files;
+mod mcap;
+mod messages;
+mod path;
+mod row;
+#[cfg(feature = "sqlite")]
+mod sqlite;
+mod wanted;
+
+use std::path::Path;
+
+pub use error::{BagError, Message};
+
+pub(super) use files::is_bag;
+
+use super::{
+    FIRST_ROW_NS,
+    columns::Columns,
+    log::Log,
+    map::{Map, nanoseconds},
+};
+use files::Storage;
+use messages::Messages;
+use wanted::Sources;
+
+/// Reads the bag `path` as `map` says.
+pub(super) fn read(path: &Path, map: &Map) -> Result<Log, BagError> {
+    let mut sources = Sources::default();
+    let mut columns = Columns::find(&mut sources, map)?;
+    let mut messages = Messages::new(path, sources);
+    for (file, storage) in files::files(path)? {
+        match storage {
+            Storage::Mcap => mcap::read(&file, &mut messages)?,
+            #[cfg(feature = "sqlite")]
+            Storage::Sqlite => sqlite::read(&file, &mut messages)?,
+            #[cfg(not(feature = "sqlite"))]
+            Storage::Sqlite => {
+                let why = "this program was built without sqlite: convert it with `ros2 bag convert` to MCAP";
+                return Err(BagError::file(&file, why));
+            }
+        }
+    }
+    let rows = messages.into_rows(nanoseconds(map.time.longest_gap_s))?;
+    let mut span = None;
+    for (time_ns, row) in rows.iter() {
+        let (first_ns, _) = *span.get_or_insert((time_ns, time_ns));
+        span = Some((first_ns, time_ns));
+        columns.take(&row, FIRST_ROW_NS.saturating_add(time_ns - first_ns))?;
+    }
+    let (first_ns, last_ns) = span.unwrap_or_default();
+    let end_ns = FIRST_ROW_NS.saturating_add(last_ns - first_ns);
+    Ok(columns.log(map, first_ns, end_ns))
+}

@@ -1,0 +1,102 @@
+//! Bags in sqlite files.
+
+use std::{collections::HashMap, fs, path::Path};
+
+use rusqlite::{Connection, OpenFlags, limits::Limit};
+
+use super::{
+    error::BagError,
+    messages::{Messages, Topic},
+};
+
+/// Reads a file.
+pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError> {
+    let metadata = fs::metadata(path).map_err(|source| BagError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    let damaged = |why: String| BagError::file(path, why);
+    let failed =
+        |error: rusqlite::Error| damaged(format!("{error}: it is damaged, or no sqlite file"));
+    let connection = open(path, metadata.len()).map_err(failed)?;
+    let tables = tables(&connection).map_err(failed)?;
+    let has = |name: &str| tables.iter().any(|table| table == name);
+    if !has("topics") || !has("messages") {
+        let why = "it has no tables `topics` and `messages`: it is no bag of ROS 2";
+        return Err(damaged(why.to_owned()));
+    }
+    let definitions = match has("message_definitions") {
+        true => definitions(&connection).map_err(failed)?,
+        false => HashMap::new(),
+    };
+    let mut ids = HashMap::new();
+    for (id, [name, kind, encoding]) in topics(&connection).map_err(failed)? {
+        let definition = definitions.get(&kind);
+        let topic = Topic {
+            name: &name,
+            kind: &kind,
+            encoding: &encoding,
+            definition: definition.map(|[language, text]| (language.as_str(), text.as_str())),
+        };
+        ids.insert(id, messages.topic(&topic)?);
+    }
+    let query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id";
+    let mut statement = connection.prepare(query).map_err(failed)?;
+    let mut rows = statement.query([]).map_err(failed)?;
+    while let Some(row) = rows.next().map_err(failed)? {
+        let topic: i64 = row.get(0).map_err(failed)?;
+        let id = ids.get(&topic).ok_or_else(|| {
+            damaged(format!(
+                "a message is of topic {topic}, which is not described"
+            ))
+        })?;
+        if let Some(id) = id {
+            let receive_ns: i64 = row.get(1).map_err(failed)?;
+            let receive_ns = u64::try_from(receive_ns).map_err(|_| {
+                damaged(format!(
+                    "a message was received at {receive_ns} ns, before 1970"
+                ))
+            })?;
+            let data = row.get_ref(2).map_err(failed)?;
+            let data = data.as_blob().map_err(|error| failed(error.into()))?;
+            messages.message(*id, receive_ns, data)?;
+        }
+    }
+    Ok(())
+}
+
+/// Opens a file to read it, such that it can't have code that runs, or values longer than itself.
+fn open(path: &Path, length: u64) -> rusqlite::Result<Connection> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let connection = Connection::open_with_flags(path, flags)?;
+    let longest = i32::try_from(length).unwrap_or(i32::MAX);
+    connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, longest.max(4096))?;
+    connection.pragma_update(None, "trusted_schema", false)?;
+    connection.pragma_update(None, "cell_size_check", true)?;
+    Ok(connection)
+}
+
+/// The names of the tables; views and virtual tables, which run code, are none.
+fn tables(connection: &Connection) -> rusqlite::Result<Vec<String>> {
+    let query = "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage > 0";
+    let mut statement = connection.prepare(query)?;
+    statement.query_map([], |row| row.get(0))?.collect()
+}
+
+/// Identifier, name, type and encoding of each topic.
+fn topics(connection: &Connection) -> rusqlite::Result<Vec<(i64, [String; 3])>> {
+    let query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id";
+    let mut statement = connection.prepare(query)?;
+    let rows = statement.query_map([], |row| {
+        Ok((row.get(0)?, [row.get(1)?, row.get(2)?, row.get(3)?]))
+    })?;
+    rows.collect()
+}
+
+/// Language and text of the definition of each type.
+fn definitions(connection: &Connection) -> rusqlite::Result<HashMap<String, [String; 2]>> {
+    let query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
+    let mut statement = connection.prepare(query)?;
+    let rows = statement.query_map([], |row| Ok((row.get(0)?, [row.get(1)?, row.get(2)?])))?;
+    rows.collect()
+}
