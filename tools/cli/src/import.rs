@@ -12,9 +12,11 @@ use singletrack_logs::import::{ImportError, import};
 /// Options of `singletrack import`.
 #[derive(Args)]
 pub struct ImportArgs {
-    /// The log: a CSV file with the names of the columns in its first line.
+    /// The log: a CSV file with the names of the columns in its first line; or a bag of ROS 2, as its
+    /// folder or as one MCAP or sqlite file (.mcap, .db3).
     log: PathBuf,
-    /// What the columns are, such as tools/real/dart-map.toml.
+    /// What the columns or topics are, such as tools/real/dart-map.toml (CSV) or
+    /// tools/real/f1tenth-vicon.toml (bag).
     #[arg(long, value_name = "MAP.toml")]
     map: PathBuf,
     /// Where the record goes. A file that is there is kept, and the command refused.
