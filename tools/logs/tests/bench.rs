@@ -1,6 +1,9 @@
 //! A log and a map in a folder, and what their import gives.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use singletrack_control::{InertialSample, PoseSample};
 use singletrack_logs::import::{ImportError, Summary, import};
@@ -71,7 +74,12 @@ pub(crate) fn imported(log: &str, map: &str) -> Imported {
         Ok(summary) => summary,
         Err(error) => panic!("{error}"),
     };
-    let reader = Reader::open(&bench.path("out.mcap")).unwrap();
+    read(&bench.path("out.mcap"), summary)
+}
+
+/// What the record at a path holds.
+pub(crate) fn read(path: &Path, summary: Summary) -> Imported {
+    let reader = Reader::open(path).unwrap();
     let meta = reader.meta().clone();
     Imported {
         summary,

@@ -6,6 +6,7 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
+mod bag;
 mod bench;
 mod dart;
 mod errors;
