@@ -17,6 +17,7 @@ pub mod doctor;
 pub mod edit;
 mod finding;
 pub mod fit;
+mod imu_noise;
 mod parameter;
 mod plot;
 mod procedure;

@@ -3,4 +3,5 @@
 mod bring_up;
 mod campaign;
 mod doctor;
+mod imu_noise;
 mod killed;

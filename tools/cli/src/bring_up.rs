@@ -16,6 +16,8 @@ pub struct BringUpArgs {
 
 const BRING_UP: Procedure = Procedure {
     name: "bring-up",
+    command: "bring-up",
+    required: true,
     about: "The bring-up turns servo and motor: the car stands on a stand in view of the cameras, \
             with all wheels off the floor, and your hand is on the supply of the ESC. It moves \
             only while you hold the space bar, and it takes about 40 minutes. Ctrl-C interrupts \

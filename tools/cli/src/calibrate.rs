@@ -16,6 +16,8 @@ pub struct CalibrateArgs {
 
 const CALIBRATE: Procedure = Procedure {
     name: "calibrate",
+    command: "calibrate",
+    required: true,
     about: "The calibration drives: the car stands on the free floor, nobody is inside the \
             geofence, and it moves only while you hold the space bar. It begins with 0.3 m/s, and \
             takes about 15 minutes. Ctrl-C interrupts it; the same command resumes it.",

@@ -27,7 +27,7 @@ fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     )
 }
 
-fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     if bench.configuration().board.kill_output {
         by_board(bench)
     } else {

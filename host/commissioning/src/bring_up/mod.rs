@@ -11,6 +11,7 @@
 
 mod car;
 mod esc_kind;
+mod imu_noise;
 mod kill;
 mod motor;
 mod neutral;
@@ -56,3 +57,6 @@ pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
         stops::EMERGENCY,
     ]
 }
+
+/// The noise of the IMU with the wheels turning: a step of the doctor.
+pub(crate) const IMU_NOISE: Step = imu_noise::STEP;

@@ -21,7 +21,7 @@ fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     )
 }
 
-fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     if !ask_yes(bench, &questions::on_stand())? {
         return Err(failed(
             "the car is not on a stand",

@@ -11,6 +11,7 @@ use crate::{
     Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
     Question,
     fit::{block_means, mean, mean_interval, standard_deviation},
+    imu_noise::{NoiseLevel, compare},
 };
 
 /// Time at rest, in s.
@@ -52,6 +53,7 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     if samples.len() > 10 * BLOCKS {
         check_gyro(bench, &samples, &mut checks);
         check_tilt(bench, &samples, &readings, &mut checks);
+        check_noise(bench, samples, &mut checks);
     }
     check_wheels(&readings, &mut checks);
     bench.plot(&Plot::over_time(
@@ -150,6 +152,30 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
         estimate: Interval::around(noise, spread).widened(0.3 * HALF_STEP),
         key: None,
     });
+}
+
+/// The noise at rest, against what the estimator believes. It is larger while the wheels turn:
+/// `doctor --stand`.
+fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
+    let Some(level) = NoiseLevel::of(0.0, &[samples]) else {
+        return;
+    };
+    let comparison = compare(&[level], &bench.configuration().estimator);
+    let found = comparison.found.join("; ");
+    let expected = "at most 1.3 times what [estimator] believes";
+    if comparison.too_small.is_empty() {
+        checks.good(found, expected);
+    } else {
+        let too_small = comparison.too_small.join(", ");
+        checks.warning(
+            format!("{found}; too small: {too_small}: raised"),
+            expected,
+            "",
+        );
+    }
+    for parameter in comparison.parameters {
+        checks.measured(parameter);
+    }
 }
 
 fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {

@@ -1,6 +1,6 @@
 //! The doctor: checks and measurements of a car that does not drive.
 //!
-//! The car stays disarmed. The operator moves what must be moved by hand, and the doctor compares
+//! The car stays disarmed in [`STEPS`]. The operator moves what must be moved by hand, and the doctor compares
 //! board and cameras. A measured value is put into the configuration at once, because the next
 //! steps need it.
 
@@ -66,7 +66,11 @@ pub const STEPS: [Step; 8] = [
     },
 ];
 
-/// The ids of all questions, in the order in which they come. Some come several times.
+/// The steps of `doctor --stand`, in which the wheels turn on a stand. They use jogs and the
+/// questions of the bring-up.
+pub const STAND_STEPS: [Step; 1] = [crate::bring_up::IMU_NOISE];
+
+/// The ids of all questions of [`STEPS`], in the order in which they come. Some come several times.
 pub const QUESTIONS: [&str; 16] = [
     "press-reset",
     "voltmeter",

@@ -14,6 +14,7 @@ mod frames;
 mod gauss_newton;
 mod least_squares;
 mod sample_times;
+mod signal_noise;
 pub(crate) mod speed_curve;
 mod statistics;
 pub(crate) mod steering;
@@ -28,6 +29,7 @@ pub use frames::Frames;
 pub use gauss_newton::gauss_newton;
 pub use least_squares::{LeastSquares, least_squares};
 pub use sample_times::{Reading, SampleTimes, sample_times};
+pub use signal_noise::{SignalNoise, signal_noise};
 pub use statistics::{
     block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
     student_quantile,

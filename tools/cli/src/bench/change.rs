@@ -23,12 +23,15 @@ impl LiveBench {
             .diff(&self.path.display().to_string()))
     }
 
-    /// Reports to the daemon what becomes of a procedure: `arm` wants all of them.
+    /// Reports to the daemon what becomes of a procedure that `arm` requires.
     pub(super) fn report(&self, result: &str) -> Result<(), ClientError> {
+        let Some(procedure) = self.reported else {
+            return Ok(());
+        };
         let line = json!({
             "version": SOCKET_VERSION,
             "command": "commissioned",
-            "procedure": self.procedure,
+            "procedure": procedure,
             "result": result,
         });
         ask(&line, &self.socket).map(drop)

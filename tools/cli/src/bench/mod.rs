@@ -112,8 +112,8 @@ const ANSWER: Duration = Duration::from_secs(5);
 
 /// A car behind the daemon, with an operator at the terminal.
 pub(crate) struct LiveBench {
-    /// The name of the procedure.
-    procedure: &'static str,
+    /// The name under which the daemon keeps the results of the procedure, if `arm` requires it.
+    reported: Option<&'static str>,
     socket: PathBuf,
     path: PathBuf,
     config: Config,
@@ -139,12 +139,15 @@ impl LiveBench {
     /// # Errors
     ///
     /// The configuration can't be read, or the daemon can't be reached.
-    pub(crate) fn open(procedure: &'static str, args: &BenchArgs) -> Result<Self, BenchError> {
+    pub(crate) fn open(
+        reported: Option<&'static str>,
+        args: &BenchArgs,
+    ) -> Result<Self, BenchError> {
         let config = Config::read(&args.config)?;
         let before = Edit::read(&args.config)?;
         let interrupt = Interrupt::listen()?;
         Ok(Self {
-            procedure,
+            reported,
             socket: args.control.socket.clone(),
             path: args.config.clone(),
             config,

@@ -23,8 +23,12 @@ use super::{
 /// A procedure.
 #[derive(Clone, Copy)]
 pub struct Procedure {
-    /// Its name, such as `doctor`.
+    /// Its name, such as `doctor`: that of its files.
     pub name: &'static str,
+    /// Its command, after `singletrack`.
+    pub command: &'static str,
+    /// Whether `arm` requires it: its results are reported to the daemon.
+    pub required: bool,
     /// What it does, in one sentence.
     pub about: &'static str,
     /// Its steps.
@@ -43,7 +47,8 @@ const FAILED: u8 = 3;
 ///
 /// It was interrupted, or files can't be read or written.
 pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchError> {
-    let mut bench = LiveBench::open(procedure.name, args)?;
+    let reported = procedure.required.then_some(procedure.name);
+    let mut bench = LiveBench::open(reported, args)?;
     let folder = args.state.clone().unwrap_or_else(|| beside(&args.config));
     let lock = lock(&folder);
     if matches!(lock, Ok(None)) {
@@ -109,7 +114,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
     if failed {
         bench.terminal.say(&format!(
             "Correct what failed, and run `singletrack {}` again: it goes on with that step.",
-            procedure.name
+            procedure.command
         ));
     } else {
         journal.file.close()?;

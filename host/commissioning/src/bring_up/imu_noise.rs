@@ -1,0 +1,147 @@
+//! The noise of the IMU at rest and with the wheels turning: a step of the doctor, which relies on
+//! the stand and on the kill switch.
+
+use singletrack_protocol::JOG_LIMIT_US;
+
+use super::{
+    car::{Car, armed},
+    kill::{self, never_turned},
+    outcome::{Outcome, Trouble, change, conclude, failed, step},
+    spin::mean_speed,
+    stand,
+};
+use crate::{
+    Bench, BoardReading, Finding, Inertial, Interrupted, Jog, Plot, PlotKind, PlotLine, Step,
+    Verdict,
+    imu_noise::{Comparison, NoiseLevel, compare},
+};
+
+pub(super) const STEP: Step = step("imu-noise", "IMU: its noise with the wheels turning", run);
+
+/// Time at rest, s.
+const REST_S: f64 = 15.0;
+
+/// Speeds of the wheels, m/s; the board ends a jog beyond 1.0.
+const SPEEDS: [f64; 3] = [0.25, 0.5, 0.7];
+
+/// Runs at each speed, and the time in which a speed settles and is measured, s. The board allows
+/// 10 s of driving without a rest.
+const RUNS: usize = 3;
+const SETTLE_S: f64 = 1.0;
+const MEASURE_S: f64 = 4.0;
+
+fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    conclude(
+        bench,
+        &STEP,
+        "The noise at every speed is at most 1.3 times what [estimator] believes.",
+        find,
+    )
+}
+
+fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+    // In every run: the car may have been put down after an interruption.
+    stand::find(bench)?;
+    let kill = kill::find(bench)?;
+    let at_rest = Car::look(bench)?.watch(REST_S, "at rest")?;
+    let mut levels = vec![level(0.0, &[at_rest])?];
+    for wanted in SPEEDS {
+        let runs = armed(bench, |car| runs(car, wanted))?;
+        let speed = mean_speed(&runs.concat());
+        levels.push(level(speed, &runs)?);
+    }
+    let comparison = compare(&levels, &bench.configuration().estimator);
+    bench.plot(&plot(&levels));
+    let keys: Vec<_> = comparison
+        .parameters
+        .iter()
+        .filter_map(|parameter| parameter.key.clone())
+        .collect();
+    if !keys.is_empty() {
+        change(bench, &keys)?;
+    }
+    Ok(outcome(comparison, &kill))
+}
+
+/// The telemetry of some runs at about this speed, m/s.
+fn runs(car: &mut Car<'_>, wanted: f64) -> Result<Vec<Vec<BoardReading>>, Trouble> {
+    let deadband_us = car.bench().configuration().board.esc.deadband_us;
+    let jog: Jog = car
+        .spin_at(wanted, deadband_us + 4)?
+        .ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+    let rest = car.rest();
+    let mut runs = Vec::new();
+    for _ in 0..RUNS {
+        car.hold_until_standing(rest, 0.8)?;
+        car.hold(jog, SETTLE_S, "settling")?;
+        runs.push(car.hold(jog, MEASURE_S, "measuring the IMU")?);
+    }
+    Ok(runs)
+}
+
+/// The noise in some runs.
+fn level(speed: f64, runs: &[Vec<BoardReading>]) -> Result<NoiseLevel, Trouble> {
+    let samples: Vec<Vec<Inertial>> = runs
+        .iter()
+        .map(|run| run.iter().filter_map(|reading| reading.inertial).collect())
+        .collect();
+    NoiseLevel::of(speed, &samples).ok_or_else(|| {
+        failed(
+            format!(
+                "{} samples of the IMU at {speed:.2} m/s",
+                samples.concat().len()
+            ),
+            "Look at the IMU's wires (SDA, SCL, 5 V, ground): docs/uno.md.",
+        )
+    })
+}
+
+fn outcome(comparison: Comparison, kill: &Outcome) -> Outcome {
+    let mut found = comparison.found;
+    let mut fixes = Vec::new();
+    if !comparison.too_small.is_empty() {
+        found.push(format!(
+            "too small: {}; the measured values are in force",
+            comparison.too_small.join(", ")
+        ));
+        fixes.push(
+            "The floor shakes more than a stand: compare `noise` of `singletrack judge` after the \
+             first drive.",
+        );
+    }
+    if kill.verdict == Verdict::Warning {
+        found.push(kill.found.clone());
+        fixes.push(&kill.fix);
+    }
+    let found = found.join("; ");
+    let outcome = if fixes.is_empty() {
+        Outcome::good(found)
+    } else {
+        Outcome::warning(found, fixes.join(" "))
+    };
+    outcome.with(comparison.parameters)
+}
+
+fn plot(levels: &[NoiseLevel]) -> Plot {
+    let line = |name, kind, density: fn(&NoiseLevel) -> f64| PlotLine {
+        name,
+        kind,
+        points: levels
+            .iter()
+            .map(|level| [level.speed, density(level)])
+            .collect(),
+    };
+    Plot {
+        name: "imu-noise",
+        title: "The accelerometer's noise with the wheels turning",
+        x: ("speed of the wheels", "m/s"),
+        y: ("noise density", "m/s²/√Hz"),
+        equal: false,
+        lines: vec![
+            line("forward", PlotKind::Measured, |level| {
+                level.forward.density.value
+            }),
+            line("left", PlotKind::Other, |level| level.left.density.value),
+        ],
+    }
+}

@@ -1,0 +1,364 @@
+//! The IMU's noise, compared with what `[estimator]` believes.
+//!
+//! Wheels that turn in the air shake the car less than a floor does: what is measured is the least
+//! that has to be believed, and never a reason to believe less.
+
+use singletrack_core::config::EstimatorSection;
+
+use crate::{
+    Inertial, Interval, Parameter,
+    fit::{SignalNoise, signal_noise},
+};
+
+/// Measured over believed noise from which the belief is too small.
+const TOO_SMALL: f64 = 1.3;
+
+const GYRO: &str = "estimator.gyro_noise_density_rad_s_per_sqrt_hz";
+const REST: &str = "estimator.acceleration_noise_density_m_s2_per_sqrt_hz";
+const VIBRATION: &str = "estimator.vibration_noise_density_m_s2_per_sqrt_hz_per_m_s";
+
+/// The noise of the IMU while the wheels turn at one speed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct NoiseLevel {
+    /// Mean speed of the wheels, m/s.
+    pub(crate) speed: f64,
+    /// Of the acceleration forward, m/s².
+    pub(crate) forward: SignalNoise,
+    /// Of the acceleration to the left, m/s².
+    pub(crate) left: SignalNoise,
+    /// Of the yaw rate, rad/s.
+    pub(crate) yaw_rate: SignalNoise,
+}
+
+/// What the estimator believes of the IMU, in the units of the configuration.
+#[derive(Clone, Copy, Debug)]
+struct Belief {
+    gyro: f64,
+    rest: f64,
+    vibration: f64,
+}
+
+/// The comparison with the configuration.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Comparison {
+    /// What was measured and what is believed, a text for each speed.
+    pub(crate) found: Vec<String>,
+    /// The keys whose value is too small, each with that value and the proposed one.
+    pub(crate) too_small: Vec<String>,
+    /// What was measured; with a key where a larger value is proposed.
+    pub(crate) parameters: Vec<Parameter>,
+}
+
+impl NoiseLevel {
+    /// From runs of samples at one speed; none if there are too few.
+    pub(crate) fn of(speed: f64, runs: &[Vec<Inertial>]) -> Option<Self> {
+        let signal = |value: fn(&Inertial) -> f64| {
+            let runs: Vec<Vec<[f64; 2]>> = runs
+                .iter()
+                .map(|run| {
+                    let Some(first) = run.first() else {
+                        return Vec::new();
+                    };
+                    run.iter()
+                        .map(|sample| [sample.time.seconds_since(first.time), value(sample)])
+                        .collect()
+                })
+                .collect();
+            signal_noise(&runs)
+        };
+        Some(Self {
+            speed,
+            forward: signal(|sample| sample.acceleration[0])?,
+            left: signal(|sample| sample.acceleration[1])?,
+            yaw_rate: signal(|sample| sample.angular_velocity[2])?,
+        })
+    }
+
+    /// Density of the noisier of both accelerations, m/s²/√Hz.
+    pub(crate) fn acceleration(&self) -> f64 {
+        self.forward.density.value.max(self.left.density.value)
+    }
+}
+
+impl Belief {
+    /// Believed density of the acceleration's noise at a speed in m/s, m/s²/√Hz.
+    fn acceleration(&self, speed: f64) -> f64 {
+        self.rest.hypot(self.vibration * speed)
+    }
+
+    /// The least belief of this form that holds at each of these speeds.
+    fn of(levels: &[NoiseLevel]) -> Self {
+        let gyro = levels
+            .iter()
+            .map(|level| level.yaw_rate.density.value)
+            .fold(0.0, f64::max);
+        let rest = levels
+            .iter()
+            .filter(|level| level.speed == 0.0)
+            .map(NoiseLevel::acceleration)
+            .fold(0.0, f64::max);
+        // A line through the powers over the squared speeds, of wheels that turn.
+        let turning: Vec<[f64; 2]> = levels
+            .iter()
+            .filter(|level| level.speed > 0.0)
+            .map(|level| [level.speed.powi(2), level.acceleration().powi(2)])
+            .collect();
+        let count = turning.len().max(1) as f64;
+        let [x, y] = [0, 1].map(|i| turning.iter().map(|one| one[i]).sum::<f64>() / count);
+        let [xx, xy] = [0, 1].map(|i| {
+            let products = turning
+                .iter()
+                .map(|one| (one[0] - x) * (one[i] - [x, y][i]));
+            products.sum::<f64>()
+        });
+        let slope = if xx > 0.0 { (xy / xx).max(0.0) } else { 0.0 };
+        let (quiet, offset) = (rest * rest, y - slope * x);
+        let (power, slope) = if xx > 0.0 && offset >= quiet {
+            (offset, slope)
+        } else if x > 0.0 {
+            // Through the noise at rest: there is no less.
+            (quiet, ((y - quiet) / x).max(0.0))
+        } else {
+            (quiet, 0.0)
+        };
+        let line = Self {
+            gyro,
+            rest: power.sqrt(),
+            vibration: slope.sqrt(),
+        };
+        // A resonance lies above the line.
+        let above = levels
+            .iter()
+            .map(|level| level.acceleration() / line.acceleration(level.speed))
+            .filter(|ratio| ratio.is_finite())
+            .fold(1.0, f64::max);
+        Self {
+            rest: line.rest * above,
+            vibration: line.vibration * above,
+            ..line
+        }
+    }
+}
+
+/// Compares the noise at some speeds with the configuration.
+pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Comparison {
+    if levels.is_empty() {
+        return Comparison::default();
+    }
+    let believed = Belief {
+        gyro: estimator.gyro_noise_density_rad_s_per_sqrt_hz,
+        rest: estimator.acceleration_noise_density_m_s2_per_sqrt_hz,
+        vibration: estimator.vibration_noise_density_m_s2_per_sqrt_hz_per_m_s,
+    };
+    let measured = Belief::of(levels);
+    let found = levels
+        .iter()
+        .map(|level| {
+            format!(
+                "{}: acceleration {:.3} forward and {:.3} m/s² left a sample, {} and {} m/s²/√Hz \
+                 (believed {}); yaw rate {:.4} rad/s a sample, {} rad/s/√Hz (believed {})",
+                if level.speed == 0.0 {
+                    "at rest".to_owned()
+                } else {
+                    format!("at {:.2} m/s", level.speed)
+                },
+                level.forward.deviation,
+                level.left.deviation,
+                digits(level.forward.density.value),
+                digits(level.left.density.value),
+                digits(believed.acceleration(level.speed)),
+                level.yaw_rate.deviation,
+                digits(level.yaw_rate.density.value),
+                digits(believed.gyro),
+            )
+        })
+        .collect();
+    let is_shaken = levels
+        .iter()
+        .any(|level| level.acceleration() > TOO_SMALL * believed.acceleration(level.speed));
+    // The densities of all levels have nearly the same relative error.
+    let error = levels
+        .iter()
+        .map(|level| level.yaw_rate.density.half_width() / level.yaw_rate.density.value)
+        .filter(|error| error.is_finite())
+        .fold(0.0, f64::max);
+    let turns = levels.iter().any(|level| level.speed > 0.0);
+    let mut comparison = Comparison {
+        found,
+        ..Comparison::default()
+    };
+    for (name, unit, key, measured, believed, is_too_small) in [
+        (
+            "gyro-noise-density",
+            "rad/s/sqrt(Hz)",
+            GYRO,
+            measured.gyro,
+            believed.gyro,
+            measured.gyro > TOO_SMALL * believed.gyro,
+        ),
+        (
+            "acceleration-noise-density",
+            "m/s2/sqrt(Hz)",
+            REST,
+            measured.rest,
+            believed.rest,
+            is_shaken,
+        ),
+        (
+            "vibration-noise-density",
+            "m/s2/sqrt(Hz)/(m/s)",
+            VIBRATION,
+            measured.vibration,
+            believed.vibration,
+            is_shaken,
+        ),
+    ] {
+        if key == VIBRATION && !turns {
+            continue;
+        }
+        let proposed = rounded_up(measured);
+        let is_raised = is_too_small && proposed > believed;
+        if is_raised {
+            comparison.too_small.push(format!(
+                "{key} is {}, measured {proposed}",
+                digits(believed)
+            ));
+        }
+        comparison.parameters.push(Parameter {
+            name,
+            unit,
+            estimate: Interval::around(measured, error * measured),
+            key: is_raised.then(|| (key, proposed.into())),
+        });
+    }
+    comparison
+}
+
+/// Three significant digits.
+fn digits(value: f64) -> String {
+    if value <= 0.0 {
+        return "0".to_owned();
+    }
+    let places = (2.0 - value.log10().floor()).clamp(0.0, 9.0) as usize;
+    format!("{value:.places$}")
+}
+
+/// The next number with two significant digits.
+fn rounded_up(value: f64) -> f64 {
+    if value <= 0.0 {
+        return 0.0;
+    }
+    let places = (1.0 - value.log10().floor()).clamp(0.0, 9.0) as i32;
+    let scale = 10_f64.powi(places);
+    (value * scale).ceil() / scale
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_core::Config;
+
+    use super::*;
+
+    fn level(speed: f64, acceleration: f64, yaw_rate: f64) -> NoiseLevel {
+        let noise = |density| SignalNoise {
+            deviation: 10.0 * density,
+            density: Interval::around(density, 0.1 * density),
+        };
+        NoiseLevel {
+            speed,
+            forward: noise(acceleration),
+            left: noise(0.9 * acceleration),
+            yaw_rate: noise(yaw_rate),
+        }
+    }
+
+    /// The defaults.
+    fn section() -> EstimatorSection {
+        let text = include_str!("../../daemon/singletrackd.example.toml");
+        Config::from_toml(text).unwrap().estimator
+    }
+
+    #[test]
+    fn a_noise_of_the_believed_form_is_found() {
+        let levels = [0.0, 0.25, 0.5, 0.75].map(|v: f64| level(v, 0.02_f64.hypot(0.3 * v), 0.004));
+        let belief = Belief::of(&levels);
+        assert!((belief.rest - 0.02).abs() < 1e-9, "{belief:?}");
+        assert!((belief.vibration - 0.3).abs() < 1e-9, "{belief:?}");
+        assert_eq!(belief.gyro, 0.004);
+    }
+
+    #[test]
+    fn the_proposal_covers_every_level() {
+        for noise in [
+            [0.01, 0.2, 0.2, 0.2],
+            [0.01, 0.3, 0.1, 0.3],
+            [0.01, 0.02, 0.3, 0.05],
+            [0.5, 0.1, 0.2, 0.3],
+            [0.0, 0.0, 0.0, 0.1],
+        ] {
+            let speeds = [0.0, 0.3, 0.5, 0.7];
+            let levels: Vec<_> = speeds
+                .into_iter()
+                .zip(noise)
+                .map(|(speed, noise)| level(speed, noise, 0.001))
+                .collect();
+            let belief = Belief::of(&levels);
+            for level in &levels {
+                let believed = belief.acceleration(level.speed);
+                assert!(
+                    believed >= 0.999 * level.acceleration(),
+                    "{noise:?} {belief:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn a_quiet_car_proposes_nothing() {
+        let levels = [level(0.0, 0.006, 0.000_3), level(0.5, 0.02, 0.001)];
+        let comparison = compare(&levels, &section());
+        assert!(comparison.too_small.is_empty(), "{comparison:?}");
+        assert_eq!(comparison.found.len(), 2);
+        assert_eq!(comparison.parameters.len(), 3);
+        assert!(comparison.parameters.iter().all(|one| one.key.is_none()));
+    }
+
+    #[test]
+    fn too_small_beliefs_are_named_with_the_measured_value() {
+        let levels = [level(0.0, 0.006, 0.000_3), level(0.5, 0.21, 0.007_01)];
+        let section = EstimatorSection {
+            gyro_noise_density_rad_s_per_sqrt_hz: 0.000_5,
+            ..section()
+        };
+        let comparison = compare(&levels, &section);
+        assert_eq!(
+            comparison.too_small,
+            [
+                format!("{GYRO} is 0.000500, measured 0.0071"),
+                format!("{VIBRATION} is 0.100, measured 0.42"),
+            ]
+        );
+        let keys: Vec<_> = comparison
+            .parameters
+            .iter()
+            .filter_map(|one| one.key.as_ref().map(|(key, _)| *key))
+            .collect();
+        assert_eq!(keys, [GYRO, VIBRATION]);
+    }
+
+    #[test]
+    fn a_car_at_rest_says_nothing_of_its_vibration() {
+        let comparison = compare(&[level(0.0, 0.2, 0.001)], &section());
+        assert_eq!(
+            comparison.too_small,
+            [format!("{REST} is 0.0500, measured 0.2")]
+        );
+        assert_eq!(comparison.parameters.len(), 2);
+    }
+
+    #[test]
+    fn no_level_gives_no_finding() {
+        let comparison = compare(&[], &section());
+        assert!(comparison.found.is_empty() && comparison.parameters.is_empty());
+    }
+}
