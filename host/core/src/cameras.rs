@@ -59,6 +59,8 @@ pub enum CameraReport {
     Counters(PlanarCounters),
     /// What is wrong with the cameras, or that nothing is any more.
     Diagnosis(Diagnosis),
+    /// Which other rigid body is near the car now: see [`Diagnosis::neighbour`].
+    Neighbour(Option<String>),
 }
 
 /// The session with the cameras, which passes observations to the control loop.
@@ -169,6 +171,10 @@ impl CameraReceiver {
             });
         }
         self.watch = watch;
+        if let Some(neighbour) = self.watch.look_around(&self.session) {
+            // A lost report: the next change is reported again.
+            let _ = self.reports.push(CameraReport::Neighbour(neighbour));
+        }
         if now_ns >= self.counters_at_ns {
             self.counters_at_ns = now_ns.saturating_add(COUNTERS_NS);
             if let Some(diagnosis) = self.watch.look(now_ns, &self.session) {

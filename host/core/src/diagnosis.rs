@@ -8,7 +8,7 @@ use core::{fmt, net::IpAddr};
 use serde::Serialize;
 use singletrack_mocap::{
     Binding, Phase, RejectReason, SessionEvent, UpAxis,
-    planar::{PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
+    planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
 
 /// What is wrong with the cameras, or that nothing is.
@@ -19,6 +19,9 @@ pub struct Diagnosis {
     pub word: &'static str,
     /// The same as a sentence, with addresses, names and what to do.
     pub text: String,
+    /// Which other rigid body is near the car: its markers may be taken for the car's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub neighbour: Option<String>,
 }
 
 impl Default for Diagnosis {
@@ -26,6 +29,7 @@ impl Default for Diagnosis {
         Self {
             word: Cause::Starting.word(),
             text: "waiting for the server".to_owned(),
+            neighbour: None,
         }
     }
 }
@@ -40,7 +44,11 @@ impl Diagnosis {
 
 impl fmt::Display for Diagnosis {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "motion capture: {}: {}", self.word, self.text)
+        write!(formatter, "motion capture: {}: {}", self.word, self.text)?;
+        match &self.neighbour {
+            Some(neighbour) if self.is_trouble() => write!(formatter, "; {neighbour}"),
+            _ => Ok(()),
+        }
     }
 }
 
@@ -144,6 +152,8 @@ pub(crate) struct CameraWatch {
     /// The cause reported last, and when.
     reported: Option<(Cause, u64)>,
     wrong_transport: bool,
+    /// The neighbour reported last.
+    neighbour: Option<i32>,
 }
 
 impl CameraWatch {
@@ -187,7 +197,18 @@ impl CameraWatch {
         Some(Diagnosis {
             word: cause.word(),
             text: describe(cause, session),
+            neighbour: neighbour(session),
         })
+    }
+
+    /// The other rigid body near the car, in words, when it is another one or none any more.
+    pub(crate) fn look_around(&mut self, session: &PlanarSession) -> Option<Option<String>> {
+        let id = session.neighbour().map(|neighbour| neighbour.id);
+        if id == self.neighbour {
+            return None;
+        }
+        self.neighbour = id;
+        Some(neighbour(session))
     }
 
     fn cause(
@@ -237,6 +258,16 @@ impl CameraWatch {
             _ => Cause::Starting,
         }
     }
+}
+
+fn neighbour(session: &PlanarSession) -> Option<String> {
+    let id = session.neighbour()?.id;
+    let car = &session.config().rigid_body;
+    let name = session.names().name(id).unwrap_or("without a name");
+    Some(format!(
+        "the rigid body {name} (streaming id {id}) is within {NEAR_M} m of {car:?}: were its markers \
+         taken for the car's?"
+    ))
 }
 
 fn describe(cause: Cause, session: &PlanarSession) -> String {

@@ -18,7 +18,7 @@ use singletrack_mocap::{
     Transport, UpAxis,
     planar::{PlanarConfig, PlanarSession},
 };
-use singletrack_sim::{SimulationConfig, World};
+use singletrack_sim::{LossWindow, SimulationConfig, World};
 
 const HOST: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 40_000);
 const SERVER: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 2);
@@ -42,6 +42,8 @@ struct Scene {
     waiting: Vec<(Ipv4Addr, Vec<u8>)>,
     /// With the time in ms.
     found: Vec<(u64, Diagnosis)>,
+    /// The other bodies near the car, in their order.
+    near: Vec<Option<String>>,
 }
 
 struct Sink<'a> {
@@ -67,11 +69,14 @@ impl Sockets for Sink<'_> {
 impl Scene {
     /// The simulated cameras, which stream Y up, and a client that looks for `name`.
     fn new(name: &str, up_axis: UpAxis, network: Network) -> Self {
+        Self::of(SimulationConfig::default(), name, up_axis, network)
+    }
+
+    fn of(mut simulation: SimulationConfig, name: &str, up_axis: UpAxis, network: Network) -> Self {
         let (observations, _) = RingBuffer::new(16);
         let (reports_in, reports) = RingBuffer::new(1_024);
         let transport = Transport::Unicast { bitstream: None };
         let config = PlanarConfig::new(SERVER.into(), transport, name, up_axis).unwrap();
-        let mut simulation = SimulationConfig::default();
         simulation.car.start.yaw_rad = 1.0;
         Self {
             world: World::new(simulation).unwrap(),
@@ -86,6 +91,7 @@ impl Scene {
             now_us: 0,
             waiting: Vec::new(),
             found: Vec::new(),
+            near: Vec::new(),
         }
     }
 
@@ -103,8 +109,12 @@ impl Scene {
             };
             self.receiver.poll(&clock, &mut sink, &mut |_| {});
             while let Ok(report) = self.reports.pop() {
-                if let CameraReport::Diagnosis(diagnosis) = report {
-                    self.found.push((self.now_us / 1_000, diagnosis));
+                match report {
+                    CameraReport::Diagnosis(found) => {
+                        self.found.push((self.now_us / 1_000, found));
+                    }
+                    CameraReport::Neighbour(near) => self.near.push(near),
+                    CameraReport::Observation(_) | CameraReport::Counters(_) => {}
                 }
             }
         }
@@ -281,4 +291,52 @@ fn a_short_gap_is_not_reported() {
     scene.network = good;
     scene.run(1_000);
     assert_eq!(scene.found.len(), before);
+}
+
+/// A body at this place beside the car, which stands at the origin.
+fn beside(x_m: f64) -> SimulationConfig {
+    let mut simulation = SimulationConfig::default();
+    let carrier = simulation.cameras.decoys.last_mut().unwrap();
+    carrier.position_m = [x_m, 0.0, 0.1];
+    simulation
+}
+
+#[test]
+fn another_body_beside_a_car_that_is_lost_is_named() {
+    let mut simulation = beside(0.4);
+    simulation.cameras.loss_windows = vec![LossWindow {
+        start_us: 2_000_000,
+        end_us: 10_000_000,
+    }];
+    let mut scene = Scene::of(simulation, "car", UpAxis::Y, good);
+    scene.run(2_000);
+    assert_text(scene.last(), "good", &[]);
+    scene.run(3_000);
+    assert_text(scene.last(), "untracked", &[]);
+    let text = scene.last().to_string();
+    for part in ["\"carrier\"", "(streaming id 17)", "0.5 m of \"car\""] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(scene.near.len(), 1, "{:?}", scene.near);
+}
+
+#[test]
+fn a_body_whose_place_the_stream_gives_to_the_car_is_named_at_once() {
+    let mut simulation = SimulationConfig::default();
+    // 3.7 m away.
+    simulation.cameras.other_body_from_s = Some(2.0);
+    let mut scene = Scene::of(simulation, "car", UpAxis::Y, good);
+    scene.run(1_990);
+    assert_eq!(scene.near, []);
+    scene.run(60);
+    let near = scene.near.last().and_then(Option::as_ref).unwrap();
+    assert!(near.contains("\"wand\" (streaming id 3)"), "{near}");
+}
+
+#[test]
+fn a_body_that_is_not_near_is_not_named() {
+    let mut scene = Scene::of(beside(0.6), "car", UpAxis::Y, good);
+    scene.run(3_000);
+    assert_eq!(scene.near, []);
+    assert_eq!(scene.last().neighbour, None);
 }

@@ -105,6 +105,9 @@ impl Collector {
                 CameraReport::Observation(observation) => self.entry(Entry::Pose(observation)),
                 CameraReport::Counters(counters) => self.status.latest().tally.mocap(&counters),
                 CameraReport::Diagnosis(diagnosis) => self.diagnosed(diagnosis),
+                CameraReport::Neighbour(neighbour) => {
+                    self.status.latest().cameras.neighbour = neighbour;
+                }
             }
         }
         while let Some(tick) = self.ticks.pop() {
@@ -206,10 +209,15 @@ impl Collector {
             (Mode::Fault, _) | (Mode::Stopping, Some(_)) => Level::Warning,
             _ => Level::Info,
         };
-        let text = match reason {
+        let mut text = match reason {
             Some(reason) => format!("mode {mode}: {reason}"),
             None => format!("mode {mode}"),
         };
+        if reason == Some(Reason::PoseImplausible)
+            && let Some(neighbour) = &self.status.latest().cameras.neighbour
+        {
+            text += &format!("; {neighbour}");
+        }
         self.log(time_ns, level, text);
     }
 

@@ -30,27 +30,51 @@ pub enum Binding {
 pub struct BodyNames {
     /// The first names, each quoted, after commas.
     listed: heapless::String<240>,
+    /// The streaming id of each listed name, and where the name ends in `listed`.
+    ids: heapless::Vec<(i32, u8), 60>,
     /// How many are not listed for want of room.
     omitted: usize,
 }
+
+/// Between two names in the list.
+const SEPARATOR: &str = ", ";
 
 impl BodyNames {
     pub(crate) fn of(definitions: &ModelDefinitions<'_>) -> Self {
         let mut names = Self::default();
         for definition in definitions.rigid_bodies() {
-            let separator = if names.listed.is_empty() { "" } else { ", " };
+            let separator = if names.listed.is_empty() {
+                ""
+            } else {
+                SEPARATOR
+            };
             let room = names.listed.capacity() - names.listed.len();
             // Debug escapes what a terminal would obey.
             let mut text = heapless::String::<320>::new();
             let fits = write!(text, "{separator}{:?}", definition.name).is_ok();
-            if names.omitted == 0 && fits && text.len() <= room {
-                // It has room: see above.
+            let is_room = fits && text.len() <= room && !names.ids.is_full();
+            let end = u8::try_from(names.listed.len() + text.len());
+            if let (0, true, Ok(end)) = (names.omitted, is_room, end) {
+                // Both have room: see above.
                 let _ = names.listed.push_str(&text);
+                let _ = names.ids.push((definition.id, end));
             } else {
                 names.omitted += 1;
             }
         }
         names
+    }
+
+    /// The quoted name of the body with this streaming id; none if it is not listed.
+    #[must_use]
+    pub fn name(&self, id: i32) -> Option<&str> {
+        let index = self.ids.iter().position(|(known, _)| *known == id)?;
+        let (_, end) = self.ids.get(index)?;
+        let begin = match index.checked_sub(1).and_then(|last| self.ids.get(last)) {
+            Some((_, end)) => usize::from(*end) + SEPARATOR.len(),
+            None => 0,
+        };
+        self.listed.get(begin..usize::from(*end))
     }
 
     /// Whether the server has no rigid body.

@@ -331,7 +331,10 @@ pub(super) fn not_ready(snapshot: &Snapshot) -> String {
     if is_about_poses && snapshot.cameras.is_trouble() {
         return format!("{error}; {}", snapshot.cameras);
     }
-    error
+    match &snapshot.cameras.neighbour {
+        Some(neighbour) if is_about_poses => format!("{error}; {neighbour}"),
+        _ => error,
+    }
 }
 
 pub(super) fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {

@@ -64,6 +64,11 @@ impl Gate {
         }
     }
 
+    /// Position of the last accepted pose, m.
+    pub(super) fn place_m(&self) -> Option<[f64; 3]> {
+        self.last_valid.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
+    }
+
     pub(super) fn judge(&mut self, candidate: Result<PlanarPose, RejectReason>) -> Verdict {
         let pose = match candidate {
             Ok(pose) => pose,

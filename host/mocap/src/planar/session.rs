@@ -6,6 +6,7 @@ use super::{
     config::{PlanarConfig, PlanarConfigError},
     counters::PlanarCounters,
     level::Level,
+    neighbour::Neighbour,
     observation::{Observation, PoseState},
     tracker::PlanarTracker,
 };
@@ -194,6 +195,12 @@ impl PlanarSession {
     #[must_use]
     pub const fn level(&self) -> Option<Level> {
         self.tracker.level()
+    }
+
+    /// As [`PlanarTracker::neighbour`].
+    #[must_use]
+    pub const fn neighbour(&self) -> Option<Neighbour> {
+        self.tracker.neighbour()
     }
 
     /// As [`Session::other_source`].

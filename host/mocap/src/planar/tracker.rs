@@ -5,6 +5,7 @@ use super::{
     counters::PlanarCounters,
     gate::{Gate, Verdict},
     level::Level,
+    neighbour::Neighbour,
     observation::{Observation, PlanarPose, PoseState, RejectReason},
 };
 use crate::{
@@ -36,6 +37,7 @@ pub struct PlanarTracker {
     names: BodyNames,
     gate: Gate,
     level: Option<Level>,
+    neighbour: Option<Neighbour>,
     state: PoseState,
     counters: PlanarCounters,
 }
@@ -56,6 +58,7 @@ impl PlanarTracker {
             binding: Binding::Unresolved,
             names: BodyNames::default(),
             level: None,
+            neighbour: None,
             gate: Gate::new(limits),
             state: PoseState::NoFrames,
             counters: PlanarCounters::default(),
@@ -86,6 +89,10 @@ impl PlanarTracker {
     /// What a frame says of the body.
     pub fn observe(&mut self, frame: &PoseFrame<'_>) -> Observation {
         self.state = self.state_in(frame);
+        self.neighbour = self
+            .binding
+            .id()
+            .and_then(|id| Neighbour::of(id, frame, self.gate.place_m()));
         Observation {
             frame_number: frame.number,
             receive_time_ns: frame.receive_time_ns,
@@ -163,6 +170,12 @@ impl PlanarTracker {
     #[must_use]
     pub const fn level(&self) -> Option<Level> {
         self.level
+    }
+
+    /// Another body near the followed one in the newest frame.
+    #[must_use]
+    pub const fn neighbour(&self) -> Option<Neighbour> {
+        self.neighbour
     }
 
     /// The state of the body in the newest frame.

@@ -125,4 +125,8 @@ fn of_many_names_the_first_are_listed_and_the_others_counted() {
         "{names}"
     );
     assert!(names.ends_with("\" and 13 more"), "{names}");
+    let names = world.session.names();
+    assert_eq!(names.name(1), Some(r#""a\u{1b}[2J""#));
+    assert_eq!(names.name(2), Some(r#""twenty-five-bytes-of-name""#));
+    assert_eq!(names.name(3), None);
 }

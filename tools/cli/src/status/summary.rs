@@ -22,6 +22,8 @@ pub(super) struct Summary {
     stop_cause: Option<String>,
     /// What is wrong with the cameras, and what to do.
     cameras: Option<String>,
+    /// Which other rigid body is near the car.
+    neighbour: Option<String>,
     record_error: Option<String>,
     /// Tuned values that differ from the configuration, and those of the configuration.
     tuned: Option<[String; 2]>,
@@ -81,6 +83,9 @@ impl Summary {
             let diagnosis = cameras.get("diagnosis")?.as_str()?;
             (!matches!(diagnosis, "good" | "starting")).then(|| word(cameras.get("text")))?
         });
+        self.neighbour = status
+            .get("cameras")
+            .and_then(|cameras| word(cameras.get("neighbour")));
         self.record_error = word(status.get("record_error"));
         self.tuned = status.get("tuning").and_then(|tuning| {
             let differs = tuning.get("differs")?.as_bool()?;
@@ -213,6 +218,9 @@ impl Summary {
         if let Some(cameras) = self.cameras.as_ref().filter(|_| is_about_poses) {
             advice = Some(format!("{cameras}."));
         }
+        if let Some(neighbour) = self.neighbour.as_ref().filter(|_| is_about_poses) {
+            text += &format!("; {neighbour}");
+        }
         Some(Why { text, advice })
     }
 
@@ -338,6 +346,18 @@ mod tests {
             line.contains("(battery-low)") && line.contains("Charge it."),
             "{line}"
         );
+    }
+
+    #[test]
+    fn another_body_near_a_car_without_a_pose_is_named_beside_the_advice() {
+        let mut status = standing();
+        status["cameras"]["neighbour"] = json!("\"wand\" is near");
+        for (preflight, named) in [("pose-implausible", true), ("battery-low", false)] {
+            status["preflight"] = json!(preflight);
+            let line = Summary::of(&status).line();
+            assert_eq!(line.contains("; \"wand\" is near"), named, "{line}");
+            assert!(line.contains("To do: "), "{line}");
+        }
     }
 
     #[test]
