@@ -15,10 +15,12 @@ use rtrb::Consumer;
 use singletrack_core::{Proof, Report, cameras::CameraReport, diagnosis::Diagnosis};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
+use singletrack_protocol::BoardMode;
 use singletrack_record::{Encoder, Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
+    drive_noise::DriveNoise,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
     snapshot::TickView,
@@ -54,6 +56,8 @@ pub(crate) struct Collector {
     pub(crate) record_dropped: u64,
     /// The mode and reason that were logged last.
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
+    /// The noise of the IMU in the drive under way.
+    pub(crate) noise: DriveNoise,
     /// Makes the lines of the state stream.
     pub(crate) state_lines: StateLines,
     /// Where newly proved configurations are kept.
@@ -144,6 +148,10 @@ impl Collector {
             Report::Telemetry(record) => {
                 let telemetry = &record.telemetry;
                 self.status.latest().board = Some((telemetry.mode, telemetry.stop_cause));
+                if telemetry.mode == BoardMode::Driving {
+                    let believed = self.reconfigurer.estimator();
+                    self.noise.telemetry(&record, &believed);
+                }
                 self.entry(Entry::Telemetry(record));
             }
             Report::Status(record) => {
@@ -219,6 +227,11 @@ impl Collector {
             text += &format!("; {neighbour}");
         }
         self.log(time_ns, level, text);
+        if !mode.is_underway()
+            && let Some(warning) = self.noise.end()
+        {
+            self.log(time_ns, Level::Warning, warning);
+        }
     }
 
     fn log(&mut self, time_ns: u64, level: Level, text: String) {

@@ -14,7 +14,7 @@ use serde::Serialize;
 use singletrack_core::{
     Requests, Stalled,
     commissioned::Subject,
-    config::{Config, ReferenceSection, TuningRule},
+    config::{Config, EstimatorSection, ReferenceSection, TuningRule},
     reconfigure::{CHANGE_TIMEOUT_NS, ChangeError, Configurations},
 };
 use singletrack_record::{ConfigurationRecord, Entry, Level, Log};
@@ -67,6 +67,7 @@ struct Published {
     view: ConfigurationView,
     setpoint_timeout: Option<f64>,
     braking_m_s2: f64,
+    estimator: EstimatorSection,
     subject: Option<Subject>,
     tuning: TuningRule,
 }
@@ -94,6 +95,7 @@ impl Reconfigurer {
                 },
                 setpoint_timeout: setpoint_timeout(configurations.in_force()),
                 braking_m_s2: configurations.in_force().fence.braking_m_s2,
+                estimator: configurations.in_force().estimator,
                 subject: subject(configurations.in_force()).ok(),
                 tuning: configurations.in_force().tuning_rule(),
             }),
@@ -136,6 +138,11 @@ impl Reconfigurer {
     /// `fence.braking_m_s2` of the configuration in force.
     pub(crate) fn braking_m_s2(&self) -> f64 {
         self.published().braking_m_s2
+    }
+
+    /// `[estimator]` of the configuration in force.
+    pub(crate) fn estimator(&self) -> EstimatorSection {
+        self.published().estimator
     }
 
     /// The rule for requests to tune, of the configuration in force.
@@ -259,6 +266,7 @@ impl Reconfigurer {
         published.view.last_change = Some(ChangeView { by, error: None });
         published.setpoint_timeout = setpoint_timeout(configurations.in_force());
         published.braking_m_s2 = configurations.in_force().fence.braking_m_s2;
+        published.estimator = configurations.in_force().estimator;
     }
 
     fn publish(&self, change: ChangeView) {
