@@ -58,6 +58,7 @@ impl Actuators {
         let motion = Motion {
             moving: speed_mm_s >= MOVING_MM_S,
             speed_mm_s,
+            rolls: speed_mm_s >= MOVING_MM_S,
         };
         self.esc
             .control(&self.configuration, self.target_mm_s, speed_mm_s, false);

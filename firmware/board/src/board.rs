@@ -197,6 +197,7 @@ impl Board {
         Motion {
             moving: self.odometer.is_moving(),
             speed_mm_s: self.odometer.speed_mm_s(),
+            rolls: self.odometer.rolls(),
         }
     }
 
@@ -430,10 +431,7 @@ impl Board {
                 .measured(self.odometer.speed_mm_s().unsigned_abs());
         }
         self.steering.advance(elapsed_us);
-        let motion = Motion {
-            moving: self.odometer.is_moving(),
-            speed_mm_s: self.odometer.speed_mm_s(),
-        };
+        let motion = self.motion();
         match self.safety.command().map(|command| command.action) {
             Some(Action::Drive { speed_mm_s, brake }) => {
                 if control_due {

@@ -81,6 +81,8 @@ pub(crate) struct Motion {
     pub(crate) moving: bool,
     /// Magnitude of the speed.
     pub(crate) speed_mm_s: i16,
+    /// The wheels turn for certain, however fast they have slowed down since the last pulse.
+    pub(crate) rolls: bool,
 }
 
 /// Direction of travel, with the phases before reverse.
@@ -102,6 +104,10 @@ pub(crate) struct Esc {
     /// Whether a pulse below neutral brakes: the ESC was driven forward, and has been
     /// neither braked since nor in another gear.
     can_brake: bool,
+    /// Whether the wheels have turned for certain ever since the ESC was driven. One whose wheels
+    /// stand at neutral takes the next pulse below it for reverse, and pulses that are far apart
+    /// show a standstill late.
+    rolled_on: bool,
     /// Time for which the pulse has been beyond the deadband, forward.
     driven: Stopwatch,
     /// The brake pulse of a stop, by the board or by the host.
@@ -121,6 +127,7 @@ impl Esc {
             gear: Gear::Forward,
             in_gear: Stopwatch::started(),
             can_brake: false,
+            rolled_on: false,
             driven: Stopwatch::started(),
             braking: None,
             before_reverse: Brake::started(),
@@ -155,7 +162,7 @@ impl Esc {
     pub(crate) fn stop(&mut self, brakes: bool, motion: Motion) {
         // One that the host or a change to reverse has started continues.
         let before_reverse = (self.gear == Gear::Braking).then_some(self.before_reverse);
-        let started = (self.can_brake && motion.moving).then(Brake::started);
+        let started = (self.can_brake && self.rolled_on && motion.rolls).then(Brake::started);
         let braking = self.braking.or(before_reverse).or(started);
         self.release();
         if brakes && braking.is_some() {
@@ -198,6 +205,7 @@ impl Esc {
 
     /// Advances time while stopped.
     pub(crate) fn advance_stopped(&mut self, elapsed_us: u32, motion: Motion) {
+        self.rolled_on &= motion.rolls;
         self.braking
             .take_if(|braking| braking.ends(elapsed_us, motion));
     }
@@ -234,8 +242,10 @@ impl Esc {
             .slew
             .approach(self.offset_us, self.target_us, elapsed_us);
         if !self.earns_brake(calibration) {
+            self.rolled_on &= motion.rolls;
             self.driven = Stopwatch::started();
         } else if drove {
+            self.rolled_on = true;
             self.driven.advance(elapsed_us);
             self.can_brake |= self.driven.elapsed_us() >= DRIVEN_US;
         }
@@ -307,6 +317,7 @@ impl Esc {
             && target_mm_s >= 0
             && self.gear == Gear::Forward
             && self.can_brake
+            && self.rolled_on
             && calibration.kind.has_brake()
         {
             self.brake();
@@ -395,6 +406,7 @@ mod tests {
         Motion {
             moving: true,
             speed_mm_s,
+            rolls: true,
         }
     }
 
@@ -417,6 +429,7 @@ mod tests {
         let still = Motion {
             moving: false,
             speed_mm_s: 500,
+            rolls: false,
         };
         assert!(Brake::started().ends(0, still));
     }

@@ -24,6 +24,9 @@ const START_US: u32 = 100_000;
 /// Driving time without a pulse after which the sensor has failed in any case.
 const SENSOR_TIMEOUT_US: u32 = 600_000;
 
+/// A car this slow may stand before an ESC answers.
+const ROLLS_MM_S: u32 = 50;
+
 /// Pulse distance assumed before the configuration, in µm: the longest one, so that
 /// wheels that turn are not taken for standing.
 const UNKNOWN_DISTANCE_UM: u16 = 30_000;
@@ -228,6 +231,14 @@ impl Odometer {
         let possible = speed_mm_s(pulse_distance_um, 1, self.without_pulse.elapsed_us());
         self.speed_mm_s
             .max(possible.min(target_mm_s.saturating_abs()))
+    }
+
+    /// Whether the wheels turn for certain: faster than [`ROLLS_MM_S`] even if they have slowed down
+    /// by 4 m/s², as no car does at neutral, since the last pulse.
+    pub(crate) fn rolls(&self) -> bool {
+        // 3.9 mm/s in a millisecond, without a division.
+        let slowed_mm_s = self.since_pulse.elapsed_us() >> 8;
+        u32::from(self.speed_mm_s.unsigned_abs()) > slowed_mm_s.saturating_add(ROLLS_MM_S)
     }
 
     /// Magnitude of the speed, in mm/s.

@@ -1,7 +1,7 @@
 //! Brake pulses: only where the ESC brakes, once per drive forward, and never for long.
 
 use singletrack_protocol::{
-    BoardMode, Configuration, Drive, EscCalibration, EscKind, FailsafeAction,
+    BoardMode, Configuration, Drive, EscCalibration, EscKind, FailsafeAction, SpeedLoop,
 };
 
 use crate::rig::{MS, NEUTRAL, Rig, configuration};
@@ -313,4 +313,34 @@ fn a_drive_forward_does_not_earn_a_brake_in_reverse() {
         }
     }
     assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+}
+
+#[test]
+fn wheels_that_may_have_stood_at_neutral_are_not_braked() {
+    // A pulse every 30 mm: 150 ms after the last one the measured speed is still 0.2 m/s.
+    let far_apart = Configuration {
+        speed: SpeedLoop {
+            pulse_distance_um: 30_000,
+            ..configuration().speed
+        },
+        ..configuration()
+    };
+    let mut rig = Rig::armed_with(far_apart);
+    rig.pulse_period_us = Some(60 * MS);
+    rig.drive_for(500 * MS, 500, 0);
+    assert!(count(&brake_for(&mut rig, 50, 0), BRAKE) > 30, "it rolls");
+    rig.drive_for(500 * MS, 500, 0);
+    rig.pulse_period_us = None;
+    rig.drive_for(150 * MS, 0, 0);
+    assert!(rig.telemetry().motor_speed_mm_s > 150);
+    assert_eq!(count(&brake_for(&mut rig, 300, 0), BRAKE), 0);
+}
+
+#[test]
+fn a_car_that_has_stood_at_neutral_and_is_pushed_is_not_braked() {
+    let mut rig = Rig::driving_with(configuration());
+    rig.pulse_period_us = None;
+    rig.drive_for(200 * MS, 0, 0);
+    rig.pulse_period_us = Some(10 * MS);
+    assert_eq!(count(&brake_for(&mut rig, 300, 0), BRAKE), 0);
 }

@@ -354,10 +354,10 @@ fn jogging_from_the_poll_in_which_a_brake_ends_does_not_brake() {
         failsafe: FailsafeAction::Brake,
         ..configuration()
     });
-    rig.pulse_period_us = None;
     rig.run(TTL + 1);
     assert_eq!(rig.board.mode(), BoardMode::Failsafe);
     assert_eq!(rig.esc_us(), 1_300, "brakes");
+    rig.pulse_period_us = None;
     // The wheels have stood for long enough when the requests arrive together.
     rig.now = rig.now.wrapping_add(400 * MS);
     let requests = [

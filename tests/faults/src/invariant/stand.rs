@@ -224,12 +224,14 @@ impl Invariant for StopNotObeyed {
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
 /// sensor the board can't notice anything, a reset makes it begin again, and half a metre by
-/// its configured pulse distance counts as nothing. An ESC whose throttle is stuck is stopped
+/// its configured pulse distance, with a sensor that loses every second pulse a metre, counts as
+/// nothing. An ESC whose throttle is stuck is stopped
 /// by a kill output alone.
 #[derive(Default)]
 pub(super) struct UnarmedMotion {
     since_us: Option<u64>,
     last_us: u64,
+    /// The way that the sensor shows, in m.
     way: f64,
     /// When that was enough for the board.
     told_us: Option<u64>,
@@ -283,7 +285,9 @@ impl Invariant for UnarmedMotion {
             };
             return Ok(());
         }
-        self.way += speed * elapsed_us as f64 * 1e-6;
+        let is_halved = observation.is_effective(FaultKind::PulsesHalved);
+        let shown = if is_halved { 0.5 } else { 1.0 };
+        self.way += shown * speed * elapsed_us as f64 * 1e-6;
         let since_us = *self.since_us.get_or_insert(observation.now_us);
         let after_us = observation.now_us - since_us;
         if self.way > TOLD_APART_M * spec.true_pulse_share.max(1.0) {
