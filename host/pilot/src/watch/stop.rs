@@ -123,6 +123,9 @@ const TOO_FAST: u32 = 3;
 const TOO_FAST_IN_PLACE: u32 = 40;
 /// The time for which the car stands at the end of a stop, s.
 const STANDS: f64 = 0.2;
+/// Below this speed it does, m/s: beyond the noise of the cameras' speed, or a hand that takes the
+/// car up before the noise has let a stop end makes one that is not obeyed.
+const STANDS_BELOW: f64 = 0.05;
 /// The longest stop beyond its reaction time at [`LEAST_SHARE`], s. Afterwards a car that
 /// moves is one that somebody carries or pushes.
 const LONGER: f64 = 1.0;
@@ -230,7 +233,7 @@ impl StopWatch {
             verdict.disobeyed = motor.too_fast >= most || cameras.too_fast >= TOO_FAST;
         }
         // Without any measurement the car may still move.
-        let stands = worst.is_some_and(|speed| speed < limits.standing);
+        let stands = worst.is_some_and(|speed| speed < limits.standing.max(STANDS_BELOW));
         let since = if stands {
             Some(*run.standing.get_or_insert(now))
         } else {
