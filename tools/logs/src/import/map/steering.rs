@@ -1,6 +1,7 @@
 //! From the steering command of a log to the steering angle.
 
 use serde::Deserialize;
+use singletrack_control::interpolate;
 
 use super::{InvalidValue, check_delay, check_finite};
 
@@ -120,21 +121,12 @@ impl SteeringMap {
     /// The steering angle of a command, in rad.
     #[must_use]
     pub fn angle(&self, command: f64) -> f64 {
-        let table = match self {
+        match self {
             Self::Linear {
                 radians_per_unit,
                 offset_rad,
-            } => return command * radians_per_unit + offset_rad,
-            Self::Table(table) => table,
-        };
-        let after = table.partition_point(|[one, _]| *one <= command);
-        let before = after.checked_sub(1).and_then(|place| table.get(place));
-        match (before, table.get(after)) {
-            (Some([from, from_angle]), Some([to, to_angle])) => {
-                from_angle + (command - from) / (to - from) * (to_angle - from_angle)
-            }
-            (Some([_, angle]), None) | (None, Some([_, angle])) => *angle,
-            (None, None) => 0.0,
+            } => command * radians_per_unit + offset_rad,
+            Self::Table(table) => interpolate(table, command),
         }
     }
 }
