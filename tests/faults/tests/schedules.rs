@@ -240,3 +240,22 @@ fn an_esc_with_a_narrow_deadband_holds_a_slow_pulse_of_a_board_that_is_reset() {
                 fault board-reset at 10653 for 1 severity 1";
     assert_eq!(violation(text), None);
 }
+
+/// For as long as the cameras see the car aside of where it is, it drives on or slows down: the law is
+/// never asked for a sideslip at which it is singular, and nothing is dropped to neutral.
+#[test]
+fn cameras_that_err_by_centimetres_leave_the_law_out_of_its_singularity() {
+    for (mm, ms) in [5, 10, 20, 22, 25, 28, 34, 40, 50, 60, 80]
+        .into_iter()
+        .flat_map(|mm| [10, 20, 60, 100, 200, 400].map(|ms| (mm, ms)))
+    {
+        let text = format!(
+            "seed 7; end_ms 7500; speed_mm_s 400; ask arm at 3200; \
+             fault camera-jump at 6000 for {ms} severity {mm}"
+        );
+        let schedule: Schedule = text.parse().unwrap();
+        let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
+        assert!(outcome.violation.is_none(), "{text}");
+        assert!(!outcome.reasons.contains("law-singular"), "{text}");
+    }
+}

@@ -299,7 +299,7 @@ const OUTLIER: f64 = 25.0;
 /// The share of a pose in what is usual: the last ten count...
 const SHARE: f64 = 0.1;
 /// ...and an outlier at most as this multiple of the outlier limit.
-const MOST: f64 = 4.0;
+const MOST: f64 = 0.5;
 /// The same for motor speed and rear axle, with one degree of freedom: three deviations.
 const SLIDING: f64 = 9.0;
 /// The largest error of the gyro's scale: no gyro that works is farther off.

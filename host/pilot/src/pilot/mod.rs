@@ -21,8 +21,8 @@ use crate::{
     supervisor::{Mode, Reason, Supervisor},
     watch::{
         AttitudeWatch, BlindWatch, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
-        PROVING_SPEED, Proving, PushWatch, SideslipWatch, SpeedWatch, StartWatch, SteeringWatch,
-        Steps, StopWatch, TickWatch,
+        PROVING_SPEED, Proving, PushWatch, SideslipWatch, SlideWatch, SpeedWatch, StartWatch,
+        SteeringWatch, Steps, StopWatch, TickWatch,
     },
 };
 
@@ -64,6 +64,7 @@ pub struct Pilot {
     stops: StopWatch,
     steps: Steps,
     sideslip: SideslipWatch,
+    slide: SlideWatch,
     steering: SteeringWatch,
     gyro: GyroWatch,
     start: StartWatch,
@@ -111,6 +112,7 @@ impl Pilot {
             stops: StopWatch::default(),
             steps: Steps::default(),
             sideslip: SideslipWatch::default(),
+            slide: SlideWatch::default(),
             steering: SteeringWatch::default(),
             gyro: GyroWatch::default(),
             start: StartWatch::default(),
@@ -347,6 +349,7 @@ impl Pilot {
     fn begin_watches(&mut self) {
         self.speeds.reset();
         self.sideslip.reset();
+        self.slide = SlideWatch::default();
         self.steering.reset();
         self.gyro.reset();
         self.start.reset();

@@ -71,6 +71,8 @@ impl Pilot {
             None => max_speed,
         };
         self.speeds.tick(speed, most, watch);
+        let (car, limits) = (&self.config.estimator, &self.config.limits);
+        self.slide.tick(estimate.as_ref(), car, limits);
         Sensed {
             estimate,
             speeds,

@@ -59,8 +59,11 @@ impl Pilot {
         // What gyro and cameras agree on is the turn of the car.
         if self.gyro.is_opposite() {
             Some(Reason::GyroDiffers)
-        } else if self.sideslip.is_exceeded() {
-            Some(Reason::SideslipImplausible)
+        } else if self.sideslip.is_exceeded() || self.slide.is_exceeded() {
+            Some(match &self.proving {
+                Some(proving) if proving.moves_across() => Reason::BodyYawWrong,
+                _ => Reason::SideslipImplausible,
+            })
         } else if self.steering.is_exceeded() {
             Some(Reason::SteeringDiffers)
         } else if self.start.differs()

@@ -4,13 +4,14 @@ use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_protocol::ToBoard;
 
 use super::{Invariant, Verdict};
-use crate::observation::Observation;
+use crate::{observation::Observation, schedule::FaultKind};
 
 /// `proving-speed`: on the first metre after an arm of an unproved configuration, the car is
 /// commanded at most 0.3 m/s, and drives at most a third and 0.1 m/s faster: the tolerance of its motor
 /// sensor, and the overshoot of the board's speed loop.
 ///
-/// Faults of the motor sensor and interference make the loop drive faster; then, and until
+/// An ESC whose throttle is stuck drives at any speed. Faults of the motor sensor and interference
+/// make the loop drive faster; then, and until
 /// the loop has settled, only the command is judged. The host measures the metre with a fifth of
 /// tolerance: the body's pivot may be wrong.
 #[derive(Default)]
@@ -67,6 +68,7 @@ impl Invariant for ProvingSpeed {
         let judged = observation.spec.is_tolerable
             && observation.board_is_armed
             && !observation.moved_by_hand
+            && !observation.is_active(FaultKind::EscStuck)
             && observation.now_us >= self.settled_us;
         if judged && speed > PROVING_M_S {
             return Err(format!("{speed:.2} m/s before the configuration is proved"));

@@ -9,7 +9,7 @@ use crate::observation::Observation;
 const CONTRADICTED_M: f64 = 0.5;
 
 /// The same once the configuration has been proved: the servo has broken since.
-const BROKEN_M: f64 = 1.0;
+const BROKEN_M: f64 = 1.2;
 
 /// The way driven while something is contradicted.
 #[derive(Default)]
@@ -35,7 +35,8 @@ fn is_driving(mode: Mode) -> bool {
 }
 
 /// `steering-sign`: a car that turns against its steering command does not drive on for
-/// half a metre; if its configuration has been proved, for a metre.
+/// half a metre; if its configuration has been proved, for 1.2 m: the watch compares twice over 0.4 m,
+/// and may have begun a comparison before.
 ///
 /// Bends of less than 0.2/m and commands of less than 0.1 rad show no sign; the command is
 /// that of 0.3 s ago, which servo and car need.

@@ -371,8 +371,8 @@ fn cameras_of_logs(schedule: &mut Schedule) {
             at_ms: random.between(FIRST_ARM_MS, schedule.end_ms),
             for_ms: match kind {
                 FaultKind::CameraGhost => random.spread(100, 8_000),
-                // One to ten frames.
-                _ => 10 * random.between(1, 10),
+                // One to twenty frames.
+                _ => 10 * random.between(1, 20),
             },
             severity,
         });
