@@ -352,7 +352,11 @@ impl Esc {
         let backward = target_mm_s < 0;
         let time_us = self.in_gear.elapsed_us();
         let gear = match self.gear {
-            Gear::Forward if backward && self.can_brake && kind == EscKind::Car => Gear::Braking,
+            Gear::Forward
+                if backward && self.can_brake && self.rolled_on && kind == EscKind::Car =>
+            {
+                Gear::Braking
+            }
             Gear::Forward if backward => Gear::Pausing,
             Gear::Braking | Gear::Pausing if !backward => Gear::Forward,
             Gear::Braking if brake_ends && (moving || time_us >= BRAKE_US) => Gear::Pausing,

@@ -234,9 +234,10 @@ impl Odometer {
     }
 
     /// Whether the wheels turn for certain: faster than [`ROLLS_MM_S`] even if they have slowed down
-    /// by 4 m/s², as no car does at neutral, since the last pulse.
+    /// by 3.9 m/s² since the last pulse. The speed is a mean over the last interval, so that it holds
+    /// up to 3 m/s², more than a car slows down at neutral.
     pub(crate) fn rolls(&self) -> bool {
-        // 3.9 mm/s in a millisecond, without a division.
+        // Without a division.
         let slowed_mm_s = self.since_pulse.elapsed_us() >> 8;
         u32::from(self.speed_mm_s.unsigned_abs()) > slowed_mm_s.saturating_add(ROLLS_MM_S)
     }

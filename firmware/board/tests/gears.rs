@@ -218,3 +218,18 @@ fn the_throttle_in_reverse_is_clamped_to_its_limit() {
         assert_eq!(rig.esc_us(), min_us);
     }
 }
+
+#[test]
+fn a_car_that_has_stood_at_neutral_goes_to_reverse_without_a_brake_pulse() {
+    let mut rig = Rig::armed_with(with_reverse());
+    rig.pulse_period_us = Some(16_667);
+    rig.drive_for(500 * MS, 300, 0);
+    rig.pulse_period_us = None;
+    rig.drive_for(1_000 * MS, 0, 0);
+    // Neutral for 200 ms, then reverse: its first pulse below neutral drives.
+    let phases = phases(&mut rig, 300, -300);
+    assert!(
+        matches!(phases[..], [(0, 195..=235), (-1, _)]),
+        "{phases:?}"
+    );
+}

@@ -75,6 +75,8 @@ impl SteeringTable {
         if !angle_rad.is_finite() {
             return angle_rad;
         }
+        let [least, most] = self.reach();
+        let angle_rad = angle_rad.clamp(least, most);
         let [first, last] = self.ends();
         // Whether the wheels reach the angle at this pulse, from the first pair on.
         let rises = first[1] < last[1];
@@ -246,7 +248,7 @@ mod tests {
             (-0.235, 1_810.0),
             // A stop is not leaned against.
             (0.45, 1_120.0),
-            (0.6, 1_080.0),
+            (0.6, 1_120.0),
             (-0.31, 1_920.0),
             (-0.5, 1_920.0),
         ] {

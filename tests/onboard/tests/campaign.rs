@@ -82,6 +82,11 @@ fn steering_that_is_no_straight_line_gets_its_table() {
     let pairs = crooked_steering(line, WIDE_US, [0.15, 0.0]);
     servo.table = Some(SteeringTable::new(&pairs).unwrap());
     let servo = servo.clone();
+    // That of another servo, which the bring-up must replace.
+    let old = "steering_table = [[1080, 0.525], [1500, 0.0], [1920, -0.525]]";
+    let text = car.file.to_string().replace("\n[actuators]\n", "\n");
+    car.file = format!("{text}\n[actuators]\n{old}\n").parse().unwrap();
+    car.configuration().unwrap();
     let outcome = onboard_until(&car, false);
     assert!(outcome.passed, "{}", outcome.text(true));
     let finding = outcome

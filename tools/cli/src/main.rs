@@ -57,7 +57,8 @@ enum Command {
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
     #[cfg(feature = "operator")]
-    /// Check a new car without moving it, and measure what a hand can show.
+    /// Check a new car without moving it, and measure what a hand can show; with --stand, how much
+    /// the IMU vibrates with turning wheels.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Doctor(doctor::DoctorArgs),

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Step,
+    calibrate::steering_table::straight_line,
     fit::steering::{Steering, fit_steering},
 };
 
@@ -459,12 +460,13 @@ fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result
         servo.min_us.into(),
         servo.max_us.into(),
     );
-    let after = reach(
-        new("centre_us", servo.centre_us.into()),
-        new("gain_us_per_rad", servo.gain_us_per_rad.into()),
+    let centre_us = new("centre_us", servo.centre_us.into());
+    let gain_us_per_rad = new("gain_us_per_rad", servo.gain_us_per_rad.into());
+    let ends_us = [
         new("min_us", servo.min_us.into()),
         new("max_us", servo.max_us.into()),
-    );
+    ];
+    let after = reach(centre_us, gain_us_per_rad, ends_us[0], ends_us[1]);
     // A limit that an earlier step lowered may rise again with the gain.
     let is_lowered = (limit - before).abs() < 1e-9;
     let wanted = if is_lowered {
@@ -477,6 +479,11 @@ fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result
         .iter()
         .map(|(key, value)| (*key, (*value).into()))
         .collect();
+    // A table was that of another servo. The calibration measures it again.
+    if config.actuators.steering_table.is_some() {
+        let line = straight_line(centre_us, gain_us_per_rad, ends_us);
+        changed.push(("actuators.steering_table", line));
+    }
     if (limited - limit).abs() > 1e-9 {
         changed.push(("limits.max_steering_rad", limited.into()));
     }

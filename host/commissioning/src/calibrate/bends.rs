@@ -2,7 +2,7 @@
 
 use super::{
     floor::{self, Ends, Figure, SLOW, round},
-    steering_table::bent,
+    steering_table::{bent, straight_line},
 };
 use crate::{
     Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
@@ -220,8 +220,14 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     if config.limits.max_steering_rad > reach {
         values.push(("limits.max_steering_rad", reach.into()));
     }
-    if let Some(bent) = &bent {
-        values.push(("actuators.steering_table", bent.value()));
+    match &bent {
+        Some(bent) => values.push(("actuators.steering_table", bent.value())),
+        None if config.actuators.steering_table.is_some() => {
+            let ends = [servo.min_us, servo.max_us].map(f64::from);
+            let line = straight_line(straight_us.round(), gain.value.round(), ends);
+            values.push(("actuators.steering_table", line));
+        }
+        None => {}
     }
     let is_doubtful = (gain.value / believed.servo[1] - 1.0).abs() > 0.25;
     let moved = (ahead.value - believed.offset[0]).hypot(left.value - believed.offset[1]);

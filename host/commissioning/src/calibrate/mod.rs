@@ -10,7 +10,7 @@ mod cover;
 mod floor;
 mod roll_out;
 mod speed;
-mod steering_table;
+pub(crate) mod steering_table;
 mod straight;
 
 use crate::Step;

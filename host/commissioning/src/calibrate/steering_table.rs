@@ -38,6 +38,23 @@ impl Bent {
     }
 }
 
+/// The table of a straight line with this centre in µs and gain in µs/rad, between two pulses: it takes
+/// the place of one that holds no more.
+pub(crate) fn straight_line(
+    centre_us: f64,
+    gain_us_per_rad: f64,
+    [min_us, max_us]: [f64; 2],
+) -> toml_edit::Value {
+    [min_us, max_us]
+        .into_iter()
+        .map(|pulse_us| {
+            let angle = round((pulse_us - centre_us) / gain_us_per_rad, 4);
+            [pulse_us, angle].into_iter().collect::<toml_edit::Array>()
+        })
+        .collect::<toml_edit::Array>()
+        .into()
+}
+
 /// Fits two straight parts to either side to every pass. None if the passes don't determine them,
 /// or if what they give is no table.
 pub(super) fn bent(

@@ -22,7 +22,8 @@ section! {
     speed_dead_time_ms: f64 = 36.0, in 0.0..=500.0;
     /// Pairs of servo pulse, in us, and angle of the front wheels, in rad, in the order of the
     /// pulses, for steering that is no straight line: not symmetric, with a dead band (equal
-    /// angles) or a stop. Left out, `board.servo` is the line.
+    /// angles) or a stop. Its pulses lie within those of `board.servo`, whose `centre_us` must steer
+    /// straight by it, to 0.02 rad. Left out, `board.servo` is the line.
     steering_table: Option<Vec<[f64; 2]>> = None, text "2 to 32 pairs",
         example vec![[1_080.0, 0.525], [1_500.0, 0.0], [1_920.0, -0.525]];
 }

@@ -55,15 +55,6 @@ impl Pilot {
             Some(governor) => Demand::Point(governor.at(wanted, 0.0)),
             None => wanted.demand(now, time),
         };
-        // A sideslip that the car can't have is not acted on.
-        let estimate = &Estimate {
-            sideslip: if self.slide.is_beyond() {
-                0.0
-            } else {
-                estimate.sideslip
-            },
-            ..*estimate
-        };
         let actuation = match demand {
             _ if self.slide.is_beyond() => {
                 self.tracking.reset();

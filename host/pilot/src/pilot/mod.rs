@@ -12,7 +12,7 @@ mod verdicts;
 
 use libm::rint;
 use singletrack_control::{
-    Estimator, Governor, LimitedLaw, OuterLoop, Reference, Time, TrackingLoop, Velocity,
+    Estimate, Estimator, Governor, LimitedLaw, OuterLoop, Reference, Time, TrackingLoop, Velocity,
 };
 
 use crate::{
@@ -293,6 +293,16 @@ impl Pilot {
             let law = self.law.law();
             let wheels = self.wheels();
             output.point = Some(law.point(estimate.position, estimate.yaw, wheels));
+            // A sideslip that the car can't have is not acted on.
+            let believed = Estimate {
+                sideslip: if self.slide.is_beyond() {
+                    0.0
+                } else {
+                    estimate.sideslip
+                },
+                ..*estimate
+            };
+            let estimate = &believed;
             match mode {
                 Mode::Driving => {
                     if let Err(reason) = self.drive(now, estimate, &mut output) {

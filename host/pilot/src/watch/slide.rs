@@ -1,19 +1,24 @@
 //! Whether the estimated sideslip is one that a car on its tyres can have.
 
-use libm::{atan, fabs, tan};
+use libm::{atan, fabs, sin, tan};
 use singletrack_control::{Estimate, EstimatorConfig, Limits};
 
 /// What sliding tyres add to the sideslip of a car that rolls, rad: the law is far from singular
 /// there.
 const SLIDES: f64 = 0.6;
-/// The number of ticks in a row beyond it that no estimate recovers from in time.
-const TICKS: u32 = 3;
+/// The speed across the car up to which the noise of an IMU may make it while the markers are lost, m/s:
+/// a tick below counts a tenth.
+const NOISE: f64 = 0.2;
+/// By how many more tenths of ticks the sideslip may be beyond the limit than within.
+const TENTHS: u32 = 20;
 
 /// Watches the sideslip of every tick. One that is too large is an error of cameras or estimate: the
 /// car keeps its command for it, and stops if it lasts.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SlideWatch {
-    beyond: u32,
+    beyond: bool,
+    /// The ticks beyond it less those within, in tenths.
+    more: u32,
 }
 
 impl SlideWatch {
@@ -27,21 +32,27 @@ impl SlideWatch {
         let rolls = atan(car.rear_axle_distance / car.wheelbase * tan(limits.max_steering));
         // A NaN is beyond it.
         let fits = estimate.is_none_or(|estimate| fabs(estimate.sideslip) <= rolls + SLIDES);
-        self.beyond = if fits {
-            0
+        self.beyond = !fits;
+        let across = estimate.map_or(0.0, |estimate| {
+            fabs(estimate.speed * sin(estimate.sideslip))
+        });
+        self.more = if fits {
+            self.more.saturating_sub(10)
+        } else if across <= NOISE {
+            self.more.saturating_add(1)
         } else {
-            self.beyond.saturating_add(1)
+            self.more.saturating_add(10)
         };
     }
 
     /// Whether the sideslip of this tick is too large to act on.
     pub(crate) const fn is_beyond(&self) -> bool {
-        self.beyond > 0
+        self.beyond
     }
 
-    /// Whether it has been for too long.
+    /// Whether it has been for too long, or too often.
     pub(crate) const fn is_exceeded(&self) -> bool {
-        self.beyond >= TICKS
+        self.more > TENTHS
     }
 }
 
@@ -52,7 +63,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sideslip_that_no_car_has_counts_from_the_third_tick_and_is_forgotten_at_once() {
+    fn a_sideslip_that_no_car_has_counts_from_the_third_tick_also_with_others_between() {
+        let mut tick = ticks(0.4);
+        assert_eq!(tick(0.8), (false, false));
+        assert_eq!(tick(-0.9), (true, false));
+        assert_eq!(tick(0.9), (true, false));
+        assert_eq!(tick(0.2), (false, false));
+        assert_eq!(tick(f64::NAN), (true, false));
+        assert_eq!(tick(1.2), (true, true));
+        assert_eq!(tick(0.0), (false, false));
+    }
+
+    #[test]
+    fn a_slow_car_whose_sideslip_is_noise_has_a_fifth_of_a_second() {
+        let mut tick = ticks(0.15);
+        for _ in 0..20 {
+            assert_eq!(tick(1.0), (true, false));
+        }
+        assert_eq!(tick(1.0), (true, true));
+    }
+
+    /// Ticks of the paper's car at a speed, in m/s.
+    fn ticks(speed: f64) -> impl FnMut(f64) -> (bool, bool) {
         let vehicle = VehicleParameters::paper();
         let car = EstimatorConfig::for_vehicle(&vehicle);
         let limits = Limits {
@@ -60,27 +92,18 @@ mod tests {
             ..Limits::paper()
         };
         let mut watch = SlideWatch::default();
-        let mut tick = |sideslip: f64| {
+        move |sideslip: f64| {
             let estimate = Estimate {
                 time: Time(0),
                 position: Position::origin(),
                 yaw: 0.0,
                 yaw_rate: 0.0,
                 sideslip,
-                speed: 0.4,
+                speed,
                 pose_time: Time(0),
             };
             watch.tick(Some(&estimate), &car, &limits);
             (watch.is_beyond(), watch.is_exceeded())
-        };
-        assert_eq!(tick(0.8), (false, false));
-        assert_eq!(tick(-0.9), (true, false));
-        assert_eq!(tick(0.9), (true, false));
-        assert_eq!(tick(0.2), (false, false));
-        for _ in 0..2 {
-            assert_eq!(tick(f64::NAN), (true, false));
         }
-        assert_eq!(tick(1.2), (true, true));
-        assert_eq!(tick(0.0), (false, false));
     }
 }

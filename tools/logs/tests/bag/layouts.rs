@@ -538,3 +538,13 @@ fn a_drive_in_a_bag_can_be_judged() {
     assert_eq!(reasons, Vec::<&str>::new());
     assert!(verdict.duration_s > 18.0, "{}", verdict.duration_s);
 }
+
+#[test]
+fn a_compressed_file_may_hold_messages_that_are_longer_than_itself() {
+    let mut bag = f1tenth_bag(500, moment);
+    bag.topics.push(("/map", "nav_msgs/msg/OccupancyGrid"));
+    // Of a topic that the map does not name.
+    bag.send("/map", 0.3, &vec![0_u8; 4 << 20]);
+    assert!(bag.mcap().len() < 2 << 20);
+    assert_moments(&imported(&bag, &f1tenth_map(), Storage::Mcap), moment);
+}

@@ -312,10 +312,13 @@ impl<'a> Reader<'a> {
 }
 
 /// The yaw of a quaternion x, y, z, w, which need not have length 1, about an axis that points up;
-/// not a number if it is no rotation.
+/// not a number if it is no rotation, or one that tilts by more than 60 degrees: the axis that points up
+/// is then another one.
 fn yaw([x, y, z, w]: [f64; 4]) -> f64 {
     let length = x * x + y * y + z * z + w * w;
-    if length == 0.0 || !length.is_finite() {
+    let up = w * w - x * x - y * y + z * z;
+    // A length that is no number is not below it either.
+    if !(length > 0.0 && length.is_finite() && up >= 0.5 * length) {
         return f64::NAN;
     }
     (2.0 * (w * z + x * y)).atan2(w * w + x * x - y * y - z * z)
@@ -374,5 +377,8 @@ mod tests {
         }
         assert!(yaw([0.0; 4]).is_nan());
         assert!(yaw([0.0, f64::NAN, 0.0, 1.0]).is_nan());
+        // Upside down, and on its side.
+        assert!(yaw([1.0, 0.0, 0.0, 0.0]).is_nan());
+        assert!(yaw([0.0, 1.0, 0.0, 1.0]).is_nan());
     }
 }

@@ -95,9 +95,6 @@ impl Definition {
                 message.fields = fields;
             }
             next += 1;
-            if definition.messages.len() > MAX_TYPES {
-                return Err(format!("more than {MAX_TYPES} types are nested in it"));
-            }
         }
         let mut depths = vec![None; definition.messages.len()];
         definition.depth(0, 0, &mut depths)?;
@@ -165,6 +162,9 @@ impl Definition {
                     }
                 };
                 let known = self.messages.iter().position(|one| one.name == name);
+                if known.is_none() && self.messages.len() >= MAX_TYPES {
+                    return Err("more types than are read are nested in it");
+                }
                 Kind::Message(known.unwrap_or_else(|| {
                     self.messages.push(MessageType {
                         name,

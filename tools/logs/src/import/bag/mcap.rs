@@ -18,6 +18,9 @@ use super::{
     messages::{Messages, Topic},
 };
 
+/// The length of a record that every file may have, in bytes.
+const LONGEST: usize = 64 << 20;
+
 /// Reads a file.
 pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError> {
     let unreadable = |source| BagError::Read {
@@ -27,9 +30,10 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError>
     let damaged = |error: McapError| BagError::file(path, fix(&error));
     let mut file = File::open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
-    // A record that claims to be longer than the file is an error, before there is memory for it.
+    // A record that claims to be longer is an error, before there is memory for it. Those of a
+    // compressed chunk may be longer than the file.
     let options = LinearReaderOptions::default()
-        .with_record_length_limit(usize::try_from(length).unwrap_or(usize::MAX))
+        .with_record_length_limit(usize::try_from(length).unwrap_or(usize::MAX).max(LONGEST))
         .with_validate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
     let mut schemas = HashMap::new();
