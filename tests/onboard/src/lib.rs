@@ -17,7 +17,8 @@ mod truths;
 
 pub use bench::{BenchError, VirtualBench};
 pub use campaign::{
-    Campaign, CampaignError, CarOutcome, Measured, Summary, onboard, onboard_until, write_csv,
+    Campaign, CampaignError, CarOutcome, Measured, NoJournal, Summary, onboard, onboard_until,
+    write_csv,
 };
 pub use car::{HALL_M, OnboardCar, PlantedFault};
 pub use circle::Circle;

@@ -9,7 +9,7 @@ use toml_edit::Value;
 
 use crate::{
     bench::{BenchError, VirtualBench},
-    campaign::{Kept, procedures},
+    campaign::{NoJournal, procedures},
     car::OnboardCar,
 };
 
@@ -70,7 +70,7 @@ impl Rehearsal {
                     step: format!("{} {}", procedure.name, step.name),
                     found,
                 };
-                let findings = run(core::slice::from_ref(step), &mut bench, &mut Kept)
+                let findings = run(core::slice::from_ref(step), &mut bench, &mut NoJournal)
                     .map_err(|interrupted| error(interrupted.to_string()))?;
                 for finding in findings {
                     if finding.verdict == Verdict::Failed {

@@ -3,27 +3,12 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Question,
-    Refused, Step, Verdict, bring_up, run,
+    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Question, Refused, Verdict,
+    bring_up, run,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
-use singletrack_onboard::{OnboardCar, VirtualBench};
-
-/// Keeps nothing.
-struct NoJournal;
-
-impl Journal for NoJournal {
-    fn found(&self, _: &str) -> Option<Finding> {
-        None
-    }
-
-    fn keep(&mut self, _: &Finding) -> Result<(), Interrupted> {
-        Ok(())
-    }
-
-    fn begin(&mut self, _: &Step, _: usize, _: usize) {}
-}
+use singletrack_onboard::{NoJournal, OnboardCar, VirtualBench};
 
 /// A person who says that the car is on its stand and leaves it on the floor.
 struct OnTheFloor {

@@ -9,28 +9,13 @@
 use core::f64::consts::TAU;
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Parameter,
-    Question, Refused, Step, Verdict, doctor, run,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Live, Observation, Parameter, Question,
+    Refused, Step, Verdict, doctor, run,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
-use singletrack_onboard::{OnboardCar, PlantedFault, VirtualBench};
+use singletrack_onboard::{NoJournal, OnboardCar, PlantedFault, VirtualBench};
 use singletrack_protocol::BoardMode;
-
-/// Keeps nothing.
-struct NoJournal;
-
-impl Journal for NoJournal {
-    fn found(&self, _: &str) -> Option<Finding> {
-        None
-    }
-
-    fn keep(&mut self, _: &Finding) -> Result<(), Interrupted> {
-        Ok(())
-    }
-
-    fn begin(&mut self, _: &Step, _: usize, _: usize) {}
-}
 
 /// A car that nothing but a hand may move.
 struct Disarmed {

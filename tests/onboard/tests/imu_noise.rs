@@ -3,33 +3,18 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Finding, Interrupted, Jog, Journal, Live, Observation, Question,
-    Refused, Step, Verdict, doctor, run,
+    Answer, Attendance, Bench, Finding, Interrupted, Jog, Live, Observation, Question, Refused,
+    Verdict, doctor, run,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
-use singletrack_onboard::{OnboardCar, VirtualBench};
+use singletrack_onboard::{NoJournal, OnboardCar, VirtualBench};
 use singletrack_protocol::BoardMode;
 use toml_edit::value;
 
 const GYRO: &str = "gyro-noise-density";
 const REST: &str = "acceleration-noise-density";
 const VIBRATION: &str = "vibration-noise-density";
-
-/// Keeps nothing.
-struct NoJournal;
-
-impl Journal for NoJournal {
-    fn found(&self, _: &str) -> Option<Finding> {
-        None
-    }
-
-    fn keep(&mut self, _: &Finding) -> Result<(), Interrupted> {
-        Ok(())
-    }
-
-    fn begin(&mut self, _: &Step, _: usize, _: usize) {}
-}
 
 /// A car, and a person who may not lift it or may interrupt.
 struct OnStand {
