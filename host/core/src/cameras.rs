@@ -171,9 +171,14 @@ impl CameraReceiver {
             });
         }
         self.watch = watch;
-        if let Some(neighbour) = self.watch.look_around(&self.session) {
-            // A lost report: the next change is reported again.
-            let _ = self.reports.push(CameraReport::Neighbour(neighbour));
+        // A report without room is made again: the status must not keep a neighbour that has gone.
+        if let Some((id, neighbour)) = self.watch.look_around(&self.session)
+            && self
+                .reports
+                .push(CameraReport::Neighbour(neighbour))
+                .is_ok()
+        {
+            self.watch.reported_neighbour(id);
         }
         if now_ns >= self.counters_at_ns {
             self.counters_at_ns = now_ns.saturating_add(COUNTERS_NS);

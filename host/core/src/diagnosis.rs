@@ -201,14 +201,19 @@ impl CameraWatch {
         })
     }
 
-    /// The other rigid body near the car, in words, when it is another one or none any more.
-    pub(crate) fn look_around(&mut self, session: &PlanarSession) -> Option<Option<String>> {
+    /// The other rigid body near the car, its id and in words, when it is another one than was
+    /// reported, or none any more.
+    pub(crate) fn look_around(
+        &self,
+        session: &PlanarSession,
+    ) -> Option<(Option<i32>, Option<String>)> {
         let id = session.neighbour().map(|neighbour| neighbour.id);
-        if id == self.neighbour {
-            return None;
-        }
+        (id != self.neighbour).then(|| (id, neighbour(session)))
+    }
+
+    /// The neighbour with this id has been reported.
+    pub(crate) const fn reported_neighbour(&mut self, id: Option<i32>) {
         self.neighbour = id;
-        Some(neighbour(session))
     }
 
     fn cause(

@@ -154,7 +154,7 @@ mod tests {
         let text = noise.end().unwrap();
         let named = format!("accelerometer was {acceleration:.1} and the gyro {turn:.1} times");
         assert!(text.contains(&named), "{text}");
-        // The next drive begins anew.
+        // Nothing of it is left for the next drive.
         assert_eq!(noise.end(), None);
         assert!(drive(0.1, 0.2).end().is_some());
     }

@@ -298,7 +298,8 @@ const CONSISTENT: f64 = 3.0;
 const OUTLIER: f64 = 25.0;
 /// The share of a pose in what is usual: the last ten count...
 const SHARE: f64 = 0.1;
-/// ...and an outlier at most as this multiple of the outlier limit.
+/// ...and an outlier at most as this multiple of the outlier limit: with each outlier in a row what is
+/// usual grows by a third, so that a jump of the cameras is believed after some twenty, not three.
 const MOST: f64 = 0.5;
 /// The same for motor speed and rear axle, with one degree of freedom: three deviations.
 const SLIDING: f64 = 9.0;
