@@ -1,6 +1,6 @@
 //! Seeded random numbers, the same on every machine and in every build.
 
-use libm::{cos, log, sqrt};
+use libm::{log, sqrt};
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
@@ -28,19 +28,26 @@ pub(crate) enum Stream {
 
 /// One stream of random numbers.
 #[derive(Clone, Debug)]
-pub(crate) struct Random(ChaCha8Rng);
+pub(crate) struct Random {
+    generator: ChaCha8Rng,
+    /// The second of two normal values that were made at once.
+    normal: Option<f64>,
+}
 
 impl Random {
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(stream as u64);
-        Self(generator)
+        Self {
+            generator,
+            normal: None,
+        }
     }
 
     /// Uniform in [0, 1).
     pub(crate) fn uniform(&mut self) -> f64 {
         const SCALE: f64 = 1.0 / (1_u64 << 53) as f64;
-        (self.0.next_u64() >> 11) as f64 * SCALE
+        (self.generator.next_u64() >> 11) as f64 * SCALE
     }
 
     /// True with the given probability. Always draws one number, so that the
@@ -52,23 +59,32 @@ impl Random {
     /// Leaves out `words` numbers of 32 bits: [`happens`](Self::happens) draws two, and
     /// [`below`](Self::below) one.
     pub(crate) fn skip(&mut self, words: u64) {
-        let position = self.0.get_word_pos();
-        self.0.set_word_pos(position + u128::from(words));
+        let position = self.generator.get_word_pos();
+        self.generator.set_word_pos(position + u128::from(words));
     }
 
     /// A uniform integer below `n`, for small `n`.
     pub(crate) fn below(&mut self, n: u32) -> u32 {
-        ((u64::from(self.0.next_u32()) * u64::from(n)) >> 32) as u32
+        ((u64::from(self.generator.next_u32()) * u64::from(n)) >> 32) as u32
     }
 
-    /// Standard normal (Box and Muller).
+    /// Standard normal (Marsaglia's polar method).
     ///
     /// Not `rand_distr`: its logarithm depends on the platform if any crate of the
     /// build enables `std` of `num-traits`.
     pub(crate) fn normal(&mut self) -> f64 {
-        // In (0, 1], where the logarithm is finite.
-        let radius = sqrt(-2.0 * log(1.0 - self.uniform()));
-        radius * cos(2.0 * core::f64::consts::PI * self.uniform())
+        if let Some(second) = self.normal.take() {
+            return second;
+        }
+        loop {
+            let [x, y] = [(); 2].map(|()| 2.0 * self.uniform() - 1.0);
+            let square = x * x + y * y;
+            if square < 1.0 && square > 0.0 {
+                let factor = sqrt(-2.0 * log(square) / square);
+                self.normal = Some(y * factor);
+                return x * factor;
+            }
+        }
     }
 
     /// Three independent normal values of one standard deviation.

@@ -26,9 +26,8 @@ use crate::{
 #[derive(Debug)]
 pub struct World {
     now_us: u64,
+    /// The car at the last event of the board or of a sensor.
     car: Car,
-    /// End of the car's next step on its grid, in µs.
-    next_step_us: u64,
     imu: Imu,
     imu_samples: u64,
     imu_fault: ImuFault,
@@ -61,9 +60,6 @@ enum ImuSupply {
 /// Number of camera frames and datagrams kept until the host fetches them.
 const QUEUE_CAPACITY: usize = 1_024;
 
-/// The car's grid, in µs: ground truth is exact at its multiples.
-const STEP_US: u64 = 1_000;
-
 impl World {
     /// A world at simulation time zero, with the board just powered on.
     ///
@@ -78,7 +74,6 @@ impl World {
         Ok(Self {
             now_us: 0,
             car,
-            next_step_us: STEP_US,
             imu: Imu::new(config.car.imu, seed),
             imu_samples: 0,
             imu_fault: ImuFault::None,
@@ -121,7 +116,6 @@ impl World {
                 break;
             }
             self.now_us = next_us;
-            self.car.advance_to(next_us);
             self.events_at(next_us, filter);
         }
         self.now_us = self.now_us.max(until_us);
@@ -129,8 +123,7 @@ impl World {
 
     fn next_event_us(&self) -> u64 {
         let mut next = self
-            .next_step_us
-            .min(self.next_imu_us())
+            .next_imu_us()
             .min(self.cameras.next_exposure_us())
             .min(self.board.next_event_us());
         if let Some((arrival, _)) = self.imu_pending.front() {
@@ -149,11 +142,14 @@ impl World {
 
     /// Processes simultaneous events in this order.
     fn events_at(&mut self, now_us: u64, filter: &mut dyn PulseFilter) {
-        if self.next_step_us <= now_us {
-            self.next_step_us = (now_us / STEP_US + 1) * STEP_US;
+        let board_is_due = self.board.next_event_us() <= now_us;
+        let imu_is_due = self.next_imu_us() <= now_us;
+        let exposure_is_due = self.cameras.next_exposure_us() <= now_us;
+        if board_is_due || imu_is_due || exposure_is_due {
+            self.car.advance_to(now_us);
         }
         self.supply_imu(now_us);
-        if self.next_imu_us() <= now_us {
+        if imu_is_due {
             self.imu_samples += 1;
             let reading = self.imu.sample(&self.car.truth());
             if self.imu_fault == ImuFault::None {
@@ -175,14 +171,16 @@ impl World {
             self.imu_pending.pop_front();
             self.board.take_imu(now_us, &reading);
         }
-        if self.cameras.next_exposure_us() <= now_us {
+        if exposure_is_due {
             self.cameras.expose(&self.car.truth());
         }
         while let Some(frame) = self.cameras.take_frame(now_us) {
             self.send_frame(frame);
         }
-        self.board
-            .events_at(now_us, &mut self.car, &mut self.wire, filter);
+        if board_is_due {
+            self.board
+                .events_at(now_us, &mut self.car, &mut self.wire, filter);
+        }
     }
 
     /// A dip of its supply restarts the IMU; the board finds it absent, then without its
@@ -274,11 +272,12 @@ impl World {
         self.frames.pop_front()
     }
 
-    /// Ground truth, exact at every full millisecond; in between, that of the last
-    /// event.
+    /// Ground truth.
     #[must_use]
     pub fn truth(&self) -> Truth {
-        self.car.truth()
+        let mut car = self.car.clone();
+        car.advance_to(self.now_us);
+        car.truth()
     }
 
     /// Present bias of the gyroscope about the car's axes, in rad/s.
@@ -300,14 +299,15 @@ impl World {
         self.cameras.set_epoch(epoch_us);
     }
 
-    /// The car.
+    /// The car at the last event of the board or of a sensor.
     #[must_use]
     pub const fn car(&self) -> &Car {
         &self.car
     }
 
-    /// Mutable access to the car.
-    pub const fn car_mut(&mut self) -> &mut Car {
+    /// Mutable access to the car, at the present time.
+    pub fn car_mut(&mut self) -> &mut Car {
+        self.car.advance_to(self.now_us);
         &mut self.car
     }
 

@@ -181,8 +181,8 @@ struct Pending {
 /// Longest integration step, in µs.
 ///
 /// The fastest mode of the relaxed model is near -1,900/s at 0.08 m/s, where RK4 is
-/// stable up to 1.4 ms.
-const MAX_STEP_US: u64 = 1_000;
+/// stable up to 1.4 ms. Just more than the board's period of 1 ms by any of its clocks.
+const MAX_STEP_US: u64 = 1_050;
 
 /// The car: maps pulses to motion and sensor signals.
 #[derive(Clone, Debug)]

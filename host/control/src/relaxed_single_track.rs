@@ -69,11 +69,17 @@ impl RelaxedSingleTrack {
     ) -> SingleTrackDerivative {
         let weight =
             smooth_step((speed.abs() - KINEMATIC_BELOW) / (DYNAMIC_ABOVE - KINEMATIC_BELOW));
-        let kinematic = self.kinematic(state, speed, steering);
-        let dynamic = self.dynamic(state, speed, steering);
-        let lateral = LateralRate {
-            yaw_rate: kinematic.yaw_rate + weight * (dynamic.yaw_rate - kinematic.yaw_rate),
-            sideslip: kinematic.sideslip + weight * (dynamic.sideslip - kinematic.sideslip),
+        let lateral = if weight <= 0.0 {
+            self.kinematic(state, speed, steering)
+        } else if weight >= 1.0 {
+            self.dynamic(state, speed, steering)
+        } else {
+            let kinematic = self.kinematic(state, speed, steering);
+            let dynamic = self.dynamic(state, speed, steering);
+            LateralRate {
+                yaw_rate: kinematic.yaw_rate + weight * (dynamic.yaw_rate - kinematic.yaw_rate),
+                sideslip: kinematic.sideslip + weight * (dynamic.sideslip - kinematic.sideslip),
+            }
         };
         state.derivative::<Libm>(speed, lateral)
     }
