@@ -20,6 +20,7 @@ use crate::{
     requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
     setpoint_slot::{SetpointReceiver, Taken},
+    tuning_slot::TuningReceiver,
 };
 
 /// The rings of the control thread.
@@ -37,6 +38,8 @@ pub struct Rings<L> {
     pub setpoints: SetpointReceiver,
     /// Pulses of the operator who jogs.
     pub jogs: JogReceiver,
+    /// Values to tune.
+    pub tunings: TuningReceiver,
     /// Configurations with their outcome, returned to be freed by their maker.
     pub reconfigured: Producer<Box<Reconfiguration>>,
     /// The record of every tick.
@@ -235,6 +238,9 @@ impl<L: Line> ControlLoop<L> {
         if let Some(jog) = self.rings.jogs.take() {
             self.controller.jog(jog);
         }
+        if let Some(tuning) = self.rings.tunings.take() {
+            self.controller.tune(tuning);
+        }
         let now = Time(clock());
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
@@ -407,7 +413,6 @@ impl<L: Line> ControlLoop<L> {
                     );
                     self.controller.request(request);
                 }
-                ControlRequest::Tune(tuning) => self.controller.tune(tuning),
                 ControlRequest::Finish => {
                     if self.ending == Ending::Running {
                         self.arm_when_ready = false;

@@ -30,7 +30,7 @@ pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
 
 /// Places for events that must not be lost, such as a stop: after a stall, samples fill the
 /// others.
-const RESERVED: usize = 16;
+const RESERVED: usize = 19;
 
 /// The events of one tick, in order.
 pub type Events = heapless::Vec<Event, MAX_EVENTS>;

@@ -31,6 +31,7 @@ use crate::{
     requests::Requests,
     serial::SerialReader,
     setpoint_slot::{SetpointSender, setpoint_slot},
+    tuning_slot::{TuningSender, tuning_slot},
 };
 
 /// Capacities of the rings. A stall of the control loop loses nothing up to half a second,
@@ -44,7 +45,7 @@ const LINES: usize = 2;
 /// One is underway at a time.
 const RECONFIGURATIONS: usize = 2;
 /// A tick has room for all of them among its events, see `controller::RESERVED`.
-const REQUESTS: usize = 10;
+const REQUESTS: usize = 12;
 
 /// Options of a host that are not in its configuration.
 #[derive(Clone, Debug, Default)]
@@ -76,6 +77,8 @@ pub struct Host<L> {
     pub setpoints: SetpointSender,
     /// Sends the pulses of the operator who jogs to the control loop.
     pub jogs: JogSender,
+    /// Sends values to tune to the control loop.
+    pub tunings: TuningSender,
     /// The configuration in force.
     pub configurations: Configurations,
     /// The record of every tick.
@@ -119,6 +122,7 @@ impl<L: Line> Host<L> {
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
         let (jogs_in, jogs) = jog_slot();
+        let (tunings_in, tunings) = tuning_slot();
         let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
         let (ticks, ticks_out) = tick_feed(TICKS);
         let (reports, reports_out) = RingBuffer::new(REPORTS);
@@ -132,6 +136,7 @@ impl<L: Line> Host<L> {
                 requests,
                 setpoints,
                 jogs,
+                tunings,
                 reconfigured,
                 ticks,
                 reports,
@@ -154,6 +159,7 @@ impl<L: Line> Host<L> {
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
             jogs: jogs_in,
+            tunings: tunings_in,
             configurations: Configurations::new(config, reconfigured_out, stamp_offset_ns),
             ticks: ticks_out,
             reports: reports_out,

@@ -20,6 +20,7 @@ pub mod reasons;
 pub mod reconfigure;
 pub mod serial;
 pub mod setpoint_slot;
+pub mod tuning_slot;
 pub mod virtual_host;
 
 mod alignment;

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
 use singletrack_control::SteeringMap;
-use singletrack_pilot::{PilotConfig, PilotRequest, Tuning};
+use singletrack_pilot::{PilotConfig, PilotRequest};
 use singletrack_protocol::Configuration;
 
 use crate::controller::ReconfigureError;
@@ -14,9 +14,6 @@ use crate::controller::ReconfigureError;
 pub enum ControlRequest {
     /// Pass a request to the pilot.
     Pilot(PilotRequest),
-    /// Tune the pilot. The sender has checked the values:
-    /// [`TuningRule::check`](crate::config::TuningRule::check).
-    Tune(Tuning),
     /// Replace the configuration if the car does not drive, and return the box with the
     /// outcome.
     Reconfigure(Box<Reconfiguration>),
@@ -66,51 +63,76 @@ pub struct Stalled;
 
 /// The sending end of the ring of requests, for every thread but the control thread.
 #[derive(Clone, Debug)]
-pub struct Requests(Arc<Mutex<Producer<ControlRequest>>>);
+pub struct Requests(Arc<Mutex<Sender>>);
 
-/// Slots of the ring for stops only: other requests can't keep them out.
-const RESERVED: usize = 4;
+#[derive(Debug)]
+struct Sender {
+    ring: Producer<ControlRequest>,
+    /// The slots of the ring.
+    slots: usize,
+    /// The stops since the last other request, a bit for each kind.
+    stops: u8,
+}
+
+/// Slots of the ring for stops only, one for each kind: no number of requests keeps a stop out.
+const RESERVED: usize = u8::BITS as usize;
+
+impl ControlRequest {
+    /// The bit of a request that ends a drive; `None` for any other.
+    const fn stop(&self) -> Option<u8> {
+        Some(match self {
+            Self::Pilot(
+                PilotRequest::Arm
+                | PilotRequest::ArmHeld
+                | PilotRequest::ArmJog
+                | PilotRequest::Hold,
+            )
+            | Self::Reconfigure(_) => return None,
+            Self::Pilot(PilotRequest::Disarm) => 1,
+            Self::Pilot(PilotRequest::Carried) => 1 << 1,
+            Self::Pilot(PilotRequest::EmergencyStop) => 1 << 2,
+            Self::Pilot(PilotRequest::OperatorGone) => 1 << 3,
+            Self::Pilot(PilotRequest::TimeUp) => 1 << 4,
+            Self::Pilot(PilotRequest::Halt) => 1 << 5,
+            Self::Finish => 1 << 6,
+            Self::Abort => 1 << 7,
+        })
+    }
+}
 
 impl Requests {
     /// Wraps the sending end of the ring that the control loop reads.
     #[must_use]
     pub fn new(ring: Producer<ControlRequest>) -> Self {
-        Self(Arc::new(Mutex::new(ring)))
+        Self(Arc::new(Mutex::new(Sender {
+            slots: ring.slots(),
+            ring,
+            stops: 0,
+        })))
     }
 
     /// Pushes a request. Senders may wait for each other; the control thread never waits.
     ///
+    /// A stop is always taken: one that waits already, with nothing but stops behind it, is not
+    /// pushed again, because the control loop takes all that wait with one tick.
+    ///
     /// # Errors
     ///
-    /// [`Stalled`] if the ring is full; for requests other than a stop, if only the reserved
-    /// slots are left.
+    /// [`Stalled`] for requests other than a stop, if only the reserved slots are left.
     pub fn push(&self, request: ControlRequest) -> Result<(), Stalled> {
         // The ring is consistent even if a sender has panicked.
-        let mut ring = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let stops = match request {
-            ControlRequest::Pilot(
-                PilotRequest::Arm
-                | PilotRequest::ArmHeld
-                | PilotRequest::ArmJog
-                | PilotRequest::Hold
-                | PilotRequest::Disarm
-                | PilotRequest::Carried,
-            )
-            | ControlRequest::Tune(_)
-            | ControlRequest::Reconfigure(_) => false,
-            ControlRequest::Pilot(
-                PilotRequest::EmergencyStop
-                | PilotRequest::OperatorGone
-                | PilotRequest::TimeUp
-                | PilotRequest::Halt,
-            )
-            | ControlRequest::Finish
-            | ControlRequest::Abort => true,
-        };
-        if !stops && ring.slots() <= RESERVED {
-            return Err(Stalled);
+        let mut sender = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let free = sender.ring.slots();
+        if free == sender.slots {
+            sender.stops = 0;
         }
-        ring.push(request).map_err(|_| Stalled)
+        match request.stop() {
+            Some(stop) if sender.stops & stop != 0 => return Ok(()),
+            Some(stop) => sender.stops |= stop,
+            None if free <= RESERVED => return Err(Stalled),
+            None => sender.stops = 0,
+        }
+        sender.ring.push(request).map_err(|_| Stalled)
     }
 }
 
@@ -118,19 +140,54 @@ impl Requests {
 mod tests {
     use super::*;
 
+    /// All requests that a client, a signal or the end of a connection can cause.
+    fn all() -> Vec<ControlRequest> {
+        let pilot = PilotRequest::ALL.map(ControlRequest::Pilot);
+        pilot
+            .into_iter()
+            .chain([ControlRequest::Finish, ControlRequest::Abort])
+            .collect()
+    }
+
     #[test]
-    fn other_requests_do_not_keep_out_a_stop() {
-        let (ring, mut taken) = rtrb::RingBuffer::new(12);
+    fn no_flood_of_requests_keeps_any_stop_out() {
+        for flood in all() {
+            for other in all() {
+                let (ring, mut taken) = rtrb::RingBuffer::new(2 * RESERVED);
+                let requests = Requests::new(ring);
+                for _ in 0..100 {
+                    let _ = requests.push(flood.clone());
+                    let _ = requests.push(other.clone());
+                }
+                let stops = all().into_iter().filter(|request| request.stop().is_some());
+                for stop in stops {
+                    assert_eq!(requests.push(stop.clone()), Ok(()), "{flood:?}, {other:?}");
+                    // It comes after all that could undo it.
+                    let mut waiting = Vec::new();
+                    while let Ok(request) = taken.pop() {
+                        waiting.push(request);
+                    }
+                    let last = waiting.iter().rposition(|request| request.stop().is_none());
+                    let after = &waiting[last.map_or(0, |last| last + 1)..];
+                    assert!(after.contains(&stop), "{flood:?}, {other:?}: {waiting:?}");
+                    for request in waiting {
+                        let _ = requests.push(request);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_stop_that_was_taken_is_pushed_again() {
+        let (ring, mut taken) = rtrb::RingBuffer::new(2 * RESERVED);
         let requests = Requests::new(ring);
         let disarm = ControlRequest::Pilot(PilotRequest::Disarm);
-        assert!((0..100).any(|_| requests.push(disarm.clone()).is_err()));
-        let stop = ControlRequest::Pilot(PilotRequest::EmergencyStop);
-        assert_eq!(requests.push(stop.clone()), Ok(()));
-        assert_eq!(requests.push(ControlRequest::Finish), Ok(()));
-        let mut last = Vec::new();
-        while let Ok(request) = taken.pop() {
-            last.push(request);
+        for _ in 0..3 {
+            assert_eq!(requests.push(disarm.clone()), Ok(()));
+            assert_eq!(requests.push(disarm.clone()), Ok(()));
+            assert_eq!(taken.pop(), Ok(disarm.clone()));
+            assert!(taken.is_empty());
         }
-        assert!(last.ends_with(&[stop, ControlRequest::Finish]));
     }
 }

@@ -20,17 +20,6 @@ use crate::{
 /// datagrams that a socket holds.
 const POLLS: u32 = 8;
 
-/// Why the pilot is not tuned.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum TuneError {
-    /// The values are refused.
-    #[error(transparent)]
-    Refused(#[from] TuningError),
-    /// The control loop takes no requests.
-    #[error(transparent)]
-    Stalled(#[from] Stalled),
-}
-
 /// A host that is polled in the place of its threads.
 #[derive(Debug)]
 pub struct VirtualHost<L> {
@@ -174,12 +163,13 @@ impl<L: Line> VirtualHost<L> {
     ///
     /// # Errors
     ///
-    /// The configuration in force does not allow it, or the control loop takes no requests.
-    pub fn tune(&self, tuning: Tuning) -> Result<(), TuneError> {
+    /// The configuration in force does not allow it.
+    pub fn tune(&self, tuning: Tuning) -> Result<(), TuningError> {
         let tuned = self.controller().pilot().tuned();
         let rule = self.host.configurations.in_force().tuning_rule();
         rule.check(&tuning, tuned.as_ref())?;
-        Ok(self.host.requests.push(ControlRequest::Tune(tuning))?)
+        self.host.tunings.send(tuning);
+        Ok(())
     }
 
     /// Hands another configuration to the control loop, which refuses it after

@@ -209,7 +209,10 @@ impl Daemon {
                 setpoints: host.setpoints,
                 source: SetpointSource::default(),
                 jogs: host.jogs,
-                config_path: options.config_path,
+                tunings: host.tunings,
+                config_path: options
+                    .config_path
+                    .map(|path| std::path::absolute(&path).unwrap_or(path)),
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,

@@ -2,7 +2,9 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use singletrack_core::{Requests, jog_slot::JogSender, setpoint_slot::SetpointSender};
+use singletrack_core::{
+    Requests, jog_slot::JogSender, setpoint_slot::SetpointSender, tuning_slot::TuningSender,
+};
 
 use crate::{
     commissioned_file::CommissionedFile,
@@ -24,6 +26,7 @@ pub(crate) struct DaemonHandle {
     /// Which client gives the set-points.
     pub(crate) source: SetpointSource,
     pub(crate) jogs: JogSender,
+    pub(crate) tunings: TuningSender,
     /// The file of the configuration, for a reload.
     pub(crate) config_path: Option<PathBuf>,
     pub(crate) reconfigurer: Reconfigurer,

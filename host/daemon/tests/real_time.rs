@@ -17,10 +17,7 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_core::{
-    ControlRequest,
-    config::{MpcWeights, OuterLoopSection, ReferenceSection, TuningSection},
-};
+use singletrack_core::config::{MpcWeights, OuterLoopSection, ReferenceSection, TuningSection};
 use singletrack_pilot::{Filtering, Mode, Tuning};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
@@ -188,8 +185,7 @@ fn tuning_allocates_nothing_in_a_tick() {
                 gain: Some(Velocity::new(gain, gain)),
                 point_distance: (number == 0).then_some(p),
             };
-            let request = ControlRequest::Tune(tuning);
-            drive.host.requests.push(request).unwrap();
+            drive.host.tunings.send(tuning);
         }
         total += allocations(|| drive.tick(index));
         let tuned = drive.output().filter(|output| output.mode == Mode::Driving);

@@ -13,11 +13,10 @@ use singletrack_control::{Setpoint, Time, Trajectory};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
-    config::Config,
+    config::{Config, TuningError},
     controller::Controller,
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
-    virtual_host::TuneError,
 };
 use singletrack_pilot::{Jog, Mode, PilotRequest, Reason, Tuning};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
@@ -239,8 +238,8 @@ impl VirtualDrive {
     ///
     /// # Errors
     ///
-    /// [`TuneError`]: the configuration does not allow it, or the control loop takes no requests.
-    pub fn tune(&self, tuning: Tuning) -> Result<(), TuneError> {
+    /// The configuration does not allow it.
+    pub fn tune(&self, tuning: Tuning) -> Result<(), TuningError> {
         self.host.tune(tuning)
     }
 

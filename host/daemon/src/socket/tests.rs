@@ -68,6 +68,7 @@ impl Bench {
             setpoints: host.setpoints,
             source: SetpointSource::default(),
             jogs: host.jogs,
+            tunings: host.tunings,
             config_path: None,
             realtime: RealTimeStatus {
                 fifo_priority: None,

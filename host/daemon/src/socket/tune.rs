@@ -4,7 +4,6 @@
 use std::time::Duration;
 
 use serde_json::{Value, json};
-use singletrack_core::ControlRequest;
 use singletrack_pilot::{Tuned, Tuning};
 use tokio::time::{Instant, sleep};
 
@@ -33,8 +32,7 @@ async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String
     rule.check(&tuning, before.as_ref())
         .map_err(|error| error.to_string())?;
     let asked_ns = monotonic_ns();
-    let pushed = daemon.requests.push(ControlRequest::Tune(tuning));
-    pushed.map_err(|error| error.to_string())?;
+    daemon.tunings.send(tuning);
     let asked = Instant::now();
     while asked.elapsed() < TIMEOUT {
         sleep(POLL).await;

@@ -1,7 +1,6 @@
 //! Who drives the car of a scenario.
 
 use serde::Deserialize;
-use singletrack_core::virtual_host::TuneError;
 use singletrack_pilot::{PilotRequest, Tuning};
 
 use super::{error::ScenarioError, tune::TuneSection};
@@ -152,10 +151,9 @@ impl Operator {
             self.to_do.pop();
             match action {
                 Action::Ask(request) => drive.request(request).map_err(|_| busy())?,
-                Action::Tune(tuning) => drive.tune(tuning).map_err(|error| match error {
-                    TuneError::Refused(source) => ScenarioError::Tune { at_s, source },
-                    TuneError::Stalled(_) => busy(),
-                })?,
+                Action::Tune(tuning) => drive
+                    .tune(tuning)
+                    .map_err(|source| ScenarioError::Tune { at_s, source })?,
                 Action::Connect(connected) => {
                     self.has_unplugged = !connected;
                     drive.world_mut().set_wire_connected(connected);
