@@ -3,7 +3,7 @@
 use std::{
     io::{self, BufRead as _, BufReader, Read as _, Write as _},
     os::{
-        fd::{AsFd, BorrowedFd},
+        fd::{AsFd, BorrowedFd, OwnedFd},
         unix::net::UnixStream,
     },
     path::Path,
@@ -11,18 +11,35 @@ use std::{
 };
 
 use serde_json::Value;
+use socket2::{Domain, SockAddr, Socket, Type};
 
 use crate::ClientError;
+
+/// The longest wait for a daemon that accepts no connection.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// The longest wait for an answer: a reference with a governor takes seconds to judge.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Connects to the daemon that listens at `path`.
 ///
 /// # Errors
 ///
-/// No process listens there.
+/// No process listens there, or it accepts nothing.
 pub fn connect(path: &Path) -> Result<UnixStream, ClientError> {
-    UnixStream::connect(path).map_err(|source| ClientError::Connect {
-        path: path.to_owned(),
-        source,
+    let connected = || {
+        let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+        // It bounds the wait for a place in the listener's queue, too.
+        socket.set_write_timeout(Some(CONNECT_TIMEOUT))?;
+        socket.connect(&SockAddr::unix(path)?)?;
+        Ok(UnixStream::from(OwnedFd::from(socket)))
+    };
+    connected().map_err(|source: io::Error| match source.kind() {
+        io::ErrorKind::WouldBlock => ClientError::silent(path, CONNECT_TIMEOUT),
+        _ => ClientError::Connect {
+            path: path.to_owned(),
+            source,
+        },
     })
 }
 
@@ -32,13 +49,22 @@ pub fn connect(path: &Path) -> Result<UnixStream, ClientError> {
 ///
 /// The daemon can't be asked, or refuses; the reason is the daemon's.
 pub fn ask(line: &Value, path: &Path) -> Result<Value, ClientError> {
+    ask_within(line, path, ANSWER_TIMEOUT)
+}
+
+fn ask_within(line: &Value, path: &Path, patience: Duration) -> Result<Value, ClientError> {
     let mut stream = connect(path)?;
+    stream.set_read_timeout(Some(patience))?;
     stream.write_all(format!("{line}\n").as_bytes())?;
     let mut answer = String::new();
-    if BufReader::new(stream).read_line(&mut answer)? == 0 {
-        return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+    match BufReader::new(stream).read_line(&mut answer) {
+        Ok(0) => Err(ClientError::Ended),
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+            Err(ClientError::silent(path, patience))
+        }
+        Err(error) => Err(error.into()),
+        Ok(_) => agreed(serde_json::from_str(&answer)?),
     }
-    agreed(serde_json::from_str(&answer)?)
 }
 
 /// An answer, unless it is a refusal.
@@ -125,7 +151,7 @@ impl Connection {
             }
             let mut buffer = [0; 16_384];
             match self.stream.read(&mut buffer) {
-                Ok(0) => return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+                Ok(0) => return Err(ClientError::Ended),
                 Ok(count) => self.received.extend(buffer.iter().take(count)),
                 Err(error)
                     if matches!(
@@ -173,10 +199,7 @@ mod tests {
         assert_eq!(connection.receive().unwrap(), Some(json!({ "ok": true })));
         assert_eq!(connection.receive().unwrap(), Some(json!({})));
         drop(daemon);
-        assert!(matches!(
-            connection.receive(),
-            Err(ClientError::BrokeOff(_))
-        ));
+        assert!(matches!(connection.receive(), Err(ClientError::Ended)));
     }
 
     #[test]
@@ -194,6 +217,19 @@ mod tests {
         let error = ask(&json!({}), &path).unwrap_err();
         assert_eq!(error.to_string(), "the car is gone");
         drop(daemon.join().unwrap());
+    }
+
+    #[test]
+    fn a_daemon_that_accepts_or_answers_nothing_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("socket");
+        let _stopped = UnixListener::bind(&path).unwrap();
+        let error = ask_within(&json!({}), &path, Duration::from_millis(20)).unwrap_err();
+        let error = error.to_string();
+        assert!(
+            error.contains("no answer") && error.contains("socket"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -1,6 +1,10 @@
 //! Why the daemon could not be asked, or refused.
 
-use std::{io, path::PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
 /// Why a request failed.
 #[derive(Debug, thiserror::Error)]
@@ -16,6 +20,20 @@ pub enum ClientError {
         /// What the system says.
         source: io::Error,
     },
+    /// The daemon accepts no connection, or gives no answer.
+    #[error(
+        "no answer from the daemon at {} within {} s; is it stopped, or does its computer hang?",
+        path.display(), patience.as_secs_f64()
+    )]
+    Silent {
+        /// The socket.
+        path: PathBuf,
+        /// For how long it was waited.
+        patience: Duration,
+    },
+    /// The daemon closed the connection.
+    #[error("the daemon has closed the connection: it has ended, or too many clients wait for it")]
+    Ended,
     /// The connection failed.
     #[error("lost the connection to the daemon: {0}")]
     BrokeOff(#[from] io::Error),
@@ -25,4 +43,13 @@ pub enum ClientError {
     /// The daemon refuses.
     #[error("{0}")]
     Refused(String),
+}
+
+impl ClientError {
+    pub(crate) fn silent(path: &Path, patience: Duration) -> Self {
+        Self::Silent {
+            path: path.to_owned(),
+            patience,
+        }
+    }
 }

@@ -5,7 +5,7 @@
 //! never waits and frees no memory. A refused configuration has no effect.
 
 use std::{
-    path::PathBuf,
+    path::{Component, Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicI64, Ordering},
@@ -49,6 +49,18 @@ pub enum ChangeError {
     /// A reference file with a relative path, which depends on the reader's folder.
     #[error("reference.file is {}: a daemon needs an absolute path", .0.display())]
     RelativePath(PathBuf),
+    /// A reference file that a client may not name.
+    #[error(
+        "reference.file is {}: clients of the socket may name files in {} only; copy it there, or set \
+         socket.reference_folder",
+        file.display(), folder.display()
+    )]
+    Foreign {
+        /// The file.
+        file: PathBuf,
+        /// Where files may be.
+        folder: PathBuf,
+    },
 }
 
 /// The configuration in force, and the change that is underway.
@@ -92,14 +104,20 @@ impl Configurations {
         self.number
     }
 
-    /// The configuration in force with another reference.
+    /// The configuration in force with another reference, from a client that may name files in
+    /// `socket.reference_folder`, or in `folder` if there is none.
     ///
     /// # Errors
     ///
     /// The reference is invalid or contradicts the rest of the configuration.
-    pub fn with_reference(&self, reference: ReferenceSection) -> Result<Config, ChangeError> {
-        if let Some(file) = reference.file().filter(|file| !file.is_absolute()) {
-            return Err(ChangeError::RelativePath(file.to_owned()));
+    pub fn with_reference(
+        &self,
+        reference: ReferenceSection,
+        folder: &Path,
+    ) -> Result<Config, ChangeError> {
+        if let Some(file) = reference.file() {
+            let chosen = self.in_force.socket.reference_folder.as_deref();
+            check_file(file, chosen.unwrap_or(folder))?;
         }
         let config = Config {
             reference,
@@ -164,5 +182,60 @@ impl Configurations {
         self.in_force = config;
         self.number = change.number;
         Some(Ok(self.number))
+    }
+}
+/// Whether a client may name this file. One outside the folder is not looked at.
+fn check_file(file: &Path, folder: &Path) -> Result<(), ChangeError> {
+    if !file.is_absolute() {
+        return Err(ChangeError::RelativePath(file.to_owned()));
+    }
+    let real_folder = folder.canonicalize();
+    let is_inside = |file: &Path| {
+        file.starts_with(folder) || matches!(&real_folder, Ok(folder) if file.starts_with(folder))
+    };
+    let climbs = file.components().any(|part| part == Component::ParentDir);
+    let leaves = || file.canonicalize().is_ok_and(|real| !is_inside(&real));
+    if climbs || !is_inside(file) || leaves() {
+        return Err(ChangeError::Foreign {
+            file: file.to_owned(),
+            folder: folder.to_owned(),
+        });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, os::unix::fs::symlink};
+
+    use super::*;
+
+    #[test]
+    fn a_client_names_files_in_its_folder_only() {
+        let home = tempfile::tempdir().unwrap();
+        let folder = home.path().join("references");
+        fs::create_dir(&folder).unwrap();
+        let secret = home.path().join("secret");
+        for file in [&secret, &folder.join("path.csv")] {
+            fs::write(file, "").unwrap();
+        }
+        symlink(&secret, folder.join("link")).unwrap();
+        let link = home.path().join("other-name");
+        symlink(&folder, &link).unwrap();
+        for (file, folder) in [
+            ("path.csv", &folder),
+            ("missing", &folder),
+            ("path.csv", &link),
+        ] {
+            check_file(&folder.join(file), folder).unwrap();
+        }
+        check_file(&folder.canonicalize().unwrap().join("path.csv"), &link).unwrap();
+        for file in [&secret, &folder.join("../secret"), &folder.join("link")] {
+            let error = check_file(file, &folder).unwrap_err();
+            assert!(matches!(error, ChangeError::Foreign { .. }), "{error}");
+            assert!(error.to_string().contains("socket.reference_folder"));
+        }
+        let error = check_file(Path::new("/proc/self/environ"), &folder).unwrap_err();
+        assert!(matches!(error, ChangeError::Foreign { .. }), "{error}");
     }
 }

@@ -8,7 +8,7 @@
 
 use crate::simulated_drive::SimulatedDrive;
 use singletrack_core::{
-    config::{Config, LimitsSection, ReferenceSection, SECTIONS},
+    config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS},
     feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},
 };
 use singletrack_pilot::Mode;
@@ -476,4 +476,65 @@ fn what_was_left_as_in_the_example_is_a_warning() {
         let section = SECTIONS.iter().find(|section| section.name == key).unwrap();
         assert!(section.keys.iter().any(|key| (key.example)().is_some()));
     }
+}
+
+#[test]
+fn values_that_no_sane_car_has_are_named() {
+    assert_eq!(found(&own()).findings, []);
+    type Change = fn(&mut Config);
+    let cases: [(&str, Change); 10] = [
+        ("fence.corners_m is 3000 m by 3000 m", |config| {
+            config.fence.corners_m = square(1_500.0);
+        }),
+        ("limits.max_speed_m_s is 20", |config| {
+            config.limits.max_speed_m_s = 20.0;
+        }),
+        ("control.stop_deceleration_m_s2 is 9", |config| {
+            config.control.stop_deceleration_m_s2 = 9.0;
+            config.vehicle.friction = 0.25;
+        }),
+        ("law.point_distance_m is 0", |config| {
+            config.law.point_distance_m = 1e-300;
+        }),
+        ("outer_loop.gain_per_s is [1000.0, 1.0]", |config| {
+            config.outer_loop = OuterLoopSection::Proportional {
+                gain_per_s: [1_000.0, 1.0],
+                feed_forward: false,
+            };
+        }),
+        ("motion_capture.timing.stamp_offset_ms is 200", |config| {
+            config.motion_capture.timing.stamp_offset_ms = 200.0;
+        }),
+        ("motion_capture.pose is jump_margin_m = 1", |config| {
+            config.motion_capture.pose.jump_margin_m = 1.0;
+        }),
+        (
+            "motion_capture.pose is max_consecutive_rejects = 1000",
+            |config| config.motion_capture.pose.max_consecutive_rejects = 1_000,
+        ),
+        ("watch is max_innovation = 1000000", |config| {
+            config.watch.max_innovation = 1e6;
+        }),
+        ("watch is speed_margin_m_s = 2", |config| {
+            config.watch.speed_margin_m_s = 2.0;
+        }),
+    ];
+    for (expected, change) in cases {
+        let mut config = own();
+        // What it is to be wrong with is the value alone.
+        config.vehicle.friction = 1.0;
+        change(&mut config);
+        let warnings = judge_unusual(&config);
+        assert!(
+            warnings.iter().any(|warning| warning.starts_with(expected)),
+            "{expected}: {warnings:?}"
+        );
+    }
+}
+
+/// The warnings, whether or not the rest of the configuration fits.
+fn judge_unusual(config: &Config) -> Vec<String> {
+    let mut findings = Vec::new();
+    singletrack_core::feasibility::warn_of_unusual(config, &mut findings);
+    findings.iter().map(ToString::to_string).collect()
 }

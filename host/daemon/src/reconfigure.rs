@@ -111,11 +111,17 @@ impl Reconfigurer {
         self.change("reload", |_| Ok(Config::read(path)?))
     }
 
-    /// Replaces the reference of the configuration in force. Blocks like
+    /// Replaces the reference of the configuration in force, whose file is `path`. Blocks like
     /// [`reload`](Self::reload).
-    pub(crate) fn set_reference(&self, reference: ReferenceSection) -> Result<u32, ChangeError> {
+    pub(crate) fn set_reference(
+        &self,
+        reference: ReferenceSection,
+        path: Option<&Path>,
+    ) -> Result<u32, ChangeError> {
         self.change("set-reference", |configurations| {
-            configurations.with_reference(reference)
+            let folder = path.and_then(Path::parent);
+            let state = &configurations.in_force().state.directory;
+            configurations.with_reference(reference, folder.unwrap_or(state))
         })
     }
 

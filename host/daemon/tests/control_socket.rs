@@ -181,6 +181,11 @@ fn a_stop_is_obeyed_when_every_slot_is_taken() {
         .collect();
     let refused = Client::connect(&path).ask(r#"{"version":2,"command":"status"}"#);
     assert_eq!(refused["ok"], false, "{refused}");
+    // Connections that a client has leaked: beyond 64 the oldest are closed.
+    let mut leaked: Vec<_> = (0..300).map(|_| Client::connect(&path)).collect();
+    for client in leaked.iter_mut().take(300 - 64) {
+        assert_eq!(client.line()["ok"], false);
+    }
     let stopped = Client::connect(&path).ask(r#"{"version":2,"command":"stop"}"#);
     assert_eq!(stopped["ok"], true, "{stopped}");
     while daemon.snapshot().mode() != Mode::Fault {
@@ -297,8 +302,11 @@ fn a_reference_that_the_car_cannot_drive_is_in_force_with_a_warning() {
 
 #[test]
 fn an_invalid_reference_changes_nothing() {
-    let (_daemon, path, _folder) = start();
+    let (_daemon, path, folder) = start();
     let mut client = Client::connect(&path);
+    let secret = folder.path().join("state/secret");
+    std::fs::create_dir_all(secret.parent().unwrap()).unwrap();
+    std::fs::write(&secret, "root:secret:1:2\n").unwrap();
     for (reference, part) in [
         (json!({"kind": "circle"}), "radius_m"),
         (
@@ -311,11 +319,15 @@ fn an_invalid_reference_changes_nothing() {
         ),
         (
             json!({"kind": "waypoints", "file": "/dev/zero"}),
-            "/dev/zero: it is a pipe, a socket or a device",
+            "reference.file is /dev/zero: clients of the socket may name files in",
         ),
         (
             json!({"kind": "waypoints", "file": "/nowhere/way.csv"}),
             "/nowhere/way.csv",
+        ),
+        (
+            json!({"kind": "waypoints", "file": secret}),
+            "line 1 must name the columns",
         ),
     ] {
         let command = json!({"version": 2, "command": "set-reference", "reference": reference});
@@ -323,6 +335,7 @@ fn an_invalid_reference_changes_nothing() {
         assert_eq!(answer["ok"], false, "{reference}");
         let error = answer["error"].as_str().unwrap();
         assert!(error.contains(part), "{reference}: {error}");
+        assert!(!error.contains("root"), "{error}");
         assert_eq!(status(&mut client)["configuration"]["number"], 1);
     }
 }

@@ -160,6 +160,9 @@ impl Config {
             toml::from_str(&text).map_err(|error| ConfigError::parse(Some(path), &text, &error))?;
         if let Some(folder) = path.parent() {
             config.reference.resolve(folder);
+            if let Some(references) = &mut config.socket.reference_folder {
+                *references = folder.join(&references);
+            }
         }
         config.fence.resolve(&config.vehicle);
         config.validate().map_err(|error| ConfigError::File {

@@ -42,6 +42,8 @@ section! {
     /// sockets; 0 takes any free port. Clients give the token from the file `<path>.token`,
     /// which is open to the group of the socket. Left out, nothing listens.
     tcp_port: Option<u16> = None, example 8_766;
+    /// Folder whose files a client may name as a reference; left out, that of the configuration.
+    reference_folder: Option<PathBuf> = None, example PathBuf::from("/etc/singletrackd");
 }
 
 section! {

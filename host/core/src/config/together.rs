@@ -96,6 +96,25 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
         ),
     )?;
+    refuse_if(
+        config.fence.braking_m_s2 > grip,
+        "fence.braking_m_s2",
+        config.fence.braking_m_s2,
+        format!(
+            "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times gravity); \
+             measure how yours brakes"
+        ),
+    )?;
+    let esc = board.configuration().esc;
+    refuse_if(
+        esc.max_us <= esc.neutral_us.saturating_add(esc.deadband_us),
+        "board.esc.max_us",
+        esc.max_us,
+        format!(
+            "the wheels turn beyond {} us only (neutral_us and deadband_us): the car would never drive",
+            esc.neutral_us.saturating_add(esc.deadband_us)
+        ),
+    )?;
     path_within_limits(config)?;
     let [low, high] = pose.height_m.unwrap_or_default();
     refuse_if(

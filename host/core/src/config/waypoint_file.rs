@@ -1,5 +1,8 @@
 //! A file of waypoints, CSV with the columns `t_s,x_m,y_m`, or of the points of a path, with
 //! the columns `x_m,y_m`.
+//!
+//! Errors quote nothing of a file: they also reach clients of the control socket, who may not be
+//! allowed to read it.
 
 use std::{io, path::Path};
 
@@ -17,22 +20,18 @@ pub enum WaypointFileError {
     #[error("{0}; write one number for each column, such as 1.5,-0.5")]
     Csv(#[from] csv::Error),
     /// The first line does not name the columns.
-    #[error("line 1 is {found:?}; it must name the columns {columns}")]
+    #[error("line 1 must name the columns {columns}, and no others")]
     Columns {
-        /// The first line.
-        found: String,
         /// The columns that it must name, in any order.
         columns: String,
     },
     /// A field is not a finite number.
-    #[error("line {line}: {column} is {value:?}; write a finite number, as 0.5")]
+    #[error("line {line}: {column} is no finite number; write one, as 0.5")]
     Number {
         /// Counted from 1.
         line: u64,
         /// The column of the field.
         column: &'static str,
-        /// The text of the field.
-        value: String,
     },
     /// The waypoints are not in order of time.
     #[error(
@@ -97,7 +96,6 @@ fn read_rows<const COLUMNS: usize>(
         .collect();
     if header.len() != COLUMNS || places.len() != COLUMNS {
         return Err(WaypointFileError::Columns {
-            found: header.iter().collect::<Vec<_>>().join(","),
             columns: columns.join(","),
         });
     }
@@ -108,11 +106,7 @@ fn read_rows<const COLUMNS: usize>(
         for ((number, column), place) in row.iter_mut().zip(columns).zip(&places) {
             let value = record.get(*place).unwrap_or_default().trim();
             let finite = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *number = finite.ok_or_else(|| WaypointFileError::Number {
-                line,
-                column,
-                value: value.to_owned(),
-            })?;
+            *number = finite.ok_or_else(|| WaypointFileError::Number { line, column })?;
         }
         take(line, row)?;
     }

@@ -7,6 +7,7 @@
 
 mod circle;
 mod drive;
+mod unusual;
 
 use core::f64::consts::{FRAC_PI_4, PI};
 use core::fmt;
@@ -19,6 +20,7 @@ use singletrack_pilot::{Fence, PilotConfig};
 use crate::config::{Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS};
 use circle::SteadyCircle;
 use drive::{Car, Ended, Governed, Saturated};
+pub use unusual::warn_of_unusual;
 
 /// Distance that the path must keep from the geofence beyond its margin, in m: the model of
 /// [`judge`] knows no noise, no lag and no slip.
@@ -122,6 +124,7 @@ pub fn judge(config: &Config, stand: Option<Stand>) -> Result<Judgement, ConfigE
     let mut judgement = judge_reference(config, stand, None)?;
     let mut findings = Vec::new();
     warn_of_examples(config, &mut findings);
+    warn_of_unusual(config, &mut findings);
     findings.append(&mut judgement.findings);
     judgement.findings = findings;
     Ok(judgement)

@@ -35,7 +35,7 @@
 //! reference from where it stands.
 //!
 //! **References.** `reference` has the keys of `[reference]` in the configuration; `file`
-//! is an absolute path that the daemon may read. A reference is refused while the car
+//! is an absolute path in `socket.reference_folder`. A reference is refused while the car
 //! drives. It is in force until the configuration is reloaded.
 //!
 //! **Tuning.** `tune` changes the gains of the position loop, p, or both, also while the car
@@ -67,6 +67,7 @@ mod tests;
 mod thread;
 mod token;
 mod tune;
+mod waiting;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;

@@ -16,6 +16,7 @@ use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
     sync::broadcast::error::RecvError,
     task::{coop::consume_budget, spawn_blocking},
+    time::timeout,
 };
 
 use super::{
@@ -25,6 +26,7 @@ use super::{
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     tune::tune,
+    waiting::Place,
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
@@ -37,19 +39,29 @@ pub(super) const CLIENTS: usize = 32;
 /// The longest line, in bytes: a trajectory of 100 points with all their digits.
 pub(super) const LONGEST_LINE: u64 = 16_384;
 
-/// The longest wait for the first line of a client beyond [`CLIENTS`].
+/// The largest number of clients beyond [`CLIENTS`] whose first line is waited for.
+pub(super) const WAITING: usize = 64;
+
+/// The longest wait for it.
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Serves a client beyond [`CLIENTS`]: only a stop or a disarm is obeyed.
-pub(super) async fn refuse(connection: Connection, daemon: &DaemonHandle) -> io::Result<()> {
+/// Serves a client beyond [`CLIENTS`]: only what ends a drive is obeyed.
+pub(super) async fn refuse(
+    connection: Connection,
+    daemon: &DaemonHandle,
+    mut place: Place,
+) -> io::Result<()> {
     let Connection { read, mut write } = connection;
     let mut line = Vec::new();
     let mut read = read.take(LONGEST_LINE);
-    let first_line = tokio::time::timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line)).await;
+    let first_line = timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line));
+    let first_line = place.until_lost(first_line).await;
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
         (
-            Ok(Ok(_)),
-            Ok(Command::Ask(question @ (Question::Stop | Question::Disarm | Question::Halt))),
+            Some(Ok(Ok(_))),
+            Ok(Command::Ask(
+                question @ (Question::Stop | Question::Disarm | Question::Halt | Question::Carried),
+            )),
         ) => answer(question, daemon).await,
         _ => failure(format!("{CLIENTS} clients are connected; close one")),
     };
@@ -250,7 +262,9 @@ async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Va
     // It reads files, waits for the control thread and judges. On a thread of its own, it does
     // not delay a stop of another client.
     let changed = spawn_blocking(move || {
-        let number = changing.reconfigurer.set_reference(reference)?;
+        let number = changing
+            .reconfigurer
+            .set_reference(reference, changing.config_path.as_deref())?;
         let (_, config) = changing.reconfigurer.in_force();
         let warnings = judgement::warnings(&config, judgement::stand(&changing.snapshot()));
         Ok::<_, ChangeError>((number, warnings))

@@ -18,7 +18,6 @@ use serde_json::json;
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
-    sync::Semaphore,
     time::{sleep, timeout},
 };
 
@@ -27,11 +26,12 @@ use super::{
     serve::{failure, send},
     stream::{Connection, linger},
     token::{Token, TokenFile},
+    waiting::WaitingRoom,
 };
 
 /// The largest number of connections at a time that have not given the token. They take no place
-/// of a client who may connect.
-const STRANGERS: usize = 8;
+/// of a client who may connect, and a newer one takes the place of the oldest.
+const STRANGERS: usize = 16;
 
 /// The longest wait for the first line, and its longest length in bytes.
 const FIRST_LINE_TIMEOUT: Duration = Duration::from_secs(2);
@@ -53,7 +53,7 @@ pub(super) struct BoundPort {
 pub(super) struct Gate {
     token: Token,
     token_path: PathBuf,
-    strangers: Semaphore,
+    strangers: WaitingRoom,
 }
 
 impl BoundPort {
@@ -84,7 +84,7 @@ impl Gate {
         Self {
             token,
             token_path,
-            strangers: Semaphore::new(STRANGERS),
+            strangers: WaitingRoom::new(STRANGERS),
         }
     }
 
@@ -94,25 +94,26 @@ impl Gate {
         stream: TcpStream,
         peer: SocketAddr,
     ) -> io::Result<Option<Connection>> {
-        let Ok(stranger) = self.strangers.try_acquire() else {
-            return Ok(None);
-        };
+        let mut place = self.strangers.enter();
         // An answer is one small write, which must not wait for the next one.
         stream.set_nodelay(true)?;
         let mut connection = Connection::from(stream);
         let Connection { read, write } = &mut connection;
         let mut line = Vec::new();
         let mut first = (&mut *read).take(LONGEST_FIRST_LINE);
-        let count = match timeout(FIRST_LINE_TIMEOUT, first.read_until(b'\n', &mut line)).await {
-            Ok(count) => count?,
-            Err(_) => 0,
+        let first_line = timeout(FIRST_LINE_TIMEOUT, first.read_until(b'\n', &mut line));
+        let Some(first_line) = place.until_lost(first_line).await else {
+            return Ok(None);
         };
+        let count = first_line.unwrap_or(Ok(0))?;
         if count > 0 && self.token.is_given_by(&line) {
             send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
             return Ok(Some(connection));
         }
         tracing::warn!(%peer, "a connection to the control socket on TCP without the token");
-        sleep(REFUSAL_DELAY).await;
+        if place.until_lost(sleep(REFUSAL_DELAY)).await.is_none() {
+            return Ok(None);
+        }
         let error = format!(
             "the first line must be {{\"version\":{SOCKET_VERSION},\"command\":\"token\",\
              \"token\":\"...\"}}, with the token from {}",
@@ -120,8 +121,7 @@ impl Gate {
         );
         send(write, &failure(error)).await?;
         write.shutdown().await?;
-        drop(stranger);
-        linger(read).await;
+        place.until_lost(linger(read)).await;
         Ok(None)
     }
 }

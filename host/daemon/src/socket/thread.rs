@@ -11,13 +11,15 @@ use tokio::{
     net::{TcpListener, UnixListener},
     runtime,
     sync::{Notify, Semaphore},
+    task::yield_now,
 };
 
 use super::{
     bind::BoundSocket,
-    serve::{CLIENTS, refuse, serve},
+    serve::{CLIENTS, WAITING, refuse, serve},
     stream::Connection,
     tcp::{BoundPort, Gate},
+    waiting::WaitingRoom,
 };
 use crate::handle::DaemonHandle;
 
@@ -81,28 +83,40 @@ fn listen(
     daemon: DaemonHandle,
 ) -> io::Result<()> {
     let listener = UnixListener::from_std(listener)?;
-    let slots = Arc::new(Semaphore::new(CLIENTS));
+    let places = Arc::new(Places {
+        clients: Arc::new(Semaphore::new(CLIENTS)),
+        waiting: WaitingRoom::new(WAITING),
+    });
     if let Some((listener, gate)) = port {
         let listener = TcpListener::from_std(listener)?;
         tokio::spawn(accept_tcp(
             listener,
             gate,
             daemon.clone(),
-            Arc::clone(&slots),
+            Arc::clone(&places),
         ));
     }
-    tokio::spawn(accept(listener, daemon, slots));
+    tokio::spawn(accept(listener, daemon, places));
     Ok(())
 }
 
-async fn accept(listener: UnixListener, daemon: DaemonHandle, slots: Arc<Semaphore>) {
+/// The places for clients, and for those beyond.
+#[derive(Debug)]
+struct Places {
+    clients: Arc<Semaphore>,
+    waiting: WaitingRoom,
+}
+
+async fn accept(listener: UnixListener, daemon: DaemonHandle, places: Arc<Places>) {
     loop {
         match listener.accept().await {
             Ok((stream, _)) => {
-                let (daemon, slots) = (daemon.clone(), Arc::clone(&slots));
+                let (daemon, places) = (daemon.clone(), Arc::clone(&places));
                 tokio::spawn(async move {
-                    disconnected(admit(stream.into(), &daemon, slots).await);
+                    disconnected(admit(stream.into(), &daemon, &places).await);
                 });
+                // Connections that lose their place are closed before there are more.
+                yield_now().await;
             }
             Err(error) => not_accepted(&error).await,
         }
@@ -113,20 +127,21 @@ async fn accept_tcp(
     listener: TcpListener,
     gate: Arc<Gate>,
     daemon: DaemonHandle,
-    slots: Arc<Semaphore>,
+    places: Arc<Places>,
 ) {
     loop {
         match listener.accept().await {
             Ok((stream, peer)) => {
                 let gate = Arc::clone(&gate);
-                let (daemon, slots) = (daemon.clone(), Arc::clone(&slots));
+                let (daemon, places) = (daemon.clone(), Arc::clone(&places));
                 tokio::spawn(async move {
                     disconnected(match gate.pass(stream, peer).await {
-                        Ok(Some(connection)) => admit(connection, &daemon, slots).await,
+                        Ok(Some(connection)) => admit(connection, &daemon, &places).await,
                         Ok(None) => Ok(()),
                         Err(error) => Err(error),
                     });
                 });
+                yield_now().await;
             }
             Err(error) => not_accepted(&error).await,
         }
@@ -134,14 +149,10 @@ async fn accept_tcp(
 }
 
 /// Serves a client if there is a place.
-async fn admit(
-    connection: Connection,
-    daemon: &DaemonHandle,
-    slots: Arc<Semaphore>,
-) -> io::Result<()> {
-    match slots.try_acquire_owned() {
-        Ok(_slot) => serve(connection, daemon).await,
-        Err(_) => refuse(connection, daemon).await,
+async fn admit(connection: Connection, daemon: &DaemonHandle, places: &Places) -> io::Result<()> {
+    match Arc::clone(&places.clients).try_acquire_owned() {
+        Ok(_place) => serve(connection, daemon).await,
+        Err(_) => refuse(connection, daemon, places.waiting.enter()).await,
     }
 }
 

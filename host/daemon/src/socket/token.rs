@@ -4,7 +4,7 @@ use core::fmt;
 use std::{
     fs,
     io::{self, Write as _},
-    net::SocketAddr,
+    net::{IpAddr, SocketAddr},
     os::unix::fs::{OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
 };
@@ -18,6 +18,9 @@ use super::command::SOCKET_VERSION;
 
 /// Random bytes of a token.
 const BYTES: usize = 32;
+
+/// More than the bytes of a file of a token.
+const LONGEST_FILE: u64 = 512;
 
 /// The owner may write, the group read: those who may connect to the Unix socket.
 const PERMISSIONS: u32 = 0o640;
@@ -72,11 +75,38 @@ impl Token {
 #[derive(Debug)]
 pub(crate) struct TokenFile(PathBuf);
 
+/// What is in it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(dead_code, reason = "a file with these keys is one of ours")]
+struct Content {
+    address: IpAddr,
+    port: u16,
+    token: String,
+}
+
 impl Drop for TokenFile {
     fn drop(&mut self) {
-        // An error means that the file is gone already.
-        let _ = fs::remove_file(&self.0);
+        // An error means that the file is gone already, or another one is there.
+        let _ = remove_token_file(&self.0);
     }
+}
+
+/// Removes a file of a token, and no other file: a mistaken path costs nobody a file.
+fn remove_token_file(path: &Path) -> io::Result<()> {
+    let metadata = match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        metadata => metadata?,
+    };
+    let is_ours = metadata.is_file()
+        && metadata.len() <= LONGEST_FILE
+        && serde_json::from_slice::<Content>(&fs::read(path)?).is_ok();
+    if !is_ours {
+        return Err(io::Error::other(
+            "this file was there before and has no token in it; move it away, or choose another path",
+        ));
+    }
+    fs::remove_file(path)
 }
 
 impl TokenFile {
@@ -89,10 +119,7 @@ impl TokenFile {
 
     /// Writes the file. Replaces the one that a killed daemon left.
     pub(crate) fn create(path: PathBuf, address: SocketAddr, token: &Token) -> io::Result<Self> {
-        match fs::remove_file(&path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
+        remove_token_file(&path)?;
         // A new file and no link: it is the daemon's own from its first byte.
         let mut file = fs::OpenOptions::new()
             .write(true)
@@ -150,16 +177,23 @@ mod tests {
     }
 
     #[test]
-    fn the_file_of_a_dead_daemon_is_replaced_and_a_link_is_not_followed() {
+    fn the_file_of_a_dead_daemon_is_replaced_and_any_other_file_stays() {
         let folder = tempfile::tempdir().unwrap();
         let precious = folder.path().join("precious");
         fs::write(&precious, "precious").unwrap();
         let path = TokenFile::path(&folder.path().join("control.sock"));
-        std::os::unix::fs::symlink(&precious, &path).unwrap();
         let token = Token::random().unwrap();
         let address = SocketAddr::from(([127, 0, 0, 1], 8_766));
-        let file = TokenFile::create(path.clone(), address, &token).unwrap();
+        let create = |path: &Path| TokenFile::create(path.to_owned(), address, &token);
+        let error = create(&precious).unwrap_err().to_string();
+        assert!(error.contains("has no token in it"), "{error}");
         assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
+        // Nor is a link followed, to whatever it leads.
+        std::os::unix::fs::symlink(&precious, &path).unwrap();
+        create(&path).unwrap_err();
+        fs::remove_file(&path).unwrap();
+        std::mem::forget(create(&path).unwrap());
+        let file = create(&path).unwrap();
         let mode = fs::symlink_metadata(&path).unwrap().permissions().mode();
         assert_eq!(mode & 0o777, PERMISSIONS);
         let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
@@ -169,5 +203,9 @@ mod tests {
         );
         drop(file);
         assert!(!path.exists());
+        let file = create(&path).unwrap();
+        fs::write(&path, "precious").unwrap();
+        drop(file);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
     }
 }

@@ -1,0 +1,147 @@
+//! Values that no sane car has. Each is within the range of its key: a bench may need it.
+
+use singletrack_control::GRAVITY;
+
+use super::{Finding, Severity};
+use crate::config::{Config, LawKind, OuterLoopSection, SECTIONS};
+
+/// The limit of a watch or a gate over its default beyond which it sees little.
+const WIDE: f64 = 5.0;
+
+/// P that is nearer than the car drives in this time, in s, swings with the lag of any servo.
+const NEAR_S: f64 = 0.03;
+
+/// A higher gain of the position loop acts faster than servo, motor and cameras, per second.
+const HIGH_GAIN: f64 = 10.0;
+
+/// Stamps of the cameras are not wrong by more, in ms: a frame of the slowest.
+const STAMPS_MS: f64 = 50.0;
+
+/// No room with cameras is larger, in m.
+const ROOM_M: f64 = 100.0;
+
+/// Warns of what should be looked at.
+pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
+    let mut warn = |key, value: String, fix: String| {
+        findings.push(Finding {
+            severity: Severity::Warning,
+            key,
+            value,
+            fix,
+        });
+    };
+    let [width, depth] = extent(&config.fence.corners_m);
+    if width.max(depth) > ROOM_M {
+        warn(
+            "fence.corners_m",
+            format!("{width:.0} m by {depth:.0} m"),
+            "no room is so large: the corners are in m, not in mm; or, if there is no fence, nothing \
+             keeps the car in"
+                .to_owned(),
+        );
+    }
+    let speed = config.limits.max_speed_m_s;
+    let stop_m = 0.5 * speed * speed / config.fence.braking_m_s2;
+    if stop_m > width.min(depth) {
+        warn(
+            "limits.max_speed_m_s",
+            speed.to_string(),
+            format!(
+                "a stop from there takes {stop_m:.1} m (fence.braking_m_s2), and the fence is {:.1} m \
+                 wide; lower it to what the room allows",
+                width.min(depth)
+            ),
+        );
+    }
+    let grip = config.vehicle.friction * GRAVITY;
+    let deceleration = config.control.stop_deceleration_m_s2;
+    if deceleration > grip {
+        warn(
+            "control.stop_deceleration_m_s2",
+            deceleration.to_string(),
+            format!(
+                "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity): a stop that is commanded \
+                 faster slides"
+            ),
+        );
+    }
+    let distance = config.law.point_distance_m;
+    if config.law.kind == LawKind::FrontPoint && distance < NEAR_S * speed {
+        warn(
+            "law.point_distance_m",
+            distance.to_string(),
+            format!(
+                "at limits.max_speed_m_s the car drives so far in {:.0} ms, in which no servo steers; \
+                 `singletrack stability least-p` computes the least",
+                1e3 * distance / speed
+            ),
+        );
+    }
+    if let OuterLoopSection::Proportional { gain_per_s, .. } = config.outer_loop
+        && gain_per_s.iter().any(|gain| *gain > HIGH_GAIN)
+    {
+        warn(
+            "outer_loop.gain_per_s",
+            format!("{gain_per_s:?}"),
+            format!(
+                "an error is to vanish faster than servo, motor and cameras act; beyond about \
+                 {HIGH_GAIN:.0} the car swings"
+            ),
+        );
+    }
+    let stamps = config.motion_capture.timing.stamp_offset_ms;
+    if stamps.abs() > STAMPS_MS {
+        warn(
+            "motion_capture.timing.stamp_offset_ms",
+            stamps.to_string(),
+            "no cameras stamp so wrongly: `singletrack doctor` measures it".to_owned(),
+        );
+    }
+    for section in ["watch", "motion_capture.pose"] {
+        warn_of_wide(section, config, &mut warn);
+    }
+}
+
+/// Warns of limits that let nearly everything pass.
+fn warn_of_wide(
+    name: &'static str,
+    config: &Config,
+    warn: &mut impl FnMut(&'static str, String, String),
+) {
+    let Ok(mut values) = toml::Value::try_from(config) else {
+        return;
+    };
+    for part in name.split('.') {
+        let Some(inner) = values.get(part) else {
+            return;
+        };
+        values = inner.clone();
+    }
+    let keys = SECTIONS.iter().filter(|section| section.name == name);
+    for key in keys.flat_map(|section| section.keys) {
+        let number =
+            |value: &toml::Value| value.as_float().or(value.as_integer().map(|n| n as f64));
+        let value = values.get(key.name).and_then(number);
+        let default = (key.default)().as_ref().and_then(number);
+        if let (Some(value), Some(default)) = (value, default)
+            && value > WIDE * default
+        {
+            let key = key.name;
+            warn(
+                name,
+                format!("{key} = {value}"),
+                format!("the default is {default}; so wide a limit finds hardly any fault"),
+            );
+        }
+    }
+}
+
+/// Width and depth of the rectangle around points.
+fn extent(points: &[[f64; 2]]) -> [f64; 2] {
+    let along = |axis: fn(&[f64; 2]) -> f64| {
+        let values = points.iter().map(axis);
+        let most = values.clone().fold(f64::NEG_INFINITY, f64::max);
+        most - values.fold(f64::INFINITY, f64::min)
+    };
+    [along(|[x, _]| *x), along(|[_, y]| *y)]
+}
