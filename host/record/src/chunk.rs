@@ -5,6 +5,8 @@ use mcap::{
     records::{ChunkHeader, Record, op},
 };
 
+use crate::parse::parse_record;
+
 /// The largest length of a part of a record. A larger one is damage, and must not be
 /// allocated.
 pub(crate) const MAX_PART_LENGTH: usize = 16 << 20;
@@ -42,7 +44,7 @@ pub(crate) enum ChunkError {
 impl Chunk {
     /// Opens the chunk that the content of a part of the file encodes.
     pub(crate) fn open_part(&mut self, content: &[u8]) -> Result<(), ChunkError> {
-        match mcap::parse_record(op::CHUNK, content)? {
+        match parse_record(op::CHUNK, content)? {
             Record::Chunk { header, data } => self.open(&header, &data, MAX_PART_LENGTH),
             _ => Ok(()),
         }

@@ -9,10 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use mcap::{
-    Compression, McapError, WriteOptions, Writer,
-    records::{Record, op},
-};
+use mcap::{Compression, McapError, WriteOptions, Writer};
 
 use crate::{Channel, RecordError};
 
@@ -178,73 +175,5 @@ pub(crate) fn failure(
         action,
         path: path.clone(),
         source,
-    }
-}
-
-/// Whether a part with this opcode and content is valid in the data section, outside a
-/// chunk. Messages, schemas and channels are always in chunks. Any other part is damage:
-/// one flipped bit in an opcode makes a reader skip a part or see the end of the data.
-pub(crate) fn is_data_part(opcode: u8, content: &[u8]) -> bool {
-    match opcode {
-        op::HEADER | op::CHUNK | op::ATTACHMENT | op::METADATA => true,
-        // A channel, and a list after its length.
-        op::MESSAGE_INDEX => content
-            .split_at_checked(2)
-            .and_then(|(_, list)| list.split_first_chunk())
-            .is_some_and(|(length, list)| {
-                usize::try_from(u32::from_le_bytes(*length)) == Ok(list.len())
-            }),
-        // Nothing but a checksum.
-        op::DATA_END => content.len() == 4,
-        _ => false,
-    }
-}
-
-/// Parses as [`mcap::parse_record`] does, which panics if an attachment is shorter than its
-/// head and its checksum.
-pub(crate) fn parse_record(opcode: u8, content: &[u8]) -> Result<Record<'_>, McapError> {
-    const TIMES: usize = 8 + 8;
-    const LENGTH_AND_CHECKSUM: usize = 8 + 4;
-    let after_text = |at: usize| {
-        let (length, _) = content.get(at..)?.split_first_chunk()?;
-        let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
-        at.checked_add(4)?.checked_add(length)
-    };
-    if opcode == op::ATTACHMENT {
-        // Two texts: name and media type.
-        let is_whole = after_text(TIMES)
-            .and_then(after_text)
-            .and_then(|end| end.checked_add(LENGTH_AND_CHECKSUM))
-            .is_some_and(|end| end <= content.len());
-        if !is_whole {
-            return Err(McapError::UnexpectedEof);
-        }
-    }
-    mcap::parse_record(opcode, content)
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used, reason = "a test may fail")]
-
-    use super::*;
-
-    #[test]
-    fn an_attachment_of_any_length_is_parsed_or_refused() {
-        let head = [0; 16];
-        let texts = b"\x01\0\0\0n\x01\0\0\0m";
-        let whole = [&head[..], texts, &[0; 8], &[0; 4]].concat();
-        for length in 0..whole.len() {
-            assert!(parse_record(op::ATTACHMENT, &whole[..length]).is_err());
-        }
-        let Record::Attachment { header, data, .. } = parse_record(op::ATTACHMENT, &whole).unwrap()
-        else {
-            unreachable!("an attachment");
-        };
-        assert_eq!((header.name.as_str(), data.len()), ("n", 0));
-        // A text that reaches to where the checksum should be.
-        let mut longer = whole;
-        longer[21] = 11;
-        assert!(parse_record(op::ATTACHMENT, &longer).is_err());
     }
 }

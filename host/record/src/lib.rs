@@ -34,6 +34,7 @@ mod feed;
 mod json;
 mod message;
 mod meta;
+mod parse;
 mod reader;
 mod recorder;
 mod recover;

@@ -20,8 +20,9 @@ use mcap::{
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
     chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
-    container::{PROFILE, is_data_part, parse_record, part_path},
+    container::{PROFILE, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
+    parse::{is_data_part, parse_record},
     span::{message_count, span_wall_ns},
 };
 

@@ -8,7 +8,7 @@ use std::{
 
 use mcap::records::{Record, Statistics, op};
 
-use crate::Topic;
+use crate::{Topic, parse::parse_record};
 
 /// The footer: opcode, length and contents, and the bytes after which a file ends.
 const FOOTER: usize = 1 + 8 + 20;
@@ -76,7 +76,7 @@ fn records(summary: &[u8]) -> impl Iterator<Item = Record<'_>> {
     let mut rest = summary;
     core::iter::from_fn(move || next(&mut rest))
         .filter(|(opcode, _)| matches!(*opcode, op::CHANNEL | op::STATISTICS))
-        .filter_map(|(opcode, content)| mcap::parse_record(opcode, content).ok())
+        .filter_map(|(opcode, content)| parse_record(opcode, content).ok())
 }
 
 /// The next part of a summary: its opcode and its content.

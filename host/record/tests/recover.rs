@@ -261,6 +261,20 @@ fn no_file_is_overwritten() {
     assert_eq!(fs::read(case.output()).unwrap(), b"mine");
 }
 
+#[test]
+fn what_a_killed_repair_left_does_not_keep_the_next_one_out() {
+    let case = Case::new();
+    let left = case.folder.path().join("drive.mcap.recovering");
+    fs::write(&left, "half").unwrap();
+    let (recovery, _) = case.recover(&unfinished().0).unwrap();
+    assert!(recovery.entries > 0 && !left.exists());
+    // One that is under way holds the lock of its file.
+    let busy = fs::File::create_new(&left).unwrap();
+    busy.lock().unwrap();
+    let refused = recover(&case.input(), &case.output(), |_, _| {}).unwrap_err();
+    assert!(matches!(refused, RecordError::Busy(_)), "{refused}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 

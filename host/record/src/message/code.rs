@@ -307,6 +307,7 @@ codes! {
         RunsAtNeutral = 50,
         BatteryOpen = 51,
         ImuFault = 52,
+        PosesTooRare = 53,
     }
     BoardRequest as "BOARD_REQUEST" {
         Arm = 1,

@@ -5,7 +5,7 @@ mod scan;
 use std::{
     collections::HashMap,
     fmt,
-    fs::{File, TryLockError},
+    fs::{self, File, TryLockError},
     mem,
     path::Path,
     time::Duration,
@@ -20,10 +20,9 @@ use scan::{Found, Scan};
 use crate::{
     Channel, RecordError, Topic,
     chunk::{Chunk, ChunkError},
-    container::{
-        Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, is_data_part, parse_record, with_suffix,
-    },
+    container::{Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, with_suffix},
     meta::{CONFIGURATION_NAME, METADATA_NAME},
+    parse::{is_data_part, parse_record},
 };
 
 /// What was saved of a record, and what was lost.
@@ -167,8 +166,10 @@ pub fn recover(
     }
     let mut scan = Scan::new(file).map_err(failure("read", input))?;
     let library = check_head(input, &mut scan)?;
+    let recovering = with_suffix(output, ".recovering");
+    remove_left(&recovering)?;
     let mut salvage = Salvage {
-        container: Container::create(output, with_suffix(output, ".recovering"))?,
+        container: Container::create(output, recovering)?,
         schemas: HashMap::new(),
         channels: HashMap::new(),
         chunk: Chunk::default(),
@@ -196,6 +197,17 @@ pub fn recover(
     container.write(|writer| writer.write_metadata(&metadata))?;
     recovery.bytes = container.finish()?;
     Ok(recovery)
+}
+
+/// Removes what a repair that was killed has left; not that of one that is under way.
+fn remove_left(recovering: &Path) -> Result<(), RecordError> {
+    let Ok(file) = File::open(recovering) else {
+        return Ok(());
+    };
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => Err(RecordError::Busy(recovering.to_owned())),
+        _ => fs::remove_file(recovering).map_err(failure("remove", recovering)),
+    }
 }
 
 /// Refuses a file that is not a record, with the errors of a reader; returns the library

@@ -2,7 +2,7 @@
 
 use std::{
     fs::File,
-    io::{self, BufReader, Read, Seek, SeekFrom},
+    io::{self, BufReader, Read, Seek},
     ops::RangeInclusive,
 };
 
@@ -20,6 +20,10 @@ const NAME_OFFSET: u64 = HEAD_LENGTH + 8 + 8 + 8 + 4;
 /// That name after its length, for zstd.
 const NAME: [u8; 8] = *b"\x04\0\0\0zstd";
 
+/// How many times the length of the file is read again after damage at the most: a made file may
+/// have the head of a long record in each of its places.
+const READ_AGAIN: u64 = 4;
+
 /// The records of a file, one after the other.
 pub(super) struct Scan {
     file: BufReader<File>,
@@ -28,6 +32,8 @@ pub(super) struct Scan {
     /// Length of the file when it was opened: it may still be growing.
     length: u64,
     content: Vec<u8>,
+    /// Bytes that may still be read again after damage.
+    again: u64,
 }
 
 /// The result of a search for a record at a place in the file.
@@ -51,6 +57,7 @@ impl Scan {
             at: 0,
             length,
             content: Vec::new(),
+            again: length.saturating_mul(READ_AGAIN),
         })
     }
 
@@ -115,16 +122,23 @@ impl Scan {
         // A record that was read whole is damaged in its content only.
         if self.at > from {
             let next = self.head()?.is_some() || self.at >= self.length;
-            self.file.seek(SeekFrom::Start(self.at))?;
+            self.go_to(self.at)?;
             if next {
                 return Ok(());
             }
         }
+        let again = self.at.saturating_sub(from);
+        let from = match self.again.checked_sub(again) {
+            Some(left) => {
+                self.again = left;
+                from
+            }
+            None => self.at.max(from),
+        };
         // The head of a chunk is found by the name of the compression in it.
-        self.file
-            .seek(SeekFrom::Start((from + 1 + NAME_OFFSET).min(self.length)))?;
         let mut window = [0; NAME.len()];
         let mut end = from + 1 + NAME_OFFSET;
+        self.go_to(end.min(self.length))?;
         let mut byte = [0];
         while end < self.length {
             self.file.read_exact(&mut byte)?;
@@ -136,11 +150,55 @@ impl Scan {
             let start = (end - NAME_OFFSET).saturating_sub(NAME.len() as u64);
             if window == NAME && start > from {
                 self.at = start;
-                self.file.seek(SeekFrom::Start(start))?;
-                return Ok(());
+                return self.go_to(start);
             }
         }
         self.at = self.length;
         Ok(())
+    }
+
+    /// Goes to a place in the file, and keeps what was read around it.
+    fn go_to(&mut self, place: u64) -> io::Result<()> {
+        let here = self.file.stream_position()?;
+        self.file.seek_relative(place.wrapping_sub(here) as i64)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use std::io::Write as _;
+
+    use super::*;
+
+    #[test]
+    fn a_file_made_of_heads_of_long_records_is_read_a_bounded_number_of_times() {
+        const LENGTH: usize = 1 << 20;
+        // In each place a chunk that claims half of the file, and is none.
+        let mut head = vec![op::CHUNK];
+        head.extend((LENGTH as u64 / 2).to_le_bytes());
+        head.resize(NAME_OFFSET as usize, 0);
+        head.extend(NAME);
+        let mut file = tempfile::tempfile().unwrap();
+        for _ in 0..LENGTH / head.len() {
+            file.write_all(&head).unwrap();
+        }
+        file.rewind().unwrap();
+        let mut scan = Scan::new(file).unwrap();
+        let mut read = 0;
+        let mut places = 0;
+        loop {
+            let from = scan.at();
+            match scan.next().unwrap() {
+                Found::End => break,
+                Found::Nothing => {}
+                Found::Record { content, .. } => read += content.len() as u64,
+            }
+            scan.resume(from).unwrap();
+            assert!(scan.at() > from);
+            places += 1;
+        }
+        assert!(places > 1_000, "{places}");
+        assert!(read <= (READ_AGAIN + 2) * scan.length(), "{read}");
     }
 }
