@@ -25,6 +25,7 @@ pub mod import;
 pub mod install_files;
 #[cfg(feature = "operator")]
 pub mod jog;
+pub mod printable;
 #[cfg(feature = "operator")]
 pub mod recover;
 #[cfg(feature = "operator")]

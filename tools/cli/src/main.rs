@@ -10,9 +10,9 @@ use clap::{
     ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
     error::ErrorKind,
 };
-use singletrack::arguments::take_negative_numbers;
 #[cfg(feature = "demo")]
 use singletrack::demo;
+use singletrack::{arguments::take_negative_numbers, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
     arm, bring_up, calibrate,
@@ -181,7 +181,7 @@ fn main() -> ExitCode {
     match run(&parse()) {
         Ok(status) => status,
         Err(error) => {
-            eprintln!("singletrack: {error}");
+            eprintln!("singletrack: {}", printable(&error.to_string()));
             ExitCode::FAILURE
         }
     }
@@ -275,7 +275,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "operator")]
         Command::Replay(args) => match replay::run(args) {
             Err(failure) if failure.status() != 1 => {
-                eprintln!("singletrack: {failure}");
+                eprintln!("singletrack: {}", printable(&failure.to_string()));
                 return Ok(ExitCode::from(failure.status()));
             }
             result => Ok(result?),

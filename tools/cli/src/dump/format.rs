@@ -1,9 +1,14 @@
 //! Prints rows.
 
-use std::io::Write;
+use std::{
+    borrow::Cow,
+    io::{self, IsTerminal as _, Write},
+};
 
 use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
+
+use crate::printable::printable;
 
 use super::{
     error::DumpError,
@@ -180,7 +185,12 @@ impl<W: Write> Printer<W> {
 
     fn hand_over(&mut self) -> Result<(), DumpError> {
         // Also after a failure: the text must not be printed twice.
-        let written = self.output.write_all(self.text.as_bytes());
+        let text = if self.format == Format::Csv && !io::stdout().is_terminal() {
+            Cow::Borrowed(self.text.as_str())
+        } else {
+            printable(&self.text)
+        };
+        let written = self.output.write_all(text.as_bytes());
         self.text.clear();
         Ok(written?)
     }
