@@ -62,7 +62,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 /// Checks that the Odroid's programs compute the same bits as this machine: records
 /// of the car are replayed here.
 pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
-    let folder = build("dev", COMPARED)?;
+    let folder = build("release", COMPARED)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
         let answer = output(ARMHF.emulated(&daemon).arg(question))?;

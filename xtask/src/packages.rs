@@ -1,6 +1,5 @@
 //! Packages built alone. In the workspace's build, a package has the features that all others ask
-//! for, which hides missing ones. The host's packages are not checked: missing features of those that
-//! users build alone (`cargo demo`, `cargo faults`) are errors at once.
+//! for, which hides missing ones.
 
 use crate::{
     process::{Failure, check},
@@ -22,10 +21,22 @@ const PURE: [&str; 7] = [
 /// The packages with `publish = true`.
 const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
 
-/// Checks that each pure package builds alone.
-pub(crate) fn check_pure() -> Result<(), Failure> {
-    PURE.into_iter()
-        .try_for_each(|package| check(cargo().args(["check", "--quiet", "--package", package])))
+/// Packages with fewer features than the workspace builds them with: as `cargo demo` does, and
+/// without any.
+const FEATURES: [(&str, &str); 2] = [("singletrack", "demo,page"), ("singletrack-logs", "")];
+
+/// Checks that each pure package builds alone, and others without some of their features.
+pub(crate) fn check_alone() -> Result<(), Failure> {
+    let check_package = |package| ["check", "--quiet", "--package", package];
+    for package in PURE {
+        check(cargo().args(check_package(package)))?;
+    }
+    for (package, features) in FEATURES {
+        let mut cargo = cargo();
+        cargo.args(check_package(package));
+        check(cargo.args(["--no-default-features", "--features", features]))?;
+    }
+    Ok(())
 }
 
 /// Checks that the packages for others can be published: `cargo package` packs each from its
@@ -36,7 +47,7 @@ pub(crate) fn check_published() -> Result<(), Failure> {
     check(
         cargo()
             // The working tree may hold changes. Offline, the versions are those of the workspace,
-            // and nothing waits for the registry: `check_pure` has downloaded what they need.
+            // and nothing waits for the registry: `check_alone` has downloaded what they need.
             .args(["package", "--quiet", "--offline", "--allow-dirty"])
             .args(packages)
             // A packed package is a workspace of its own. Its dependencies are built once for all

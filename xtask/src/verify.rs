@@ -175,13 +175,13 @@ const STEPS: [Step; 26] = [
         check(doc.arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
     }),
     row("lints-uno", 65, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
-    row("packages", 80, All, "each pure package builds alone, and those for others can be packed",
-        |_| packages::check_pure().and_then(|()| packages::check_published())),
+    row("packages", 100, All, "packages build alone, and those for others can be packed",
+        |_| packages::check_alone().and_then(|()| packages::check_published())),
     row("units", 5, Of(Part::Units),
         "systemd accepts the service's unit without warnings and rates its exposure as low",
         |_| units::check()),
     // Checks of the programs in virtual time.
-    row("tests", 1250, Always, "unit, property and virtual-time tests",
+    row("tests", 1230, Always, "unit, property and virtual-time tests",
         |packages| packages.check_with_image(&mut packages.tests(None))),
     row("faults", 105, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "300"]))),

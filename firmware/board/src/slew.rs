@@ -76,6 +76,15 @@ mod tests {
     }
 
     #[test]
+    fn after_a_stall_of_any_length_the_change_is_that_of_one_servo_frame() {
+        for stall_us in [20_000, 20_001, 40_000, 65_535, 65_536, 10_000_000] {
+            let mut slew = SlewLimiter::new(96);
+            let pulse = slew.approach(0, 1_000, stall_us);
+            assert!((95..=96).contains(&pulse), "{pulse} after {stall_us} us");
+        }
+    }
+
+    #[test]
     fn the_target_is_reached_exactly_from_both_sides() {
         let mut slew = SlewLimiter::new(100);
         assert_eq!(slew.approach(1_500, 1_504, 1_000), 1_504);

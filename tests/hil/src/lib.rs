@@ -7,9 +7,9 @@
 //! # Against the simulator
 //!
 //! ```text
-//! cargo test -p singletrack-hil
-//! cargo test -p singletrack-hil -- kill          only tests with "kill" in their name
-//! cargo test -p singletrack-hil -- --list
+//! cargo test -p singletrack-hil --test hil
+//! cargo test -p singletrack-hil --test hil -- kill          only tests with "kill" in their name
+//! cargo test -p singletrack-hil --test hil -- --list
 //! ```
 //!
 //! Board and car are simulated in this process, behind a pseudo-terminal, and the
@@ -22,7 +22,7 @@
 //! # Against a physical UNO
 //!
 //! ```text
-//! cargo test -p singletrack-hil -- --port /dev/ttyACM0
+//! cargo test -p singletrack-hil --test hil -- --port /dev/ttyACM0
 //! ```
 //!
 //! **The servo steers and the motor turns, up to the speed of the circle (0.4 m/s):
