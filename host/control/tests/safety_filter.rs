@@ -283,6 +283,22 @@ fn settings_that_make_no_sense_are_refused() {
     }
 }
 
+#[test]
+fn a_speed_on_its_way_is_forgotten_as_fast_as_a_stop_brakes() {
+    let after = |paces: &[f64]| {
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let corners = corners.map(|(x, y)| Position::new(x, y));
+        let mut filter = SafetyFilter::new(config(ConvexArea::new(&corners).unwrap())).unwrap();
+        for pace in paces {
+            filter.observe(*pace, 0.0, 1.0, 0.25);
+        }
+        filter
+    };
+    assert_eq!(after(&[1.0, 0.0, 0.0]), after(&[0.5]));
+    assert_eq!(after(&[1.0, 0.0, 0.75]), after(&[0.75]));
+    assert_ne!(after(&[1.0, 0.0]), after(&[0.5]));
+}
+
 /// How a hostile outer loop chooses.
 #[derive(Clone, Copy, Debug)]
 enum Hostile {

@@ -236,6 +236,28 @@ fn a_configuration_is_taken_over_between_two_ticks_and_its_box_is_returned() {
 }
 
 #[test]
+fn a_configuration_does_not_overtake_a_request_to_arm_of_the_same_tick() {
+    for request in [
+        PilotRequest::Arm,
+        PilotRequest::ArmHeld,
+        PilotRequest::ArmJog,
+    ] {
+        let mut drive = SimulatedDrive::new();
+        drive.request(ControlRequest::Pilot(PilotRequest::Disarm));
+        run(&mut drive, 1, 300);
+        drive.request(ControlRequest::Pilot(request));
+        let config = drive.config();
+        drive.reconfigure(config, u64::MAX);
+        run(&mut drive, 301, 1);
+        let outcome = drive.outcome();
+        assert!(
+            matches!(outcome, Err(Refusal::Pilot(ReconfigureError::Underway(_)))),
+            "{request:?}: {outcome:?}"
+        );
+    }
+}
+
+#[test]
 fn a_car_that_drives_keeps_its_configuration() {
     let mut drive = SimulatedDrive::new();
     let start = drive.start_driving();

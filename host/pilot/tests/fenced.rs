@@ -16,8 +16,14 @@ fn stopping_distance(speed: f64) -> f64 {
 
 /// A drive along x at `speed` (m/s), with a side of the geofence at x = 4 m.
 fn towards_the_fence(speed: f64) -> Bench {
+    let mut bench = Bench::with(towards_the_fence_config(speed));
+    bench.drive();
+    bench
+}
+
+fn towards_the_fence_config(speed: f64) -> PilotConfig {
     let corners = [(-5.0, -5.0), (4.0, -5.0), (4.0, 5.0), (-5.0, 5.0)];
-    let mut bench = Bench::with(PilotConfig {
+    PilotConfig {
         fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
         reference: Reference::VelocitySteps(
             VelocitySteps::new(&[VelocityStep {
@@ -27,9 +33,7 @@ fn towards_the_fence(speed: f64) -> Bench {
             .unwrap(),
         ),
         ..config()
-    });
-    bench.drive();
-    bench
+    }
 }
 
 #[test]
@@ -127,5 +131,24 @@ fn a_car_outside_its_geofence_is_not_armed() {
     assert_eq!(
         (output.mode, output.reason),
         (Mode::Idle, Some(Reason::OutsideFence))
+    );
+}
+
+/// The car drives along a side 0.05 m to its left when its gyro shows a bend to it, which nothing
+/// commands: the wheels stand other than they should.
+#[test]
+fn a_bend_that_was_not_commanded_counts_for_the_geofence() {
+    let corners = [(-5.0, -5.0), (4.0, -5.0), (4.0, 0.05), (-5.0, 0.05)];
+    let mut bench = Bench::with(PilotConfig {
+        fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
+        ..towards_the_fence_config(0.8)
+    });
+    bench.drive();
+    assert_eq!(bench.run(20).mode, Mode::Driving);
+    bench.stuck = Some(1.5);
+    let output = bench.run(5);
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Stopping, Some(Reason::OutsideFence))
     );
 }
