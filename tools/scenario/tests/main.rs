@@ -15,6 +15,7 @@ mod jog;
 mod other_cars;
 mod proofs;
 mod pulse_distance;
+mod rare_poses;
 mod taught_path;
 mod tracking;
 mod tuning;

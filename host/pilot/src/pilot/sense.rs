@@ -104,7 +104,7 @@ impl Pilot {
                 .worst()
                 .is_some_and(|speed| speed < self.config.supervisor.standing_speed),
             preflight: self.preflight(),
-            doubt: self.doubt(),
+            doubt: self.doubt(now),
             implausible_motion: self.implausible_motion(),
             contradiction: self.contradiction(),
             speed_mismatch: self.speeds.is_mismatched(),

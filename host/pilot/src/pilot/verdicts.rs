@@ -42,9 +42,11 @@ impl Pilot {
     }
 
     /// What forbids to arm and to drive, by the watches.
-    pub(super) const fn doubt(&self) -> Option<Reason> {
+    pub(super) fn doubt(&self, now: Time) -> Option<Reason> {
         if self.frozen.is_frozen() {
             Some(Reason::PoseFrozen)
+        } else if self.steps.are_too_rare(now) {
+            Some(Reason::PosesTooRare)
         } else if self.attitude.is_uncertain() {
             Some(Reason::CaptureTimeUncertain)
         } else {

@@ -53,6 +53,8 @@ words! {
         PoseTooOld = "pose-too-old",
         /// The car has gone too far since the last accepted pose.
         BlindTooFar = "blind-too-far",
+        /// Poses are so far apart that the sensors can't be compared.
+        PosesTooRare = "poses-too-rare",
         /// Too many poses in a row were implausible.
         PoseImplausible = "pose-implausible",
         /// The car is outside the geofence, or could not stop inside it.

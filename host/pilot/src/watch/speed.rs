@@ -35,9 +35,9 @@ struct Span {
 
 /// The shortest span, s.
 const SPAN: f64 = 0.2;
-/// The longest gap between two poses of a span, s: beyond it the path between them is
-/// unknown, and a new span begins.
-const GAP: f64 = 0.1;
+/// The longest gap between two poses of a span, s, as for the steps: beyond it the path between
+/// them is unknown, and a new span begins.
+const GAP: f64 = 0.12;
 /// The number of differing spans in a row that make a mismatch.
 const MISMATCHES: u32 = 2;
 /// The number of fast ticks in a row that make an overspeed.
@@ -207,8 +207,8 @@ mod tests {
 
     #[test]
     fn a_gap_between_poses_begins_a_new_span() {
-        // Beyond 100 ms the path between two poses is unknown.
-        for (apart_ms, mismatched) in [(100, true), (101, false), (110, false)] {
+        // Beyond 120 ms the path between two poses is unknown.
+        for (apart_ms, mismatched) in [(120, true), (121, false), (130, false)] {
             let mut watch = SpeedWatch::default();
             for pose in 0..20_u64 {
                 watch.motor(1.0);

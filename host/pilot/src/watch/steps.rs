@@ -7,6 +7,8 @@ use singletrack_control::{InertialSample, Position, Time, Velocity, direction};
 const SHORTEST: f64 = 0.04;
 /// The longest one: beyond it the path between them is unknown, s.
 const LONGEST: f64 = 0.12;
+/// The longest time without a step, s: longer than markers may be lost.
+const UNCOMPARED: f64 = 1.2;
 /// The longest gap between inertial samples, s.
 const GAP: f64 = 0.05;
 /// The lag of the wheels behind the commanded steering, s: line, servo period and servo.
@@ -68,6 +70,8 @@ pub(crate) struct Steps {
     /// The accelerometer and the gyro of a car that stands: forward, left, yaw rate.
     rest: [f64; 3],
     speed: f64,
+    /// The end of the last step.
+    compared: Option<Time>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -192,6 +196,7 @@ impl Steps {
             motor_way: sums.motor,
         };
         self.speed = step.along() / elapsed;
+        self.compared = Some(time);
         Some(step)
     }
 
@@ -213,6 +218,12 @@ impl Steps {
             .find(|(time, _)| newest.seconds_since(*time) <= longest + APART)?;
         let span = newest.seconds_since(*start);
         (span >= shortest).then(|| (end - from).norm() / span)
+    }
+
+    /// Whether the poses are too far apart for a step: whatever compares the sensors is blind.
+    pub(crate) fn are_too_rare(&self, now: Time) -> bool {
+        self.compared
+            .is_none_or(|last| now.seconds_since(last) > UNCOMPARED)
     }
 
     /// Forgets the poses: the estimate restarts.
@@ -414,6 +425,25 @@ mod tests {
         steps.tick(at(800), 0.0);
         let step = pose(&mut steps, 1_100, 0.0).unwrap();
         assert_near([step.steering], [0.5]);
+    }
+
+    #[test]
+    fn poses_are_too_rare_when_for_1200_ms_none_followed_another_within_120() {
+        for (apart, rare) in [(40, false), (120, false), (121, true), (130, true)] {
+            let mut steps = Steps::default();
+            assert!(steps.are_too_rare(at(0)));
+            for ms in (0..3_000).step_by(apart) {
+                pose(&mut steps, ms as u64, 0.0);
+            }
+            assert_eq!(steps.are_too_rare(at(3_000)), rare, "{apart} ms");
+        }
+        let mut steps = Steps::default();
+        pose(&mut steps, 0, 0.0);
+        pose(&mut steps, 50, 0.0);
+        assert!(!steps.are_too_rare(at(1_250)) && steps.are_too_rare(at(1_251)));
+        // The estimate restarts; what was compared stays so.
+        steps.reset();
+        assert!(!steps.are_too_rare(at(1_250)));
     }
 
     fn camera_speed(poses: impl IntoIterator<Item = (u64, f64)>, now: u64) -> Option<f64> {

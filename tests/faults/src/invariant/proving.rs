@@ -135,6 +135,7 @@ const ALARMS: &[Reason] = &[
     Reason::ImuTilted,
     Reason::TiltDiffers,
     Reason::PoseFrozen,
+    Reason::PosesTooRare,
     Reason::PoseHeight,
     Reason::ImuImplausible,
     Reason::ImuStuck,
