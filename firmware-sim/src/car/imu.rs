@@ -11,6 +11,9 @@ use crate::{
 
 /// The IMU's rate, noise, biases and mounting. It sits at the centre of mass, with its
 /// axes forward, left, up unless it is turned.
+///
+/// The vibration by default is that of a real small car, rounded, from its logs:
+/// `docs/real-logs.md` and `tools/vehicles/dart-truth.toml`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ImuParameters {
@@ -69,6 +72,16 @@ pub struct ImuParameters {
 }
 
 impl ImuParameters {
+    /// The same sensor on a car that does not vibrate.
+    #[must_use]
+    pub const fn without_vibration(mut self) -> Self {
+        self.vibration_m_s2 = 0.0;
+        self.vibration_rad_s = 0.0;
+        self.vibration_m_s2_per_m_s = 0.0;
+        self.vibration_rad_s_per_m_s = 0.0;
+        self
+    }
+
     /// The registers `CALIB_STAT`, `ST_RESULT`, `SYS_STATUS` and `SYS_ERR`.
     #[must_use]
     pub const fn registers(&self) -> [u8; 4] {
@@ -99,10 +112,10 @@ impl Default for ImuParameters {
             mounting_deg: [0.0; 3],
             gyro_scale: 1.0,
             acceleration_scale: 1.0,
-            vibration_m_s2: 0.0,
-            vibration_rad_s: 0.0,
-            vibration_m_s2_per_m_s: 0.0,
-            vibration_rad_s_per_m_s: 0.0,
+            vibration_m_s2: 0.8,
+            vibration_rad_s: 0.05,
+            vibration_m_s2_per_m_s: 0.8,
+            vibration_rad_s_per_m_s: 0.016,
             leak_s: None,
             torn: 0.0,
             calibration: [3; 3],
@@ -404,7 +417,7 @@ mod tests {
             acceleration_bias_m_s2: 0.0,
             attitude_noise_rad: 0.0,
             yaw_walk_rad: 0.0,
-            ..ImuParameters::default()
+            ..ImuParameters::default().without_vibration()
         };
         change(&mut parameters);
         let mut imu = Imu::new(parameters, 1);

@@ -270,7 +270,9 @@ fn true_car(schedule: &Schedule) -> CarParameters {
         .map(|deviation| 0.1 * value(deviation));
     imu.gyro_scale = factor(Deviation::GyroScale);
     imu.acceleration_scale = factor(Deviation::AccelerationScale);
-    imu.vibration_m_s2 = 1e-3 * value(Deviation::Vibration);
+    if let Some(vibration) = stated(Deviation::Vibration) {
+        imu.vibration_m_s2 = 1e-3 * vibration;
+    }
     imu.leak_s = stated(Deviation::ImuLeak).map(|ms| 1e-3 * ms);
     imu.torn = 1e-3 * value(Deviation::ImuTorn);
     let register = |deviation| truth.get(deviation).map(|value| value as u8);

@@ -10,6 +10,7 @@ use singletrack_scenario::{
     simulate::{MarkerLoss as LostTicks, Row, Scenario, simulate},
     tracking::{Sample, Tracking, last_turn},
 };
+use singletrack_sim::ImuParameters;
 
 fn circle() -> Scenario {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/circle-car.toml");
@@ -86,7 +87,7 @@ fn the_same_seed_gives_the_same_bits_and_another_does_not() {
     assert_ne!(run(7), run(8));
 }
 
-/// Without losses: 0.2 mm / 0.1 deg cameras, 8 ms latency, consumer IMU.
+/// Without losses: 0.2 mm / 0.1 deg cameras, 8 ms latency, consumer IMU that vibrates.
 fn undisturbed() -> &'static EstimationStudy {
     static STUDY: OnceLock<EstimationStudy> = OnceLock::new();
     STUDY.get_or_init(|| study(&circle(), None, MarkerLossKind::Hold).unwrap())
@@ -111,18 +112,21 @@ fn yaw_is_estimated_to_a_third_of_a_degree() {
 }
 
 #[test]
-fn sideslip_is_estimated_to_a_degree() {
+fn sideslip_is_estimated_to_three_degrees() {
+    // 0.45 m/s: a velocity of 2 cm/s to the side.
     assert!(
-        undisturbed().errors.sideslip_rad.to_degrees() <= 1.0,
+        undisturbed().errors.sideslip_rad.to_degrees() <= 3.0,
         "{:?}",
         undisturbed()
     );
 }
 
 #[test]
-fn yaw_rate_is_estimated_to_20_mrad_per_second() {
+fn yaw_rate_is_estimated_to_the_vibration_of_the_gyro() {
+    let imu = ImuParameters::default();
+    let vibration = imu.vibration_rad_s + imu.vibration_rad_s_per_m_s * 0.45;
     assert!(
-        undisturbed().errors.yaw_rate_rad_s <= 0.02,
+        undisturbed().errors.yaw_rate_rad_s <= 1.05 * vibration,
         "{:?}",
         undisturbed()
     );
@@ -133,7 +137,7 @@ fn coasting_through_200_ms_losses_loses_less_than_holding() {
     let loss = Some("200ms@2s".parse().unwrap());
     let hold = study(&circle(), loss, MarkerLossKind::Hold).unwrap();
     let coast = study(&circle(), loss, MarkerLossKind::DeadReckon).unwrap();
-    assert!(coast.worst_position_m < 0.01, "{coast:?}");
+    assert!(coast.worst_position_m < 0.025, "{coast:?}");
     assert!(hold.worst_position_m > 0.05, "{hold:?}");
 }
 

@@ -13,10 +13,10 @@ use singletrack_scenario::{
 use singletrack_sim::{HandMotion, SimulationConfig, StartPose, Truth};
 
 /// Bends by hand: the radius of the rear axle's way (positive to the left), the angle, and the
-/// time.
+/// time. Between them the wheels are turned on the spot, so that the path of P has a corner.
 const BENDS: [(f64, f64, f64); 4] = [
     (0.9, 1.9, 7.0),
-    (-1.1, 1.6, 7.0),
+    (-1.4, 1.4, 7.0),
     (-0.8, 2.2, 7.0),
     (1.3, 1.2, 6.0),
 ];

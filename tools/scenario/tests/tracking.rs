@@ -47,6 +47,16 @@ const UNIT_GAIN: (&str, &str) = ("gain_per_s = [4.0, 4.0]", "gain_per_s = [1.0, 
 const OFF: &str = "[compensation]\nclock = false\nactuation = false\n";
 const CLOCK: &str = "[compensation]\nclock = true\nactuation = false\n";
 
+/// The car differs from what is configured, and yet has proved its configuration.
+const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
+
+/// The same drive with an IMU that does not vibrate.
+fn quiet(text: &str) -> String {
+    const QUIET: &str = "[truth.imu]\nvibration_m_s2 = 0.0\nvibration_m_s2_per_m_s = 0.0\n\
+         vibration_rad_s = 0.0\nvibration_rad_s_per_m_s = 0.0\n";
+    format!("{text}{PROVED}{QUIET}")
+}
+
 /// The IMU of tools/vehicles/dart-truth.toml, as a section of a scenario.
 fn real_imu() -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../vehicles/dart-truth.toml");
@@ -57,29 +67,27 @@ fn real_imu() -> String {
 #[test]
 fn with_the_imu_of_a_real_car_p_follows_within_four_millimetres() {
     for name in ["circle-1.0", "circle-1.5", "eight-4x2", "eight-6x3"] {
-        let quiet = with(
-            &best(name),
-            &[],
-            "[supervisor]\nprove_first_metre = false\n",
-        );
-        let shaken = error_mm(&with(&quiet, &[], &real_imu()));
+        let shaken = error_mm(&with(&best(name), &[], &format!("{PROVED}{}", real_imu())));
+        let quiet = error_mm(&quiet(&best(name)));
+        println!("{name}: {shaken:.2} mm, quiet {quiet:.2} mm");
         assert!(shaken < 4.0, "{name}: {shaken} mm");
-        assert!(shaken > 1.2 * error_mm(&quiet), "{name}: {shaken} mm");
+        assert!(shaken > 1.2 * quiet, "{name}: {shaken} mm");
     }
 }
 
 #[test]
 fn p_follows_within_millimetres() {
-    // With other seeds the first circle is up to 0.54 mm off: the times of the poses are known
-    // to half a millisecond.
-    for (name, most) in [
-        ("circle-1.0", 0.5),
-        ("circle-1.5", 1.5),
-        ("eight-4x2", 1.5),
-        ("eight-6x3", 2.2),
+    for (name, most, most_quiet) in [
+        ("circle-1.0", 3.0, 0.5),
+        ("circle-1.5", 3.3, 0.6),
+        ("eight-4x2", 3.3, 1.5),
+        ("eight-6x3", 3.8, 2.2),
     ] {
         let error = error_mm(&best(name));
         assert!(error <= most, "{name}: {error} mm");
+        // Without vibration the times of the poses matter, which are known to half a millisecond.
+        let error = error_mm(&quiet(&best(name)));
+        assert!(error <= most_quiet, "{name}, quiet: {error} mm");
     }
 }
 
@@ -87,14 +95,13 @@ fn p_follows_within_millimetres() {
 /// angles.
 #[test]
 fn p_follows_as_closely_on_a_car_of_another_structure() {
-    const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
     const OTHER: &str =
         "[truth.vehicle]\ntyre_curve = \"magic-formula\"\nslip_angles = \"exact\"\n";
     for (name, most) in [
-        ("circle-1.0", 0.5),
-        ("circle-1.5", 1.0),
-        ("eight-4x2", 1.5),
-        ("eight-6x3", 2.2),
+        ("circle-1.0", 3.0),
+        ("circle-1.5", 3.3),
+        ("eight-4x2", 3.3),
+        ("eight-6x3", 3.8),
     ] {
         let text = with(&best(name), &[], PROVED);
         let own = error_mm(&with(&text, &[], "[truth]\n"));
@@ -119,6 +126,23 @@ fn the_loops_with_a_model_follow_more_closely() {
         ("circle-1.5", 0.8, 1.4),
         ("eight-4x2", 0.8, 0.8),
         ("eight-6x3", 0.9, 0.8),
+    ] {
+        for (kind, most) in [("kind = \"lqi\"", lqi), ("kind = \"mpc\"", mpc)] {
+            let error = error_mm(&quiet(&with_loop(name, kind)));
+            assert!(error <= most, "{name}, {kind}: {error} mm");
+        }
+    }
+}
+
+/// Under vibration LQI still follows more closely than the proportional loop (2.3 to 3.0 mm), and
+/// MPC does not.
+#[test]
+fn the_loops_with_a_model_follow_within_millimetres_under_vibration() {
+    for (name, lqi, mpc) in [
+        ("circle-1.0", 2.3, 3.9),
+        ("circle-1.5", 2.5, 5.2),
+        ("eight-4x2", 2.4, 3.9),
+        ("eight-6x3", 2.5, 4.4),
     ] {
         let file = error_mm(&best(&format!("{name}-lqi")));
         let same = error_mm(&with_loop(name, "kind = \"lqi\""));
@@ -150,10 +174,11 @@ fn a_scenario_drives_faster_than_two_metres_per_second() {
 
 #[test]
 fn the_loops_with_a_model_know_the_lags_that_nothing_compensates() {
-    // 8.2 and 12 mm with the proportional loop and the same gain.
-    for (name, most) in [("eight-4x2", 3.0), ("eight-6x3", 4.0)] {
+    // 8.6 and 12 mm with the proportional loop and the same gain.
+    for (name, most) in [("eight-4x2", 3.6), ("eight-6x3", 4.6)] {
         for kind in ["kind = \"lqi\"", "kind = \"mpc\""] {
             let error = error_mm(&with(&with_loop(name, kind), &[], CLOCK));
+            println!("{name}, {kind}: {error:.2} mm");
             assert!(error <= most, "{name}, {kind}: {error} mm");
         }
     }
@@ -178,11 +203,12 @@ fn an_integral_neither_removes_a_wrong_servo_nor_winds_up() {
 
 #[test]
 fn each_compensation_is_worth_what_it_is_for() {
-    let circle = with(&best("circle-1.0"), &[UNIT_GAIN], "");
+    // The vibration of the IMU costs 2.3 mm, which would hide them.
+    let circle = quiet(&with(&best("circle-1.0"), &[UNIT_GAIN], ""));
     let [off, clock] = [OFF, CLOCK].map(|sections| error_mm(&with(&circle, &[], sections)));
     // The board's clock is 0.3 % fast: 2.2 mm inside.
     assert!(off > 2.0 && clock < 0.8, "{off} {clock}");
-    let eight = with(&best("eight-4x2"), &[UNIT_GAIN], "");
+    let eight = quiet(&with(&best("eight-4x2"), &[UNIT_GAIN], ""));
     let [off, clock] = [OFF, CLOCK].map(|sections| error_mm(&with(&eight, &[], sections)));
     let both = error_mm(&eight);
     assert!(
@@ -262,7 +288,6 @@ fn real_servo() -> toml::Value {
 
 #[test]
 fn steering_that_is_no_straight_line_costs_nothing_with_its_table() {
-    const PROVED: &str = "[supervisor]\nprove_first_metre = false\n";
     let table = real_servo();
     let crooked = format!("[truth.servo]\ntable = {table}\n");
     let known = format!("{crooked}[actuators]\nsteering_table = {table}\n");

@@ -215,7 +215,7 @@ fn gross(random: &mut Random, car: &TrueCar) -> (Deviation, i32) {
         D::GyroScale => random.choose(-2_000, &[-1_990, -500, -200, 200, 500]),
         D::AccelerationScale => sign * random.signed(100, 900),
         D::ImuLeak => random.spread(100, 1_500) as i32,
-        D::Vibration => random.spread(500, 20_000) as i32,
+        D::Vibration => random.spread(1_500, 20_000) as i32,
         D::StampBias => sign * random.spread(5_000, 100_000) as i32,
         D::StampDrift => sign * random.signed(100, 5_000),
         D::BodyHeight => random.choose(0, &[40, 250, 1_000]),

@@ -93,8 +93,8 @@ deviations! {
     AccelerationScale = "acceleration-scale-permille", -20..=20, of -900..=900;
     /// A lasting acceleration leaks away with a time constant of v ms.
     ImuLeak = "imu-leak-ms", 2_000..=60_000, of 100..=1_000_000;
-    /// The IMU's acceleration vibrates by v mm/s² while the wheels turn.
-    Vibration = "vibration-mm-s2", 0..=300, of 0..=20_000;
+    /// The IMU's acceleration vibrates by v mm/s² while the wheels turn, and more by their speed.
+    Vibration = "vibration-mm-s2", 0..=1_000, of 0..=20_000;
     /// The mid-exposure stamps are v µs late.
     StampBias = "stamp-bias-us", -2_000..=2_000, of -200_000..=200_000;
     /// That error grows by v ppm.

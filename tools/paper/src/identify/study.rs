@@ -192,7 +192,7 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
     let bounds = identification::cramer_rao(
         &data,
         &true_values(&truth, &identification.values),
-        &simulated_noise(),
+        &simulated_noise(usual_speed(&data)),
         identification.frames,
         &settings,
     )
@@ -268,17 +268,34 @@ fn true_values(truth: &VehicleParameters, estimated: &Values) -> Values {
     values
 }
 
-/// The simulator's noise, as the identification counts it.
-fn simulated_noise() -> NoiseLevels {
+/// The median speed of a drive, in m/s.
+fn usual_speed(data: &DriveData) -> f64 {
+    let mut speeds: Vec<f64> = data
+        .poses
+        .windows(2)
+        .map(|pair| {
+            let way = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
+            way / (pair[1].time_s - pair[0].time_s)
+        })
+        .collect();
+    speeds.sort_by(f64::total_cmp);
+    speeds.get(speeds.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The simulator's noise at this speed, as the identification counts it.
+fn simulated_noise(speed: f64) -> NoiseLevels {
     let cameras = CameraParameters::default();
     let imu = ImuParameters::default();
     let period_s = imu.period_us as f64 * 1e-6;
+    let vibration_rad_s = imu.vibration_rad_s + imu.vibration_rad_s_per_m_s * speed;
+    let vibration_m_s2 = imu.vibration_m_s2 + imu.vibration_m_s2_per_m_s * speed;
+    let acceleration_m_s2 = imu.acceleration_noise_m_s2.hypot(vibration_m_s2);
     NoiseLevels {
         position_m: cameras.position_noise_m,
         yaw_rad: cameras.orientation_noise_rad,
-        yaw_rate_rad_s: imu.gyro_noise_rad_s,
-        left_m_s2: imu.acceleration_noise_m_s2,
-        forward_density: imu.acceleration_noise_m_s2 * period_s.sqrt(),
+        yaw_rate_rad_s: imu.gyro_noise_rad_s.hypot(vibration_rad_s),
+        left_m_s2: acceleration_m_s2,
+        forward_density: acceleration_m_s2 * period_s.sqrt(),
         gyro_walk: imu.gyro_walk_rad_s,
         ..NoiseLevels::exact()
     }
