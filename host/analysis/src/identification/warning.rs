@@ -242,3 +242,42 @@ pub(super) fn warnings(
     }
     warnings
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parameter_that_the_drive_hardly_determines_is_named_unless_it_is_a_nuisance() {
+        let estimate = |parameter, standard_deviation| Estimate {
+            parameter,
+            start: 2.0,
+            value: 2.0,
+            standard_deviation,
+            interval: [1.0, 3.0],
+            white_deviation: standard_deviation,
+            robust_deviation: standard_deviation,
+            at_bound: false,
+        };
+        let named = |deviation| {
+            let nuisances = Parameter::NUISANCE.map(|parameter| estimate(parameter, 10.0));
+            let estimates: Vec<Estimate> = nuisances
+                .into_iter()
+                .chain([
+                    estimate(Parameter::FrontStiffness, 0.01),
+                    estimate(Parameter::RearStiffness, deviation),
+                ])
+                .collect();
+            let found = warnings(&estimates, |_, _| 0.0, &[], &[], &[]);
+            let vague = found.into_iter().filter_map(|warning| match warning {
+                Warning::NotTold { parameter, .. } => Some(parameter),
+                _ => None,
+            });
+            vague.collect::<Vec<_>>()
+        };
+        assert_eq!(named(2.0 * (VAGUE - 0.01)), []);
+        for deviation in [2.0 * (VAGUE + 0.01), f64::NAN, f64::INFINITY] {
+            assert_eq!(named(deviation), [Parameter::RearStiffness]);
+        }
+    }
+}

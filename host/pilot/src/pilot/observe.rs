@@ -48,6 +48,8 @@ impl Pilot {
         });
         if self.supervisor.observe(commanded.drives, now) {
             self.begin_watches();
+            // A drive of ours is armed only where they are not too rare.
+            self.steps.begin(now);
             // Not so a drive of ours, which begins with a car at rest.
             if self.motor_speed.abs() >= self.config.supervisor.standing_speed {
                 self.start.skip();

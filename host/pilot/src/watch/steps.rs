@@ -226,6 +226,11 @@ impl Steps {
             .is_none_or(|last| now.seconds_since(last) > UNCOMPARED)
     }
 
+    /// Comparisons are waited for from here on.
+    pub(crate) const fn begin(&mut self, now: Time) {
+        self.compared = Some(now);
+    }
+
     /// Forgets the poses: the estimate restarts.
     pub(crate) fn reset(&mut self) {
         self.poses.clear();

@@ -1,14 +1,17 @@
 //! The page of figures.
 
+use core::f64::consts::PI;
+
 use singletrack_control::{PoseVerdict, Time};
 use singletrack_figures::figure::{
-    Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width,
+    Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol, Width,
 };
 
 use super::{
     run::{Judged, Run},
-    score::Compared,
-    truth,
+    score::{self, Compared},
+    spectrum::density,
+    truth::{self, Seen},
 };
 
 /// Time from the first pose, the same on every panel.
@@ -75,8 +78,10 @@ pub(super) fn of(run: &Run) -> Figure {
     Figure {
         title: "What the pilot would have said".to_owned(),
         caption:
-            "The estimate beside the cameras, smoothed with what came after, and the normalised \
-                  innovation squared of each accepted pose."
+            "The estimate beside the cameras, smoothed with what came after; the normalised innovation \
+                  squared of each accepted pose, and how often it is larger than a value, beside what it \
+                  is for innovations as stated; and the noise of accelerometer and gyro while the car \
+                  moves, by what they measure beyond the cameras."
                 .to_owned(),
         width: Width::Page,
         panels: vec![
@@ -96,7 +101,82 @@ pub(super) fn of(run: &Run) -> Figure {
                 fast(&|one| one.sideslip),
             ),
             innovations,
+            distribution(run),
+            spectra(run),
         ],
+    }
+}
+
+/// How often the NIS of a pose is larger than a value.
+fn distribution(run: &Run) -> Panel {
+    const POINTS: i32 = 60;
+    let mut found: Vec<f64> = run
+        .poses
+        .iter()
+        .filter(|judged| judged.settled && score::counts(judged.seen.kind))
+        .filter_map(|judged| judged.innovation)
+        .collect();
+    found.sort_by(f64::total_cmp);
+    let values: Column = (0..=POINTS)
+        .map(|point| 10_f64.powf(-1.0 + 3.5 * f64::from(point) / f64::from(POINTS)))
+        .collect();
+    let least = 1.0 / found.len().max(1) as f64;
+    let larger = |value: f64| {
+        let smaller = found.partition_point(|innovation| *innovation <= value);
+        1.0 - smaller as f64 * least
+    };
+    let shown = |share: f64| if share < least { f64::NAN } else { share };
+    let share = values.iter().map(|value| shown(larger(*value))).collect();
+    let stated = values
+        .iter()
+        .map(|value| shown(chi_square_3(*value)))
+        .collect();
+    let logarithmic = |quantity| Axis {
+        scale: Scale::Log,
+        ..Axis::new(quantity, None, "")
+    };
+    Panel {
+        begins_row: true,
+        height_mm: 40.0,
+        curves: vec![
+            Curve::new("poses", Look::Actual, &values, share),
+            Curve::new("as stated", Look::Other, &values, stated),
+        ],
+        ..Panel::new(logarithmic("NIS"), logarithmic("share of larger ones"))
+    }
+}
+
+/// The share of a chi-square distribution with three degrees of freedom above a value.
+fn chi_square_3(value: f64) -> f64 {
+    libm::erfc((0.5 * value).sqrt()) + (2.0 * value / PI).sqrt() * (-0.5 * value).exp()
+}
+
+/// The noise of the IMU over the frequency.
+fn spectra(run: &Run) -> Panel {
+    let seen: Vec<Seen> = run.poses.iter().map(|judged| judged.seen).collect();
+    let rows = score::differences(&seen, &run.samples);
+    let curve = |name, look, axis: usize| {
+        let moving = rows.iter().filter(|row| row.2.forward > score::SLOWEST);
+        let samples: Vec<(Time, f64)> = moving
+            .filter_map(|(time, _, _, differences)| Some((*time, *differences.get(axis)?)))
+            .collect();
+        let (frequency, density): (Vec<f64>, Vec<f64>) = density(&samples).into_iter().unzip();
+        Curve::new(name, look, &frequency.into(), density.into())
+    };
+    Panel {
+        height_mm: 40.0,
+        curves: vec![
+            curve("forward, m/s\u{b2}", Look::Actual, 0),
+            curve("to the left, m/s\u{b2}", Look::Other, 1),
+            curve("gyro, rad/s", Look::Nominal, 2),
+        ],
+        ..Panel::new(
+            Axis::new("frequency", Some(Symbol::new("f", "")), "Hz"),
+            Axis {
+                scale: Scale::Log,
+                ..Axis::new("noise", None, "1/\u{221a}Hz")
+            },
+        )
     }
 }
 

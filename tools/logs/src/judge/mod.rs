@@ -8,6 +8,7 @@ mod figure;
 mod log;
 mod run;
 mod score;
+mod spectrum;
 mod truth;
 mod verdict;
 

@@ -169,20 +169,7 @@ struct Span {
 impl Inertial {
     fn of(seen: &[Seen], samples: &[(InertialSample, f64)], config: &EstimatorConfig) -> Self {
         let mut noise = Self::default();
-        let rows: Vec<(Time, f64, Motion, [f64; 3])> = samples
-            .iter()
-            .filter_map(|(sample, motor)| {
-                let motion = truth::motion(seen, sample.time)?;
-                let [forward, left] = motion.acceleration;
-                let differences = [
-                    sample.forward_acceleration - forward,
-                    sample.left_acceleration - left,
-                    sample.yaw_rate - motion.yaw_rate,
-                ];
-                Some((sample.time, *motor, motion, differences))
-            })
-            .collect();
-        let (bias, scale) = line(rows.iter().map(|row| (row.2.yaw_rate, row.3[2])));
+        let rows = differences(seen, samples);
         for (_, motor, motion, _) in rows.iter().filter(|row| row.2.forward > STANDS) {
             noise.motor.add(motor - motion.forward);
             noise
@@ -206,8 +193,7 @@ impl Inertial {
             }
             span.samples += 1;
             span.speed += motion.speed().abs();
-            let turned = turned - bias - scale * motion.yaw_rate;
-            for (sum, value) in span.differences.iter_mut().zip([*forward, *left, turned]) {
+            for (sum, value) in span.differences.iter_mut().zip([*forward, *left, *turned]) {
                 *sum += value;
             }
             last = Some(*time);
@@ -246,6 +232,33 @@ impl Inertial {
         }
         noise
     }
+}
+
+/// The inertial samples less the motion by the cameras: time, speed by the motor, that motion, and
+/// the differences of the accelerations forward and to the left (m/s²) and of the yaw rate (rad/s),
+/// without bias and scale of the gyro.
+pub(super) fn differences(
+    seen: &[Seen],
+    samples: &[(InertialSample, f64)],
+) -> Vec<(Time, f64, Motion, [f64; 3])> {
+    let mut rows: Vec<(Time, f64, Motion, [f64; 3])> = samples
+        .iter()
+        .filter_map(|(sample, motor)| {
+            let motion = truth::motion(seen, sample.time)?;
+            let [forward, left] = motion.acceleration;
+            let differences = [
+                sample.forward_acceleration - forward,
+                sample.left_acceleration - left,
+                sample.yaw_rate - motion.yaw_rate,
+            ];
+            Some((sample.time, *motor, motion, differences))
+        })
+        .collect();
+    let (bias, scale) = line(rows.iter().map(|row| (row.2.yaw_rate, row.3[2])));
+    for (_, _, motion, [_, _, turned]) in &mut rows {
+        *turned -= bias + scale * motion.yaw_rate;
+    }
+    rows
 }
 
 /// The line `y = a + b x` through points, by least squares.
