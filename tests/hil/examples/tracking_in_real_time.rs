@@ -127,6 +127,7 @@ fn configuration(believed: Config, simulator: &RealTimeSimulator, folder: &Path)
         enabled: true,
         path: settings::socket(folder),
         tcp_port: None,
+        reference_folder: None,
     };
     config
 }

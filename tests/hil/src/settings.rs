@@ -74,6 +74,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
             enabled: true,
             path: socket(folder),
             tcp_port: None,
+            reference_folder: None,
         },
         live: LiveSection::default(),
         page: PageSection::default(),

@@ -106,7 +106,7 @@ fn read_rows<const COLUMNS: usize>(
         for ((number, column), place) in row.iter_mut().zip(columns).zip(&places) {
             let value = record.get(*place).unwrap_or_default().trim();
             let finite = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *number = finite.ok_or_else(|| WaypointFileError::Number { line, column })?;
+            *number = finite.ok_or(WaypointFileError::Number { line, column })?;
         }
         take(line, row)?;
     }
