@@ -18,8 +18,9 @@ use crate::ClientError;
 /// The longest wait for a daemon that accepts no connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The longest wait for an answer: a reference with a governor takes seconds to judge.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
+/// The longest wait for an answer: a reference with a governor takes seconds to judge, and more with
+/// `[tuning]` on a slow computer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Connects to the daemon that listens at `path`.
 ///

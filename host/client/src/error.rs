@@ -32,7 +32,7 @@ pub enum ClientError {
         patience: Duration,
     },
     /// The daemon closed the connection.
-    #[error("the daemon has closed the connection: it has ended, or too many clients wait for it")]
+    #[error("lost the connection to the daemon: it has ended, or too many clients wait for it")]
     Ended,
     /// The connection failed.
     #[error("lost the connection to the daemon: {0}")]

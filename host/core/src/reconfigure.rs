@@ -193,9 +193,17 @@ fn check_file(file: &Path, folder: &Path) -> Result<(), ChangeError> {
     let is_inside = |file: &Path| {
         file.starts_with(folder) || matches!(&real_folder, Ok(folder) if file.starts_with(folder))
     };
-    let climbs = file.components().any(|part| part == Component::ParentDir);
+    // Without `..`, as it is written; then as it is on the disk.
+    let mut written = PathBuf::new();
+    for part in file.components() {
+        if part == Component::ParentDir {
+            written.pop();
+        } else {
+            written.push(part);
+        }
+    }
     let leaves = || file.canonicalize().is_ok_and(|real| !is_inside(&real));
-    if climbs || !is_inside(file) || leaves() {
+    if !is_inside(&written) || leaves() {
         return Err(ChangeError::Foreign {
             file: file.to_owned(),
             folder: folder.to_owned(),
@@ -230,6 +238,7 @@ mod tests {
             check_file(&folder.join(file), folder).unwrap();
         }
         check_file(&folder.canonicalize().unwrap().join("path.csv"), &link).unwrap();
+        check_file(&folder.join("../references/path.csv"), &folder).unwrap();
         for file in [&secret, &folder.join("../secret"), &folder.join("link")] {
             let error = check_file(file, &folder).unwrap_err();
             assert!(matches!(error, ChangeError::Foreign { .. }), "{error}");

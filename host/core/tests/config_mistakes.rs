@@ -118,7 +118,6 @@ outer_loop | gain_per_s = [1.0, -1.0] | outer_loop.gain_per_s | -1 | not negativ
 outer_loop | gain_per_s = [nan, 1.0] | outer_loop.gain_per_s | NaN | finite
 supervisor | imu_silence_ms = 300 | supervisor.imu_silence_ms | 300 | between 20 and 200
 fence | braking_m_s2 = 0.0 | fence.braking_m_s2 | 0 | above 0
-fence | braking_m_s2 = 9.0 | fence.braking_m_s2 | 9 | tyres hold, 2.45 m/s2
 board.esc | max_us = 1530 | board.esc.max_us | 1530 | would never drive
 control | period_ms = 50 | watch.max_gap_ms | 80 | give it two periods, 100 ms
 reference | radius_m = 0.0 | reference.radius_m | 0 | above zero

@@ -105,7 +105,8 @@ fn the_simulated_car_drives_the_example_from_the_place_that_is_named() {
     assert!(judgement.is_possible(), "{judgement:?}");
     let (modes, limited) = driven(&config, judgement.start.unwrap(), 30);
     assert_eq!(modes, [Mode::Driving]);
-    assert!(limited < 0.05, "{limited}");
+    // What is not yet a warning.
+    assert!(limited < 0.1, "{limited}");
 }
 
 #[test]
@@ -482,7 +483,10 @@ fn what_was_left_as_in_the_example_is_a_warning() {
 fn values_that_no_sane_car_has_are_named() {
     assert_eq!(found(&own()).findings, []);
     type Change = fn(&mut Config);
-    let cases: [(&str, Change); 10] = [
+    let cases: [(&str, Change); 11] = [
+        ("fence.braking_m_s2 is 50", |config| {
+            config.fence.braking_m_s2 = 50.0;
+        }),
         ("fence.corners_m is 3000 m by 3000 m", |config| {
             config.fence.corners_m = square(1_500.0);
         }),

@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::{ConfigError, config::ReferenceSection};
 use singletrackd::SOCKET_VERSION;
 
 use crate::control::{self, ControlArgs, ControlError};
@@ -45,6 +45,9 @@ pub enum SetReferenceError {
         /// Where and why.
         source: toml::de::Error,
     },
+    /// A file that it names is refused.
+    #[error(transparent)]
+    Reference(#[from] ConfigError),
     /// It can't be sent.
     #[error("{}: {source}; every path must be UTF-8", .path.display())]
     Send {
@@ -92,7 +95,11 @@ pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
     ))?)
 }
 
-/// The reference in a file, with absolute paths: the daemon runs in another folder.
+/// The longest reference that is sent in a line of 16,384 bytes.
+const LONGEST: usize = 16_000;
+
+/// The reference in a file, with its points, or with the absolute path of their file if they are too
+/// many: the daemon runs in another folder.
 pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
     let read = |source| SetReferenceError::Read {
         path: path.to_owned(),
@@ -108,8 +115,16 @@ pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
     if let Some(folder) = path_of_file.parent() {
         reference.resolve(folder);
     }
-    serde_json::to_value(&reference).map_err(|source| SetReferenceError::Send {
-        path: path.to_owned(),
-        source,
-    })
+    let value = |reference: &ReferenceSection| {
+        serde_json::to_value(reference).map_err(|source| SetReferenceError::Send {
+            path: path.to_owned(),
+            source,
+        })
+    };
+    // The daemon reads files of one folder only. What fits into a line is sent.
+    let written = value(&reference.written_out()?)?;
+    if written.to_string().len() <= LONGEST {
+        return Ok(written);
+    }
+    value(&reference)
 }

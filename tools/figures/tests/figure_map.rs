@@ -445,3 +445,19 @@ fn a_map_on_a_logarithmic_axis_is_where_its_decades_are() {
     let dark = titled(&svg, "shade dark", "unstable");
     assert!(covers(dark, frame.at([0.01, 0.0])) && !covers(dark, frame.at([-0.01, 0.0])));
 }
+
+#[test]
+fn a_logarithmic_axis_without_a_value_is_drawn_empty() {
+    let logarithmic = |quantity| Axis {
+        scale: Scale::Log,
+        ..Axis::new(quantity, None, "")
+    };
+    for values in [vec![], vec![f64::NAN; 3]] {
+        let values: Column = values.into();
+        let panel = Panel {
+            curves: vec![Curve::new("noise", Look::Actual, &values, values.clone())],
+            ..Panel::new(logarithmic("frequency"), logarithmic("noise"))
+        };
+        assert!(svg(vec![panel]).contains("noise"));
+    }
+}

@@ -110,7 +110,9 @@ fn judged(fault: &Fault<'_>) -> Verdict {
         |_, _| {},
     )
     .unwrap();
-    judge(&record, &dart(), |_, _| {}).unwrap().0
+    let (verdict, figure) = judge(&record, &dart(), |_, _| {}).unwrap();
+    assert!(figure.to_svg().ends_with("</svg>\n"));
+    verdict
 }
 
 fn reasons(verdict: &Verdict) -> Vec<&'static str> {

@@ -96,15 +96,6 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
             "the tyres hold {grip:.2} m/s2 (vehicle.friction times gravity); lower it to that at most"
         ),
     )?;
-    refuse_if(
-        config.fence.braking_m_s2 > grip,
-        "fence.braking_m_s2",
-        config.fence.braking_m_s2,
-        format!(
-            "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times gravity); \
-             measure how yours brakes"
-        ),
-    )?;
     let esc = board.configuration().esc;
     refuse_if(
         esc.max_us <= esc.neutral_us.saturating_add(esc.deadband_us),

@@ -20,16 +20,22 @@ const STAMPS_MS: f64 = 50.0;
 /// No room with cameras is larger, in m.
 const ROOM_M: f64 = 100.0;
 
-/// Warns of what should be looked at.
+/// Finds what should be looked at, and braking beyond the tyres, which is impossible.
 pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
-    let mut warn = |key, value: String, fix: String| {
+    let grip = config.vehicle.friction * GRAVITY;
+    let braking = config.fence.braking_m_s2;
+    if braking > grip {
         findings.push(Finding {
-            severity: Severity::Warning,
-            key,
-            value,
-            fix,
+            severity: Severity::Impossible,
+            key: "fence.braking_m_s2",
+            value: braking.to_string(),
+            fix: format!(
+                "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times \
+                 gravity); measure how yours brakes, or correct vehicle.friction"
+            ),
         });
-    };
+    }
+    let mut warn = warning(findings);
     let [width, depth] = extent(&config.fence.corners_m);
     if width.max(depth) > ROOM_M {
         warn(
@@ -53,7 +59,6 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
             ),
         );
     }
-    let grip = config.vehicle.friction * GRAVITY;
     let deceleration = config.control.stop_deceleration_m_s2;
     if deceleration > grip {
         warn(
@@ -99,6 +104,18 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
     }
     for section in ["watch", "motion_capture.pose"] {
         warn_of_wide(section, config, &mut warn);
+    }
+}
+
+/// Adds a warning.
+fn warning(findings: &mut Vec<Finding>) -> impl FnMut(&'static str, String, String) {
+    |key, value, fix| {
+        findings.push(Finding {
+            severity: Severity::Warning,
+            key,
+            value,
+            fix,
+        });
     }
 }
 

@@ -86,7 +86,7 @@ struct Attended {
 }
 
 /// Returns when the client hangs up without having sent more; reads nothing.
-async fn hung_up(read: &mut BufReader<ReadHalf>) {
+pub(super) async fn hung_up(read: &mut BufReader<ReadHalf>) {
     match read.fill_buf().await {
         Ok([]) | Err(_) => {}
         // Its end is found once this has been read.

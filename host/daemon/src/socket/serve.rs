@@ -21,7 +21,7 @@ use tokio::{
 
 use super::{
     arm::arm,
-    attend::{hold, jog},
+    attend::{hold, hung_up, jog},
     command::{Attendance, Command, ParseError, Question, SOCKET_VERSION},
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
@@ -44,6 +44,9 @@ pub(super) const WAITING: usize = 64;
 
 /// The longest wait for it.
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// A control thread whose last tick is older is stuck.
+const TICK_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Serves a client beyond [`CLIENTS`]: only what ends a drive is obeyed.
 pub(super) async fn refuse(
@@ -137,7 +140,12 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
                 send(&mut write, &reload(daemon).await).await?;
             }
             Ok(Command::Arm(request)) => {
-                let answer = match arm(daemon, request).await {
+                // A client that has given up must not be obeyed later.
+                let armed = tokio::select! {
+                    armed = arm(daemon, request) => armed,
+                    () = hung_up(&mut read) => return Ok(()),
+                };
+                let answer = match armed {
                     Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
                     Err(error) => failure(error),
                 };
@@ -208,6 +216,9 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
     if question != Question::Status {
         daemon.drives.stop();
     }
+    let stuck = daemon.snapshot().tick.is_some_and(|tick| {
+        monotonic_ns().saturating_sub(tick.start_ns) > TICK_TIMEOUT.as_nanos() as u64
+    });
     // No mode in an answer: the effect of a request shows after the next tick only.
     let done = match question {
         Question::Status => {
@@ -228,6 +239,10 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         Question::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {
+        Ok(()) if stuck => failure(
+            "the control thread is stuck: it does not see this. The board stops the car by itself, \
+             95 ms after the last command",
+        ),
         Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
         Err(error) => failure(error),
     }

@@ -98,9 +98,10 @@ fn remove_token_file(path: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         metadata => metadata?,
     };
+    // Nothing is in one whose writer was killed.
     let is_ours = metadata.is_file()
         && metadata.len() <= LONGEST_FILE
-        && serde_json::from_slice::<Content>(&fs::read(path)?).is_ok();
+        && (metadata.len() == 0 || serde_json::from_slice::<Content>(&fs::read(path)?).is_ok());
     if !is_ours {
         return Err(io::Error::other(
             "this file was there before and has no token in it; move it away, or choose another path",
@@ -132,7 +133,11 @@ impl TokenFile {
             "port": address.port(),
             "token": token.0,
         });
-        writeln!(file, "{content}")?;
+        if let Err(error) = file.write_all(format!("{content}\n").as_bytes()) {
+            // It is new: what is in it is ours.
+            let _ = fs::remove_file(&made.0);
+            return Err(error);
+        }
         file.set_permissions(fs::Permissions::from_mode(PERMISSIONS))?;
         Ok(made)
     }

@@ -192,7 +192,10 @@ fn range(panel: &Panel, axis: usize) -> [f64; 2] {
     }
     description.include.into_iter().for_each(&mut take);
     if ends[0] > ends[1] {
-        return [0.0, 1.0];
+        return match description.scale {
+            Scale::Linear => [0.0, 1.0],
+            Scale::Log => [1.0, 10.0],
+        };
     }
     let histogram = !panel.bars.is_empty();
     match description.scale {
