@@ -229,7 +229,7 @@ class System:
         configuration.write_text(text)
         self.processes = {}
         atexit.register(self.kill)
-        self.start("singletrack-sim", "--port", board, "--start", "0.67,-0.45,69")
+        self.start("singletrack-sim", "--port", board, "--start", "0.57,-0.39,54")
         wait("the simulator's port", board.exists)
         self.start("singletrackd", "--config", configuration)
         wait("the daemon's socket", self.socket.exists)
