@@ -131,7 +131,7 @@ fn an_invalid_file_ends_with_status_2() {
 fn the_place_where_the_car_stands_is_judged() {
     let folder = tempfile::tempdir().unwrap();
     let text = example(folder.path());
-    let (status, out, _) = check(folder.path(), &text, &["--start", "0.57,-0.39,54"]);
+    let (status, out, _) = check(folder.path(), &text, &["--start", "0.67,-0.45,69"]);
     assert_eq!(status, 0);
     assert!(out.contains("centre of mass at (0.67, -0.45) m"), "{out}");
     // It looks away from the reference and has to turn round at the side.

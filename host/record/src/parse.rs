@@ -30,7 +30,7 @@ pub(crate) fn is_data_part(opcode: u8, content: &[u8]) -> bool {
 /// A field of a part, for its length.
 #[derive(Clone, Copy)]
 enum Field {
-    /// So many bytes.
+    /// This number of bytes.
     Bytes(usize),
     /// A text or a list, after its length in bytes.
     Counted,

@@ -230,7 +230,7 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         }
         Question::Carried => push(PilotRequest::Carried),
         Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
-            (Ok(()), Some(note)) => {
+            (Ok(()), Some(note)) if !stuck => {
                 return json!({ "version": SOCKET_VERSION, "ok": true, "note": note });
             }
             (result, _) => result,
