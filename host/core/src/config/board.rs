@@ -88,7 +88,7 @@ section! {
     deadband_us: u16, text "0 to 200", example 30;
     /// Shortest pulse ever sent.
     min_us: u16, text "800 to neutral_us - deadband_us - 1", example 1200;
-    /// Longest pulse ever sent.
+    /// Longest pulse ever sent; a car that drives has it beyond the band around neutral.
     max_us: u16, text "neutral_us + deadband_us to 2200", example 1700;
     /// Largest change of the pulse away from neutral in 20 ms; towards neutral it changes at
     /// once.
