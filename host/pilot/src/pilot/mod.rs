@@ -246,6 +246,9 @@ impl Pilot {
             };
             let share = self.speeds.motor_share();
             self.stops.begin(now, &speeds, commanded, share);
+            if self.supervisor.reason().is_some_and(Reason::doubts_cameras) {
+                self.stops.doubt_cameras();
+            }
         }
         if !mode.commands() {
             self.proving = None;

@@ -117,6 +117,17 @@ words! {
 }
 
 impl Reason {
+    /// Whether poses contradicted what the other sensors and the car's dynamics allow.
+    pub(crate) const fn doubts_cameras(self) -> bool {
+        matches!(
+            self,
+            Self::PoseImplausible
+                | Self::BodyYawWrong
+                | Self::SideslipImplausible
+                | Self::EstimateInconsistent
+        )
+    }
+
     /// Whether the word, found in a drive of a proved configuration, contradicts its proof: a
     /// person must look at the car, and say so by a disarm request, before it drives again.
     /// (Of an unproved configuration every contradiction does.)

@@ -37,6 +37,8 @@ struct Run {
     standing: Option<Time>,
     /// Whether it measures the deceleration of the car: not that of wheels in the air.
     measures: bool,
+    /// Whether the drive ended because the poses contradicted the rest.
+    doubts_cameras: bool,
 }
 
 /// The fall of a measured speed.
@@ -121,6 +123,9 @@ const TOO_FAST: u32 = 3;
 /// ...and if the cameras see the car stand: its wheels may be off the floor, and a slow
 /// pulse sensor holds its last speed for a while.
 const TOO_FAST_IN_PLACE: u32 = 40;
+/// Below this speed of the cameras, m/s, wheels that stand are believed more than cameras that
+/// were found to contradict the rest: poses that drift go on drifting after the stop.
+const DRIFTS_BELOW: f64 = 0.25;
 /// The time for which the car stands at the end of a stop, s.
 const STANDS: f64 = 0.2;
 /// Below this speed it does, m/s: beyond the noise of the cameras' speed, or a hand that takes the
@@ -159,7 +164,16 @@ impl StopWatch {
             falls: [Fall::default(); 2],
             standing: None,
             measures: true,
+            doubts_cameras: false,
         });
+    }
+
+    /// Poses that contradicted the rest ended the drive: they measure no deceleration either.
+    pub(crate) const fn doubt_cameras(&mut self) {
+        if let Some(run) = &mut self.run {
+            run.doubts_cameras = true;
+            run.measures = false;
+        }
     }
 
     /// Jogging ends at `now`: the motor is at neutral. The wheels must slow down; they may be
@@ -222,7 +236,13 @@ impl StopWatch {
                 run.free = Some(RollOut::begin(pace));
             }
             run.unbraked.tick(now, pace, ramp, MEASURED_FROM, way);
+            let wheels_stand = speeds.motor.is_some_and(|motor| fabs(motor) < STANDS_BELOW);
             motor.tick(now, speeds.motor, least, floor);
+            let floor = if run.doubts_cameras && wheels_stand {
+                floor.max(DRIFTS_BELOW)
+            } else {
+                floor
+            };
             cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
             let most = if in_place {

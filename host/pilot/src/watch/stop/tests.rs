@@ -441,3 +441,41 @@ fn a_car_that_is_taken_up_after_it_stood_under_noisy_cameras_is_no_alarm() {
     }
     assert!(!watch.is_underway());
 }
+
+#[test]
+fn cameras_that_drift_on_after_they_ended_the_drive_do_not_make_a_stop_that_is_not_obeyed() {
+    let drifting = |drift: f64| {
+        move |speed: f64| Speeds {
+            motor: Some(speed),
+            cameras: Some(speed.max(drift)),
+            estimate: Some(speed.max(drift)),
+        }
+    };
+    for (drift, doubted, alarms) in [
+        (0.1, true, false),
+        (0.2, true, false),
+        // Faster than any drift: whatever it is that moves, somebody must look.
+        (0.4, true, true),
+        // Nothing had spoken against the cameras.
+        (0.1, false, true),
+    ] {
+        let mut watch = StopWatch::default();
+        if doubted {
+            watch.begin(Time(0), &drifting(drift)(0.5), 0.5, 1.0);
+            watch.doubt_cameras();
+        }
+        let (alarm, measured) = stop(&mut watch, 0.5, |_| 1.4, drifting(drift));
+        assert_eq!(alarm.is_some(), alarms, "{drift} m/s, {doubted}: {alarm:?}");
+        assert_eq!(measured.is_some(), !doubted, "{measured:?}");
+    }
+    // A motor that shows nothing does not vouch for the wheels.
+    let mut watch = StopWatch::default();
+    let blind = |speed: f64| Speeds {
+        motor: None,
+        ..drifting(0.1)(speed)
+    };
+    watch.begin(Time(0), &blind(0.5), 0.5, 1.0);
+    watch.doubt_cameras();
+    let (alarm, _) = stop(&mut watch, 0.5, |_| 1.4, blind);
+    assert!(alarm.is_some());
+}
