@@ -131,10 +131,15 @@ impl Container {
         self.write(Writer::flush)
     }
 
-    /// Writes everything so far to the disk.
+    /// Writes everything so far to the disk, under the name that it had.
     pub(crate) fn flush(&mut self) -> Result<(), RecordError> {
         self.end_chunk()?;
-        self.file.sync_data().map_err(failure("sync", &self.part))
+        self.file.sync_data().map_err(failure("sync", &self.part))?;
+        // A system writes to a removed file without an error, and throws it away at the end.
+        match fs::exists(&self.part) {
+            Ok(false) => Err(RecordError::Gone(self.part.clone())),
+            _ => Ok(()),
+        }
     }
 
     /// Completes the file and renames it to its final name; returns its size.

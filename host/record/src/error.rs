@@ -18,6 +18,9 @@ pub enum RecordError {
     /// The file exists, and records are never overwritten.
     #[error("{} exists already and records are never overwritten: move it or choose another name", .0.display())]
     Exists(PathBuf),
+    /// The unfinished file, or its folder, was removed or moved.
+    #[error("{} was removed or moved while it was written: nothing is recorded any more", .0.display())]
+    Gone(PathBuf),
     /// Another process is writing the record.
     #[error("{} is being written: wait until its recorder has ended", .0.display())]
     Busy(PathBuf),

@@ -218,3 +218,23 @@ fn the_recorder_thread_writes_pushed_entries_and_counts_lost_ones() {
     );
     assert_eq!(observed.into_iter().collect::<Vec<_>>(), read);
 }
+
+#[test]
+fn a_record_that_is_removed_or_moved_ends_with_an_error_at_the_next_flush() {
+    for is_moved in [false, true] {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = parent.path().join("records");
+        fs::create_dir(&folder).unwrap();
+        let mut recorder = Recorder::create(&folder.join("drive.mcap"), &common::meta()).unwrap();
+        recorder.write(&common::log(0)).unwrap();
+        recorder.flush().unwrap();
+        if is_moved {
+            fs::rename(&folder, parent.path().join("elsewhere")).unwrap();
+        } else {
+            fs::remove_dir_all(&folder).unwrap();
+        }
+        recorder.write(&common::log(1)).unwrap();
+        let error = recorder.flush().unwrap_err();
+        assert!(matches!(error, RecordError::Gone(_)), "{error}");
+    }
+}
