@@ -18,6 +18,8 @@ from ._state import State, refuse_driven
 _READY_TICKS = 1_500
 #: Time in which a simulated car comes to rest, in ticks.
 _REST_TICKS = 1_000
+#: Modes of a car that drives, or will.
+_UNDERWAY = ("ready", "arming", "driving", "slowing")
 
 
 class SimulatedCar(Backend):
@@ -27,6 +29,8 @@ class SimulatedCar(Backend):
         super().__init__()
         self.simulator = simulator
         self._native = simulator._native
+        # Whether this has armed the car.
+        self._armed = False
 
     def begin(self, timeout: float, abandoned: threading.Event) -> State:
         simulator = self.simulator
@@ -34,20 +38,17 @@ class SimulatedCar(Backend):
         refuse_driven(state)
         if not self._native.is_external:
             simulator.set_reference({"kind": "external"})
-        armed = False
         for _ in range(min(_READY_TICKS, max(1, round(timeout * 100)))):
             if abandoned.is_set():
                 break
-            if not armed and state.mode == "ready":
+            if not self._armed and state.mode == "ready":
+                self._armed = True
                 simulator.arm()
-                armed = True
             # Standstill is a set-point too; without one the car would not be armed.
             self._native.point_velocity((0.0, 0.0), None, None)
             state = simulator.step()
             if state.driving:
                 return state
-        if armed:
-            simulator.disarm()
         raise ArmError(f"the car did not start: mode {state.mode}, because of {state.reason}")
 
     def next_state(self) -> State:
@@ -79,12 +80,15 @@ class SimulatedCar(Backend):
             raise Rejected(text, word) from error
 
     def disarm(self) -> None:
-        if self.simulator.state.driving:
+        if self._armed and self.simulator.state.mode in _UNDERWAY:
             self.simulator.disarm()
 
     def end(self) -> State | None:
-        # Requests are taken with the next tick.
-        state = self.simulator.step() if self.simulator.state.driving else self.simulator.state
+        state = self.simulator.state
+        if self._armed and state.mode in _UNDERWAY:
+            # Requests are taken with the next tick.
+            state = self.simulator.step()
+        self._armed = False
         for _ in range(_REST_TICKS):
             if state.standing:
                 break

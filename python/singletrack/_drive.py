@@ -26,7 +26,10 @@ class Backend(ABC):
 
     @abstractmethod
     def begin(self, timeout: float, abandoned: threading.Event) -> State:
-        """Waits until the car can drive, and arms it; the state of a driving tick."""
+        """Waits until the car can drive, and arms it; the state of a driving tick.
+
+        After an error or an interrupt, `disarm` and `end` stop the car if this has armed it.
+        """
 
     @abstractmethod
     def next_state(self) -> State:
@@ -91,15 +94,15 @@ class Drive:
     def _enter(self, abandoned: threading.Event) -> Drive:
         if not self._backend.claim.acquire(blocking=False):
             raise RuntimeError("this car is driven already, by another block of this program")
+        # Ctrl-C may come anywhere, also after the car was armed.
         try:
             self._first = self.state = self._backend.begin(self._timeout, abandoned)
             self._inside, self._ended, self.reason = True, False, None
-        finally:
-            if not self._inside:
-                self._backend.claim.release()
-        if abandoned.is_set():
-            self.__exit__(None, None, None)
-            raise ArmError("the program does not wait any more")
+            if abandoned.is_set():
+                raise ArmError("the program does not wait any more")
+        except BaseException:
+            self._leave()
+            raise
         return self
 
     def __exit__(
@@ -108,6 +111,14 @@ class Drive:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._leave()
+
+    def __del__(self) -> None:
+        # An interrupt between the entry and the block leaves a drive that nothing ends.
+        if self._inside:
+            self._leave()
+
+    def _leave(self) -> None:
         self._ended = True
         try:
             self._backend.disarm()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 import time
@@ -48,7 +49,11 @@ class Inbox:
 
 
 class Connection:
-    """A connection; a thread reads its lines. It closes when nothing uses it any more."""
+    """A connection; a thread reads its lines. It closes when nothing uses it any more.
+
+    It belongs to the process that made it: a copy by `fork` has no thread that reads, and must
+    not speak or hang up for the original.
+    """
 
     def __init__(self, path: str) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -65,18 +70,21 @@ class Connection:
         self._write = threading.Lock()
         self._inbox = inbox = Inbox()
         # The thread must not hold the connection, which would then never be forgotten.
-        self._close = weakref.finalize(self, _shut, self._socket)
+        self._process = os.getpid()
+        self._close = weakref.finalize(self, _shut, self._socket, self._process)
         threading.Thread(
             target=inbox.read, args=(self._socket,), daemon=True, name="singletrack-read"
         ).start()
 
     def send(self, command: str, **keys: Any) -> None:
+        self._check_process()
         line = json.dumps({"version": _VERSION, "command": command, **keys}, allow_nan=False)
         with self._write:
             self._socket.sendall(line.encode() + b"\n")
 
     def take(self, timeout: float = 0.0) -> dict[str, Any] | None:
         """The oldest line that has not been taken; ``None`` after the time-out."""
+        self._check_process()
         inbox = self._inbox
         with inbox.changed:
             inbox.changed.wait_for(lambda: inbox.lines or inbox.closed, timeout)
@@ -102,13 +110,20 @@ class Connection:
     def close(self) -> None:
         self._close()
 
+    def _check_process(self) -> None:
+        if os.getpid() != self._process:
+            raise ConnectionError(
+                "this connection belongs to the process that was copied; use a Car of your own"
+            )
 
-def _shut(connected: socket.socket) -> None:
-    try:
-        # Wakes the thread that reads.
-        connected.shutdown(socket.SHUT_RDWR)
-    except OSError:
-        pass
+
+def _shut(connected: socket.socket, process: int) -> None:
+    if os.getpid() == process:
+        try:
+            # Wakes the thread that reads.
+            connected.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            pass
     connected.close()
 
 

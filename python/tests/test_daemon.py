@@ -179,6 +179,37 @@ def test_cars_that_are_forgotten_or_closed_give_their_connections_back(daemon: A
     wait_until_still(car)
 
 
+FORKS = """
+import os, sys, time
+from singletrack import Car
+with Car(sys.argv[1]).drive() as drive:
+    child = 0
+    for state in drive:
+        drive.point_velocity(0.0, 0.3)
+        if state.drive_time > 0.3 and not child:
+            child = os.fork()
+            if not child:
+                # Leaves the block too.
+                sys.exit(3)
+        if state.drive_time > 1.0:
+            break
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+    assert drive.reason is None, drive.reason
+"""
+
+
+@REAL_TIME
+def test_a_forked_child_that_exits_leaves_the_drive_of_its_parent_alone(daemon: Any) -> None:
+    car = Car(str(daemon.socket))
+    program = subprocess.run(
+        [sys.executable, "-P", "-c", FORKS, str(daemon.socket)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        timeout=30,
+    )
+    assert program.returncode == 0
+    wait_until_still(car)
+
+
 @REAL_TIME
 def test_a_daemon_that_dies_ends_the_drive_with_an_error(daemon: Any) -> None:
     car = Car(str(daemon.socket))

@@ -7,8 +7,10 @@ import math
 import os
 import pickle
 import signal
+import sys
 import threading
 from collections.abc import Callable
+from types import FrameType
 from typing import Any
 
 import gymnasium
@@ -131,6 +133,41 @@ def test_a_task_that_is_cancelled_leaves_no_car_that_is_armed(ticks: int) -> Non
     # Nothing of it goes on.
     with car.drive() as drive:
         assert next(drive).driving
+
+
+def test_ctrl_c_anywhere_in_the_entry_of_a_block_leaves_no_car_that_is_armed() -> None:
+    class Interrupts:
+        """Interrupts at the nth event of the entry after the car was armed."""
+
+        def __init__(self, nth: int) -> None:
+            self.left = nth
+
+        def __call__(self, frame: FrameType, event: str, argument: Any) -> Any:
+            code = frame.f_code
+            if code.co_name not in ("__enter__", "_enter", "begin"):
+                return None
+            if car._backend._armed:  # type: ignore[attr-defined]
+                self.left -= 1
+                if self.left == 0:
+                    sys.settrace(None)
+                    raise KeyboardInterrupt
+            return self
+
+    car = Car("sim")
+    interrupted = 0
+    for nth in range(1, 10_000):
+        before = sys.gettrace()
+        sys.settrace(Interrupts(nth))
+        try:
+            with car.drive():
+                sys.settrace(before)
+                break
+        except KeyboardInterrupt:
+            interrupted += 1
+        finally:
+            sys.settrace(before)
+        assert car._backend.simulator.step().mode in ("ready", "idle")  # type: ignore[attr-defined]
+    assert interrupted > 20
 
 
 def test_ctrl_c_ends_a_long_simulation() -> None:
