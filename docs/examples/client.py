@@ -59,7 +59,7 @@ def main(path, seconds=10.0):
         if asked and sequence % 10 == 0:
             drive.send("hold")
     drive.send("disarm")
-    print(json.dumps(state))
+    sys.stdout.write(json.dumps(state) + "\n")
 
 
 def report(drive):
