@@ -149,4 +149,35 @@ mod tests {
         actuators.control(10_000, 0);
         assert_eq!(actuators.pulses_us()[1], 1_500, "no reverse");
     }
+
+    /// The ESC's pulses for a second at this measured speed.
+    fn driven(actuators: &mut Actuators, measured: i16) -> [u16; 100] {
+        core::array::from_fn(|_| {
+            actuators.control(10_000, measured);
+            actuators.pulses_us()[1]
+        })
+    }
+
+    #[test]
+    fn reverse_waits_for_standstill_and_has_its_limit() {
+        let mut configuration = CONFIGURATION;
+        configuration.speed.max_reverse_mm_s = 500;
+        let mut reversed = |kind, wanted| {
+            configuration.esc.kind = kind;
+            let mut actuators = Actuators::new(configuration);
+            actuators.drive(1_000, 0);
+            driven(&mut actuators, 1_000);
+            actuators.drive(wanted, 0);
+            let moving = driven(&mut actuators, 1_000);
+            let standing = driven(&mut actuators, 0);
+            (moving, standing)
+        };
+        let (moving, standing) = reversed(EscKind::ForwardReverse, -800);
+        assert!(moving.iter().all(|pulse| *pulse == 1_500), "{moving:?}");
+        assert!(standing[99] < 1_470, "{standing:?}");
+        assert_eq!(reversed(EscKind::ForwardReverse, -500).1, standing);
+        // An ESC with a brake brakes first, if the wheels rolled.
+        let (moving, _) = reversed(EscKind::Car, -800);
+        assert_eq!(moving.iter().min(), Some(&1_350), "{moving:?}");
+    }
 }
