@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use singletrack_core::{HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS};
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{PilotRequest, Tuning};
 use singletrack_record::TickRecord;
 
 use crate::{
@@ -71,6 +71,14 @@ impl Daemon {
     /// loop has no room.
     pub(crate) fn request(&self, request: PilotRequest) -> bool {
         self.host.request(request).is_ok()
+    }
+
+    /// Sends values to tune, as a client of the control socket. A refusal has no effect.
+    pub(crate) fn tune(&self, gain: f64) {
+        let _ = self.host.tune(Tuning {
+            gain: Some([gain, gain].into()),
+            point_distance: None,
+        });
     }
 
     /// Sends a set-point, as a client of the control socket.

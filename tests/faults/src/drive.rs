@@ -424,6 +424,7 @@ impl<'a> Drive<'a> {
         if self.paused {
             return Ok(());
         }
+        self.flood();
         while let Some(ask) = self.schedule.requests.get(self.next_request)
             && u64::from(ask.at_ms) * 1_000 <= self.now_us
         {
@@ -437,10 +438,12 @@ impl<'a> Drive<'a> {
                     continue;
                 }
             };
-            if let Some(daemon) = &mut self.daemon
-                && daemon.request(request)
-            {
-                self.pending_requests.push(request);
+            if let Some(daemon) = &mut self.daemon {
+                let is_taken = daemon.request(request);
+                // A stop may not be refused.
+                if is_taken || request != PilotRequest::Arm {
+                    self.pending_requests.push(request);
+                }
             }
         }
         if let Some(daemon) = &self.daemon
@@ -462,6 +465,22 @@ impl<'a> Drive<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Sends what other clients send.
+    fn flood(&self) {
+        let mut faults = self.faults.iter();
+        let flood = faults.find(|fault| fault.kind == FaultKind::RequestFlood);
+        let (Some(flood), Some(daemon)) = (flood, &self.daemon) else {
+            return;
+        };
+        let [least, most] = setting::TUNED_GAIN;
+        for index in 0..=flood.severity / 10 {
+            let share = f64::from(index % 11) / 10.0;
+            daemon.tune(least + share * (most - least));
+            // Most find no room.
+            daemon.request(PilotRequest::Hold);
+        }
     }
 
     /// The operator edits the daemon's configuration file and reloads it.

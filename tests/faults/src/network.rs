@@ -343,6 +343,9 @@ impl Network {
                 content.car = self.last_car.map(|car| car.with_tracking_valid(false));
             }
             FaultKind::CameraAbsent => content.car = None,
+            FaultKind::CameraRare if content.number % (2 + s / 50) as i32 != 0 => {
+                content.car = None;
+            }
             FaultKind::CameraSilent => content.lost |= self.random.happens(s),
             FaultKind::CameraHidden => {
                 if let Some(car) = &mut content.car {

@@ -19,6 +19,8 @@ pub(crate) enum Stream {
     HostileLoops = 6,
     /// What cameras did in the logs of a real car.
     CamerasOfLogs = 7,
+    /// Rare poses and floods of requests in a schedule.
+    RareAndMany = 8,
 }
 
 impl Random {

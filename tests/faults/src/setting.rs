@@ -137,6 +137,10 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
     }
     config.board.speed.pulse_distance_um =
         u16::try_from(situation.pulse_distance_um).unwrap_or(u16::MAX);
+    if situation.tuning {
+        config.tuning.enabled = true;
+        config.tuning.gain_per_s = Some(TUNED_GAIN);
+    }
     if file == ConfigurationFile::Slower {
         config.limits.max_speed_m_s *= file.speed_share();
         config.limits.max_acceleration_m_s2 *= file.speed_share();
@@ -149,6 +153,9 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
 /// How much farther to the left the wheels turn, as a fraction, and the width of the dead band, in
 /// µs, of the configuration with `steering_table`.
 const CROOKED: [f64; 2] = [0.15, 8.0];
+
+/// Bounds of the gain that clients tune, 1/s.
+pub(crate) const TUNED_GAIN: [f64; 2] = [0.8, 1.2];
 
 /// Mandatory keys of the board; the simulated car's calibration replaces their values.
 const BOARD: &str = "[board.servo]\ncentre_us = 1500\ngain_us_per_rad = -800\nmin_us = 1080\n\

@@ -158,9 +158,10 @@ impl Invariant for Unasked {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
-        let stop = PilotRequest::EmergencyStop;
-        if observation.pending_requests.contains(&stop) && !requested(stop) {
-            return Err("the pilot did not receive an emergency stop request".to_owned());
+        for stop in [PilotRequest::EmergencyStop, PilotRequest::Disarm] {
+            if observation.pending_requests.contains(&stop) && !requested(stop) {
+                return Err(format!("the pilot did not receive the request {stop}"));
+            }
         }
         if requested(PilotRequest::EmergencyStop) && mode != Mode::Fault {
             return Err(format!(

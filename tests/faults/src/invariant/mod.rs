@@ -4,6 +4,7 @@ mod age;
 mod authority;
 mod brake;
 mod cause;
+mod compared;
 mod configuration;
 mod fence;
 mod filter;
@@ -76,6 +77,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<cause::ImuSilence>::default(),
         Box::<cause::ImuStuck>::default(),
         Box::<cause::SetpointSilence>::default(),
+        Box::<compared::Compared>::default(),
         Box::<configuration::ReconfiguredUnderway>::default(),
         Box::<configuration::ArmedConfiguration>::default(),
         Box::<grid::TickGrid>::default(),

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use singletrack_campaign::Experiment;
 use singletrack_control::Time;
 use singletrack_core::config::Config;
-use singletrack_pilot::{Event, Mode, Reason};
+use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_protocol::Drive;
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord};
@@ -228,6 +228,18 @@ bugs! {
     Host "does not obey a disarm", "unasked-drive", "ask disarm at 6500", |_| drives_on();
     Host "drives on without poses", "host-hold",
         "fault camera-silent at 6500 for 900 severity 1000", |_| drives_on();
+    Host "drives on by poses that are too rare to be compared", "compared",
+        "fault camera-rare at 5000 for 4000 severity 550", |_| Ticks(|tick: &mut TickRecord| {
+            if tick.index > 600 {
+                tick.output.mode = Mode::Driving;
+            }
+        });
+    Host "loses a disarm among many requests", "unasked-drive",
+        "tuning true; fault request-flood at 5000 for 3000 severity 500; ask disarm at 6500",
+        |_| commanding(|tick| {
+            tick.output.mode = Mode::Driving;
+            tick.events.retain(|event| *event != Event::Request(PilotRequest::Disarm));
+        });
     Host "drives on without an IMU", "imu-silence", "fault imu-silent at 6500 for 900 severity 1",
         |_| drives_on();
     Host "drives on with a stuck IMU", "imu-stuck", "fault imu-stuck at 6500 for 900 severity 1",

@@ -40,6 +40,7 @@ impl Default for Situation {
             pulse_distance_um: 3_000,
             safety_filter: false,
             steering_table: false,
+            tuning: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -95,6 +96,7 @@ impl Schedule {
         };
         filter(&mut schedule);
         cameras_of_logs(&mut schedule);
+        rare_and_many(&mut schedule);
         schedule
     }
 }
@@ -128,6 +130,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         pulse_distance_um: 3_000,
         safety_filter: false,
         steering_table: random.happens(300),
+        tuning: false,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,
@@ -380,6 +383,39 @@ fn cameras_of_logs(schedule: &mut Schedule) {
     schedule.faults.sort_by_key(|fault| fault.at_ms);
 }
 
+/// Poses that are rare, and requests that are many, in a part of the schedules. The draws are a stream
+/// of their own, so that they change nothing in the others.
+fn rare_and_many(schedule: &mut Schedule) {
+    let random = &mut Random::new(schedule.seed, Stream::RareAndMany);
+    if random.happens(100) {
+        let from_start = random.happens(500);
+        schedule.faults.push(Fault {
+            kind: FaultKind::CameraRare,
+            at_ms: if from_start {
+                FIRST_FAULT_MS
+            } else {
+                random.between(FIRST_ARM_MS, schedule.end_ms)
+            },
+            for_ms: if from_start {
+                schedule.end_ms
+            } else {
+                random.spread(500, 10_000)
+            },
+            severity: random.between(1, Fault::WORST),
+        });
+    }
+    if random.happens(150) {
+        schedule.situation.tuning = schedule.situation.reference != ReferenceKind::Steps;
+        schedule.faults.push(Fault {
+            kind: FaultKind::RequestFlood,
+            at_ms: random.between(FIRST_FAULT_MS, schedule.end_ms),
+            for_ms: random.spread(100, 10_000),
+            severity: random.spread(10, Fault::WORST),
+        });
+    }
+    schedule.faults.sort_by_key(|fault| fault.at_ms);
+}
+
 /// Makes a car tolerable, with what is configured for it, and gives it room.
 fn calibrate(random: &mut Random, situation: &mut Situation, truth: &mut TrueCar) {
     for (deviation, value) in &mut truth.deviations {
@@ -396,7 +432,7 @@ fn fault(random: &mut Random, end_ms: u32) -> Fault {
     let kinds = FaultKind::ALL.iter().copied();
     let kinds: Vec<_> = kinds
         .filter(|kind| !kind.is_hostile() && !kind.is_hostile_loop())
-        .filter(|kind| *kind != FaultKind::CameraGhost)
+        .filter(|kind| !kind.is_drawn_apart())
         .collect();
     let kind = random.choose(FaultKind::CameraUntracked, kinds.get(1..).unwrap_or(&[]));
     let early = random.happens(100);

@@ -102,6 +102,8 @@ kinds! {
     /// The car's pose is that of something else, s cm from where the car was, that stands there with
     /// noise of its own.
     CameraGhost = "camera-ghost", Cameras;
+    /// The markers are seen in one frame of 2 + s/50 only.
+    CameraRare = "camera-rare", Cameras;
 
     /// s in 5000 bytes are lost, both ways.
     LineDrop = "line-drop", Line;
@@ -196,6 +198,8 @@ kinds! {
     LoopAtFence = "loop-at-fence", Host;
     /// The outer loop wants all speed along the nearest side, and suddenly at it every s ms.
     LoopFeint = "loop-feint", Host;
+    /// Other clients send s/10 requests a millisecond: they renew the drive, and tune it.
+    RequestFlood = "request-flood", Host;
 }
 
 impl FaultKind {
@@ -256,6 +260,15 @@ impl FaultKind {
         matches!(
             self,
             Self::LoopRandom | Self::LoopBangBang | Self::LoopAtFence | Self::LoopFeint
+        )
+    }
+
+    /// Whether it is an attack of [`Schedule::generate`](super::Schedule::generate)'s last draws.
+    #[must_use]
+    pub const fn is_drawn_apart(self) -> bool {
+        matches!(
+            self,
+            Self::CameraGhost | Self::CameraRare | Self::RequestFlood
         )
     }
 

@@ -71,6 +71,8 @@ pub struct Situation {
     /// Whether the steering is crooked, with `actuators.steering_table` in the configuration; the
     /// true one deviates from it as from a straight line.
     pub steering_table: bool,
+    /// Whether the outer loop's gain may be tuned during a drive.
+    pub tuning: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.

@@ -47,6 +47,7 @@ impl fmt::Display for Schedule {
             ("queue_shows", s.queue_shows),
             ("safety_filter", s.safety_filter),
             ("steering_table", s.steering_table),
+            ("tuning", s.tuning),
         ] {
             writeln!(out, "{key} {value}")?;
         }
@@ -151,6 +152,7 @@ impl Draft {
             ["queue_shows", yes] => s.queue_shows = yes.parse().ok()?,
             ["safety_filter", yes] => s.safety_filter = yes.parse().ok()?,
             ["steering_table", yes] => s.steering_table = yes.parse().ok()?,
+            ["tuning", yes] => s.tuning = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
                 s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;
