@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
-    task::coop::consume_budget,
+    task::yield_now,
     time::{Instant, MissedTickBehavior, interval},
 };
 
@@ -207,7 +207,7 @@ async fn serve_drive(
             Err(error) => send(write, &no_command(daemon, &error)).await?,
         }
         line.clear();
-        consume_budget().await;
+        yield_now().await;
     }
 }
 

@@ -15,7 +15,7 @@ use singletrack_record::{Channel, Topic};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
     sync::broadcast::error::RecvError,
-    task::{coop::consume_budget, spawn_blocking},
+    task::{spawn_blocking, yield_now},
     time::timeout,
 };
 
@@ -80,8 +80,9 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
     let mut setpoints = SetpointStream::default();
     loop {
         line.clear();
-        // A client that sends without a pause must not delay the stop of another one.
-        consume_budget().await;
+        // One line, and then a line of each other client: none that sends without a pause delays the
+        // stop of another one by more.
+        yield_now().await;
         let count = (&mut read)
             .take(LONGEST_LINE)
             .read_until(b'\n', &mut line)
