@@ -40,25 +40,28 @@ longest_ms = bisect(survives, 20, 2000, 7)
 ANSWERS: dict[str, list[tuple[str, str]]] = {
     "1-law": [
         (LAW, LAW.replace("/ P - yaw_rate", "/ P")),
-        ("gain = math.log(20) / 1.5", "gain = 1.5"),
-        ("distance = 0.5 / math.hypot(2.0, 0.5)", "distance = 0.5 / 2.0 + 0.01"),
+        ("gain = math.log(20) / decay_s", "gain = 1.0"),
+        ("distance = 0.5 / math.hypot(own_gain, 0.5)", "distance = 0.5 / own_gain + 0.02"),
     ],
     "2-centre-of-mass": [
         (
             BISECT + "tolerance_mm = 1e3 * bisect("
-            "lambda dl: stability.is_stable(0.8, dl, law='velocity-point'), 0.0, 0.02)",
+            "lambda dl: stability.is_stable(own_speed, dl, law='velocity-point'), 0.0, 0.02)",
             "tolerance_mm = 0.136",
         ),
         ("smallest_p = stability.smallest_point_distance(wheelbase)", "smallest_p = 0.35"),
-        ("offset_mm = 50", "offset_mm = 30"),
+        ("offset_mm = 1e3 * own_deviation", "offset_mm = 600 * own_deviation"),
     ],
     "3-delay": [
         (
             BISECT + "largest_gain = bisect("
-            "lambda gain: stability.sampled(0.8, delay=0.1, position_gain=gain)[0] < 1, 1, 12)",
-            "largest_gain = math.pi / 2 / 0.1",
+            "lambda gain: stability.sampled(0.8, delay=own_delay, position_gain=gain)[0] < 1, 1, 12)",
+            "largest_gain = math.pi / 2 / own_delay",
         ),
-        (BISECT + "speed = bisect(lambda v: stability.sampled(v)[1] > 0.1, 0.5, 5.0)", "speed = 2"),
+        (
+            BISECT + "speed = bisect(lambda v: stability.sampled(v)[1] > own_margin, 0.5, 5.0)",
+            "speed = 9",
+        ),
         ("critical_gain = math.pi / 2 / 0.24", "critical_gain = math.pi / 2 / 0.2"),
     ],
     "4-faults": [

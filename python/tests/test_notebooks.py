@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from answers import ANSWERS
 
+from singletrack.exercise import Student
+
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
 
@@ -48,3 +50,13 @@ def test_a_notebook_runs_with_its_exercises(name: str) -> None:
 
 def test_every_notebook_has_its_answers() -> None:
     assert {path.stem for path in FOLDER.glob("*.ipynb")} == set(ANSWERS)
+
+
+def test_the_numbers_of_a_student_belong_to_the_name() -> None:
+    ada = Student("Ada Lovelace")
+    assert ada.number("1.2", 1.0, 0.1, 11) == Student(" ada  LOVELACE ").number("1.2", 1.0, 0.1, 11)
+    grid = {round(1.0 + 0.1 * index, 6) for index in range(11)}
+    names = [f"student {index}" for index in range(200)]
+    assert {Student(name).number("1.2", 1.0, 0.1, 11) for name in names} == grid
+    with pytest.raises(ValueError, match="a student has a name"):
+        Student(" - ")

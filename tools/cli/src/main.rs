@@ -26,7 +26,7 @@ use singletrack_figures::plot;
 #[cfg(feature = "operator")]
 use singletrack_logs::judge;
 #[cfg(feature = "paper")]
-use singletrack_paper::{compare, identify, lab, reproduce, stability};
+use singletrack_paper::{compare, identify, reproduce, stability};
 use singletrack_scenario::simulate;
 
 const AFTER: &str = "\
@@ -115,9 +115,6 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
-    #[cfg(feature = "paper")]
-    /// Exercises of the course: print those of a student, and mark the answers.
-    Lab(lab::LabArgs),
     #[cfg(feature = "paper")]
     /// Join the result files of a campaign's shards to the file that one process writes.
     ///
@@ -216,14 +213,7 @@ const OPTIONAL: [(&str, &[&str]); 3] = [
     ),
     (
         "paper",
-        &[
-            "compare",
-            "reproduce",
-            "stability",
-            "identify",
-            "lab",
-            "merge",
-        ],
+        &["compare", "reproduce", "stability", "identify", "merge"],
     ),
 ];
 
@@ -286,8 +276,6 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Reproduce(args) => Ok(reproduce::run(args)?),
         #[cfg(feature = "paper")]
         Command::Identify(args) => Ok(identify::run(args)?),
-        #[cfg(feature = "paper")]
-        Command::Lab(args) => Ok(lab::run(args)?),
         #[cfg(feature = "paper")]
         Command::Merge(args) => Ok(run_merge(args)?),
         #[cfg(feature = "operator")]

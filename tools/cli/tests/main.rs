@@ -13,7 +13,6 @@ mod control_command;
 mod demo_command;
 mod identify_command;
 mod import_command;
-mod lab_command;
 #[path = "../../figures/tests/picture/mod.rs"]
 mod picture;
 mod plot_animation;
