@@ -8,11 +8,9 @@
 
 use std::{
     fs,
-    io::{self, BufRead, BufReader, Write},
-    net::Shutdown,
+    io::{BufRead, BufReader, Write},
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::{Duration, Instant},
 };
 
@@ -618,43 +616,6 @@ fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
     assert_eq!(client.ask(r#"{"version":2,"command":"stop"}"#)["ok"], true);
     assert!(accepted(&mut client) < LINES, "it was served after all");
     assert_eq!(flooder.join().unwrap(), LINES);
-}
-
-#[test]
-fn many_programs_that_send_without_a_pause_delay_a_stop_by_some_lines_of_each_only() {
-    const FLOODERS: usize = 20;
-    let (_daemon, path, _folder) = start();
-    let (sent, stopped) = (AtomicU64::new(0), AtomicBool::new(false));
-    std::thread::scope(|scope| {
-        for _ in 0..FLOODERS {
-            scope.spawn(|| {
-                let mut flooder = Client::connect(&path);
-                // No gain is tuned by this: the answer costs as much as any.
-                let lines = "{\"version\":2,\"command\":\"tune\",\"gain\":1}\n".repeat(100);
-                let answers = flooder.write.try_clone().unwrap();
-                scope.spawn(move || io::copy(&mut &answers, &mut io::sink()));
-                while !stopped.load(Ordering::Relaxed) {
-                    flooder.write.write_all(lines.as_bytes()).unwrap();
-                    sent.fetch_add(100, Ordering::Relaxed);
-                }
-                flooder.write.shutdown(Shutdown::Both).unwrap();
-            });
-        }
-        while sent.load(Ordering::Relaxed) < 50_000 {}
-        // In lines of the others, because a machine may be busy: to connect and to ask takes some
-        // rounds of a line each, where it was a hundred of each at a time.
-        let mut client = Client::connect(&path);
-        let before = sent.load(Ordering::Relaxed);
-        for _ in 0..20 {
-            assert_eq!(
-                client.ask(r#"{"version":2,"command":"disarm"}"#)["ok"],
-                true
-            );
-        }
-        let meanwhile = sent.load(Ordering::Relaxed) - before;
-        stopped.store(true, Ordering::Relaxed);
-        assert!(meanwhile < 20_000, "{meanwhile}");
-    });
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The hazard table of `docs/safety.md`: every test that it names exists.
+//! The hazards of `docs/safety.md`: each has a safeguard, and every test that the page names exists.
 
 #![allow(
     clippy::unwrap_used,
@@ -50,39 +50,91 @@ fn collect(text: &str, names: &mut BTreeSet<String>) {
     }
 }
 
-/// The rows of the hazard table: hazard, cause, safeguard, test, what is left.
-fn rows() -> Vec<Vec<&'static str>> {
-    let (_, table) = PAGE
-        .split_once("| hazard | cause | safeguard | test | what is left |\n")
-        .unwrap();
-    table
-        .lines()
-        .skip(1)
-        .map_while(|line| line.strip_prefix('|')?.strip_suffix('|'))
-        .map(|row| row.split('|').map(str::trim).collect())
-        .collect()
+/// A hazard of the page.
+struct Hazard {
+    title: &'static str,
+    causes: Vec<Cause>,
+}
+
+/// A cause of a hazard: `**CAUSE.** SAFEGUARD *Remains:* RISK`, and after it a line `Tests: NAMES`.
+struct Cause {
+    text: &'static str,
+    safeguard: &'static str,
+    /// The risk that remains, if the page states one.
+    risk: Option<&'static str>,
+    tests: Vec<&'static str>,
+}
+
+/// The hazards of the page, one a heading of the third level.
+fn hazards() -> Vec<Hazard> {
+    let (_, page) = PAGE.split_once("\n## Hazards\n").unwrap();
+    let (section, _) = page.split_once("\n## ").unwrap();
+    section.split("\n### ").skip(1).map(hazard).collect()
+}
+
+fn hazard(section: &'static str) -> Hazard {
+    let (title, text) = section.split_once('\n').unwrap();
+    let mut causes = text.split("\n**");
+    let before = causes.next().unwrap();
+    assert!(before.trim().is_empty(), "{title}: {before}: no cause");
+    Hazard {
+        title: title.trim(),
+        causes: causes.map(|text| cause(title, text)).collect(),
+    }
+}
+
+fn cause(title: &str, paragraphs: &'static str) -> Cause {
+    let (text, rest) = paragraphs
+        .split_once("**")
+        .unwrap_or_else(|| panic!("{title}: {paragraphs}: the bold text does not end"));
+    let (rest, named) = rest
+        .split_once("\n\nTests: ")
+        .unwrap_or_else(|| panic!("{title}: {text}: no test proves it"));
+    let (safeguard, risk) = match rest.split_once("*Remains:*") {
+        Some((safeguard, risk)) => (safeguard, Some(risk.trim())),
+        None => (rest, None),
+    };
+    let names: Vec<&str> = named.trim().split('`').collect();
+    for between in names.iter().step_by(2) {
+        let separator = between.trim();
+        assert!(
+            ["", ","].contains(&separator),
+            "{title}: {text}: {separator}: no name of a test"
+        );
+    }
+    Cause {
+        text: text.trim(),
+        safeguard: safeguard.trim(),
+        risk,
+        tests: names.into_iter().skip(1).step_by(2).collect(),
+    }
 }
 
 #[test]
-fn every_test_that_the_hazard_table_names_exists() {
+fn every_test_that_the_hazards_name_exists() {
     let tests = tests();
-    let rows = rows();
-    assert!(rows.len() >= 15, "{} hazards", rows.len());
-    for row in rows {
-        let [_, cause, safeguard, named, _] = row[..] else {
-            panic!("five columns: {row:?}");
-        };
-        assert!(!cause.is_empty() && !safeguard.is_empty(), "{row:?}");
-        let named: Vec<_> = named.split('`').skip(1).step_by(2).collect();
-        assert!(!named.is_empty(), "no test proves it: {row:?}");
-        for name in named {
-            assert!(tests.contains(name), "there is no test {name}");
+    let hazards = hazards();
+    assert!(hazards.len() >= 15, "{} hazards", hazards.len());
+    for hazard in hazards {
+        for cause in hazard.causes {
+            let place = format!("{}: {}", hazard.title, cause.text);
+            assert!(!cause.text.is_empty(), "{place}: no cause");
+            assert!(!cause.safeguard.is_empty(), "{place}: no safeguard");
+            assert!(cause.risk != Some(""), "{place}: no risk");
+            assert!(!cause.tests.is_empty(), "{place}: no test proves it");
+            for name in cause.tests {
+                assert!(tests.contains(name), "{place}: there is no test {name}");
+            }
         }
     }
 }
 
 #[test]
-fn a_hazard_continues_the_row_above_or_has_a_name() {
-    let rows = rows();
-    assert!(!rows.first().unwrap().first().unwrap().is_empty());
+fn every_hazard_has_a_title_of_its_own_and_a_cause() {
+    let mut titles = BTreeSet::new();
+    for hazard in hazards() {
+        let title = hazard.title;
+        assert!(!title.is_empty() && titles.insert(title), "{title}");
+        assert!(!hazard.causes.is_empty(), "{title}: no cause");
+    }
 }

@@ -198,6 +198,7 @@ pub(super) async fn skip_line(read: &mut BufReader<ReadHalf>) -> io::Result<()> 
         if end.is_some() || count == 0 {
             return Ok(());
         }
+        yield_now().await;
     }
 }
 

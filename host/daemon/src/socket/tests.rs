@@ -268,3 +268,48 @@ fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_dr
     let requests = [PilotRequest::ArmHeld, PilotRequest::OperatorGone];
     assert_eq!(bench.requests(), requests.map(ControlRequest::Pilot));
 }
+
+#[test]
+fn a_stop_waits_for_a_line_of_each_client_that_sends_without_a_pause() {
+    const FLOODERS: usize = 20;
+    let mut bench = Bench::ready();
+    let served = bench.runtime.block_on(async {
+        let serve_with = |theirs: UnixStream| {
+            let daemon = bench.daemon.clone();
+            tokio::spawn(async move { serve(theirs.into(), &daemon).await })
+        };
+        let mut flooders = Vec::new();
+        for _ in 0..FLOODERS {
+            let (mut mine, theirs) = UnixStream::pair().unwrap();
+            mine.write_all("{}\n".repeat(1_000).as_bytes())
+                .await
+                .unwrap();
+            serve_with(theirs);
+            flooders.push(mine);
+        }
+        let (mut mine, theirs) = UnixStream::pair().unwrap();
+        mine.write_all(b"{\"version\":2,\"command\":\"disarm\"}\n")
+            .await
+            .unwrap();
+        serve_with(theirs);
+        let mut answer = String::new();
+        BufReader::new(mine).read_line(&mut answer).await.unwrap();
+        assert!(answer.contains("\"ok\":true"), "{answer}");
+        let mut lines = 0;
+        for flooder in flooders {
+            flooder.readable().await.unwrap();
+            let mut answers = vec![0; 1 << 20];
+            let length = flooder.try_read(&mut answers).unwrap();
+            lines += answers[..length]
+                .iter()
+                .filter(|&&byte| byte == b'\n')
+                .count();
+        }
+        lines
+    });
+    assert!(served <= 4 * FLOODERS, "{served} lines were served first");
+    assert_eq!(
+        bench.requests(),
+        [ControlRequest::Pilot(PilotRequest::Disarm)]
+    );
+}
