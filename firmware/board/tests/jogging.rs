@@ -38,6 +38,11 @@ fn pulses_are_given_as_they_are_slowly_within_the_limits() {
     rig.jog_for(100 * MS, 1_600, 1_600);
     assert_eq!(rig.outputs.servo_us, Some(1_600));
     assert_eq!(rig.esc_us(), 1_600);
+    // Towards neutral it changes at once, as in a drive.
+    rig.jog(1_600, 1_540);
+    assert_eq!(rig.esc_us(), 1_540);
+    rig.jog_for(100 * MS, 1_600, 1_600);
+    assert_eq!(rig.esc_us(), 1_600);
     // Towards neutral at once, and from one side to the other through it.
     rig.jog(1_600, 1_400);
     assert!((NEUTRAL - 5..=NEUTRAL).contains(&rig.esc_us()));

@@ -10,10 +10,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use similar::TextDiff;
 use singletrack_core::{Config, ConfigError};
 use toml_edit::{DocumentMut, Item, Table, TableLike, TomlError, Value};
-
-use crate::diff::unified;
 
 /// Why a file was not changed.
 #[derive(Debug, thiserror::Error)]
@@ -173,7 +172,10 @@ impl Edit {
     /// What has changed, as a unified diff; empty if nothing has.
     #[must_use]
     pub fn diff(&self, name: &str) -> String {
-        unified(name, &self.old, &self.new)
+        TextDiff::from_lines(&*self.old, &*self.new)
+            .unified_diff()
+            .header(&format!("{name} (old)"), &format!("{name} (new)"))
+            .to_string()
     }
 
     /// Replaces the file, after a check that it is a valid configuration, and gives the path of the

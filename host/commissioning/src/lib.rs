@@ -12,7 +12,6 @@
 mod bench;
 pub mod bring_up;
 pub mod calibrate;
-mod diff;
 pub mod doctor;
 pub mod edit;
 mod finding;

@@ -112,7 +112,7 @@ impl Pilot {
     /// The deceleration that the geofence relies on, m/s²: as configured or as measured,
     /// whichever is lower.
     pub(super) fn braking(&self) -> f64 {
-        let known = self.config.braking.min(self.stops.lowest().max(0.05));
+        let known = self.stops.relied_on(self.config.braking);
         if self.proving.is_some() {
             known.min(UNPROVED_BRAKING)
         } else {

@@ -141,6 +141,9 @@ const WEAK: f64 = 0.9;
 /// ...and below this one is enough to refuse the next drive.
 const TOO_WEAK: f64 = 0.6;
 
+/// A measured deceleration counts as this at least, m/s²: a way to standstill is finite.
+const LEAST: f64 = 0.05;
+
 impl StopWatch {
     /// The drive ends at `now`: the motor is to slow down from this commanded speed (m/s), or
     /// is at neutral.
@@ -209,6 +212,11 @@ impl StopWatch {
     pub(crate) fn lowest(&self) -> f64 {
         let [one, other] = self.measured.map(|value| value.unwrap_or(f64::INFINITY));
         one.min(other)
+    }
+
+    /// The deceleration to rely on, m/s²: as configured or as measured, whichever is lower.
+    pub(crate) fn relied_on(&self, braking: f64) -> f64 {
+        braking.min(self.lowest().max(LEAST))
     }
 
     /// A tick.

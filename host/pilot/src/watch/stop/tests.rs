@@ -479,3 +479,13 @@ fn cameras_that_drift_on_after_they_ended_the_drive_do_not_make_a_stop_that_is_n
     let (alarm, _) = stop(&mut watch, 0.5, |_| 1.4, blind);
     assert!(alarm.is_some());
 }
+
+#[test]
+fn what_is_relied_on_is_the_lowest_of_configured_and_measured_decelerations() {
+    let mut watch = StopWatch::default();
+    assert_eq!(watch.relied_on(0.6), 0.6);
+    for (measured, relied_on) in [(0.9, 0.6), (0.4, 0.4), (0.8, 0.4), (0.3, 0.3), (0.0, LEAST)] {
+        watch.coasted(measured);
+        assert_eq!(watch.relied_on(0.6), relied_on, "{measured}");
+    }
+}
