@@ -34,6 +34,7 @@ class SimulatedCar(Backend):
 
     def begin(self, timeout: float, abandoned: threading.Event) -> State:
         simulator = self.simulator
+        self._armed = False
         state = simulator.state
         refuse_driven(state)
         if not self._native.is_external:
@@ -83,9 +84,15 @@ class SimulatedCar(Backend):
         if self._armed and self.simulator.state.mode in _UNDERWAY:
             self.simulator.disarm()
 
+    def abandon(self) -> None:
+        self.disarm()
+
     def end(self) -> State | None:
         state = self.simulator.state
-        if self._armed and state.mode in _UNDERWAY:
+        if not self._armed:
+            # Somebody else drives it, or nobody.
+            return state
+        if state.mode in _UNDERWAY:
             # Requests are taken with the next tick.
             state = self.simulator.step()
         self._armed = False

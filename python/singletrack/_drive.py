@@ -44,6 +44,10 @@ class Backend(ABC):
         """Begins to stop the car; any thread may call it at any time."""
 
     @abstractmethod
+    def abandon(self) -> None:
+        """Begins to stop the car, without a lock or a wait; any thread may call it at any time."""
+
+    @abstractmethod
     def end(self) -> State | None:
         """Stops the car and waits until it stands; the last state."""
 
@@ -92,16 +96,19 @@ class Drive:
         return self._enter(threading.Event())
 
     def _enter(self, abandoned: threading.Event) -> Drive:
-        if not self._backend.claim.acquire(blocking=False):
-            raise RuntimeError("this car is driven already, by another block of this program")
+        claimed = False
         # Ctrl-C may come anywhere, also after the car was armed.
         try:
+            claimed = self._backend.claim.acquire(blocking=False)
+            if not claimed:
+                raise RuntimeError("this car is driven already, by another block of this program")
             self._first = self.state = self._backend.begin(self._timeout, abandoned)
             self._inside, self._ended, self.reason = True, False, None
             if abandoned.is_set():
                 raise ArmError("the program does not wait any more")
         except BaseException:
-            self._leave()
+            if claimed:
+                self._leave()
             raise
         return self
 
@@ -116,7 +123,9 @@ class Drive:
     def __del__(self) -> None:
         # An interrupt between the entry and the block leaves a drive that nothing ends.
         if self._inside:
-            self._leave()
+            self._inside = False
+            self._backend.abandon()
+            self._backend.claim.release()
 
     def _leave(self) -> None:
         self._ended = True

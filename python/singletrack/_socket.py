@@ -322,6 +322,12 @@ class SocketCar(Backend):
             # The daemon has gone, or the connection; either stops the car.
             pass
 
+    def abandon(self) -> None:
+        self._holding.clear()
+        if self._control is not None:
+            # The daemon stops the car.
+            self._control.close()
+
     def end(self) -> State | None:
         try:
             deadline = time.monotonic() + 15.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 import zlib
 
 
@@ -15,5 +16,6 @@ class Student:
 
     def number(self, exercise: str, first: float, step: float, count: int) -> float:
         """One of ``count`` numbers from ``first`` on, ``step`` apart: the same on every computer."""
-        text = f"{exercise} {self.name.lower()}"
+        key = unicodedata.normalize("NFKC", "".join(self.name.split())).casefold()
+        text = f"{exercise} {key}"
         return round(first + step * (zlib.crc32(text.encode()) % count), 6)

@@ -54,7 +54,7 @@ def test_every_notebook_has_its_answers() -> None:
 
 def test_the_numbers_of_a_student_belong_to_the_name() -> None:
     ada = Student("Ada Lovelace")
-    assert ada.number("1.2", 1.0, 0.1, 11) == Student(" ada  LOVELACE ").number("1.2", 1.0, 0.1, 11)
+    assert ada.number("1.2", 1.0, 0.1, 11) == Student(" adaLOVELACE ").number("1.2", 1.0, 0.1, 11)
     grid = {round(1.0 + 0.1 * index, 6) for index in range(11)}
     names = [f"student {index}" for index in range(200)]
     assert {Student(name).number("1.2", 1.0, 0.1, 11) for name in names} == grid

@@ -171,11 +171,10 @@ impl StopWatch {
         });
     }
 
-    /// Poses that contradicted the rest ended the drive: they measure no deceleration either.
+    /// Poses that contradicted the rest ended the drive.
     pub(crate) const fn doubt_cameras(&mut self) {
         if let Some(run) = &mut self.run {
             run.doubts_cameras = true;
-            run.measures = false;
         }
     }
 
@@ -244,8 +243,11 @@ impl StopWatch {
                 run.free = Some(RollOut::begin(pace));
             }
             run.unbraked.tick(now, pace, ramp, MEASURED_FROM, way);
-            let wheels_stand = speeds.motor.is_some_and(|motor| fabs(motor) < STANDS_BELOW);
             motor.tick(now, speeds.motor, least, floor);
+            // A sensor that showed the wheels turn in this stop, and then stand.
+            let turned = motor.from.is_some_and(|(speed, _)| speed >= SLOW);
+            let wheels_stand =
+                turned && speeds.motor.is_some_and(|motor| fabs(motor) < STANDS_BELOW);
             let floor = if run.doubts_cameras && wheels_stand {
                 floor.max(DRIFTS_BELOW)
             } else {
