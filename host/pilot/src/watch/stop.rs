@@ -39,6 +39,8 @@ struct Run {
     measures: bool,
     /// Whether the drive ended because the poses contradicted the rest.
     doubts_cameras: bool,
+    /// Whether the motor sensor showed the wheels turn in this stop.
+    wheels_turned: bool,
 }
 
 /// The fall of a measured speed.
@@ -168,6 +170,7 @@ impl StopWatch {
             standing: None,
             measures: true,
             doubts_cameras: false,
+            wheels_turned: speeds.motor.is_some_and(|motor| fabs(motor) >= SLOW),
         });
     }
 
@@ -244,10 +247,8 @@ impl StopWatch {
             }
             run.unbraked.tick(now, pace, ramp, MEASURED_FROM, way);
             motor.tick(now, speeds.motor, least, floor);
-            // A sensor that showed the wheels turn in this stop, and then stand.
-            let turned = motor.from.is_some_and(|(speed, _)| speed >= SLOW);
             let wheels_stand =
-                turned && speeds.motor.is_some_and(|motor| fabs(motor) < STANDS_BELOW);
+                run.wheels_turned && speeds.motor.is_some_and(|motor| fabs(motor) < STANDS_BELOW);
             let floor = if run.doubts_cameras && wheels_stand {
                 floor.max(DRIFTS_BELOW)
             } else {
