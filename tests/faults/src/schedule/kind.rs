@@ -263,7 +263,7 @@ impl FaultKind {
         )
     }
 
-    /// Whether it is an attack of [`Schedule::generate`](super::Schedule::generate)'s last draws.
+    /// Whether [`Schedule::generate`](super::Schedule::generate) draws it from a stream of its own.
     #[must_use]
     pub const fn is_drawn_apart(self) -> bool {
         matches!(
