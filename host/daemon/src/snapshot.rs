@@ -211,3 +211,107 @@ pub(crate) fn tuned_json(tuned: &Tuned) -> Value {
         "wanted_point_distance_m": tuned.wanted_point_distance,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use singletrack_control::{Time, Velocity};
+    use singletrack_core::Config;
+
+    use super::*;
+    use crate::reconfigure::ChangeView;
+
+    /// With every value that there can be.
+    fn snapshot() -> Snapshot {
+        let mut config: Config =
+            toml::from_str(include_str!("../singletrackd.example.toml")).unwrap();
+        config.tuning.enabled = true;
+        config.tuning.gain_per_s = Some([0.5, 4.0]);
+        config.tuning.point_distance_m = Some([0.3, 0.5]);
+        let velocity = Velocity::new(0.5, -0.25);
+        Snapshot {
+            tick: Some(TickView {
+                index: 7,
+                start_ns: 1_000,
+                mode: Mode::Driving,
+                reason: Some(Reason::NoPose),
+                preflight: Some(Reason::BatteryLow),
+                link: LinkPhase::Configuring,
+                held: true,
+                drive_time_s: Some(1.25),
+                looked_ahead_s: Some(0.0625),
+                filtering: Filtering::Scaled,
+                filtered_ticks: 3,
+                tuned: Some(Tuned {
+                    gain: Some(Velocity::new(2.0, 1.5)),
+                    point_distance: 0.375,
+                    wanted_point_distance: 0.5,
+                }),
+                path_s: Some(4.5),
+                slowed_by: Some(SlowedBy::Tyres),
+                estimate: Some(Estimate {
+                    time: Time(20_000_000),
+                    position: Position::new(1.0, -2.0),
+                    yaw: 0.5,
+                    yaw_rate: 0.25,
+                    sideslip: 0.125,
+                    speed: 0.75,
+                    pose_time: Time(10_000_000),
+                }),
+                point: Some(Position::new(1.5, -1.5)),
+                reference: Some(ReferencePoint {
+                    position: Some(Position::new(1.25, -1.0)),
+                    velocity,
+                }),
+                steering_rad: 0.0625,
+                speed_m_s: 0.5,
+            }),
+            board: Some((BoardMode::Neutral, StopCause::Disarmed)),
+            board_status: None,
+            proved: Some(true),
+            cameras: Diagnosis {
+                neighbour: Some("\"wand\" is near".to_owned()),
+                ..Diagnosis::default()
+            },
+            figures: Figures::default(),
+            realtime: RealTimeStatus {
+                fifo_priority: Some(80),
+                memory_locked: true,
+                idle_bounded: false,
+                refusals: vec!["no file".to_owned()],
+            },
+            configuration: ConfigurationView {
+                number: 2,
+                last_change: Some(ChangeView {
+                    by: "reload",
+                    error: Some("no file".to_owned()),
+                }),
+            },
+            tuning: config.tuning_rule(),
+            commissioned: Some(json!({ "missing": "doctor" })),
+            live: None,
+            page: None,
+            record_error: Some("disk full".to_owned()),
+        }
+    }
+
+    #[test]
+    fn the_status_is_written_as_in_the_golden_file() {
+        let nothing = Snapshot {
+            tick: None,
+            board: None,
+            proved: None,
+            commissioned: None,
+            record_error: None,
+            ..snapshot()
+        };
+        let written = format!("{}\n{}\n", snapshot().to_json(), nothing.to_json());
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/status.jsonl");
+        if std::env::var_os("SINGLETRACK_RENEW").is_some() {
+            std::fs::write(path, &written).unwrap();
+        }
+        assert!(
+            written == std::fs::read_to_string(path).unwrap(),
+            "{written}"
+        );
+    }
+}

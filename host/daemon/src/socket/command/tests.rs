@@ -7,145 +7,26 @@ use super::{super::setpoint::Rejection, *};
 
 const NOW: u64 = 1_000;
 
+/// Every line is followed by its answer: `ok`, or the error, with the word of a rejected set-point.
 #[test]
-fn invalid_lines_are_answered_with_what_to_write() {
-    for (line, part) in [
-        (r#""#, "write {"),
-        (r#"status"#, "write {"),
-        (r#"{"version":2}"#, "command"),
-        (r#"{"command":"status"}"#, "version"),
-        (r#"{"version":3,"command":"status"}"#, "version is 3"),
-        (r#"{"version":2,"command":"fly"}"#, "use status, arm"),
-        (r#"{"version":2,"command":"arm","now":true}"#, "now"),
-        (
-            r#"{"version":2,"command":"arm"}"#,
-            "arm needs an attendance: \"hold\" (send",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"me"}"#,
-            "attendance is \"me\": use \"hold\"",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"timed"}"#,
-            "needs for_s",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"timed","for_s":0}"#,
-            "for_s is 0: it must lie between 0.5 and 86400",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"hold","for_s":60}"#,
-            "only attendance \"timed\"",
-        ),
-        (
-            r#"{"version":2,"command":"disarm","attendance":"hold"}"#,
-            "disarm takes no attendance; only arm does",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"hold","topics":["tick"]}"#,
-            "arm takes no topics; only watch does",
-        ),
-        (
-            r#"{"version":2,"command":"stop","at_once":true}"#,
-            "stop takes no at_once; only disarm does",
-        ),
-        (
-            r#"{"version":2,"command":"watch","topics":["ticks"]}"#,
-            "ticks",
-        ),
-        (
-            r#"{"version":2,"command":"messages","topics":["/odm"]}"#,
-            "no topic \"/odm\": use /singletrack/tick, ",
-        ),
-        (
-            r#"{"version":2,"command":"watch","velocity_m_s":[0,0]}"#,
-            "only setpoint does",
-        ),
-        (
-            r#"{"version":2,"command":"status","uncalibrated":true}"#,
-            "only arm does",
-        ),
-        (
-            r#"{"version":2,"command":"commissioned","procedure":"drive","result":"passed"}"#,
-            "procedure is \"drive\": use \"doctor\"",
-        ),
-        (
-            r#"{"version":2,"command":"commissioned","procedure":"doctor"}"#,
-            "result is \"\": use \"begun\"",
-        ),
-        (
-            r#"{"version":2,"command":"set-reference"}"#,
-            "needs a reference",
-        ),
-        (
-            r#"{"version":2,"command":"set-reference","reference":{"kind":"circle"}}"#,
-            "radius_m",
-        ),
-        (
-            r#"{"version":2,"command":"set-reference","reference":{"kind":"square"}}"#,
-            "square",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint"}"#,
-            "needs velocity_m_s",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[1]}"#,
-            "length",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[1,null]}"#,
-            "null",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[1,1e999]}"#,
-            "number out of range",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,-100.1]}"#,
-            "velocity_m_s must lie between -100 and 100",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"position_m":[1e5,0]}"#,
-            "position_m",
-        ),
-        (
-            r#"{"version":2,"command":"arm","attendance":"unattended","jog":true}"#,
-            "jogging must be held",
-        ),
-        (
-            r#"{"version":2,"command":"arm","jog":true}"#,
-            "arm needs an attendance",
-        ),
-        (
-            r#"{"version":2,"command":"hold","jog":true}"#,
-            "hold takes no jog; only arm does",
-        ),
-        (
-            r#"{"version":2,"command":"jog","servo_us":1500}"#,
-            "jog needs servo_us and esc_us",
-        ),
-        (
-            r#"{"version":2,"command":"jog","servo_us":-1,"esc_us":1500}"#,
-            "invalid value",
-        ),
-        (
-            r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":65536}"#,
-            "invalid value",
-        ),
-        (
-            r#"{"version":2,"command":"reload","esc_us":1500}"#,
-            "reload takes no esc_us; only jog does",
-        ),
-        (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0,0],"time_ns":1001}"#,
-            "CLOCK_MONOTONIC of this computer says 1000",
-        ),
-    ] {
-        let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
-        let error = error.to_string();
-        assert!(error.contains(part), "{line}: {error}");
+fn every_line_is_answered_as_the_golden_file_says() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/requests.txt");
+    let golden = std::fs::read_to_string(path).unwrap();
+    let mut answered = String::new();
+    for line in golden.lines().filter(|line| !line.starts_with("  ")) {
+        let answer = match Command::parse(line.as_bytes(), NOW) {
+            Ok(_) => "ok".to_owned(),
+            Err(ParseError { text, rejected }) => match rejected {
+                Some(rejected) => format!("{}: {text}", rejected.why.name()),
+                None => text,
+            },
+        };
+        answered += &format!("{line}\n  {answer}\n");
     }
+    if std::env::var_os("SINGLETRACK_RENEW").is_some() {
+        std::fs::write(path, &answered).unwrap();
+    }
+    assert!(answered == golden, "{answered}");
 }
 
 #[test]
