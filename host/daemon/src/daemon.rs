@@ -37,7 +37,7 @@ use crate::{
     mocap_socket::{MocapSocketError, MocapSockets},
     page::{BoundPage, PageError, PageThread},
     realtime::{self, RealTimeStatus},
-    reconfigure::{ConfigurationView, Reconfigurer},
+    reconfigure::Reconfigurer,
     recording::{self, RecordingError, RunningRecord},
     serial_reader,
     shared_status::SharedStatus,
@@ -363,7 +363,7 @@ impl Daemon {
 
     /// The number of the configuration in force, and the last attempt to change it.
     #[must_use]
-    pub fn configuration(&self) -> ConfigurationView {
+    pub fn configuration(&self) -> singletrack_api::Configuration {
         self.handle.reconfigurer.view()
     }
 

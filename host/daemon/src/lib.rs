@@ -57,7 +57,7 @@ pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::{Snapshot, TickView};
 pub use socket::{
-    Arm, Attendance, Command, ParseError, Question, Rejection, SOCKET_VERSION, SetpointCommand,
-    SetpointFigures, SocketError,
+    Arm, Attendance, Command, ParseError, Question, Rejection, SetpointCommand, SetpointFigures,
+    SocketError,
 };
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use serde::Serialize;
+use singletrack_api::{Change, Configuration};
 use singletrack_core::{
     Requests, Stalled,
     commissioned::Subject,
@@ -27,24 +27,6 @@ const CHANGE_TIMEOUT: Duration = Duration::from_nanos(CHANGE_TIMEOUT_NS);
 
 /// Interval at which the requester polls for the outcome.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
-
-/// The configuration in force, for the status.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ConfigurationView {
-    /// 1 for the one that the daemon started with, one more for each change.
-    pub number: u32,
-    /// The last attempt to change it; `None` before the first.
-    pub last_change: Option<ChangeView>,
-}
-
-/// The outcome of an attempt to change the configuration.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct ChangeView {
-    /// The kind of request: "reload" or "set-reference".
-    pub by: &'static str,
-    /// Why the configuration did not change; `None` if it did.
-    pub error: Option<String>,
-}
 
 /// Changes the configuration on behalf of any thread but the control thread.
 #[derive(Clone, Debug)]
@@ -64,7 +46,7 @@ struct Shared {
 /// What other threads may know of the configuration in force.
 #[derive(Debug)]
 struct Published {
-    view: ConfigurationView,
+    view: Configuration,
     setpoint_timeout: Option<f64>,
     braking_m_s2: f64,
     estimator: EstimatorSection,
@@ -89,7 +71,7 @@ impl Reconfigurer {
             requests,
             entries,
             published: Mutex::new(Published {
-                view: ConfigurationView {
+                view: Configuration {
                     number: configurations.number(),
                     last_change: None,
                 },
@@ -132,7 +114,7 @@ impl Reconfigurer {
         (configurations.number(), configurations.in_force().clone())
     }
 
-    pub(crate) fn view(&self) -> ConfigurationView {
+    pub(crate) fn view(&self) -> Configuration {
         self.published().view.clone()
     }
 
@@ -189,8 +171,8 @@ impl Reconfigurer {
         if let Err(error) = &result {
             let number = state.configurations.number();
             warn!("{by}: configuration {number} stays: {error}");
-            self.publish(ChangeView {
-                by,
+            self.publish(Change {
+                by: by.into(),
                 error: Some(error.to_string()),
             });
         }
@@ -269,13 +251,16 @@ impl Reconfigurer {
         published.subject = subject;
         published.tuning = configurations.in_force().tuning_rule();
         published.view.number = number;
-        published.view.last_change = Some(ChangeView { by, error: None });
+        published.view.last_change = Some(Change {
+            by: by.into(),
+            error: None,
+        });
         published.setpoint_timeout = setpoint_timeout(configurations.in_force());
         published.braking_m_s2 = configurations.in_force().fence.braking_m_s2;
         published.estimator = configurations.in_force().estimator;
     }
 
-    fn publish(&self, change: ChangeView) {
+    fn publish(&self, change: Change) {
         self.published().view.last_change = Some(change);
     }
 }

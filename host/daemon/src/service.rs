@@ -12,7 +12,6 @@ use singletrack_core::Stalled;
 use singletrackd::{
     Daemon, monotonic_ns,
     notify::{ServiceManager, Watchdog},
-    reconfigure::{ChangeView, ConfigurationView},
 };
 use tracing::{error, info, warn};
 
@@ -119,14 +118,14 @@ impl Service {
             (mode, Some(reason)) => format!("mode {mode}: {reason}"),
             (mode, None) => format!("mode {mode}"),
         };
-        let ConfigurationView {
+        let singletrack_api::Configuration {
             number,
             last_change,
         } = self.daemon.configuration();
         if number > 1 {
             status += &format!("; configuration {number}");
         }
-        if let Some(ChangeView {
+        if let Some(singletrack_api::Change {
             by,
             error: Some(error),
         }) = last_change

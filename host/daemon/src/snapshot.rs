@@ -1,15 +1,14 @@
 //! A snapshot of the daemon's status.
 
 use serde_json::{Value, json};
+use singletrack_api::{Board, Cameras, Command, Configuration, Tuning, Word};
 use singletrack_control::{Estimate, Position, ReferencePoint, SlowedBy};
 use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
 use singletrack_pilot::{Filtering, Mode, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
-use crate::{
-    live::LiveStatus, realtime::RealTimeStatus, reconfigure::ConfigurationView, summary::Figures,
-};
+use crate::{live::LiveStatus, realtime::RealTimeStatus, summary::Figures};
 
 /// The status of the daemon: the last tick, the last messages of the board, and the
 /// figures so far.
@@ -31,7 +30,7 @@ pub struct Snapshot {
     /// What the system granted the control thread.
     pub realtime: RealTimeStatus,
     /// The configuration in force.
-    pub configuration: ConfigurationView,
+    pub configuration: Configuration,
     /// What may be tuned in it.
     pub tuning: TuningRule,
     /// What the car of this configuration has passed.
@@ -127,89 +126,105 @@ impl Snapshot {
         self.tick.and_then(|tick| tick.reason)
     }
 
-    /// The status in the format of the control socket.
-    pub(crate) fn to_json(&self) -> Value {
+    /// The status as the control socket gives it.
+    pub(crate) fn status(&self) -> singletrack_api::Status {
         let tick = self.tick.as_ref();
-        json!({
-            "mode": self.mode().name(),
-            "reason": self.reason().map(Reason::name),
-            "preflight": tick.and_then(|tick| tick.preflight).map(Reason::name),
-            "link": tick.map(|tick| tick.link.name()),
-            "held": tick.map(|tick| tick.held),
-            "drive_time_s": tick.and_then(|tick| tick.drive_time_s),
-            "looked_ahead_s": tick.and_then(|tick| tick.looked_ahead_s),
-            "filtering": tick.map(|tick| tick.filtering.name()),
-            "filtered_ticks": tick.map(|tick| tick.filtered_ticks),
-            "path_s": tick.and_then(|tick| tick.path_s),
-            "slowed_by": tick.and_then(|tick| tick.slowed_by).map(SlowedBy::name),
-            "estimate": tick.and_then(|tick| tick.estimate).map(|estimate| json!({
-                "x_m": estimate.position.x,
-                "y_m": estimate.position.y,
-                "yaw_rad": estimate.yaw,
-                "yaw_rate_rad_s": estimate.yaw_rate,
-                "sideslip_rad": estimate.sideslip,
-                "speed_m_s": estimate.speed,
-                "pose_age_ms": estimate.pose_age() * 1_000.0,
-            })),
-            "point_m": tick.and_then(|tick| tick.point).map(|point| [point.x, point.y]),
-            "reference_m": tick
-                .and_then(|tick| tick.reference?.position)
-                .map(|position| [position.x, position.y]),
-            "command": tick.map(|tick| json!({
-                "speed_m_s": tick.speed_m_s,
-                "steering_rad": tick.steering_rad,
-            })),
-            "board": self.board.map(|(mode, cause)| json!({
-                "mode": mode.name(),
-                "stop_cause": cause.name(),
-                "battery_mv": self.board_status.map(|status| status.battery_mv),
-                "stop_input_open": self.board_status.map(|status| status.stop_input_open),
-            })),
-            "proved": self.proved,
-            "commissioned": self.commissioned,
-            "cameras": self.cameras,
-            "figures": self.figures,
-            "realtime": self.realtime,
-            "configuration": self.configuration,
-            "tuning": self.tuning_json(),
-            "live": self.live,
-            "page": self.page,
-            "record_error": self.record_error,
-        })
+        singletrack_api::Status {
+            board: self.board.map(|(mode, cause)| Board {
+                battery_mv: self.board_status.map(|status| status.battery_mv),
+                mode: mode.name().into(),
+                stop_cause: cause.name().into(),
+                stop_input_open: self.board_status.map(|status| status.stop_input_open),
+            }),
+            cameras: Cameras {
+                diagnosis: self.cameras.word.into(),
+                neighbour: self.cameras.neighbour.clone(),
+                text: self.cameras.text.clone(),
+            },
+            command: tick.map(|tick| Command {
+                speed_m_s: tick.speed_m_s,
+                steering_rad: tick.steering_rad,
+            }),
+            commissioned: self.commissioned.clone(),
+            configuration: self.configuration.clone(),
+            drive_time_s: tick.and_then(|tick| tick.drive_time_s),
+            estimate: tick.and_then(|tick| tick.estimate).map(|estimate| {
+                singletrack_api::Estimate {
+                    pose_age_ms: estimate.pose_age() * 1_000.0,
+                    sideslip_rad: estimate.sideslip,
+                    speed_m_s: estimate.speed,
+                    x_m: estimate.position.x,
+                    y_m: estimate.position.y,
+                    yaw_rad: estimate.yaw,
+                    yaw_rate_rad_s: estimate.yaw_rate,
+                }
+            }),
+            figures: json!(self.figures),
+            filtered_ticks: tick.map(|tick| tick.filtered_ticks),
+            filtering: tick.map(|tick| tick.filtering.name().into()),
+            held: tick.map(|tick| tick.held),
+            link: tick.map(|tick| tick.link.name().into()),
+            live: self.live.map(LiveStatus::server),
+            looked_ahead_s: tick.and_then(|tick| tick.looked_ahead_s),
+            mode: self.mode().name().into(),
+            page: self.page.map(LiveStatus::server),
+            path_s: tick.and_then(|tick| tick.path_s),
+            point_m: tick.and_then(|tick| tick.point).map(place),
+            preflight: word(tick.and_then(|tick| tick.preflight)),
+            proved: self.proved,
+            realtime: json!(self.realtime),
+            reason: word(self.reason()),
+            record_error: self.record_error.clone(),
+            reference_m: tick.and_then(|tick| tick.reference?.position).map(place),
+            slowed_by: tick
+                .and_then(|tick| tick.slowed_by)
+                .map(|slowed_by| slowed_by.name().into()),
+            tuning: self.tuning(),
+        }
     }
 
-    /// What is tuned, and within which bounds; null if nothing can be.
-    fn tuning_json(&self) -> Value {
+    /// What is tuned, and within which bounds; `None` if nothing can be.
+    fn tuning(&self) -> Option<Tuning> {
         let rule = &self.tuning;
-        let tuned = self.tick.and_then(|tick| tick.tuned);
-        let (Some(tuned), Some(bounds)) = (tuned, rule.bounds) else {
-            return Value::Null;
-        };
-        let mut value = tuned_json(&tuned);
-        if let Some(object) = value.as_object_mut() {
-            object.insert("differs".to_owned(), rule.differs(&tuned).into());
-            let configured = json!({
-                "gain_per_s": rule.gain.map(|gain| [gain.x, gain.y]),
-                "point_distance_m": rule.point_distance,
-            });
-            object.insert("configured".to_owned(), configured);
-            let bounds = json!({
-                "gain_per_s": bounds.gain,
-                "point_distance_m": bounds.point_distance,
-            });
-            object.insert("bounds".to_owned(), bounds);
-        }
-        value
+        let tuned = self.tick.and_then(|tick| tick.tuned)?;
+        let bounds = rule.bounds?;
+        Some(Tuning {
+            bounds: Some(singletrack_api::TuningBounds {
+                gain_per_s: bounds.gain,
+                point_distance_m: bounds.point_distance,
+            }),
+            configured: Some(Box::new(Tuning {
+                wanted_point_distance_m: None,
+                ..tuning_of(&Tuned {
+                    gain: rule.gain,
+                    point_distance: rule.point_distance,
+                    wanted_point_distance: rule.point_distance,
+                })
+            })),
+            differs: Some(rule.differs(&tuned)),
+            ..tuning_of(&tuned)
+        })
     }
 }
 
-/// The values in force, in the format of the control socket.
-pub(crate) fn tuned_json(tuned: &Tuned) -> Value {
-    json!({
-        "gain_per_s": tuned.gain.map(|gain| [gain.x, gain.y]),
-        "point_distance_m": tuned.point_distance,
-        "wanted_point_distance_m": tuned.wanted_point_distance,
-    })
+/// The values in force.
+pub(crate) fn tuning_of(tuned: &Tuned) -> Tuning {
+    Tuning {
+        bounds: None,
+        configured: None,
+        differs: None,
+        gain_per_s: tuned.gain.map(|gain| [gain.x, gain.y]),
+        point_distance_m: tuned.point_distance,
+        wanted_point_distance_m: Some(tuned.wanted_point_distance),
+    }
+}
+
+fn place(position: Position) -> [f64; 2] {
+    [position.x, position.y]
+}
+
+fn word(reason: Option<Reason>) -> Option<Word> {
+    reason.map(|reason| reason.name().into())
 }
 
 #[cfg(test)]
@@ -218,7 +233,7 @@ mod tests {
     use singletrack_core::Config;
 
     use super::*;
-    use crate::reconfigure::ChangeView;
+    use singletrack_api::Change;
 
     /// With every value that there can be.
     fn snapshot() -> Snapshot {
@@ -279,10 +294,10 @@ mod tests {
                 idle_bounded: false,
                 refusals: vec!["no file".to_owned()],
             },
-            configuration: ConfigurationView {
+            configuration: Configuration {
                 number: 2,
-                last_change: Some(ChangeView {
-                    by: "reload",
+                last_change: Some(Change {
+                    by: "reload".into(),
                     error: Some("no file".to_owned()),
                 }),
             },
@@ -304,7 +319,9 @@ mod tests {
             record_error: None,
             ..snapshot()
         };
-        let written = format!("{}\n{}\n", snapshot().to_json(), nothing.to_json());
+        let written = [snapshot(), nothing]
+            .map(|snapshot| serde_json::to_string(&snapshot.status()).unwrap() + "\n")
+            .concat();
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/status.jsonl");
         if std::env::var_os("SINGLETRACK_RENEW").is_some() {
             std::fs::write(path, &written).unwrap();

@@ -1,7 +1,7 @@
 //! The state stream: what a controller outside needs to know of a tick, as a line of JSON.
 
-use serde::Serialize;
-use singletrack_pilot::{Event, Reason, SetpointRefusal};
+use singletrack_api::{SetpointInForce, State};
+use singletrack_pilot::Event;
 use singletrack_record::TickRecord;
 
 /// Lines that a reader may be behind before it misses the oldest: 160 ms at 100 Hz. A
@@ -17,43 +17,6 @@ pub(crate) const STATE_BUFFER: usize = 4_096;
 pub(crate) struct StateLines {
     first_ns: Option<u64>,
     board_ns: Option<u64>,
-}
-
-/// A line of the stream. Times are in s, positions in m, angles in rad, in the world frame.
-#[derive(Debug, Serialize)]
-struct StateLine {
-    topic: &'static str,
-    tick: u64,
-    t: f64,
-    time_ns: u64,
-    mode: &'static str,
-    reason: Option<&'static str>,
-    drive_time: Option<f64>,
-    x: Option<f64>,
-    y: Option<f64>,
-    yaw: Option<f64>,
-    speed: Option<f64>,
-    sideslip: Option<f64>,
-    yaw_rate: Option<f64>,
-    pose_age: Option<f64>,
-    held: bool,
-    point: Option<[f64; 2]>,
-    point_velocity: Option<[f64; 2]>,
-    reference: Option<[f64; 2]>,
-    steering: f64,
-    commanded_speed: f64,
-    board_age: Option<f64>,
-    setpoint: Option<SetpointInForce>,
-    setpoint_refused: Option<&'static str>,
-    filtering: &'static str,
-    gain: Option<[f64; 2]>,
-    point_distance: Option<f64>,
-}
-
-#[derive(Debug, Serialize)]
-struct SetpointInForce {
-    sequence: Option<u32>,
-    age: f64,
 }
 
 impl StateLines {
@@ -73,13 +36,13 @@ impl StateLines {
         let estimate = output.estimate.as_ref();
         let now_ns = tick.pilot_time.0;
         let since = |ns: u64| now_ns.wrapping_sub(ns) as i64 as f64 * 1e-9;
-        let line = StateLine {
-            topic: "state",
+        let state = State {
+            topic: "state".into(),
             tick: tick.index,
             t: self.first_ns.map_or(0.0, since),
             time_ns: now_ns,
-            mode: output.mode.name(),
-            reason: output.reason.map(Reason::name),
+            mode: output.mode.name().into(),
+            reason: output.reason.map(|reason| reason.name().into()),
             drive_time: output.drive_time,
             x: estimate.map(|estimate| estimate.position.x),
             y: estimate.map(|estimate| estimate.position.y),
@@ -104,14 +67,14 @@ impl StateLines {
                 sequence: stamp.sequence,
                 age: since(stamp.time.0),
             }),
-            setpoint_refused: output.setpoint_refused.map(SetpointRefusal::name),
-            filtering: output.filtering.name(),
+            setpoint_refused: output.setpoint_refused.map(|why| why.name().into()),
+            filtering: output.filtering.name().into(),
             gain: output
                 .tuned
                 .and_then(|tuned| tuned.gain)
                 .map(|gain| [gain.x, gain.y]),
             point_distance: output.tuned.map(|tuned| tuned.point_distance),
         };
-        serde_json::to_string(&line).ok()
+        serde_json::to_string(&state).ok()
     }
 }

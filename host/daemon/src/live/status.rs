@@ -9,8 +9,6 @@ use std::{
     },
 };
 
-use serde::Serialize;
-
 /// Why the live view does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
@@ -37,12 +35,22 @@ pub enum LiveError {
 }
 
 /// A server for viewers, the live view or the page, for the status.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LiveStatus {
     /// The address that it listens on, with the port in use.
     pub address: SocketAddr,
     /// The number of connected viewers.
     pub viewers: u64,
+}
+
+impl LiveStatus {
+    /// As the control socket gives it.
+    pub(crate) fn server(self) -> singletrack_api::Server {
+        singletrack_api::Server {
+            address: self.address.to_string(),
+            viewers: self.viewers,
+        }
+    }
 }
 
 /// The state of a server's thread, shared with the others.

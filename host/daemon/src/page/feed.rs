@@ -60,7 +60,10 @@ impl Feed {
 
 /// The status of the control socket as an event.
 pub(super) fn status(daemon: &DaemonHandle) -> Arc<str> {
-    event("status", &daemon.snapshot().to_json().to_string())
+    event(
+        "status",
+        &serde_json::to_string(&daemon.snapshot().status()).unwrap_or_default(),
+    )
 }
 
 /// An event; the data must be one line.

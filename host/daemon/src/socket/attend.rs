@@ -6,7 +6,7 @@
 
 use std::{io, time::Duration};
 
-use serde_json::{Value, json};
+use singletrack_api::{Answer, Drive, Ended, Reply, SOCKET_VERSION};
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
@@ -16,10 +16,10 @@ use tokio::{
 
 use super::{
     arm::{begin, begin_jogging},
-    command::{Arm, Command, SOCKET_VERSION},
+    command::{Arm, Command},
     drives::Ticket,
     progress::{DriveWatch, POLL, Progress},
-    serve::{LONGEST_LINE, answer, failure, no_command, send, skip_line},
+    serve::{LONGEST_LINE, answer, no_command, send, skip_line},
     setpoint::SetpointStream,
     stream::{ReadHalf, WriteHalf},
     tune::tune,
@@ -48,7 +48,7 @@ pub(super) async fn hold(
     let (ticket, watch) = match begun {
         Ok(begun) => begun,
         Err(error) => {
-            send(write, &failure(error)).await?;
+            send(write, &Answer::failure(error)).await?;
             return Ok(true);
         }
     };
@@ -70,7 +70,7 @@ pub(super) async fn jog(
     let (ticket, watch) = match begin_jogging(daemon) {
         Ok(begun) => begun,
         Err(error) => {
-            send(write, &failure(error)).await?;
+            send(write, &Answer::failure(error)).await?;
             return Ok(true);
         }
     };
@@ -137,7 +137,7 @@ async fn serve_drive(
                 match watch.progress(&snapshot) {
                     Progress::Underway => {}
                     Progress::Refused(error) => {
-                        send(write, &failure(error)).await?;
+                        send(write, &Answer::failure(error)).await?;
                         return Ok(true);
                     }
                     Progress::Ended(mode, reason) => {
@@ -147,7 +147,7 @@ async fn serve_drive(
                 }
                 if watch.has_driven && !was_driving {
                     was_driving = true;
-                    send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+                    send(write, &Answer::done()).await?;
                 }
                 if was_driving && reported.elapsed() >= REPORT {
                     reported = Instant::now();
@@ -165,7 +165,7 @@ async fn serve_drive(
             if line.len() as u64 >= LONGEST_LINE {
                 skip_line(read).await?;
                 let error = format!("a line is at most {LONGEST_LINE} bytes long");
-                send(write, &failure(error)).await?;
+                send(write, &Answer::failure(error)).await?;
                 line.clear();
             }
             continue;
@@ -175,7 +175,7 @@ async fn serve_drive(
                 if renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL) {
                     renewed = Some(Instant::now());
                     if let Err(error) = drive.ticket.push(daemon, PilotRequest::Hold) {
-                        send(write, &failure(error)).await?;
+                        send(write, &Answer::failure(error)).await?;
                     }
                 }
             }
@@ -202,7 +202,7 @@ async fn serve_drive(
                     "this connection holds a drive: it takes hold, status, disarm, stop, \
                      setpoint and tune"
                 };
-                send(write, &failure(error)).await?;
+                send(write, &Answer::failure(error)).await?;
             }
             Err(error) => send(write, &no_command(daemon, &error)).await?,
         }
@@ -212,22 +212,25 @@ async fn serve_drive(
 }
 
 /// The report of a drive in progress.
-fn report(tick: &TickView) -> Value {
-    json!({
-        "version": SOCKET_VERSION,
-        "drive": {
-            "mode": tick.mode.name(),
-            "reason": tick.reason.map(Reason::name),
-            "drive_time_s": tick.drive_time_s,
-            "speed_m_s": tick.estimate.map(|estimate| estimate.speed),
+fn report(tick: &TickView) -> Reply {
+    Reply::Drive {
+        drive: Drive {
+            drive_time_s: tick.drive_time_s,
+            mode: tick.mode.name().into(),
+            reason: tick.reason.map(|reason| reason.name().into()),
+            speed_m_s: tick.estimate.map(|estimate| estimate.speed),
         },
-    })
+        version: SOCKET_VERSION,
+    }
 }
 
 /// How a drive ended.
-fn ended(mode: Mode, reason: Option<Reason>) -> Value {
-    json!({
-        "version": SOCKET_VERSION,
-        "ended": { "mode": mode.name(), "reason": reason.map(Reason::name) },
-    })
+fn ended(mode: Mode, reason: Option<Reason>) -> Reply {
+    Reply::Ended {
+        ended: Ended {
+            mode: mode.name().into(),
+            reason: reason.map(|reason| reason.name().into()),
+        },
+        version: SOCKET_VERSION,
+    }
 }

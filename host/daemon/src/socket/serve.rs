@@ -1,9 +1,9 @@
 //! Serves one client: reads its lines and answers them.
 
-use core::fmt;
 use std::{io, time::Duration};
 
-use serde_json::{Value, json};
+use serde::Serialize;
+use singletrack_api::{Answer, Clocks, Reply, SOCKET_VERSION};
 use singletrack_core::{
     ControlRequest,
     commissioned::{Procedure, ProcedureResult},
@@ -22,7 +22,7 @@ use tokio::{
 use super::{
     arm::arm,
     attend::{hold, hung_up, jog},
-    command::{Attendance, Command, ParseError, Question, SOCKET_VERSION},
+    command::{Attendance, Command, ParseError, Question},
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     tune::tune,
@@ -66,7 +66,7 @@ pub(super) async fn refuse(
                 question @ (Question::Stop | Question::Disarm | Question::Halt | Question::Carried),
             )),
         ) => answer(question, daemon).await,
-        _ => failure(format!("{CLIENTS} clients are connected; close one")),
+        _ => Answer::failure(format!("{CLIENTS} clients are connected; close one")),
     };
     send(&mut write, &answer).await
 }
@@ -94,7 +94,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             // The rest is read first: a client that is still writing would not read the
             // answer.
             skip_line(&mut read).await?;
-            let answer = failure(format!("a line is at most {LONGEST_LINE} bytes long"));
+            let answer = Answer::failure(format!("a line is at most {LONGEST_LINE} bytes long"));
             send(&mut write, &answer).await?;
             continue;
         }
@@ -135,7 +135,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Jog(_)) => {
                 let error = "jog gives pulses on a connection that jogs: arm first with \
                              {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
-                send(&mut write, &failure(error)).await?;
+                send(&mut write, &Answer::failure(error)).await?;
             }
             Ok(Command::Reload) => {
                 send(&mut write, &reload(daemon).await).await?;
@@ -146,16 +146,13 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
                     armed = arm(daemon, request) => armed,
                     () = hung_up(&mut read) => return Ok(()),
                 };
-                let answer = match armed {
-                    Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
-                    Err(error) => failure(error),
-                };
+                let answer = armed.map_or_else(Answer::failure, |()| Answer::done());
                 send(&mut write, &answer).await?;
             }
             Ok(Command::Hold) => {
                 let error = "hold renews a drive that this connection armed with the attendance \
                              \"hold\"; there is none";
-                send(&mut write, &failure(error)).await?;
+                send(&mut write, &Answer::failure(error)).await?;
             }
             Ok(Command::Ask(question)) => {
                 send(&mut write, &answer(question, daemon).await).await?;
@@ -181,10 +178,10 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
 }
 
 /// The answer to a line that is no command. A rejected set-point is counted.
-pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Value {
+pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Answer {
     match &error.rejected {
         Some(rejected) => reject(daemon, rejected),
-        None => failure(error),
+        None => Answer::failure(error),
     }
 }
 
@@ -202,15 +199,13 @@ pub(super) async fn skip_line(read: &mut BufReader<ReadHalf>) -> io::Result<()> 
     }
 }
 
-pub(super) async fn send(write: &mut WriteHalf, answer: &Value) -> io::Result<()> {
-    write.write_all(format!("{answer}\n").as_bytes()).await
+pub(super) async fn send(write: &mut WriteHalf, answer: &impl Serialize) -> io::Result<()> {
+    let mut line = serde_json::to_vec(answer)?;
+    line.push(b'\n');
+    write.write_all(&line).await
 }
 
-pub(super) fn failure(error: impl fmt::Display) -> Value {
-    json!({ "version": SOCKET_VERSION, "ok": false, "error": error.to_string() })
-}
-
-pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
+pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Answer {
     let push = |request| {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
@@ -224,16 +219,18 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
     // No mode in an answer: the effect of a request shows after the next tick only.
     let done = match question {
         Question::Status => {
-            return json!({
-                "version": SOCKET_VERSION,
-                "ok": true,
-                "status": daemon.snapshot().to_json(),
-            });
+            return Answer {
+                status: Some(daemon.snapshot().status()),
+                ..Answer::done()
+            };
         }
         Question::Carried => push(PilotRequest::Carried),
         Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
             (Ok(()), Some(note)) if !stuck => {
-                return json!({ "version": SOCKET_VERSION, "ok": true, "note": note });
+                return Answer {
+                    note: Some(note.into()),
+                    ..Answer::done()
+                };
             }
             (result, _) => result,
         },
@@ -241,12 +238,12 @@ pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Value {
         Question::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {
-        Ok(()) if stuck => failure(
+        Ok(()) if stuck => Answer::failure(
             "the control thread is stuck: it does not see this. The board stops the car by itself, \
              95 ms after the last command",
         ),
-        Ok(()) => json!({ "version": SOCKET_VERSION, "ok": true }),
-        Err(error) => failure(error),
+        Ok(()) => Answer::done(),
+        Err(error) => Answer::failure(error),
     }
 }
 
@@ -258,23 +255,22 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
 }
 
 /// Reads the configuration's file again, as SIGHUP does.
-async fn reload(daemon: &DaemonHandle) -> Value {
+async fn reload(daemon: &DaemonHandle) -> Answer {
     let Some(path) = daemon.config_path.clone() else {
-        return failure("this daemon was not started with a file");
+        return Answer::failure("this daemon was not started with a file");
     };
     let changing = daemon.clone();
     match spawn_blocking(move || changing.reconfigurer.reload(&path)).await {
-        Ok(Ok(number)) => json!({
-            "version": SOCKET_VERSION,
-            "ok": true,
-            "configuration": number,
-        }),
-        Ok(Err(error)) => failure(error),
-        Err(error) => failure(error),
+        Ok(Ok(number)) => Answer {
+            configuration: Some(number),
+            ..Answer::done()
+        },
+        Ok(Err(error)) => Answer::failure(error),
+        Err(error) => Answer::failure(error),
     }
 }
 
-async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Value {
+async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Answer {
     let changing = daemon.clone();
     // It reads files, waits for the control thread and judges. On a thread of its own, it does
     // not delay a stop of another client.
@@ -288,19 +284,13 @@ async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Va
     })
     .await;
     match changed {
-        Ok(Ok((number, warnings))) => {
-            let mut answer = json!({
-                "version": SOCKET_VERSION,
-                "ok": true,
-                "configuration": number,
-            });
-            if let Some(answer) = answer.as_object_mut().filter(|_| !warnings.is_empty()) {
-                answer.insert("warnings".to_owned(), warnings.into());
-            }
-            answer
-        }
-        Ok(Err(error)) => failure(error),
-        Err(error) => failure(error),
+        Ok(Ok((number, warnings))) => Answer {
+            configuration: Some(number),
+            warnings,
+            ..Answer::done()
+        },
+        Ok(Err(error)) => Answer::failure(error),
+        Err(error) => Answer::failure(error),
     }
 }
 
@@ -309,7 +299,7 @@ async fn commissioned(
     procedure: Procedure,
     result: ProcedureResult,
     daemon: &DaemonHandle,
-) -> Value {
+) -> Answer {
     let noting = daemon.clone();
     // It waits for a change that is under way, and for the disk.
     let noted = spawn_blocking(move || {
@@ -325,9 +315,9 @@ async fn commissioned(
     })
     .await;
     match noted {
-        Ok(Ok(())) => json!({ "version": SOCKET_VERSION, "ok": true }),
-        Ok(Err(error)) => failure(error),
-        Err(error) => failure(error),
+        Ok(Ok(())) => Answer::done(),
+        Ok(Err(error)) => Answer::failure(error),
+        Err(error) => Answer::failure(error),
     }
 }
 
@@ -375,9 +365,17 @@ pub(super) fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
     }
 }
 
+/// To a watcher that is too slow.
+const fn behind(missed: u64) -> Reply {
+    Reply::Missed {
+        missed,
+        version: SOCKET_VERSION,
+    }
+}
+
 async fn watch(write: &mut WriteHalf, daemon: &DaemonHandle, topics: &[Topic]) -> io::Result<()> {
     let mut entries = daemon.status.watchers.subscribe();
-    send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+    send(write, &Answer::done()).await?;
     loop {
         match entries.recv().await {
             Ok((topic, line)) => {
@@ -387,11 +385,7 @@ async fn watch(write: &mut WriteHalf, daemon: &DaemonHandle, topics: &[Topic]) -
                 }
             }
             Err(RecvError::Lagged(missed)) => {
-                send(
-                    write,
-                    &json!({ "version": SOCKET_VERSION, "missed": missed }),
-                )
-                .await?;
+                send(write, &behind(missed)).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
         }
@@ -406,14 +400,13 @@ async fn messages(
 ) -> io::Result<()> {
     let feed = &daemon.status.messages;
     let mut frames = feed.subscribe();
-    let begun = json!({
-        "version": SOCKET_VERSION,
-        "ok": true,
-        "clocks": {
-            "monotonic_ns": feed.clocks.monotonic_ns,
-            "wall_ns": feed.clocks.wall_ns,
-        },
-    });
+    let begun = Answer {
+        clocks: Some(Clocks {
+            monotonic_ns: feed.clocks.monotonic_ns,
+            wall_ns: feed.clocks.wall_ns,
+        }),
+        ..Answer::done()
+    };
     send(write, &begun).await?;
     let mut bytes = Vec::new();
     loop {
@@ -424,11 +417,7 @@ async fn messages(
                 write.write_all(&bytes).await?;
             }
             Err(RecvError::Lagged(missed)) => {
-                send(
-                    write,
-                    &json!({ "version": SOCKET_VERSION, "missed": missed }),
-                )
-                .await?;
+                send(write, &behind(missed)).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
         }
@@ -439,13 +428,12 @@ async fn messages(
 async fn watch_state(write: &mut WriteHalf, daemon: &DaemonHandle) -> io::Result<()> {
     limit_send_buffer(write, STATE_BUFFER)?;
     let mut states = daemon.status.states.subscribe();
-    send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+    send(write, &Answer::done()).await?;
     loop {
         match states.recv().await {
             Ok(line) => write.write_all(line.as_bytes()).await?,
             Err(RecvError::Lagged(missed)) => {
-                let note = json!({ "version": SOCKET_VERSION, "missed": missed });
-                send(write, &note).await?;
+                send(write, &behind(missed)).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
         }

@@ -14,7 +14,7 @@ use std::{
     time::Duration,
 };
 
-use serde_json::json;
+use singletrack_api::{Answer, SOCKET_VERSION};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
@@ -22,8 +22,7 @@ use tokio::{
 };
 
 use super::{
-    command::SOCKET_VERSION,
-    serve::{failure, send},
+    serve::send,
     stream::{Connection, linger},
     token::{Token, TokenFile},
     waiting::WaitingRoom,
@@ -107,7 +106,7 @@ impl Gate {
         };
         let count = first_line.unwrap_or(Ok(0))?;
         if count > 0 && self.token.is_given_by(&line) {
-            send(write, &json!({ "version": SOCKET_VERSION, "ok": true })).await?;
+            send(write, &Answer::done()).await?;
             return Ok(Some(connection));
         }
         tracing::warn!(%peer, "a connection to the control socket on TCP without the token");
@@ -119,7 +118,7 @@ impl Gate {
              \"token\":\"...\"}}, with the token from {}",
             self.token_path.display()
         );
-        send(write, &failure(error)).await?;
+        send(write, &Answer::failure(error)).await?;
         write.shutdown().await?;
         place.until_lost(linger(read)).await;
         Ok(None)

@@ -140,7 +140,7 @@ impl Bench {
 
     fn ask(&self, question: Question) {
         let answered = self.runtime.block_on(answer(question, &self.daemon));
-        assert_eq!(answered["ok"], true);
+        assert!(answered.ok);
     }
 
     /// The requests that have reached the pilot.

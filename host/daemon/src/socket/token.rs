@@ -14,7 +14,7 @@ use rustix::rand::{GetRandomFlags, getrandom};
 use serde::Deserialize;
 use serde_json::json;
 
-use super::command::SOCKET_VERSION;
+use singletrack_api::SOCKET_VERSION;
 
 /// Random bytes of a token.
 const BYTES: usize = 32;

@@ -3,26 +3,25 @@
 
 use std::time::Duration;
 
-use serde_json::{Value, json};
+use singletrack_api::Answer;
 use singletrack_pilot::{Tuned, Tuning};
 use tokio::time::{Instant, sleep};
 
-use super::{command::SOCKET_VERSION, progress::POLL, serve::failure};
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::tuned_json};
+use super::progress::POLL;
+use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::tuning_of};
 
 /// The longest wait for the tick that takes the values: much less than the time in which a client
 /// must renew the drive that it holds.
 const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Tunes the pilot, and says what is in force then.
-pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Value {
+pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
     match try_tune(tuning, daemon).await {
-        Ok(tuned) => json!({
-            "version": SOCKET_VERSION,
-            "ok": true,
-            "tuning": tuned_json(&tuned),
-        }),
-        Err(error) => failure(format!("can't tune: {error}")),
+        Ok(tuned) => Answer {
+            tuning: Some(tuning_of(&tuned)),
+            ..Answer::done()
+        },
+        Err(error) => Answer::failure(format!("can't tune: {error}")),
     }
 }
 
@@ -41,7 +40,7 @@ async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String
         if let Some(tick) = tick.filter(|tick| tick.start_ns > asked_ns) {
             let tuned = tick.tuned.filter(|tuned| tuned.has(&tuning));
             if let Some(tuned) = tuned {
-                tracing::info!("tuned: {}", tuned_json(&tuned));
+                tracing::info!("tuned: {tuned:?}");
             }
             return tuned.ok_or_else(|| {
                 "another client or another configuration has come meanwhile; ask again".to_owned()

@@ -1,11 +1,12 @@
 //! Parses a client's line into a command.
 
-mod line;
 #[cfg(test)]
 mod tests;
 
 use core::{str::FromStr, time::Duration};
 
+use singletrack_api::{Gain, Request, RequestError};
+use singletrack_control::Velocity;
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
@@ -13,11 +14,7 @@ use singletrack_core::{
 use singletrack_pilot::{Jog, Tuning};
 use singletrack_record::{Channel, Topic};
 
-use self::line::{Line, channel};
-use super::setpoint::{Rejected, SetpointCommand, unreadable};
-
-/// The version of the protocol. Client and daemon must have the same one.
-pub const SOCKET_VERSION: u32 = 2;
+use super::setpoint::{self, Rejected, SetpointCommand, unreadable};
 
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
@@ -145,90 +142,121 @@ impl Command {
     ///
     /// The text of the answer: what is wrong, and what to write instead.
     pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, ParseError> {
-        let mut line: Line = serde_json::from_slice(line).map_err(|error| {
-            let text =
-                format!("{error}; write {{\"version\":{SOCKET_VERSION},\"command\":\"status\"}}");
-            match unreadable(line, &error) {
+        match Request::parse(line) {
+            Ok(request) => Self::of(request, now_ns),
+            Err(RequestError(text)) => Err(match unreadable(line, &text) {
                 Some(why) => Rejected { why, text }.into(),
-                None => ParseError::from(text),
-            }
-        })?;
-        if line.version != SOCKET_VERSION {
-            return Err(format!(
-                "version is {}: this daemon speaks version {SOCKET_VERSION}; use the singletrack of its release",
-                line.version
-            )
-            .into());
+                None => text.into(),
+            }),
         }
-        let command = match line.command.as_str() {
-            "status" => Self::Ask(Question::Status),
-            "arm" => {
-                let jogs = line.jog.take().unwrap_or(false);
-                let uncalibrated = line.uncalibrated.take().unwrap_or(false);
-                match line.take_attendance()? {
-                    Attendance::Hold if jogs => Self::ArmJog,
-                    _ if jogs => {
+    }
+
+    fn of(request: Request, now_ns: u64) -> Result<Self, ParseError> {
+        Ok(match request {
+            Request::Status {} => Self::Ask(Question::Status),
+            Request::Arm(arm) => {
+                let attendance = attendance(&arm)?;
+                match (arm.jog, attendance) {
+                    (true, Attendance::Hold) => Self::ArmJog,
+                    (true, _) => {
                         return Err("jogging must be held: \"attendance\":\"hold\"".into());
                     }
-                    attendance => Self::Arm(Arm {
+                    (false, attendance) => Self::Arm(Arm {
                         attendance,
-                        uncalibrated,
+                        uncalibrated: arm.uncalibrated,
                     }),
                 }
             }
-            "hold" => Self::Hold,
-            "jog" => Self::Jog(line.take_jog()?),
-            "reload" => Self::Reload,
-            "disarm" => match (
-                line.at_once.take().unwrap_or(false),
-                line.carried.take().unwrap_or(false),
-            ) {
+            Request::Hold {} => Self::Hold,
+            Request::Jog { servo_us, esc_us } => Self::Jog(Jog { servo_us, esc_us }),
+            Request::Reload {} => Self::Reload,
+            Request::Disarm { at_once, carried } => Self::Ask(match (at_once, carried) {
                 (true, true) => {
                     return Err("disarm takes at_once or carried, not both".into());
                 }
-                (true, false) => Self::Ask(Question::Halt),
-                (false, true) => Self::Ask(Question::Carried),
-                (false, false) => Self::Ask(Question::Disarm),
+                (true, false) => Question::Halt,
+                (false, true) => Question::Carried,
+                (false, false) => Question::Disarm,
+            }),
+            Request::Stop {} => Self::Ask(Question::Stop),
+            Request::SetReference { reference } => Self::SetReference(
+                serde_json::from_value(reference).map_err(|error| error.to_string())?,
+            ),
+            Request::Tune(tune) => Self::Tune(Tuning {
+                gain: tune.gain_per_s.map(|gain| match gain {
+                    Gain::Both(gain) => Velocity::new(gain, gain),
+                    Gain::Each([x, y]) => Velocity::new(x, y),
+                }),
+                point_distance: tune.point_distance_m,
+            }),
+            Request::Setpoint(setpoint) => Self::Setpoint(setpoint::parse(setpoint, now_ns)?),
+            Request::Commissioned { procedure, result } => Self::Commissioned {
+                procedure: Procedure::named(&procedure).ok_or_else(|| {
+                    format!(
+                        "procedure is {procedure:?}: use \"doctor\", \"bring-up\" or \"calibrate\""
+                    )
+                })?,
+                result: ProcedureResult::named(&result).ok_or_else(|| {
+                    format!(
+                        "result is {result:?}: use \"begun\", \"resumed\", \"changed\", \
+                         \"passed\" or \"failed\""
+                    )
+                })?,
             },
-            "stop" => Self::Ask(Question::Stop),
-            "set-reference" => {
-                let missing = "set-reference needs a reference, such as {\"kind\":\"circle\",\
-                               \"radius_m\":1.0,\"angular_velocity_rad_s\":0.5}";
-                Self::SetReference(line.reference.take().ok_or(missing)?)
-            }
-            "tune" => Self::Tune(line.take_tuning()?),
-            "setpoint" => Self::Setpoint(line.take_setpoint().parse(now_ns)?),
-            "commissioned" => line.take_commissioned()?,
-            "watch" if line.topics.as_deref() == Some(&["state".to_owned()]) => {
-                line.topics = None;
-                Self::WatchState
-            }
-            "watch" => Self::Watch {
-                topics: line
-                    .topics
-                    .take()
-                    .unwrap_or_default()
+            Request::Watch { topics } if topics == ["state"] => Self::WatchState,
+            Request::Watch { topics } => Self::Watch {
+                topics: topics
                     .iter()
                     .map(|topic| Topic::from_str(topic).map_err(|error| error.to_string()))
                     .collect::<Result<_, _>>()?,
             },
-            "messages" => Self::Messages {
-                channels: line
-                    .topics
-                    .take()
-                    .unwrap_or_default()
+            Request::Messages { topics } => Self::Messages {
+                channels: topics
                     .iter()
                     .map(|topic| channel(topic))
                     .collect::<Result<_, _>>()?,
             },
-            other => {
-                return Err(format!(
-                    "command is {other:?}: use status, arm, hold, jog, disarm, stop, set-reference, setpoint, tune, commissioned, reload, messages or watch"
-                )
-                .into());
-            }
-        };
-        line.refuse_other_keys()?;
-        Ok(command)
+        })
     }
+}
+
+/// The shortest and the longest time of a timed drive, s.
+const MIN_TIME: f64 = 0.5;
+const MAX_TIME: f64 = 86_400.0;
+
+/// Who attends a drive.
+fn attendance(arm: &singletrack_api::Arm) -> Result<Attendance, String> {
+    use singletrack_api::Attendance::{Hold, Timed, Unattended};
+    match (arm.attendance, arm.for_s) {
+        (Some(Hold), None) => Ok(Attendance::Hold),
+        (Some(Unattended), None) => Ok(Attendance::Unattended),
+        (Some(Timed), Some(seconds)) if (MIN_TIME..=MAX_TIME).contains(&seconds) => {
+            Ok(Attendance::Timed(Duration::from_secs_f64(seconds)))
+        }
+        (Some(Timed), Some(seconds)) => Err(format!(
+            "for_s is {seconds}: it must lie between {MIN_TIME} and {MAX_TIME}"
+        )),
+        (Some(Timed), None) => {
+            Err("attendance \"timed\" needs for_s, such as \"for_s\":60".to_owned())
+        }
+        (Some(Hold | Unattended), Some(_)) => {
+            Err("only attendance \"timed\" takes for_s".to_owned())
+        }
+        (None, _) => Err(
+            "arm needs an attendance: \"hold\" (send {\"command\":\"hold\"} every 100 ms on \
+             this connection; the drive ends when it does), \"timed\" with for_s, or \
+             \"unattended\" (no client holds it: the drive continues until a stop, a disarm or \
+             a safeguard ends it)"
+                .to_owned(),
+        ),
+    }
+}
+
+fn channel(topic: &str) -> Result<Channel, String> {
+    Channel::all()
+        .find(|channel| channel.topic() == topic)
+        .ok_or_else(|| {
+            let known: Vec<_> = Channel::all().map(Channel::topic).collect();
+            format!("no topic {topic:?}: use {}", known.join(", "))
+        })
 }

@@ -6,13 +6,12 @@ mod source;
 
 use core::sync::atomic::Ordering;
 
-use serde_json::{Value, json};
+use singletrack_api::Answer;
 use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory};
 
-use super::command::SOCKET_VERSION;
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
 
-pub(super) use keys::{PointKeys, SetpointKeys};
+pub(super) use keys::parse;
 pub(crate) use rejection::SetpointCounters;
 pub(super) use rejection::{Rejected, unreadable};
 pub use rejection::{Rejection, SetpointFigures};
@@ -51,7 +50,7 @@ impl SetpointStream {
         &mut self,
         daemon: &DaemonHandle,
         command: &SetpointCommand,
-    ) -> Option<Value> {
+    ) -> Option<Answer> {
         let timeout = daemon.reconfigurer.setpoint_timeout();
         // Held until it is passed on, so that the newest one is also the last one in the slot.
         let mut newest = daemon.source.lock();
@@ -110,14 +109,12 @@ impl SetpointStream {
 }
 
 /// Counts a rejected set-point. Returns the answer.
-pub(super) fn reject(daemon: &DaemonHandle, rejected: &Rejected) -> Value {
+pub(super) fn reject(daemon: &DaemonHandle, rejected: &Rejected) -> Answer {
     daemon.status.setpoints.reject(rejected.why);
-    json!({
-        "version": SOCKET_VERSION,
-        "ok": false,
-        "error": rejected.text,
-        "rejected": rejected.why.name(),
-    })
+    Answer {
+        rejected: Some(rejected.why.name().into()),
+        ..Answer::failure(&rejected.text)
+    }
 }
 
 #[cfg(test)]
@@ -137,13 +134,13 @@ mod tests {
     }
 
     fn command(time: Time, sequence: Option<u32>) -> SetpointCommand {
-        let keys = SetpointKeys {
+        let keys = singletrack_api::Setpoint {
             velocity_m_s: Some([0.1, 0.0]),
             time_ns: Some(time.0),
             sequence,
-            ..SetpointKeys::default()
+            ..Default::default()
         };
-        keys.parse(time.0).unwrap()
+        parse(keys, time.0).unwrap()
     }
 
     /// What becomes of a set-point that was decided at `time` and is read at `now`.

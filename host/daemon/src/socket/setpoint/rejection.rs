@@ -153,10 +153,9 @@ fn counted<const N: usize>(
 ///
 /// JSON has no word for what is not finite. Programs write `NaN` or `Infinity`, which is no
 /// JSON, `null`, or a number that is too large.
-pub(in crate::socket) fn unreadable(line: &[u8], error: &serde_json::Error) -> Option<Rejection> {
+pub(in crate::socket) fn unreadable(line: &[u8], text: &str) -> Option<Rejection> {
     let contains = |part: &[u8]| line.windows(part.len()).any(|window| window == part);
     contains(b"\"setpoint\"").then(|| {
-        let text = error.to_string();
         let is_number = text.contains("invalid type: null, expected f64")
             || text.contains("number out of range");
         let is_word = [&b"NaN"[..], b"nan", b"Infinity", b"inf"];

@@ -40,6 +40,9 @@ pub enum ClientError {
     /// The answer can't be read.
     #[error("can't understand the daemon's answer: {0}; is it the same version as this program?")]
     Answer(#[from] serde_json::Error),
+    /// The line is none that answers.
+    #[error("can't understand the daemon's line: {0}; is it the same version as this program?")]
+    NoAnswer(String),
     /// The daemon refuses.
     #[error("{0}")]
     Refused(String),

@@ -7,16 +7,15 @@ use std::{
     time::Duration,
 };
 
-use serde::Deserialize;
-use serde_json::json;
+use serde::{Deserialize, Serialize};
 
-use crate::{ClientError, SOCKET_VERSION, agreed, connect};
+use crate::{Answer, ClientError, Request, connect};
 
 /// The largest message that is received, in bytes.
 const LARGEST: usize = 1 << 20;
 
 /// The moment that connects the daemon's two clocks, in ns: stamps are on the second.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Clocks {
     /// On `CLOCK_MONOTONIC`.
     pub monotonic_ns: u64,
@@ -49,11 +48,6 @@ struct Head {
     missed: Option<u64>,
 }
 
-#[derive(Deserialize)]
-struct Begun {
-    clocks: Clocks,
-}
-
 /// A subscription to the messages of some topics.
 #[derive(Debug)]
 pub struct MessageStream {
@@ -73,21 +67,20 @@ impl MessageStream {
     pub fn open(path: &Path, topics: &[&str], wait: Duration) -> Result<Self, ClientError> {
         let mut stream = connect(path)?;
         stream.set_read_timeout(Some(wait))?;
-        let line = json!({
-            "version": SOCKET_VERSION,
-            "command": "messages",
-            "topics": topics,
-        });
-        stream.write_all(format!("{line}\n").as_bytes())?;
+        let request = Request::Messages {
+            topics: topics.iter().map(ToString::to_string).collect(),
+        };
+        stream.write_all(request.to_line()?.as_bytes())?;
         let mut read = BufReader::with_capacity(1 << 16, stream);
         let mut answer = String::new();
         if read.read_line(&mut answer)? == 0 {
             return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
         }
-        let begun: Begun = serde_json::from_value(agreed(serde_json::from_str(&answer)?)?)?;
+        let begun = serde_json::from_str::<Answer>(&answer)?.agreed()?;
+        let clocks = begun.clocks.ok_or(ClientError::NoAnswer(answer))?;
         Ok(Self {
             read,
-            clocks: begun.clocks,
+            clocks,
             line: Vec::new(),
             topic: String::new(),
             bytes: Vec::new(),
@@ -162,7 +155,7 @@ mod tests {
         );
         assert_eq!(
             line,
-            "{\"command\":\"messages\",\"topics\":[\"/odom\"],\"version\":2}\n"
+            "{\"version\":2,\"command\":\"messages\",\"topics\":[\"/odom\"]}\n"
         );
         let mut stream = opened.unwrap();
         let clocks = Clocks {
@@ -183,7 +176,7 @@ mod tests {
     #[test]
     fn a_length_beyond_every_message_is_refused_before_memory_is_taken() {
         let (opened, _) = stream(
-            b"{\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+            b"{\"version\":2,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
               {\"topic\":\"/odom\",\"bytes\":99999999999}\n",
         );
         let error = opened.unwrap().receive().unwrap_err().to_string();

@@ -10,10 +10,10 @@ use std::{
     time::Duration,
 };
 
-use serde_json::Value;
+use serde::de::DeserializeOwned;
 use socket2::{Domain, SockAddr, Socket, Type};
 
-use crate::ClientError;
+use crate::{Answer, ClientError, Request};
 
 /// The longest wait for a daemon that accepts no connection.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -44,19 +44,19 @@ pub fn connect(path: &Path) -> Result<UnixStream, ClientError> {
     })
 }
 
-/// The daemon's answer to one line, unless it is a refusal.
+/// The daemon's answer to one request, unless it is a refusal.
 ///
 /// # Errors
 ///
 /// The daemon can't be asked, or refuses; the reason is the daemon's.
-pub fn ask(line: &Value, path: &Path) -> Result<Value, ClientError> {
-    ask_within(line, path, ANSWER_TIMEOUT)
+pub fn ask(request: &Request, path: &Path) -> Result<Answer, ClientError> {
+    ask_within(request, path, ANSWER_TIMEOUT)
 }
 
-fn ask_within(line: &Value, path: &Path, patience: Duration) -> Result<Value, ClientError> {
+fn ask_within(request: &Request, path: &Path, patience: Duration) -> Result<Answer, ClientError> {
     let mut stream = connect(path)?;
     stream.set_read_timeout(Some(patience))?;
-    stream.write_all(format!("{line}\n").as_bytes())?;
+    stream.write_all(request.to_line()?.as_bytes())?;
     let mut answer = String::new();
     match BufReader::new(stream).read_line(&mut answer) {
         Ok(0) => Err(ClientError::Ended),
@@ -64,23 +64,8 @@ fn ask_within(line: &Value, path: &Path, patience: Duration) -> Result<Value, Cl
             Err(ClientError::silent(path, patience))
         }
         Err(error) => Err(error.into()),
-        Ok(_) => agreed(serde_json::from_str(&answer)?),
+        Ok(_) => serde_json::from_str::<Answer>(&answer)?.agreed(),
     }
-}
-
-/// An answer, unless it is a refusal.
-///
-/// # Errors
-///
-/// The daemon's reason.
-pub fn agreed(answer: Value) -> Result<Value, ClientError> {
-    if answer.get("ok").and_then(Value::as_bool) == Some(true) {
-        return Ok(answer);
-    }
-    let error = answer.get("error").and_then(Value::as_str);
-    Err(ClientError::Refused(
-        error.map_or_else(|| answer.to_string(), str::to_owned),
-    ))
 }
 
 /// A connection for lines in both directions.
@@ -110,22 +95,22 @@ impl Connection {
         })
     }
 
-    /// Sends a line.
+    /// Sends a request.
     ///
     /// # Errors
     ///
     /// The connection is lost, or the daemon does not read.
-    pub fn send(&mut self, line: &Value) -> Result<(), ClientError> {
+    pub fn send(&mut self, request: &Request) -> Result<(), ClientError> {
         self.stream.set_nonblocking(false)?;
-        Ok(self.stream.write_all(format!("{line}\n").as_bytes())?)
+        Ok(self.stream.write_all(request.to_line()?.as_bytes())?)
     }
 
     /// The next line, if it has arrived.
     ///
     /// # Errors
     ///
-    /// The connection is lost, or the line is not JSON.
-    pub fn receive(&mut self) -> Result<Option<Value>, ClientError> {
+    /// The connection is lost, or the line is no `T`.
+    pub fn receive<T: DeserializeOwned>(&mut self) -> Result<Option<T>, ClientError> {
         self.stream.set_nonblocking(true)?;
         self.read_line()
     }
@@ -134,8 +119,11 @@ impl Connection {
     ///
     /// # Errors
     ///
-    /// The connection is lost, or the line is not JSON.
-    pub fn receive_within(&mut self, wait: Duration) -> Result<Option<Value>, ClientError> {
+    /// The connection is lost, or the line is no `T`.
+    pub fn receive_within<T: DeserializeOwned>(
+        &mut self,
+        wait: Duration,
+    ) -> Result<Option<T>, ClientError> {
         self.stream.set_nonblocking(false)?;
         if self.wait != Some(wait) {
             self.stream.set_read_timeout(Some(wait))?;
@@ -144,7 +132,7 @@ impl Connection {
         self.read_line()
     }
 
-    fn read_line(&mut self) -> Result<Option<Value>, ClientError> {
+    fn read_line<T: DeserializeOwned>(&mut self) -> Result<Option<T>, ClientError> {
         loop {
             if let Some(end) = self.received.iter().position(|&byte| byte == b'\n') {
                 let line: Vec<u8> = self.received.drain(..=end).collect();
@@ -181,7 +169,7 @@ impl AsFd for Connection {
 mod tests {
     use std::{io::Write as _, os::unix::net::UnixListener, thread};
 
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     use super::*;
 
@@ -193,14 +181,17 @@ mod tests {
         let mut connection = Connection::open(&path, Duration::from_secs(1)).unwrap();
         let (mut daemon, _) = listener.accept().unwrap();
         daemon.write_all(b"{\"ok\":").unwrap();
-        assert_eq!(connection.receive().unwrap(), None);
+        assert_eq!(connection.receive::<Value>().unwrap(), None);
         let short = Duration::from_millis(1);
-        assert_eq!(connection.receive_within(short).unwrap(), None);
+        assert_eq!(connection.receive_within::<Value>(short).unwrap(), None);
         daemon.write_all(b"true}\n{}\n").unwrap();
         assert_eq!(connection.receive().unwrap(), Some(json!({ "ok": true })));
         assert_eq!(connection.receive().unwrap(), Some(json!({})));
         drop(daemon);
-        assert!(matches!(connection.receive(), Err(ClientError::Ended)));
+        assert!(matches!(
+            connection.receive::<Value>(),
+            Err(ClientError::Ended)
+        ));
     }
 
     #[test]
@@ -211,11 +202,11 @@ mod tests {
         let daemon = thread::spawn(move || {
             let (mut stream, _) = listener.accept().unwrap();
             stream
-                .write_all(b"{\"ok\":false,\"error\":\"the car is gone\"}\n")
+                .write_all(b"{\"ok\":false,\"error\":\"the car is gone\",\"version\":2}\n")
                 .unwrap();
             stream
         });
-        let error = ask(&json!({}), &path).unwrap_err();
+        let error = ask(&Request::DISARM, &path).unwrap_err();
         assert_eq!(error.to_string(), "the car is gone");
         drop(daemon.join().unwrap());
     }
@@ -225,7 +216,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("socket");
         let _stopped = UnixListener::bind(&path).unwrap();
-        let error = ask_within(&json!({}), &path, Duration::from_millis(20)).unwrap_err();
+        let error = ask_within(&Request::DISARM, &path, Duration::from_millis(20)).unwrap_err();
         let error = error.to_string();
         assert!(
             error.contains("no answer") && error.contains("socket"),

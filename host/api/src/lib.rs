@@ -1,0 +1,25 @@
+//! The contract of the daemon's control socket: what a client sends and what it is answered, and
+//! connections that speak it.
+//!
+//! A connection blocks and starts no thread. The protocol is on the page `docs/control-socket.md`.
+
+mod connection;
+mod error;
+mod messages;
+mod reply;
+mod request;
+mod state;
+mod status;
+
+pub use connection::{Connection, ask, connect};
+pub use error::ClientError;
+pub use messages::{Clocks, Message, MessageStream, Received};
+pub use reply::{Answer, Drive, Ended, Reply, Tuning, TuningBounds, Word};
+pub use request::{
+    Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
+};
+pub use state::{SetpointInForce, State};
+pub use status::{Board, Cameras, Change, Command, Configuration, Estimate, Server, Status};
+
+/// The version of the protocol. Client and daemon must have the same one.
+pub const SOCKET_VERSION: u32 = 2;

@@ -1,0 +1,199 @@
+//! What the daemon sends: a line of JSON each. Keys are in the order of the alphabet.
+
+use core::fmt;
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{ClientError, Clocks, SOCKET_VERSION, State, Status};
+
+/// A word of a closed list, which a newer daemon may have lengthened.
+pub type Word = Cow<'static, str>;
+
+/// A line of the daemon to a client that is no watcher of entries.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Reply {
+    /// The answer to a request.
+    Answer(Box<Answer>),
+    /// The state of a tick, to a watcher of the states.
+    State(Box<State>),
+    /// How a held drive goes on.
+    Drive {
+        /// The drive.
+        drive: Drive,
+        /// Of the protocol.
+        version: u32,
+    },
+    /// How a held drive ended.
+    Ended {
+        /// The end.
+        ended: Ended,
+        /// Of the protocol.
+        version: u32,
+    },
+    /// To a watcher that is too slow.
+    Missed {
+        /// Entries or states that it missed.
+        missed: u64,
+        /// Of the protocol.
+        version: u32,
+    },
+}
+
+/// The answer to a request.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Answer {
+    /// To `messages`: how to map their stamps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clocks: Option<Clocks>,
+    /// The number of the configuration that is in force now.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub configuration: Option<u32>,
+    /// Why the request is refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// What a disarm does not change.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub note: Option<Word>,
+    /// Whether the request is obeyed.
+    pub ok: bool,
+    /// The word for why a set-point has no effect.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rejected: Option<Word>,
+    /// The status.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub status: Option<Status>,
+    /// The tuned values in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tuning: Option<Tuning>,
+    /// Of the protocol.
+    pub version: u32,
+    /// What a new reference asks of the car that it can hardly do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
+}
+
+/// How a held drive goes on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Drive {
+    /// Time since the first driving tick, in s.
+    pub drive_time_s: Option<f64>,
+    /// The pilot's mode.
+    pub mode: Word,
+    /// Why the car stops.
+    pub reason: Option<Word>,
+    /// The estimated speed, in m/s.
+    pub speed_m_s: Option<f64>,
+}
+
+/// How a drive ended.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ended {
+    /// The pilot's mode.
+    pub mode: Word,
+    /// Why.
+    pub reason: Option<Word>,
+}
+
+/// Values that can be tuned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tuning {
+    /// In the status: the least and the most.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<TuningBounds>,
+    /// In the status: the values of the configuration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub configured: Option<Box<Self>>,
+    /// In the status: whether the values differ from those of the configuration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub differs: Option<bool>,
+    /// The gains of the position loop along x and y, per second; none for a loop without.
+    pub gain_per_s: Option<[f64; 2]>,
+    /// p, in m.
+    pub point_distance_m: f64,
+    /// Where p goes to, in m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wanted_point_distance_m: Option<f64>,
+}
+
+/// The least and the most of each tuned value.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TuningBounds {
+    /// Of each gain, per second.
+    pub gain_per_s: Option<[f64; 2]>,
+    /// Of p, in m.
+    pub point_distance_m: Option<[f64; 2]>,
+}
+
+impl Answer {
+    /// The request is obeyed.
+    #[must_use]
+    pub const fn done() -> Self {
+        Self {
+            clocks: None,
+            configuration: None,
+            error: None,
+            note: None,
+            ok: true,
+            rejected: None,
+            status: None,
+            tuning: None,
+            version: SOCKET_VERSION,
+            warnings: Vec::new(),
+        }
+    }
+
+    /// The request is refused.
+    #[must_use]
+    pub fn failure(error: impl fmt::Display) -> Self {
+        Self {
+            ok: false,
+            error: Some(error.to_string()),
+            ..Self::done()
+        }
+    }
+
+    /// This answer, unless it is a refusal.
+    ///
+    /// # Errors
+    ///
+    /// The daemon's reason.
+    pub fn agreed(self) -> Result<Self, ClientError> {
+        if self.ok {
+            return Ok(self);
+        }
+        let error = self.error.unwrap_or_else(|| "without a reason".to_owned());
+        Err(ClientError::Refused(error))
+    }
+}
+
+impl Reply {
+    /// The answer that this line must be.
+    ///
+    /// # Errors
+    ///
+    /// The daemon refuses, or the line is no answer.
+    pub fn agreed(self) -> Result<Answer, ClientError> {
+        match self {
+            Self::Answer(answer) => answer.agreed(),
+            other => Err(ClientError::NoAnswer(format!("{other:?}"))),
+        }
+    }
+}
+
+impl fmt::Display for Ended {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "mode {}", self.mode)?;
+        match &self.reason {
+            Some(reason) => write!(formatter, ": {reason}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl From<Answer> for Reply {
+    fn from(answer: Answer) -> Self {
+        Self::Answer(Box::new(answer))
+    }
+}

@@ -1,0 +1,345 @@
+//! What a client sends: a line of JSON each.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::SOCKET_VERSION;
+
+/// A command of a client.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "command", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Request {
+    /// The status of daemon, board and figures.
+    Status {},
+    /// Arm, and follow the reference or jog.
+    Arm(Arm),
+    /// Renews the drive that this connection holds; not answered.
+    Hold {},
+    /// Pulses for servo and ESC while this connection jogs, which they renew; not answered.
+    Jog {
+        /// Of the servo, in µs.
+        servo_us: u16,
+        /// Of the ESC, in µs.
+        esc_us: u16,
+    },
+    /// Slow down, stop and disarm.
+    Disarm {
+        /// Neutral at once, without a ramp.
+        #[serde(default, skip_serializing_if = "is_false")]
+        at_once: bool,
+        /// The body that the cameras show is the car, which was carried.
+        #[serde(default, skip_serializing_if = "is_false")]
+        carried: bool,
+    },
+    /// Emergency stop: neutral at once, until the board is reset.
+    Stop {},
+    /// Another reference, with the keys of `[reference]` in the configuration.
+    SetReference {
+        /// The table.
+        reference: Value,
+    },
+    /// Read the configuration's file again.
+    Reload {},
+    /// Other values of what can be tuned.
+    Tune(Tune),
+    /// A set-point, answered only if it is rejected.
+    Setpoint(Setpoint),
+    /// The state of a procedure.
+    Commissioned {
+        /// `doctor`, `bring-up` or `calibrate`.
+        procedure: String,
+        /// `begun`, `resumed`, `changed`, `passed` or `failed`.
+        result: String,
+    },
+    /// A subscription: the entries of the record with these topics, or the state of every tick.
+    Watch {
+        /// The topics; empty for all, `state` alone for the states.
+        #[serde(default)]
+        topics: Vec<String>,
+    },
+    /// A subscription to messages as ROS 2 encodes them.
+    Messages {
+        /// Their topics; empty for all.
+        #[serde(default)]
+        topics: Vec<String>,
+    },
+}
+
+/// A request to arm.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Arm {
+    /// Who attends the drive: the daemon refuses a request without.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub attendance: Option<Attendance>,
+    /// The length of a timed drive, in s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub for_s: Option<f64>,
+    /// Whether the client gives pulses in place of a drive.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub jog: bool,
+    /// Whether the car may drive without having passed doctor, bring-up and calibrate.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub uncalibrated: bool,
+}
+
+/// Who attends a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Attendance {
+    /// The client, which renews the drive every 100 ms on the same connection.
+    Hold,
+    /// No client; the drive ends after a time.
+    Timed,
+    /// No client; the drive continues until a stop.
+    Unattended,
+}
+
+/// What may be tuned.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tune {
+    /// The gain of the position loop, per second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain_per_s: Option<Gain>,
+    /// p, in m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub point_distance_m: Option<f64>,
+}
+
+/// A gain for both axes, or one for each.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "gain_per_s is a number, or two for x and y, such as [2.0,2.0]"
+)]
+pub enum Gain {
+    /// For both.
+    Both(f64),
+    /// Along x and y.
+    Each([f64; 2]),
+}
+
+/// A set-point: a velocity of P, or steering and speed, or a trajectory.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Setpoint {
+    /// Velocity of P in the cameras' frame, in m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub velocity_m_s: Option<[f64; 2]>,
+    /// Position of P, in m.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<[f64; 2]>,
+    /// Steering angle, in rad.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steering_rad: Option<f64>,
+    /// Steering rate, in rad/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steering_rate_rad_s: Option<f64>,
+    /// Speed of the centre of mass, in m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_m_s: Option<f64>,
+    /// Change of the speed, in m/s².
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acceleration_m_s2: Option<f64>,
+    /// Points in time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trajectory: Option<Vec<TrajectoryPoint>>,
+    /// When it was decided, on `CLOCK_MONOTONIC`; otherwise when the daemon read it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_ns: Option<u64>,
+    /// Its number, which grows within a connection.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequence: Option<u32>,
+}
+
+/// A point of a trajectory of P.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrajectoryPoint {
+    /// When P is there, on `CLOCK_MONOTONIC`.
+    pub time_ns: u64,
+    /// Position, in m.
+    pub position_m: [f64; 2],
+    /// Velocity, in m/s.
+    pub velocity_m_s: [f64; 2],
+}
+
+/// Why a line is no request: the text of the answer, which says what to write instead.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct RequestError(pub String);
+
+/// A line as it is sent.
+#[derive(Serialize, Deserialize)]
+struct Line<R> {
+    version: u32,
+    #[serde(flatten)]
+    request: R,
+}
+
+/// What of a line is needed to say what is wrong with it.
+#[derive(Default, Deserialize)]
+struct Head {
+    version: Option<u32>,
+    command: Option<String>,
+}
+
+impl Request {
+    /// A disarm with a ramp, of a car that was not carried.
+    pub const DISARM: Self = Self::Disarm {
+        at_once: false,
+        carried: false,
+    };
+
+    /// Reads a line.
+    ///
+    /// # Errors
+    ///
+    /// The line is no request, or of another version.
+    pub fn parse(line: &[u8]) -> Result<Self, RequestError> {
+        let error = match serde_json::from_slice::<Line<Self>>(line) {
+            Ok(line) if line.version == SOCKET_VERSION => return Ok(line.request),
+            Ok(line) => return Err(other_version(line.version)),
+            Err(error) => error,
+        };
+        let Head { version, command } = serde_json::from_slice(line).unwrap_or_default();
+        if let Some(version) = version.filter(|version| *version != SOCKET_VERSION) {
+            return Err(other_version(version));
+        }
+        let example = command.and_then(|command| {
+            let name = format!("\"command\":\"{command}\"");
+            let example = EXAMPLES.iter().find(|(line, _)| line.contains(&name));
+            Some((command, example?.0))
+        });
+        Err(RequestError(match example {
+            Some((command, example)) => format!("{command}: {error}; write {example}"),
+            None => format!("{error}; write {}", EXAMPLES[0].0),
+        }))
+    }
+
+    /// The line, with its end.
+    ///
+    /// # Errors
+    ///
+    /// There is none for what a program makes; a reference may have keys that are no text.
+    pub fn to_line(&self) -> Result<String, serde_json::Error> {
+        let mut line = serde_json::to_string(&Line {
+            version: SOCKET_VERSION,
+            request: self,
+        })?;
+        line.push('\n');
+        Ok(line)
+    }
+}
+
+fn other_version(version: u32) -> RequestError {
+    RequestError(format!(
+        "version is {version}: this daemon speaks version {SOCKET_VERSION}; use the singletrack \
+         of its release"
+    ))
+}
+
+/// A line of every command, and what the daemon answers: the table of the documentation.
+pub const EXAMPLES: [(&str, &str); 17] = [
+    (
+        r#"{"version":2,"command":"status"}"#,
+        r#"`{"version":2,"ok":true,"status":{...}}`"#,
+    ),
+    (
+        r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+        r#"once the car drives: [`arm`](#arm)"#,
+    ),
+    (
+        r#"{"version":2,"command":"hold"}"#,
+        r#"nothing; renews the drive that the connection holds"#,
+    ),
+    (
+        r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+        r#"once the board takes pulses: [`jog`](#jog)"#,
+    ),
+    (
+        r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":1500}"#,
+        r#"nothing"#,
+    ),
+    (
+        r#"{"version":2,"command":"reload"}"#,
+        r#"reads the configuration file again, as SIGHUP does: `{"version":2,"ok":true,"configuration":2}` once it is in force"#,
+    ),
+    (
+        r#"{"version":2,"command":"disarm"}"#,
+        r#"at once; the car slows down and stops"#,
+    ),
+    (
+        r#"{"version":2,"command":"disarm","at_once":true}"#,
+        r#"at once; neutral without a ramp, and a brake pulse where the ESC can, with `operator-gone`: for a dead-man switch that is lost"#,
+    ),
+    (
+        r#"{"version":2,"command":"disarm","carried":true}"#,
+        r#"as `disarm`; also states that the rigid body in view is the car, although its wheels can't have brought it there. Send it only when a person says so"#,
+    ),
+    (
+        r#"{"version":2,"command":"stop"}"#,
+        r#"at once; neutral until the board is reset"#,
+    ),
+    (
+        r#"{"version":2,"command":"set-reference","reference":{"kind":"circle","radius_m":1.0,"angular_velocity_rad_s":0.5}}"#,
+        r#"as `reload`, with `"warnings":[...]` if there are any: [`set-reference`](#set-reference)"#,
+    ),
+    (
+        r#"{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}"#,
+        r#"nothing, unless rejected: [`setpoint`](#setpoint)"#,
+    ),
+    (
+        r#"{"version":2,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}"#,
+        r#"once the values are taken: [`tune`](#tune)"#,
+    ),
+    (
+        r#"{"version":2,"command":"commissioned","procedure":"doctor","result":"passed"}"#,
+        r#"once it is stored: [`commissioned`](#commissioned)"#,
+    ),
+    (
+        r#"{"version":2,"command":"watch","topics":["tick"]}"#,
+        r#"`{"version":2,"ok":true}`, then every new entry of the record, with its `topic`"#,
+    ),
+    (
+        r#"{"version":2,"command":"messages","topics":["/odom"]}"#,
+        r#"[`messages`](#messages) of the record, as ROS 2 encodes them"#,
+    ),
+    (
+        r#"{"version":2,"command":"watch","topics":["state"]}"#,
+        r#"`{"version":2,"ok":true}`, then the [state](#state) of every tick"#,
+    ),
+];
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for it")]
+const fn is_false(flag: &bool) -> bool {
+    !*flag
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_example_is_a_request_and_is_written_as_one() {
+        for (line, _) in EXAMPLES {
+            let request = Request::parse(line.as_bytes()).unwrap();
+            let written = request.to_line().unwrap();
+            let values = [line, &written].map(|line| serde_json::from_str::<Value>(line).unwrap());
+            assert_eq!(values[0], values[1]);
+        }
+    }
+
+    #[test]
+    fn a_line_of_another_version_is_told_so_whatever_it_holds() {
+        for line in [
+            r#"{"version":3,"command":"fly","fast":true}"#,
+            r#"{"version":1,"command":"status"}"#,
+        ] {
+            let error = Request::parse(line.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains("this daemon speaks version 2"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! The status of the daemon. Keys are in the order of the alphabet.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::{Tuning, Word};
+
+/// The status of daemon, board and figures.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// The board; `None` before its first telemetry.
+    pub board: Option<Board>,
+    /// What is wrong with the cameras, or that nothing is.
+    pub cameras: Cameras,
+    /// The last command.
+    pub command: Option<Command>,
+    /// The results of the procedures on this car, and the first that is missing.
+    pub commissioned: Option<Value>,
+    /// The configuration in force.
+    pub configuration: Configuration,
+    /// Time since the first driving tick, in s; `None` outside a drive.
+    pub drive_time_s: Option<f64>,
+    /// The estimate that the last tick acted on.
+    pub estimate: Option<Estimate>,
+    /// Counters and quantiles since the daemon started.
+    pub figures: Value,
+    /// The number of ticks of the drive in which the safety filter did anything.
+    pub filtered_ticks: Option<u32>,
+    /// What the safety filter did.
+    pub filtering: Option<Word>,
+    /// Whether no pose was accepted since the last tick.
+    pub held: Option<bool>,
+    /// The phase of the session with the board.
+    pub link: Option<Word>,
+    /// The live view.
+    pub live: Option<Server>,
+    /// How far ahead the state was predicted for the last command, in s.
+    pub looked_ahead_s: Option<f64>,
+    /// The pilot's mode.
+    pub mode: Word,
+    /// The page for a browser.
+    pub page: Option<Server>,
+    /// The path parameter of the reference, in s.
+    pub path_s: Option<f64>,
+    /// P, in m.
+    pub point_m: Option<[f64; 2]>,
+    /// Why an arm request would be refused now.
+    pub preflight: Option<Word>,
+    /// Whether the configuration in force is proved on this car.
+    pub proved: Option<bool>,
+    /// What the system granted the control thread.
+    pub realtime: Value,
+    /// Why the car does not drive, or stopped.
+    pub reason: Option<Word>,
+    /// Why the record ended before the daemon.
+    pub record_error: Option<String>,
+    /// The wanted position of P, in m.
+    pub reference_m: Option<[f64; 2]>,
+    /// Why the reference is slowed down.
+    pub slowed_by: Option<Word>,
+    /// What is tuned; `None` if nothing can be.
+    pub tuning: Option<Tuning>,
+}
+
+/// The board.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Board {
+    /// Of its battery, in mV.
+    pub battery_mv: Option<u16>,
+    /// Its own mode.
+    pub mode: Word,
+    /// Why it last went to neutral.
+    pub stop_cause: Word,
+    /// Whether its stop input is open.
+    pub stop_input_open: Option<bool>,
+}
+
+/// The cameras.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Cameras {
+    /// The cause as a word.
+    pub diagnosis: Word,
+    /// Which other rigid body is near the car.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub neighbour: Option<String>,
+    /// The cause as a sentence, with what to do.
+    pub text: String,
+}
+
+/// Speed and steering after the limits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Command {
+    /// Speed of G, in m/s.
+    pub speed_m_s: f64,
+    /// Steering, in rad.
+    pub steering_rad: f64,
+}
+
+/// The configuration in force.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Configuration {
+    /// The last attempt to change it.
+    pub last_change: Option<Change>,
+    /// 1 for the one that the daemon started with, one more for each change.
+    pub number: u32,
+}
+
+/// An attempt to change the configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Change {
+    /// The kind of request: `reload` or `set-reference`.
+    pub by: Word,
+    /// Why the configuration did not change; `None` if it did.
+    pub error: Option<String>,
+}
+
+/// An estimated state.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Age of the last accepted pose, in ms.
+    pub pose_age_ms: f64,
+    /// Sideslip, in rad.
+    pub sideslip_rad: f64,
+    /// Speed of G, in m/s.
+    pub speed_m_s: f64,
+    /// Position of G, in m.
+    pub x_m: f64,
+    /// Position of G, in m.
+    pub y_m: f64,
+    /// Yaw, in rad.
+    pub yaw_rad: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate_rad_s: f64,
+}
+
+/// A server for viewers.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Server {
+    /// Where it listens.
+    pub address: String,
+    /// The number of connected viewers.
+    pub viewers: u64,
+}
