@@ -53,9 +53,19 @@ pub fn ask(request: &Request, path: &Path) -> Result<Answer, ClientError> {
     ask_within(request, path, ANSWER_TIMEOUT)
 }
 
-fn ask_within(request: &Request, path: &Path, patience: Duration) -> Result<Answer, ClientError> {
+/// The same, with another longest wait for the answer.
+///
+/// # Errors
+///
+/// Those of [`ask`].
+pub fn ask_within(
+    request: &Request,
+    path: &Path,
+    patience: Duration,
+) -> Result<Answer, ClientError> {
     let mut stream = connect(path)?;
     stream.set_read_timeout(Some(patience))?;
+    stream.set_write_timeout(Some(patience.min(CONNECT_TIMEOUT)))?;
     stream.write_all(request.to_line()?.as_bytes())?;
     let mut answer = String::new();
     match BufReader::new(stream).read_line(&mut answer) {

@@ -332,6 +332,25 @@ mod tests {
         }
     }
 
+    /// With `SINGLETRACK_RENEW` set, the table is written.
+    #[test]
+    fn the_documentation_has_the_table_of_the_examples() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/control-socket.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let head = "| to the daemon | from the daemon |\n|---|---|\n";
+        let (before, rest) = page.split_once(head).unwrap();
+        let (_, after) = rest.split_once("\n\n").unwrap();
+        let rows = EXAMPLES.map(|(line, answer)| format!("| `{line}` | {answer} |\n"));
+        let made = [before, head, &rows.concat(), "\n", after].concat();
+        if std::env::var_os("SINGLETRACK_RENEW").is_some() {
+            std::fs::write(path, &made).unwrap();
+        }
+        assert!(
+            page == made,
+            "set SINGLETRACK_RENEW=1 and run this test again"
+        );
+    }
+
     #[test]
     fn a_line_of_another_version_is_told_so_whatever_it_holds() {
         for line in [

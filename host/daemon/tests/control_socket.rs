@@ -15,7 +15,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use singletrack_client::{MessageStream, Received};
+use singletrack_api::{MessageStream, Received};
 use singletrack_core::{Config, config::ReferenceSection};
 use singletrack_pilot::Mode;
 use singletrackd::{Daemon, StartError, StartOptions};

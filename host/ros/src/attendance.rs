@@ -10,8 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use serde_json::{Value, json};
-use singletrack_client::{ClientError, Connection, SOCKET_VERSION, ask};
+use singletrack_api::{Arm, ClientError, Connection, Reply, Request, ask};
 
 use crate::node::start;
 
@@ -108,12 +107,12 @@ impl Attendance {
 
     /// Slows the car down and stops it.
     pub(crate) fn disarm(&self) -> Result<(), String> {
-        self.tell("disarm")
+        self.tell(&Request::DISARM)
     }
 
     /// Stops the car at once, until the board is reset.
     pub(crate) fn stop(&self) -> Result<(), String> {
-        self.tell("stop")
+        self.tell(&Request::Stop {})
     }
 
     /// Disarms a drive of this process.
@@ -125,9 +124,8 @@ impl Attendance {
         }
     }
 
-    fn tell(&self, command: &str) -> Result<(), String> {
-        let line = json!({ "version": SOCKET_VERSION, "command": command });
-        ask(&line, &self.socket)
+    fn tell(&self, request: &Request) -> Result<(), String> {
+        ask(request, &self.socket)
             .map(drop)
             .map_err(|error| error.to_string())
     }
@@ -160,14 +158,13 @@ impl Drive {
             connection: Connection::open(socket, PATIENCE)?,
             renewed: Instant::now(),
         };
-        drive.connection.send(&json!({
-            "version": SOCKET_VERSION,
-            "command": "arm",
-            "attendance": "hold",
+        drive.connection.send(&Request::Arm(Arm {
+            attendance: Some(singletrack_api::Attendance::Hold),
+            ..Arm::default()
         }))?;
         loop {
-            if let Some(answer) = drive.next()? {
-                singletrack_client::agreed(answer)?;
+            if let Some(reply) = drive.next()? {
+                reply.agreed()?;
                 return Ok(drive);
             }
         }
@@ -176,25 +173,17 @@ impl Drive {
     /// Renews the drive until it has ended; returns how.
     fn hold(&mut self) -> Result<String, ClientError> {
         loop {
-            if let Some(line) = self.next()?
-                && let Some(ended) = line.get("ended")
-            {
-                let word = |key| ended.get(key).and_then(Value::as_str);
-                let mode = word("mode").unwrap_or("unknown");
-                return Ok(match word("reason") {
-                    Some(reason) => format!("mode {mode}: {reason}"),
-                    None => format!("mode {mode}"),
-                });
+            if let Some(Reply::Ended { ended, .. }) = self.next()? {
+                return Ok(ended.to_string());
             }
         }
     }
 
     /// The next line, if one comes soon. Renews the drive.
-    fn next(&mut self) -> Result<Option<Value>, ClientError> {
+    fn next(&mut self) -> Result<Option<Reply>, ClientError> {
         if self.renewed.elapsed() >= RENEWAL {
             self.renewed = Instant::now();
-            let hold = json!({ "version": SOCKET_VERSION, "command": "hold" });
-            self.connection.send(&hold)?;
+            self.connection.send(&Request::Hold {})?;
         }
         self.connection.receive_within(WAIT)
     }

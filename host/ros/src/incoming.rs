@@ -15,8 +15,7 @@ use ros2_client::{
     qos::{Reliability, WhenFull},
 };
 use serde::de::DeserializeOwned;
-use serde_json::Value;
-use singletrack_client::{ClientError, Connection};
+use singletrack_api::{Answer, ClientError, Connection, Request, Setpoint};
 
 use crate::{
     RunError,
@@ -79,7 +78,7 @@ fn take<M: DeserializeOwned + Send + 'static>(
     way: &Arc<Way>,
     name: &'static str,
     subscription: Subscription<M>,
-    judge: impl Fn(&M, Now) -> Result<Value, Refusal> + Send + 'static,
+    judge: impl Fn(&M, Now) -> Result<Setpoint, Refusal> + Send + 'static,
 ) -> Result<(), RunError> {
     let way = Arc::clone(way);
     start_thread(name, move || {
@@ -104,9 +103,9 @@ struct Way {
 }
 
 impl Way {
-    fn pass(&self, name: &str, line: Result<Value, Refusal>) {
-        let mut line = match line {
-            Ok(line) => line,
+    fn pass(&self, name: &str, setpoint: Result<Setpoint, Refusal>) {
+        let mut setpoint = match setpoint {
+            Ok(setpoint) => setpoint,
             Err(refusal) => {
                 *self.tally.lock().refused.entry(refusal.name()).or_default() += 1;
                 self.warn(&format!("{name}: refused: {refusal}"));
@@ -118,11 +117,8 @@ impl Way {
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         // The lock keeps the numbers in order.
-        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
-        if let Some(line) = line.as_object_mut() {
-            line.insert("sequence".to_owned(), sequence.into());
-        }
-        match self.send(&mut connection, &line) {
+        setpoint.sequence = Some(self.sequence.fetch_add(1, Ordering::Relaxed));
+        match self.send(&mut connection, &Request::Setpoint(setpoint)) {
             Ok(()) => {
                 self.tally.lock().passed += 1;
                 self.attendance.passed();
@@ -136,25 +132,30 @@ impl Way {
         }
     }
 
-    /// Sends a line, and reads what the daemon has answered to earlier ones.
-    fn send(&self, connection: &mut Option<Connection>, line: &Value) -> Result<(), ClientError> {
+    /// Sends a request, and reads what the daemon has answered to earlier ones.
+    fn send(
+        &self,
+        connection: &mut Option<Connection>,
+        request: &Request,
+    ) -> Result<(), ClientError> {
         let open = match connection {
             Some(open) => open,
             None => connection.insert(Connection::open(&self.socket, PATIENCE)?),
         };
-        open.send(line)?;
+        open.send(request)?;
         while let Some(answer) = open.receive()? {
-            self.rejected(&answer);
+            self.rejected(answer);
         }
         Ok(())
     }
 
     /// Counts and reports a set-point that the daemon rejected.
-    fn rejected(&self, answer: &Value) {
-        let text = |key| answer.get(key).and_then(Value::as_str);
-        let word = text("rejected").unwrap_or("rejected").to_owned();
+    fn rejected(&self, answer: Answer) {
+        let word = answer.rejected.unwrap_or("rejected".into()).into_owned();
         self.attendance.rejected();
-        let error = text("error").unwrap_or("without a reason");
+        let error = answer
+            .error
+            .unwrap_or_else(|| "without a reason".to_owned());
         *self.tally.lock().rejected.entry(word).or_default() += 1;
         self.warn(&format!("the daemon rejects a set-point: {error}"));
     }

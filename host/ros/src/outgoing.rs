@@ -9,7 +9,7 @@ use std::{
 };
 
 use ros2_client::{Publisher, WriteError};
-use singletrack_client::{ClientError, Clocks, MessageStream, Received};
+use singletrack_api::{ClientError, Clocks, MessageStream, Received};
 
 use crate::{
     RunError,

@@ -6,8 +6,7 @@
 use core::fmt;
 use std::time::Duration;
 
-use serde_json::{Value, json};
-use singletrack_client::SOCKET_VERSION;
+use singletrack_api::{Setpoint, TrajectoryPoint};
 
 use crate::{
     clocks::Now,
@@ -90,7 +89,7 @@ pub(crate) struct Judge {
 
 impl Judge {
     /// The velocity of P.
-    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Value, Refusal> {
+    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Setpoint, Refusal> {
         let time_ns = self.decided(&message.header, now)?;
         in_frame(&message.header, &[WORLD])?;
         let (linear, angular) = (message.linear, message.angular);
@@ -99,12 +98,11 @@ impl Judge {
         if rest.iter().any(|&part| part != 0.0) {
             return Err(Refusal::NotOffered);
         }
-        Ok(json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "velocity_m_s": [linear.x, linear.y],
-            "time_ns": time_ns,
-        }))
+        Ok(Setpoint {
+            velocity_m_s: Some([linear.x, linear.y]),
+            time_ns: Some(time_ns),
+            ..Setpoint::default()
+        })
     }
 
     /// Steering and speed.
@@ -112,7 +110,7 @@ impl Judge {
         &self,
         message: &AckermannDriveStamped,
         now: Now,
-    ) -> Result<Value, Refusal> {
+    ) -> Result<Setpoint, Refusal> {
         let time_ns = self.decided(&message.header, now)?;
         in_frame(&message.header, &[BASE, ""])?;
         let rest = [
@@ -125,17 +123,16 @@ impl Judge {
         if rest.iter().any(|&part| part != 0.0) {
             return Err(Refusal::NotOffered);
         }
-        Ok(json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "steering_rad": f64::from(message.steering_angle),
-            "speed_m_s": f64::from(message.speed),
-            "time_ns": time_ns,
-        }))
+        Ok(Setpoint {
+            steering_rad: Some(message.steering_angle.into()),
+            speed_m_s: Some(message.speed.into()),
+            time_ns: Some(time_ns),
+            ..Setpoint::default()
+        })
     }
 
     /// Timed positions of P, with velocities from the positions.
-    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Value, Refusal> {
+    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Setpoint, Refusal> {
         let decided = self.decided(&message.header, now)?;
         in_frame(&message.header, &[WORLD])?;
         let poses = &message.poses;
@@ -163,19 +160,18 @@ impl Judge {
                 finite(velocity)?;
                 let time_ns =
                     u64::try_from(now.monotonic_at(point.wall)).map_err(|_| Refusal::Points)?;
-                Ok(json!({
-                    "time_ns": time_ns,
-                    "position_m": point.position,
-                    "velocity_m_s": velocity,
-                }))
+                Ok(TrajectoryPoint {
+                    time_ns,
+                    position_m: point.position,
+                    velocity_m_s: velocity,
+                })
             })
             .collect::<Result<Vec<_>, Refusal>>()?;
-        Ok(json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "trajectory": trajectory,
-            "time_ns": decided,
-        }))
+        Ok(Setpoint {
+            trajectory: Some(trajectory),
+            time_ns: Some(decided),
+            ..Setpoint::default()
+        })
     }
 
     /// When it was decided, on `CLOCK_MONOTONIC`.
@@ -293,10 +289,11 @@ mod tests {
     fn a_velocity_keeps_its_age_on_the_other_clock() {
         assert_eq!(
             JUDGE.velocity(&twist(30), NOW).unwrap(),
-            json!({
-                "version": 2, "command": "setpoint",
-                "velocity_m_s": [0.5, -0.25], "time_ns": 6_970_000_000_u64,
-            })
+            Setpoint {
+                velocity_m_s: Some([0.5, -0.25]),
+                time_ns: Some(6_970_000_000),
+                ..Setpoint::default()
+            }
         );
     }
 
@@ -304,10 +301,12 @@ mod tests {
     fn a_drive_is_steering_and_speed() {
         assert_eq!(
             JUDGE.drive(&drive(0), NOW).unwrap(),
-            json!({
-                "version": 2, "command": "setpoint",
-                "steering_rad": 0.25, "speed_m_s": 1.5, "time_ns": 7_000_000_000_u64,
-            })
+            Setpoint {
+                steering_rad: Some(0.25),
+                speed_m_s: Some(1.5),
+                time_ns: Some(7_000_000_000),
+                ..Setpoint::default()
+            }
         );
     }
 
@@ -318,7 +317,7 @@ mod tests {
         assert_eq!(JUDGE.drive(&drive(1_000), NOW), Err(Refusal::Old));
         assert_eq!(JUDGE.velocity(&twist(-6), NOW), Err(Refusal::Future));
         let ahead = JUDGE.velocity(&twist(-5), NOW).unwrap();
-        assert_eq!(ahead["time_ns"], 7_000_000_000_u64, "never in the future");
+        assert_eq!(ahead.time_ns, Some(7_000_000_000), "never in the future");
         let mut none = twist(0);
         none.header.stamp = Time::default();
         assert_eq!(JUDGE.velocity(&none, NOW), Err(Refusal::NoStamp));
@@ -375,12 +374,10 @@ mod tests {
                 (ms, [time * time, 2.0 * time])
             })
             .to_vec();
-        let line = JUDGE.path(&path(&points), NOW).unwrap();
-        let trajectory = line["trajectory"].as_array().unwrap();
-        assert_eq!(trajectory[1]["time_ns"], 7_100_000_000_u64);
+        let trajectory = JUDGE.path(&path(&points), NOW).unwrap().trajectory.unwrap();
+        assert_eq!(trajectory[1].time_ns, 7_100_000_000);
         for (point, expected) in trajectory.iter().zip([0.1, 0.2, 0.6, 0.7]) {
-            let x = point["velocity_m_s"][0].as_f64().unwrap();
-            let y = point["velocity_m_s"][1].as_f64().unwrap();
+            let [x, y] = point.velocity_m_s;
             assert!((x - expected).abs() < 1e-9, "{x} is not {expected}");
             assert!((y - 2.0).abs() < 1e-9, "{y}");
         }

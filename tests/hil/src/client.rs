@@ -9,6 +9,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_api::{Request, SOCKET_VERSION};
 
 use crate::{Failure, Outcome};
 
@@ -21,9 +22,6 @@ pub struct Client {
 
 /// Timeout of an answer; arming takes two seconds at most.
 const TIMEOUT: Duration = Duration::from_secs(4);
-
-/// The version of the socket's protocol.
-const VERSION: u32 = singletrackd::SOCKET_VERSION;
 
 impl Client {
     /// Connects.
@@ -44,8 +42,18 @@ impl Client {
         )))
     }
 
-    fn send(&mut self, request: &Value) -> Outcome {
-        self.send_lines(&format!("{request}\n"))
+    fn send(&mut self, request: &Request) -> Outcome {
+        let line = request.to_line();
+        self.send_lines(&line.map_err(|error| Failure::new(error.to_string()))?)
+    }
+
+    /// A request that a test has written: its command, and its keys.
+    fn written(command: &str, keys: &Value) -> Outcome<Request> {
+        let mut line = json!({ "version": SOCKET_VERSION, "command": command });
+        if let (Some(line), Some(keys)) = (line.as_object_mut(), keys.as_object()) {
+            line.extend(keys.clone());
+        }
+        Request::parse(line.to_string().as_bytes()).map_err(|error| Failure::new(error.to_string()))
     }
 
     /// Sends lines as they are, each with its end.
@@ -74,14 +82,10 @@ impl Client {
             .map_err(|error| Failure::new(format!("not JSON: {error}: {line}")))
     }
 
-    fn ask(&mut self, command: &str) -> Outcome<Answer> {
-        self.request(&json!({ "version": VERSION, "command": command }))
-    }
-
-    fn request(&mut self, request: &Value) -> Outcome<Answer> {
+    fn request(&mut self, request: &Request) -> Outcome<Answer> {
         self.send(request)?;
         let answer = self.receive()?;
-        if answer["version"] == VERSION && answer["ok"].is_boolean() {
+        if answer["version"] == SOCKET_VERSION && answer["ok"].is_boolean() {
             Ok(Answer(answer))
         } else {
             Err(Failure::new(format!("not an answer: {answer}")))
@@ -94,7 +98,7 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn status(&mut self) -> Outcome<Status> {
-        let Answer(mut answer) = self.ask("status")?;
+        let Answer(mut answer) = self.request(&Request::Status {})?;
         match answer["status"].take() {
             status @ Value::Object(_) => Ok(Status(status)),
             _ => Err(Failure::new(format!("no status: {answer}"))),
@@ -117,12 +121,7 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn arm_attended(&mut self, attendance: &Value) -> Outcome<Answer> {
-        let mut request = json!({ "version": VERSION, "command": "arm" });
-        if let (Some(request), Some(attendance)) = (request.as_object_mut(), attendance.as_object())
-        {
-            request.extend(attendance.clone());
-        }
-        self.request(&request)
+        self.request(&Self::written("arm", attendance)?)
     }
 
     /// Replaces the reference.
@@ -131,9 +130,9 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn set_reference(&mut self, reference: &Value) -> Outcome<Answer> {
-        self.request(&json!({
-            "version": VERSION, "command": "set-reference", "reference": reference,
-        }))
+        self.request(&Request::SetReference {
+            reference: reference.clone(),
+        })
     }
 
     /// Renews a drive that this connection holds; there is no answer.
@@ -142,7 +141,7 @@ impl Client {
     ///
     /// Fails if it can't be sent.
     pub fn hold(&mut self) -> Outcome {
-        self.send(&json!({ "version": VERSION, "command": "hold" }))
+        self.send(&Request::Hold {})
     }
 
     /// Gives a set-point with these keys; there is an answer only if it is rejected.
@@ -151,11 +150,7 @@ impl Client {
     ///
     /// Fails if it can't be sent.
     pub fn setpoint(&mut self, keys: &Value) -> Outcome {
-        let mut request = json!({ "version": VERSION, "command": "setpoint" });
-        if let (Some(request), Some(keys)) = (request.as_object_mut(), keys.as_object()) {
-            request.extend(keys.clone());
-        }
-        self.send(&request)
+        self.send(&Self::written("setpoint", keys)?)
     }
 
     /// The next line of the daemon, such as a report about a held drive.
@@ -173,7 +168,7 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn disarm(&mut self) -> Outcome<Answer> {
-        self.ask("disarm")
+        self.request(&Request::DISARM)
     }
 
     /// Requests an emergency stop.
@@ -182,7 +177,7 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn stop(&mut self) -> Outcome<Answer> {
-        self.ask("stop")
+        self.request(&Request::Stop {})
     }
 
     /// Has the daemon read its configuration again.
@@ -191,7 +186,7 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn reload(&mut self) -> Outcome<Answer> {
-        self.ask("reload")
+        self.request(&Request::Reload {})
     }
 
     /// Reports the state of a procedure, as its command does.
@@ -200,12 +195,10 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn report_procedure(&mut self, procedure: &str, result: &str) -> Outcome<Answer> {
-        self.request(&json!({
-            "version": VERSION,
-            "command": "commissioned",
-            "procedure": procedure,
-            "result": result,
-        }))
+        self.request(&Request::Commissioned {
+            procedure: procedure.to_owned(),
+            result: result.to_owned(),
+        })
     }
 
     /// Subscribes to the board's status, five times a second.
@@ -241,12 +234,13 @@ impl Client {
     ///
     /// Fails without an answer.
     pub fn watch_states(&mut self) -> Outcome {
-        let watch = json!({ "version": VERSION, "command": "watch", "topics": ["state"] });
-        self.request(&watch)?.accepted()
+        let topics = vec!["state".to_owned()];
+        self.request(&Request::Watch { topics })?.accepted()
     }
 
     fn watch(mut self, topic: &str) -> Outcome<Watch> {
-        self.send(&json!({ "version": VERSION, "command": "watch", "topics": [topic] }))?;
+        let topics = vec![topic.to_owned()];
+        self.send(&Request::Watch { topics })?;
         Answer(self.receive()?).accepted()?;
         Ok(Watch(self))
     }

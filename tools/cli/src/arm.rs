@@ -11,13 +11,11 @@ use std::{
 };
 
 use clap::Args;
-use serde_json::{Value, json};
-use singletrack_client::Connection;
-use singletrackd::SOCKET_VERSION;
+use singletrack_api::{Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request};
 
 use crate::{
     arguments::parse_duration,
-    control::{ControlArgs, ControlError, agreed, ask, print},
+    control::{ControlArgs, ControlError, ask, print},
     interrupt::Interrupt,
 };
 
@@ -74,15 +72,7 @@ const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
 /// When the car can't be armed, or the connection is lost; the reason is the daemon's.
 pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
     if args.unattended {
-        ask(
-            &json!({
-                "version": SOCKET_VERSION,
-                "command": "arm",
-                "attendance": "unattended",
-                "uncalibrated": args.uncalibrated,
-            }),
-            &args.control.socket,
-        )?;
+        ask(&args.request(Attendance::Unattended), &args.control.socket)?;
         print(UNATTENDED)?;
         return Ok(ExitCode::SUCCESS);
     }
@@ -90,32 +80,24 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
     let mut drive = Drive::connect(&args.control, "the drive")?;
     match args.time {
         None => {
-            drive.send(&json!({
-                "version": SOCKET_VERSION,
-                "command": "arm",
-                "attendance": "hold",
-                "uncalibrated": args.uncalibrated,
-            }))?;
-            drive.attend(
-                &interrupt,
-                &json!({ "version": SOCKET_VERSION, "command": "hold" }),
-                None,
-            )
+            drive.send(&args.request(Attendance::Hold))?;
+            drive.attend(&interrupt, &Request::Hold {}, None)
         }
-        Some(time) => {
-            drive.send(&json!({
-                "version": SOCKET_VERSION,
-                "command": "arm",
-                "attendance": "timed",
-                "uncalibrated": args.uncalibrated,
-                "for_s": time.as_secs_f64(),
-            }))?;
-            drive.attend(
-                &interrupt,
-                &json!({ "version": SOCKET_VERSION, "command": "status" }),
-                None,
-            )
+        Some(_) => {
+            drive.send(&args.request(Attendance::Timed))?;
+            drive.attend(&interrupt, &Request::Status {}, None)
         }
+    }
+}
+
+impl ArmArgs {
+    fn request(&self, attendance: Attendance) -> Request {
+        Request::Arm(Arm {
+            attendance: Some(attendance),
+            for_s: self.time.map(|time| time.as_secs_f64()),
+            jog: false,
+            uncalibrated: self.uncalibrated,
+        })
     }
 }
 
@@ -136,8 +118,8 @@ impl Drive {
         })
     }
 
-    pub(crate) fn send(&mut self, line: &Value) -> Result<(), ControlError> {
-        Ok(self.connection.send(line)?)
+    pub(crate) fn send(&mut self, request: &Request) -> Result<(), ControlError> {
+        Ok(self.connection.send(request)?)
     }
 
     /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car, as
@@ -145,7 +127,7 @@ impl Drive {
     pub(crate) fn attend(
         &mut self,
         interrupt: &Interrupt,
-        renewal: &Value,
+        renewal: &Request,
         time: Option<Duration>,
     ) -> Result<ExitCode, ControlError> {
         self.attend_with(interrupt, RENEWAL, time, || {
@@ -160,7 +142,7 @@ impl Drive {
         interrupt: &Interrupt,
         interval: Duration,
         time: Option<Duration>,
-        mut renewal: impl FnMut() -> Result<Option<(Value, String)>, ControlError>,
+        mut renewal: impl FnMut() -> Result<Option<(Request, String)>, ControlError>,
     ) -> Result<ExitCode, ControlError> {
         let begun = Instant::now();
         let mut renewed = begun;
@@ -173,8 +155,7 @@ impl Drive {
             if (interrupt.is_raised() || is_over_time || is_let_go) && !is_disarmed {
                 is_disarmed = true;
                 // On a connection of its own: this one may wait for the board to arm.
-                let disarm = json!({ "version": SOCKET_VERSION, "command": "disarm" });
-                ask(&disarm, &self.socket)?;
+                ask(&Request::DISARM, &self.socket)?;
             }
             if renewed.elapsed() >= interval {
                 renewed = Instant::now();
@@ -189,21 +170,27 @@ impl Drive {
             let Some(line) = self.connection.receive_within(WAIT)? else {
                 continue;
             };
-            if let Some(ended) = line.get("ended") {
-                return self.progress.end(ended, begun);
-            }
-            if let Some(drive) = line.get("drive") {
-                self.progress.show(drive);
-                continue;
-            }
-            let answer = agreed(line)?;
-            match answer.get("status") {
+            let answer = match line {
+                Reply::Ended { ended, .. } => return self.progress.end(&ended, begun),
+                Reply::Drive { drive, .. } => {
+                    self.progress.show(drive);
+                    continue;
+                }
+                answer => answer.agreed()?,
+            };
+            match answer.status {
                 // Of a timed drive, which the daemon does not report.
                 Some(status) if is_armed => {
-                    if is_over(status) {
-                        return self.progress.end(status, begun);
+                    if is_over(&status.mode) {
+                        let (mode, reason) = (status.mode, status.reason);
+                        return self.progress.end(&Ended { mode, reason }, begun);
                     }
-                    self.progress.show(status);
+                    self.progress.show(DriveState {
+                        drive_time_s: status.drive_time_s,
+                        mode: status.mode,
+                        reason: status.reason,
+                        speed_m_s: None,
+                    });
                 }
                 Some(_) => {}
                 None if !is_armed => {
@@ -216,10 +203,9 @@ impl Drive {
     }
 }
 
-/// Whether the mode of a status is one of a car that does not drive.
-fn is_over(status: &Value) -> bool {
-    let mode = status.get("mode").and_then(Value::as_str);
-    matches!(mode, Some("idle" | "ready" | "disconnected" | "fault"))
+/// Whether a mode is one of a car that does not drive.
+fn is_over(mode: &str) -> bool {
+    matches!(mode, "idle" | "ready" | "disconnected" | "fault")
 }
 
 /// Shows on a terminal how the drive goes on.
@@ -241,10 +227,11 @@ impl Progress {
     }
 
     /// Shows how the drive goes on.
-    fn show(&mut self, drive: &Value) {
-        let time = drive.get("drive_time_s").and_then(Value::as_f64);
+    fn show(&mut self, drive: DriveState) {
+        let time = drive.drive_time_s;
         let time = time.map_or_else(String::new, |time| format!(" {time:5.1} s"));
-        self.mode = words(drive) + &time;
+        let (mode, reason) = (drive.mode, drive.reason);
+        self.mode = Ended { mode, reason }.to_string() + &time;
         self.overwrite();
     }
 
@@ -265,34 +252,24 @@ impl Progress {
     }
 
     /// Prints how the drive ended, and chooses the exit status.
-    fn end(&self, ended: &Value, begun: Instant) -> Result<ExitCode, ControlError> {
+    fn end(&self, ended: &Ended, begun: Instant) -> Result<ExitCode, ControlError> {
         if self.is_terminal {
             let _ = write!(io::stderr(), "\r\x1b[K");
         }
-        let reason = ended.get("reason").and_then(Value::as_str);
         print(&format!(
             "{} has ended after {:.1} s: {}",
             self.what,
             begun.elapsed().as_secs_f64(),
-            words(ended)
+            ended
         ))?;
-        let as_wanted = reason.is_none_or(|reason| WANTED.contains(&reason))
-            && ended.get("mode").and_then(Value::as_str) != Some("fault");
+        let reason = ended.reason.as_deref();
+        let as_wanted =
+            reason.is_none_or(|reason| WANTED.contains(&reason)) && ended.mode != "fault";
         Ok(if as_wanted {
             ExitCode::SUCCESS
         } else {
             ExitCode::from(STOPPED)
         })
-    }
-}
-
-/// Mode and reason.
-fn words(state: &Value) -> String {
-    let word = |key| state.get(key).and_then(Value::as_str);
-    let mode = word("mode").unwrap_or("unknown");
-    match word("reason") {
-        Some(reason) => format!("mode {mode}: {reason}"),
-        None => format!("mode {mode}"),
     }
 }
 

@@ -11,12 +11,8 @@ use clap::{
     Args,
     builder::{OsStringValueParser, TypedValueParser as _},
 };
-use serde_json::{Value, json};
-use singletrack_client::{ClientError, SOCKET_VERSION};
+use singletrack_api::{Answer, ClientError, Request};
 use singletrack_core::config::SocketSection;
-
-/// The daemon of this release speaks the version of its client.
-const _: () = assert!(SOCKET_VERSION == singletrackd::SOCKET_VERSION);
 
 /// The variable of the environment that stands for --socket.
 const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
@@ -66,10 +62,10 @@ pub enum ControlCommand {
 }
 
 impl ControlCommand {
-    const fn name(self) -> &'static str {
+    const fn request(self) -> Request {
         match self {
-            Self::Disarm => "disarm",
-            Self::Stop => "stop",
+            Self::Disarm => Request::DISARM,
+            Self::Stop => Request::Stop {},
         }
     }
 }
@@ -107,7 +103,10 @@ pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
         return run(ControlCommand::Disarm, &args.control);
     }
     ask(
-        &json!({ "version": SOCKET_VERSION, "command": "disarm", "carried": true }),
+        &Request::Disarm {
+            at_once: false,
+            carried: true,
+        },
         &args.control.socket,
     )?;
     print("the car is where the cameras show it; singletrack status says when it is ready")
@@ -120,16 +119,13 @@ pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
 ///
 /// When it can't be asked, or refuses; the reason is the daemon's.
 pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlError> {
-    let answer = ask(
-        &json!({ "version": SOCKET_VERSION, "command": command.name() }),
-        &args.socket,
-    )?;
+    let answer = ask(&command.request(), &args.socket)?;
     print(&match command {
         // An emergency stop stays in force: the daemon then answers with a note.
-        ControlCommand::Disarm => match answer.get("note").and_then(Value::as_str) {
-            Some(note) => note.to_owned(),
-            None => "disarming: the car slows down and stops".to_owned(),
-        },
+        ControlCommand::Disarm => answer.note.map_or_else(
+            || "disarming: the car slows down and stops".to_owned(),
+            Into::into,
+        ),
         ControlCommand::Stop => "stopped: neutral until the board is reset".to_owned(),
     })
 }
@@ -144,15 +140,10 @@ pub(crate) fn print(text: &str) -> Result<(), ControlError> {
 }
 
 pub(crate) fn connect(path: &Path) -> Result<UnixStream, ControlError> {
-    Ok(singletrack_client::connect(path)?)
+    Ok(singletrack_api::connect(path)?)
 }
 
-/// The daemon's answer to one line, unless it is a refusal.
-pub(crate) fn ask(line: &Value, path: &Path) -> Result<Value, ControlError> {
-    Ok(singletrack_client::ask(line, path)?)
-}
-
-/// An answer, unless it is a refusal.
-pub(crate) fn agreed(answer: Value) -> Result<Value, ControlError> {
-    Ok(singletrack_client::agreed(answer)?)
+/// The daemon's answer to one request, unless it is a refusal.
+pub(crate) fn ask(request: &Request, path: &Path) -> Result<Answer, ControlError> {
+    Ok(singletrack_api::ask(request, path)?)
 }

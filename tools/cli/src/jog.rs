@@ -9,9 +9,9 @@ use std::{
 };
 
 use clap::Args;
-use serde_json::{Value, json};
+use singletrack_api::{Arm, Attendance, Request};
 use singletrack_control::Time;
-use singletrackd::{SOCKET_VERSION, monotonic_ns};
+use singletrackd::monotonic_ns;
 
 use keys::{Keyboard, Pulses, next_key};
 
@@ -57,18 +57,17 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     // Before the board is armed: without a terminal it is not.
     let keyboard = args.keys.then(open_keyboard).transpose()?;
     let mut drive = Drive::connect(&args.control, "jogging")?;
-    drive.send(&json!({
-        "version": SOCKET_VERSION,
-        "command": "arm",
-        "attendance": "hold",
-        "jog": true,
+    drive.send(&Request::Arm(Arm {
+        attendance: Some(Attendance::Hold),
+        jog: true,
+        ..Arm::default()
     }))?;
     let begun = Pulses {
         servo_us: args.servo_us,
         esc_us: args.esc_us,
     };
     let Some(terminal) = keyboard else {
-        return drive.attend(&interrupt, &line(begun), args.time);
+        return drive.attend(&interrupt, &request(begun), args.time);
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
@@ -79,7 +78,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
             keyboard.handle(now, key);
         }
         let pulses = keyboard.pulses(now);
-        Ok(pulses.map(|pulses| (line(pulses), note(pulses, keyboard.throttle_us()))))
+        Ok(pulses.map(|pulses| (request(pulses), note(pulses, keyboard.throttle_us()))))
     });
     let _ = writeln!(io::stderr());
     ended
@@ -99,11 +98,7 @@ fn note(pulses: Pulses, throttle_us: u16) -> String {
 }
 
 /// The pulses for the daemon.
-fn line(pulses: Pulses) -> Value {
-    json!({
-        "version": SOCKET_VERSION,
-        "command": "jog",
-        "servo_us": pulses.servo_us,
-        "esc_us": pulses.esc_us,
-    })
+const fn request(pulses: Pulses) -> Request {
+    let Pulses { servo_us, esc_us } = pulses;
+    Request::Jog { servo_us, esc_us }
 }

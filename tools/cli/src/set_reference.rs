@@ -7,9 +7,9 @@ use std::{
 
 use clap::Args;
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::Value;
+use singletrack_api::Request;
 use singletrack_core::{ConfigError, config::ReferenceSection};
-use singletrackd::SOCKET_VERSION;
 
 use crate::control::{self, ControlArgs, ControlError};
 
@@ -74,22 +74,11 @@ struct File {
 /// The file is not a reference, or the daemon refuses it.
 pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
     let reference = read_reference(&args.file)?;
-    let line = json!({
-        "version": SOCKET_VERSION,
-        "command": "set-reference",
-        "reference": reference,
-    });
-    let answer = control::ask(&line, &args.control.socket)?;
-    for warning in answer
-        .get("warnings")
-        .and_then(Value::as_array)
-        .into_iter()
-        .flatten()
-        .filter_map(Value::as_str)
-    {
+    let answer = control::ask(&Request::SetReference { reference }, &args.control.socket)?;
+    for warning in answer.warnings {
         eprintln!("singletrack: warning: {warning}");
     }
-    let number = answer.get("configuration").unwrap_or(&Value::Null);
+    let number = answer.configuration.unwrap_or_default();
     Ok(control::print(&format!(
         "reference replaced: configuration {number} is in force"
     ))?)

@@ -2,19 +2,21 @@
 
 use std::{
     fs::{self, File},
-    io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _},
+    io::{self, IsTerminal as _, Write as _},
     path::{Path, PathBuf},
-    sync::mpsc::{self, RecvTimeoutError, Sender},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     thread,
     time::Duration,
 };
 
 use clap::Args;
-use serde_json::{Value, json};
+use singletrack_api::{Connection, Reply, Request, State};
 use singletrack_commissioning::{Place, TeachError, TeachOptions, taught_path};
 use singletrack_control::{Path as SmoothPath, PathSpeed, Position, ReferenceError};
 use singletrack_core::{Config, config::ConfigError};
-use singletrackd::SOCKET_VERSION;
 
 use crate::{
     control::{self, ControlArgs, ControlError},
@@ -84,15 +86,6 @@ pub enum CannotTeach {
         /// What it may be.
         range: &'static str,
     },
-}
-
-/// An event while the car is pushed.
-enum Event {
-    Place(Place),
-    /// A tick without a pose of the car.
-    Unseen,
-    Enter,
-    Closed(Result<(), ControlError>),
 }
 
 /// Interval at which Ctrl-C is looked for.
@@ -181,22 +174,19 @@ fn reference_file(points: &Path) -> Result<PathBuf, CannotTeach> {
 /// The places of the car until the operator ends it.
 fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
     let interrupt = Interrupt::listen().map_err(ControlError::from)?;
-    let mut stream = control::connect(&args.control.socket)?;
-    let watch = json!({ "version": SOCKET_VERSION, "command": "watch", "topics": ["tick"] });
-    stream
-        .write_all(format!("{watch}\n").as_bytes())
+    let mut states = Connection::open(&args.control.socket, POLL).map_err(ControlError::from)?;
+    states
+        .send(&Request::Watch {
+            topics: vec!["state".to_owned()],
+        })
         .map_err(ControlError::from)?;
-    let (events_in, events) = mpsc::channel();
-    let enter = events_in.clone();
-    // Neither is waited for: both end with the process.
-    thread::spawn(move || {
-        let closed = read_ticks(&mut BufReader::new(stream), &events_in);
-        let _ = events_in.send(Event::Closed(closed));
-    });
+    let is_at_end = Arc::new(AtomicBool::new(false));
+    let enter = Arc::clone(&is_at_end);
+    // It is not waited for: it ends with the process.
     thread::spawn(move || {
         let mut line = String::new();
         if matches!(io::stdin().read_line(&mut line), Ok(count) if count > 0) {
-            let _ = enter.send(Event::Enter);
+            enter.store(true, Ordering::Relaxed);
         }
     });
     let is_terminal = io::stderr().is_terminal();
@@ -205,15 +195,13 @@ fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
     }
     let mut places: Vec<Place> = Vec::new();
     let mut shown = 0_usize;
-    while !interrupt.is_raised() {
-        match events.recv_timeout(POLL) {
-            Ok(Event::Place(place)) => places.push(place),
-            Ok(Event::Unseen) | Err(RecvTimeoutError::Timeout) => {}
-            Ok(Event::Enter) | Err(RecvTimeoutError::Disconnected) => break,
-            Ok(Event::Closed(closed)) => {
-                closed?;
-                break;
+    while !interrupt.is_raised() && !is_at_end.load(Ordering::Relaxed) {
+        match states.receive_within(POLL).map_err(ControlError::from)? {
+            Some(Reply::State(state)) => places.extend(place(&state)),
+            Some(Reply::Answer(answer)) => {
+                answer.agreed().map_err(ControlError::from)?;
             }
+            _ => {}
         }
         if is_terminal && places.len() >= shown + 20 {
             shown = places.len();
@@ -233,38 +221,14 @@ fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
     Ok(places)
 }
 
-fn read_ticks(
-    lines: &mut BufReader<std::os::unix::net::UnixStream>,
-    events: &Sender<Event>,
-) -> Result<(), ControlError> {
-    let mut is_first = true;
-    let mut line = String::new();
-    loop {
-        line.clear();
-        if lines.read_line(&mut line)? == 0 {
-            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
-        }
-        let value: Value = serde_json::from_str(&line)?;
-        if std::mem::take(&mut is_first) {
-            control::agreed(value)?;
-            continue;
-        }
-        let event = place(&value).map_or(Event::Unseen, Event::Place);
-        if events.send(event).is_err() {
-            return Ok(());
-        }
-    }
-}
-
 /// The place of a tick whose estimate has a new pose.
-fn place(tick: &Value) -> Option<Place> {
-    let number = |pointer| tick.pointer(pointer).and_then(Value::as_f64);
-    if tick.get("held").and_then(Value::as_bool) != Some(false) {
+fn place(state: &State) -> Option<Place> {
+    if state.held {
         return None;
     }
     Some(Place {
-        position: Position::new(number("/estimate/x_m")?, number("/estimate/y_m")?),
-        yaw: number("/estimate/yaw_rad")?,
+        position: Position::new(state.x?, state.y?),
+        yaw: state.yaw?,
     })
 }
 
@@ -312,27 +276,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_is_read_from_a_tick_as_the_daemon_writes_it() {
-        // Written by the daemon's code: tests/dump holds it to that.
-        let ticks = include_str!("../tests/dump_cases/tick.json");
-        let places: Vec<_> = ticks
-            .lines()
-            .map(|line| place(&serde_json::from_str(line).unwrap()))
-            .collect();
-        // The first tick has no estimate, the second one has, and no later one a fresh pose.
-        assert_eq!(places.first(), Some(&None));
+    fn a_place_is_that_of_an_estimate_with_a_new_pose() {
+        let mut state: State = serde_json::from_str(
+            r#"{"topic":"state","tick":1,"t":0.01,"time_ns":1,"mode":"idle","x":0.25,"y":-0.5,
+                "yaw":0.3,"held":false,"steering":0,"commanded_speed":0,"filtering":"none"}"#,
+        )
+        .unwrap();
         let seen = Place {
-            position: Position::new(0.25, -0.496),
-            yaw: 0.300_000_000_000_000_04,
+            position: Position::new(0.25, -0.5),
+            yaw: 0.3,
         };
-        assert_eq!(places.get(1), Some(&Some(seen)));
-    }
-
-    #[test]
-    fn a_tick_that_holds_its_last_pose_is_no_place() {
-        let ticks = include_str!("../tests/dump_cases/tick.json");
-        let mut tick: Value = serde_json::from_str(ticks.lines().nth(1).unwrap()).unwrap();
-        tick["held"] = true.into();
-        assert_eq!(place(&tick), None);
+        assert_eq!(place(&state), Some(seen));
+        state.held = true;
+        assert_eq!(place(&state), None);
+        state.held = false;
+        state.x = None;
+        assert_eq!(place(&state), None);
     }
 }

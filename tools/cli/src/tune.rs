@@ -1,8 +1,7 @@
 //! `singletrack tune`: other gains or another p, also while the car drives.
 
 use clap::Args;
-use serde_json::{Value, json};
-use singletrackd::SOCKET_VERSION;
+use singletrack_api::{Gain, Request, Tune, Tuning};
 
 use crate::control::{self, ControlArgs, ControlError};
 
@@ -45,35 +44,29 @@ fn finite(text: &str) -> Result<f64, String> {
 ///
 /// The daemon refuses the values, with their bounds, or can't be asked.
 pub fn run(args: &TuneArgs) -> Result<(), ControlError> {
-    let mut line = json!({ "version": SOCKET_VERSION, "command": "tune" });
-    if let Some(line) = line.as_object_mut() {
-        if let Some(gain) = args.gain {
-            line.insert("gain_per_s".to_owned(), json!(gain));
-        }
-        if let Some(distance) = args.point_distance {
-            line.insert("point_distance_m".to_owned(), distance.into());
-        }
-    }
-    let answer = control::ask(&line, &args.control.socket)?;
-    let tuning = answer.get("tuning").unwrap_or(&Value::Null);
-    control::print(&format!("tuned: {}", in_words(tuning)))
+    let request = Request::Tune(Tune {
+        gain_per_s: args.gain.map(Gain::Each),
+        point_distance_m: args.point_distance,
+    });
+    let answer = control::ask(&request, &args.control.socket)?;
+    let tuning = answer.tuning.as_ref().map(in_words);
+    control::print(&format!("tuned: {}", tuning.unwrap_or_default()))
 }
 
 /// Values of the control socket in words: `gains 2 and 2 per s, p 0.36 m (going to 0.4 m)`.
-pub(crate) fn in_words(tuning: &Value) -> String {
-    let number = |key: &str| tuning.get(key).and_then(Value::as_f64);
-    let gains = tuning.get("gain_per_s").and_then(Value::as_array);
-    let gains = gains.map(|gains| {
-        let gains: Vec<String> = gains.iter().filter_map(Value::as_f64).map(text).collect();
-        format!("gains {} per s", gains.join(" and "))
-    });
-    let distance = number("point_distance_m").map(|distance| {
-        let wanted = number("wanted_point_distance_m").filter(|wanted| *wanted != distance);
-        let wanted = wanted.map(|wanted| format!(" (going to {} m)", text(wanted)));
-        format!("p {} m{}", text(distance), wanted.unwrap_or_default())
-    });
-    let words: Vec<String> = gains.into_iter().chain(distance).collect();
-    words.join(", ")
+pub(crate) fn in_words(tuning: &Tuning) -> String {
+    let gains = tuning.gain_per_s;
+    let gains = gains.map(|[x, y]| format!("gains {} and {} per s, ", text(x), text(y)));
+    let distance = tuning.point_distance_m;
+    let wanted = tuning.wanted_point_distance_m;
+    let wanted = wanted.filter(|wanted| *wanted != distance);
+    let wanted = wanted.map(|wanted| format!(" (going to {} m)", text(wanted)));
+    format!(
+        "{}p {} m{}",
+        gains.unwrap_or_default(),
+        text(distance),
+        wanted.unwrap_or_default()
+    )
 }
 
 /// With four digits after the point at most.
@@ -96,18 +89,23 @@ mod tests {
 
     #[test]
     fn values_are_told_in_words() {
-        let tuning = json!({
-            "gain_per_s": [2.0, 1.5],
-            "point_distance_m": 0.360_499_999_9,
-            "wanted_point_distance_m": 0.4,
-        });
+        let tuning = Tuning {
+            bounds: None,
+            configured: None,
+            differs: None,
+            gain_per_s: Some([2.0, 1.5]),
+            point_distance_m: 0.360_499_999_9,
+            wanted_point_distance_m: Some(0.4),
+        };
         assert_eq!(
             in_words(&tuning),
             "gains 2 and 1.5 per s, p 0.3605 m (going to 0.4 m)"
         );
-        let there = json!({
-            "gain_per_s": null, "point_distance_m": 0.4, "wanted_point_distance_m": 0.4,
-        });
+        let there = Tuning {
+            gain_per_s: None,
+            point_distance_m: 0.4,
+            ..tuning
+        };
         assert_eq!(in_words(&there), "p 0.4 m");
     }
 }

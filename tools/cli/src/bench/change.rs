@@ -4,14 +4,13 @@ use std::{io, thread, time::Instant};
 
 use jiff::Timestamp;
 use serde_json::json;
-use singletrack_client::{ClientError, ask};
+use singletrack_api::{ClientError, Request, ask};
 use singletrack_commissioning::{
     Answer, Answers, Question, Refused,
     edit::{Edit, EditError},
 };
-use singletrackd::SOCKET_VERSION;
 
-use super::{ANSWER, LiveBench, WAIT, command, watch};
+use super::{ANSWER, LiveBench, WAIT, watch};
 
 impl LiveBench {
     /// What has changed in the configuration's file since the start, as a unified diff.
@@ -28,13 +27,11 @@ impl LiveBench {
         let Some(procedure) = self.reported else {
             return Ok(());
         };
-        let line = json!({
-            "version": SOCKET_VERSION,
-            "command": "commissioned",
-            "procedure": procedure,
-            "result": result,
-        });
-        ask(&line, &self.socket).map(drop)
+        let request = Request::Commissioned {
+            procedure: procedure.to_owned(),
+            result: result.to_owned(),
+        };
+        ask(&request, &self.socket).map(drop)
     }
 
     /// Writes new values to the file and prints what changes. Gives the change for taking it
@@ -69,7 +66,7 @@ impl LiveBench {
 
     /// Has the daemon read its file again. What takes a restart is done by the operator.
     pub(super) fn reload(&mut self) -> Result<(), Refused> {
-        match ask(&command("reload"), &self.socket) {
+        match ask(&Request::Reload {}, &self.socket) {
             Ok(_) => Ok(()),
             Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
             Err(error) => Err(Refused(error.to_string())),

@@ -2,12 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use serde_json::{Value, json};
-use singletrack_client::{ClientError, Connection, agreed};
+use singletrack_api::{Arm, ClientError, Connection, Reply, Request, Setpoint};
 use singletrack_commissioning::{Attendance, Refused};
-use singletrackd::SOCKET_VERSION;
 
-use super::{AGAIN, ANSWER, LiveBench, PATIENCE, command};
+use super::{AGAIN, ANSWER, LiveBench, PATIENCE};
 
 /// Interval of the renewals of a held drive. The daemon stops the car 0.5 s after the last one.
 const RENEWAL: Duration = Duration::from_millis(100);
@@ -46,26 +44,26 @@ impl LiveBench {
         }
         if drive.ended.is_some() {
             // Without a renewal it would end half a second later.
-            let _ = drive.connection.send(&command("disarm"));
+            let _ = drive.connection.send(&Request::DISARM);
             return;
         }
         if drive.renewed.elapsed() >= RENEWAL {
             drive.renewed = Instant::now();
-            if let Err(error) = drive.connection.send(&command("hold")) {
+            if let Err(error) = drive.connection.send(&Request::Hold {}) {
                 drive.ended = Some(error.to_string());
             }
         }
         loop {
             match drive.connection.receive() {
                 Ok(None) => return,
-                Ok(Some(line)) => {
-                    if let Some(ended) = line.get("ended") {
-                        let word = ended.get("reason").and_then(Value::as_str);
-                        drive.ended = Some(word.unwrap_or("the drive has ended").to_owned());
-                    } else if let Some(error) = line.get("error").and_then(Value::as_str) {
-                        drive.ended = Some(error.to_owned());
-                    }
+                Ok(Some(Reply::Ended { ended, .. })) => {
+                    let why = ended.reason.unwrap_or("the drive has ended".into());
+                    drive.ended = Some(why.into());
                 }
+                Ok(Some(Reply::Answer(answer))) if answer.error.is_some() => {
+                    drive.ended = answer.error;
+                }
+                Ok(Some(_)) => {}
                 Err(error) => {
                     drive.ended = Some(error.to_string());
                     return;
@@ -75,7 +73,7 @@ impl LiveBench {
     }
 
     /// Sends a command to the drive that is held.
-    pub(super) fn command_drive(&mut self, line: &Value) -> Result<(), Refused> {
+    pub(super) fn command_drive(&mut self, request: &Request) -> Result<(), Refused> {
         self.renew();
         let Some(drive) = &mut self.drive else {
             return Err(Refused("the car is not armed".to_owned()));
@@ -85,7 +83,7 @@ impl LiveBench {
         }
         drive
             .connection
-            .send(line)
+            .send(request)
             .map_err(|error| Refused(error.to_string()))
     }
 
@@ -129,19 +127,15 @@ impl LiveBench {
     /// Arms with a connection that holds the drive.
     pub(super) fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
         let refused = |error: ClientError| NotArmed::Refused(Refused(error.to_string()));
-        let mut line = command("arm");
-        if let Some(line) = line.as_object_mut() {
-            line.insert("attendance".to_owned(), "hold".into());
-            let key = match attendance {
-                Attendance::Jog => "jog",
-                Attendance::Drive => "uncalibrated",
-            };
-            line.insert(key.to_owned(), true.into());
-        }
-        let stand = json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "velocity_m_s": [0.0, 0.0],
+        let arm = Request::Arm(Arm {
+            attendance: Some(singletrack_api::Attendance::Hold),
+            jog: attendance == Attendance::Jog,
+            uncalibrated: attendance == Attendance::Drive,
+            ..Arm::default()
+        });
+        let stand = Request::Setpoint(Setpoint {
+            velocity_m_s: Some([0.0; 2]),
+            ..Setpoint::default()
         });
         let mut connection = Connection::open(&self.socket, PATIENCE).map_err(refused)?;
         let begun = Instant::now();
@@ -158,19 +152,18 @@ impl LiveBench {
                 }
                 let settled =
                     (attendance == Attendance::Jog || begun.elapsed() >= SETTLES) && again <= sent;
-                let hold = command("hold");
                 if asked.is_some() {
-                    lines.push(&hold);
+                    lines.push(&Request::Hold {});
                 } else if settled {
                     asked = Some(sent);
-                    lines.push(&line);
+                    lines.push(&arm);
                 }
                 for line in lines {
                     connection.send(line).map_err(refused)?;
                 }
             }
-            if let Some(answer) = connection.receive().map_err(refused)? {
-                match agreed(answer) {
+            if let Some(reply) = connection.receive::<Reply>().map_err(refused)? {
+                match reply.agreed() {
                     Ok(_) => {
                         return Ok(HeldDrive {
                             connection,

@@ -19,14 +19,13 @@ use std::{
 use clap::Args;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::{Value, json};
-use singletrack_client::{ClientError, Connection, agreed, ask};
+use singletrack_api::{Answer as Reply, ClientError, Connection, Request, Setpoint, ask};
 use singletrack_commissioning::{
     Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question, Refused,
     edit::{Edit, EditError},
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::{Config, ConfigError};
-use singletrackd::SOCKET_VERSION;
 
 use crate::{control::ControlArgs, interrupt::Interrupt};
 use held::{HeldDrive, NotArmed};
@@ -279,12 +278,10 @@ impl Bench for LiveBench {
                 .say(&format!("The car was disarmed: {ended}."));
         }
         if attendance == Attendance::Drive && !self.has_reference {
-            let line = json!({
-                "version": SOCKET_VERSION,
-                "command": "set-reference",
-                "reference": { "kind": "external", "setpoint_timeout_ms": 200 },
-            });
-            ask(&line, &self.socket).map_err(|error| Refused(error.to_string()))?;
+            let request = Request::SetReference {
+                reference: json!({ "kind": "external", "setpoint_timeout_ms": 200 }),
+            };
+            ask(&request, &self.socket).map_err(|error| Refused(error.to_string()))?;
             self.has_reference = true;
         }
         self.terminal
@@ -315,24 +312,18 @@ impl Bench for LiveBench {
     }
 
     fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
-        self.command_drive(&json!({
-            "version": SOCKET_VERSION,
-            "command": "jog",
-            "servo_us": jog.servo_us,
-            "esc_us": jog.esc_us,
-        }))
+        self.command_drive(&Request::Jog {
+            servo_us: jog.servo_us,
+            esc_us: jog.esc_us,
+        })
     }
 
     fn drive(&mut self, velocity: Velocity, position: Option<Position>) -> Result<(), Refused> {
-        let mut line = json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "velocity_m_s": [velocity.x, velocity.y],
-        });
-        if let (Some(line), Some(position)) = (line.as_object_mut(), position) {
-            line.insert("position_m".to_owned(), json!([position.x, position.y]));
-        }
-        self.command_drive(&line)
+        self.command_drive(&Request::Setpoint(Setpoint {
+            velocity_m_s: Some([velocity.x, velocity.y]),
+            position_m: position.map(|position| [position.x, position.y]),
+            ..Setpoint::default()
+        }))
     }
 
     fn disarm(&mut self) -> Result<(), Refused> {
@@ -341,9 +332,9 @@ impl Bench for LiveBench {
         match &mut self.drive {
             Some(drive) => drive
                 .connection
-                .send(&command("disarm"))
+                .send(&Request::DISARM)
                 .map_err(|error| Refused(error.to_string())),
-            None => ask(&command("disarm"), &self.socket)
+            None => ask(&Request::DISARM, &self.socket)
                 .map(drop)
                 .map_err(|error| Refused(error.to_string())),
         }
@@ -351,7 +342,7 @@ impl Bench for LiveBench {
 
     fn emergency_stop(&mut self) -> Result<(), Refused> {
         self.release_key();
-        ask(&command("stop"), &self.socket)
+        ask(&Request::Stop {}, &self.socket)
             .map(drop)
             .map_err(|error| Refused(error.to_string()))
     }
@@ -387,7 +378,7 @@ impl Drop for LiveBench {
         if self.has_reference {
             // The reference of the file is in force again, as soon as the car stands.
             let begun = Instant::now();
-            while ask(&command("reload"), &self.socket).is_err() && begun.elapsed() < ANSWER {
+            while ask(&Request::Reload {}, &self.socket).is_err() && begun.elapsed() < ANSWER {
                 thread::sleep(AGAIN);
             }
         }
@@ -397,15 +388,13 @@ impl Drop for LiveBench {
 /// A connection that receives what the daemon records.
 fn watch(socket: &std::path::Path) -> Result<Connection, ClientError> {
     let mut watch = Connection::open(socket, PATIENCE)?;
-    watch.send(&json!({
-        "version": SOCKET_VERSION,
-        "command": "watch",
-        "topics": observations::TOPICS,
-    }))?;
+    watch.send(&Request::Watch {
+        topics: observations::TOPICS.map(str::to_owned).to_vec(),
+    })?;
     let asked = Instant::now();
     loop {
-        if let Some(answer) = watch.receive()? {
-            agreed(answer)?;
+        if let Some(answer) = watch.receive::<Reply>()? {
+            answer.agreed()?;
             return Ok(watch);
         }
         if asked.elapsed() > ANSWER {
@@ -414,10 +403,6 @@ fn watch(socket: &std::path::Path) -> Result<Connection, ClientError> {
         let mut polled = [PollFd::new(&watch, PollFlags::IN)];
         let _ = poll(&mut polled, Some(&timespec(WAIT)));
     }
-}
-
-fn command(name: &str) -> Value {
-    json!({ "version": SOCKET_VERSION, "command": name })
 }
 
 fn timespec(duration: Duration) -> Timespec {

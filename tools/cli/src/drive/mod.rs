@@ -7,7 +7,7 @@ mod device;
 pub mod pad;
 
 use std::{
-    io::{self, BufRead as _, BufReader, Write as _},
+    io,
     os::fd::AsFd as _,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -21,10 +21,10 @@ use rustix::{
     io::Errno,
 };
 use serde_json::{Value, json};
-use singletrack_client::{ClientError, Connection, agreed, connect};
+use singletrack_api::{Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint};
 use singletrack_control::{Time, Velocity, direction};
 use singletrack_core::config::ReferenceSection;
-use singletrackd::{SOCKET_VERSION, monotonic_ns};
+use singletrackd::monotonic_ns;
 
 use crate::{
     control::{ControlArgs, ControlError, print},
@@ -147,9 +147,9 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
     })?;
     let reference = args.reference.as_deref().map(read_reference).transpose()?;
     let mut watch = open(&args.control.socket)?;
-    watch.send(&json!({
-        "version": SOCKET_VERSION, "command": "watch", "topics": ["tick"],
-    }))?;
+    watch.send(&Request::Watch {
+        topics: vec!["tick".to_owned()],
+    })?;
     let now = Time(monotonic_ns());
     let options = PadOptions {
         max_speed: args.speed,
@@ -234,7 +234,7 @@ struct Shell<'a> {
     /// An answer about the configuration is still to come.
     is_asked: bool,
     /// The driver whose reference was put in force last, and the number of that configuration.
-    in_force: Option<(Driver, u64)>,
+    in_force: Option<(Driver, u32)>,
     /// The reference of the pilot, if one was given.
     reference: Option<Value>,
     uncalibrated: bool,
@@ -266,8 +266,8 @@ impl Shell<'_> {
             while let Some(request) = self.pad.poll(Time(monotonic_ns())) {
                 self.act(request)?;
             }
-            while let Some(line) = self.session.receive()? {
-                self.answered(line)?;
+            while let Some(reply) = self.session.receive()? {
+                self.answered(reply)?;
             }
             while let Some(line) = self.watch.receive()? {
                 self.seen(&line);
@@ -303,8 +303,7 @@ impl Shell<'_> {
             PadRequest::Begin(driver) => return self.begin(driver),
             PadRequest::Hold => {
                 if matches!(self.stage, Stage::Arming(_) | Stage::Driving(_)) {
-                    let hold = json!({ "version": SOCKET_VERSION, "command": "hold" });
-                    self.session.send(&hold)?;
+                    self.session.send(&Request::Hold {})?;
                 }
             }
             PadRequest::Velocity { speed, turn } => match self.stage {
@@ -315,14 +314,13 @@ impl Shell<'_> {
                 }
                 _ => {}
             },
-            PadRequest::End => self.stop(&json!({
-                "version": SOCKET_VERSION, "command": "disarm",
-            }))?,
-            PadRequest::Halt => self.stop(&json!({
-                "version": SOCKET_VERSION, "command": "disarm", "at_once": true,
-            }))?,
+            PadRequest::End => self.stop(&Request::DISARM)?,
+            PadRequest::Halt => self.stop(&Request::Disarm {
+                at_once: true,
+                carried: false,
+            })?,
             PadRequest::Stop => {
-                self.send_apart(&json!({ "version": SOCKET_VERSION, "command": "stop" }))?;
+                self.send_apart(&Request::Stop {})?;
                 self.stage = self.stage.stopped();
                 print("stopped: neutral until the board is reset")?;
             }
@@ -349,7 +347,7 @@ impl Shell<'_> {
         self.stage = Stage::Changing(driver);
         if self.in_force.is_some_and(|(last, _)| last == driver) {
             // Another program may have changed it since.
-            return self.question(&json!({ "version": SOCKET_VERSION, "command": "status" }));
+            return self.question(&Request::Status {});
         }
         self.change(driver)
     }
@@ -357,26 +355,24 @@ impl Shell<'_> {
     /// Asks for the reference of a driver.
     fn change(&mut self, driver: Driver) -> Result<(), DriveError> {
         let change = match (driver, &self.reference) {
-            (Driver::Sticks, _) => json!({
-                "version": SOCKET_VERSION,
-                "command": "set-reference",
-                "reference": ReferenceSection::External {
+            (Driver::Sticks, _) => Request::SetReference {
+                reference: json!(ReferenceSection::External {
                     setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
-                },
-            }),
-            (Driver::Pilot, Some(reference)) => json!({
-                "version": SOCKET_VERSION, "command": "set-reference", "reference": reference,
-            }),
-            (Driver::Pilot, None) => json!({ "version": SOCKET_VERSION, "command": "reload" }),
+                }),
+            },
+            (Driver::Pilot, Some(reference)) => Request::SetReference {
+                reference: reference.clone(),
+            },
+            (Driver::Pilot, None) => Request::Reload {},
         };
         self.in_force = None;
         self.question(&change)
     }
 
     /// Asks something about the configuration.
-    fn question(&mut self, line: &Value) -> Result<(), DriveError> {
+    fn question(&mut self, request: &Request) -> Result<(), DriveError> {
         self.is_asked = true;
-        Ok(self.session.send(line)?)
+        Ok(self.session.send(request)?)
     }
 
     /// Arms a car that is ready.
@@ -387,13 +383,11 @@ impl Shell<'_> {
         let car = self.car.as_ref().filter(|car| car.at > since);
         if car.is_some_and(|car| car.is_ready) {
             self.stage = Stage::Arming(driver);
-            let arm = json!({
-                "version": SOCKET_VERSION,
-                "command": "arm",
-                "attendance": "hold",
-                "uncalibrated": self.uncalibrated,
-            });
-            return Ok(self.session.send(&arm)?);
+            return Ok(self.session.send(&Request::Arm(Arm {
+                attendance: Some(Attendance::Hold),
+                uncalibrated: self.uncalibrated,
+                ..Arm::default()
+            }))?);
         }
         if since.elapsed() > SETTLE {
             let reason = car.and_then(|car| car.preflight.clone());
@@ -404,18 +398,18 @@ impl Shell<'_> {
     }
 
     /// Stops a drive, or what leads to one.
-    fn stop(&mut self, line: &Value) -> Result<(), DriveError> {
+    fn stop(&mut self, request: &Request) -> Result<(), DriveError> {
         self.stage = self.stage.stopped();
         if self.stage == Stage::Off {
             return Ok(());
         }
-        self.send_apart(line)
+        self.send_apart(request)
     }
 
     /// Sends a line on a connection of its own: the session may wait for the board to arm.
-    fn send_apart(&self, line: &Value) -> Result<(), DriveError> {
+    fn send_apart(&self, request: &Request) -> Result<(), DriveError> {
         // The end of this program ends the session, and with it the drive.
-        Ok(ask(self.socket, line)?)
+        Ok(ask(self.socket, request)?)
     }
 
     fn refused(&mut self, error: &str) -> Result<(), DriveError> {
@@ -425,31 +419,26 @@ impl Shell<'_> {
     }
 
     /// Handles a line of the session.
-    fn answered(&mut self, line: Value) -> Result<(), DriveError> {
-        if let Some(ended) = line.get("ended") {
-            let word = |key| ended.get(key).and_then(Value::as_str);
-            self.pad.ended();
-            self.stage = Stage::Off;
-            return Ok(print(&format!(
-                "the drive has ended: {}",
-                word("reason").or(word("mode")).unwrap_or("unknown")
-            ))?);
-        }
-        if line.get("drive").is_some() {
-            return Ok(());
-        }
+    fn answered(&mut self, reply: Reply) -> Result<(), DriveError> {
+        let answer = match reply {
+            Reply::Answer(answer) => answer,
+            Reply::Ended { ended, .. } => {
+                self.pad.ended();
+                self.stage = Stage::Off;
+                let why = ended.reason.unwrap_or(ended.mode);
+                return Ok(print(&format!("the drive has ended: {why}"))?);
+            }
+            _ => return Ok(()),
+        };
         // The answer of a button that was released meanwhile.
         let is_asked = std::mem::take(&mut self.is_asked);
-        let other_steers = line
-            .get("rejected")
-            .is_some_and(|word| word == "other-source");
-        match (agreed(line), self.stage) {
+        let other_steers = answer.rejected.as_deref() == Some("other-source");
+        match (answer.agreed(), self.stage) {
             (Ok(answer), Stage::Changing(driver)) => {
-                if let Some(number) = answer.get("configuration").and_then(Value::as_u64) {
+                if let Some(number) = answer.configuration {
                     self.in_force = Some((driver, number));
                 } else {
-                    let number = answer.pointer("/status/configuration/number");
-                    let number = number.and_then(Value::as_u64);
+                    let number = answer.status.map(|status| status.configuration.number);
                     if self.in_force.map(|(_, ours)| ours) != number {
                         return self.change(driver);
                     }
@@ -469,9 +458,10 @@ impl Shell<'_> {
             (Err(error), Stage::Driving(Driver::Sticks)) if other_steers => {
                 // The sticks have no effect: a program drives the car.
                 print(&error.to_string())?;
-                self.stop(&json!({
-                    "version": SOCKET_VERSION, "command": "disarm", "at_once": true,
-                }))?;
+                self.stop(&Request::Disarm {
+                    at_once: true,
+                    carried: false,
+                })?;
             }
             // A set-point without a reference for it, or a late renewal.
             (Err(_), Stage::Driving(_)) => {}
@@ -504,31 +494,23 @@ impl Shell<'_> {
             return Ok(());
         };
         let velocity: Velocity = speed * direction(yaw + turn);
-        Ok(self.session.send(&json!({
-            "version": SOCKET_VERSION,
-            "command": "setpoint",
-            "velocity_m_s": [velocity.x, velocity.y],
-            "time_ns": monotonic_ns(),
+        Ok(self.session.send(&Request::Setpoint(Setpoint {
+            velocity_m_s: Some([velocity.x, velocity.y]),
+            time_ns: Some(monotonic_ns()),
+            ..Setpoint::default()
         }))?)
     }
 }
 
 /// Asks on a connection of its own, for not too long.
-fn ask(socket: &Path, line: &Value) -> Result<(), ClientError> {
-    let mut stream = connect(socket)?;
-    stream.set_write_timeout(Some(ANSWER))?;
-    stream.set_read_timeout(Some(ANSWER))?;
-    stream.write_all(format!("{line}\n").as_bytes())?;
-    let mut answer = String::new();
-    BufReader::new(stream).read_line(&mut answer)?;
-    agreed(serde_json::from_str(&answer)?).map(drop)
+fn ask(socket: &Path, request: &Request) -> Result<(), ClientError> {
+    singletrack_api::ask_within(request, socket, ANSWER).map(drop)
 }
 
 /// Puts the reference of the configuration in force again, as soon as the car stands.
 fn restore(socket: &Path) {
     let begun = Instant::now();
-    let reload = json!({ "version": SOCKET_VERSION, "command": "reload" });
-    while ask(socket, &reload).is_err() && begun.elapsed() < RESTORE {
+    while ask(socket, &Request::Reload {}).is_err() && begun.elapsed() < RESTORE {
         thread::sleep(AGAIN);
     }
 }

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use serde_json::{Map, Value};
+use singletrack_api::Setpoint;
 
 use crate::arguments::parse_duration;
 
@@ -88,21 +88,19 @@ pub(super) struct DemandArgs {
 }
 
 impl DemandArgs {
-    /// The keys of the socket's command; `None` if the options have no set-point.
-    pub(super) fn keys(&self) -> Option<Value> {
-        let pair = |values: &Option<Vec<f64>>| values.clone().map(Value::from);
-        let keys: Map<String, Value> = [
-            ("velocity_m_s", pair(&self.velocity)),
-            ("position_m", pair(&self.position)),
-            ("steering_rad", self.steering.map(Value::from)),
-            ("steering_rate_rad_s", self.steering_rate.map(Value::from)),
-            ("speed_m_s", self.speed.map(Value::from)),
-            ("acceleration_m_s2", self.acceleration.map(Value::from)),
-        ]
-        .into_iter()
-        .filter_map(|(key, value)| Some((key.to_owned(), value?)))
-        .collect();
-        (!keys.is_empty()).then_some(Value::Object(keys))
+    /// The set-point of the options; `None` if they have none.
+    pub(super) fn setpoint(&self) -> Option<Setpoint> {
+        let pair = |values: &Option<Vec<f64>>| values.as_deref()?.try_into().ok();
+        let setpoint = Setpoint {
+            velocity_m_s: pair(&self.velocity),
+            position_m: pair(&self.position),
+            steering_rad: self.steering,
+            steering_rate_rad_s: self.steering_rate,
+            speed_m_s: self.speed,
+            acceleration_m_s2: self.acceleration,
+            ..Setpoint::default()
+        };
+        (setpoint != Setpoint::default()).then_some(setpoint)
     }
 }
 
@@ -151,11 +149,15 @@ mod tests {
                 json!({ "steering_rate_rad_s": 0.2, "acceleration_m_s2": -0.5 }),
             ),
         ] {
-            assert_eq!(parse(options).unwrap().keys(), Some(keys), "{options}");
+            let setpoint = parse(options).unwrap().setpoint().unwrap();
+            assert_eq!(json!(setpoint), keys, "{options}");
         }
-        assert_eq!(parse("--for 2").unwrap().keys(), None);
+        assert_eq!(parse("--for 2").unwrap().setpoint(), None);
         let way = parse("--trajectory way.csv").unwrap();
-        assert_eq!((way.keys(), way.trajectory), (None, Some("way.csv".into())));
+        assert_eq!(
+            (way.setpoint(), way.trajectory),
+            (None, Some("way.csv".into()))
+        );
     }
 
     #[test]

@@ -17,8 +17,8 @@ use std::{
 };
 
 use clap::Args;
-use serde_json::{Map, Value, json};
-use singletrackd::{SOCKET_VERSION, monotonic_ns};
+use singletrack_api::{Answer, Request, Setpoint};
+use singletrackd::monotonic_ns;
 
 use crate::control::{self, ControlArgs, ControlError};
 use demand::DemandArgs;
@@ -100,9 +100,9 @@ const PERIOD: Duration = Duration::from_millis(50);
 enum Source {
     /// The lines of standard input.
     Input,
-    /// One, as a line of JSON, for a time or for ever.
+    /// One, for a time or for ever.
     Constant {
-        text: String,
+        setpoint: Setpoint,
         lasts: Option<Duration>,
     },
     /// The points of a file.
@@ -118,20 +118,18 @@ impl Source {
             })?;
             return Ok(Self::Trajectory(way));
         }
-        Ok(args.keys().map_or(Self::Input, |keys| Self::Constant {
-            text: keys.to_string(),
-            lasts: args.lasts,
-        }))
+        let lasts = args.lasts;
+        Ok(args
+            .setpoint()
+            .map_or(Self::Input, |setpoint| Self::Constant { setpoint, lasts }))
     }
 }
 
 /// Gives the same set-point again and again.
-fn repeat(events: &Sender<Event>, text: &str, lasts: Option<Duration>) {
+fn repeat(events: &Sender<Event>, setpoint: &Setpoint, lasts: Option<Duration>) {
     let begun = Instant::now();
-    let mut number = 0;
     while lasts.is_none_or(|lasts| begun.elapsed() < lasts) {
-        number += 1;
-        if !line(events, number, text.to_owned()) {
+        if !give(events, setpoint.clone()) {
             return;
         }
         thread::sleep(PERIOD);
@@ -143,16 +141,16 @@ fn repeat(events: &Sender<Event>, text: &str, lasts: Option<Duration>) {
 /// car stands at the first one until it drives.
 fn follow(events: &Sender<Event>, way: &TrajectoryFile, socket: &Path) {
     let mut begun = None;
-    for number in 1.. {
+    loop {
         let now_ns = monotonic_ns();
         if begun.is_none() && is_driving(socket) {
             begun = Some(now_ns);
         }
         let begin_ns = begun.unwrap_or(now_ns + LEAD_NS);
-        let Some(keys) = way.window(begin_ns, now_ns) else {
+        let Some(setpoint) = way.window(begin_ns, now_ns) else {
             break;
         };
-        if !line(events, number, keys.to_string()) {
+        if !give(events, setpoint) {
             return;
         }
         thread::sleep(PERIOD);
@@ -166,33 +164,20 @@ const LEAD_NS: u64 = 500_000_000;
 
 /// Whether the car drives. A daemon that does not answer shows on the other connection.
 fn is_driving(socket: &Path) -> bool {
-    let status = json!({ "version": SOCKET_VERSION, "command": "status" });
-    control::ask(&status, socket).is_ok_and(|answer| {
-        answer
-            .pointer("/status/mode")
-            .is_some_and(|mode| mode == "driving")
-    })
+    control::ask(&Request::Status {}, socket)
+        .is_ok_and(|answer| answer.status.is_some_and(|status| status.mode == "driving"))
 }
 
-/// Hands a line over; false if nobody takes it any more.
-fn line(events: &Sender<Event>, number: u64, text: String) -> bool {
-    let time_ns = monotonic_ns();
-    let line = Event::Line {
-        number,
-        text,
-        time_ns,
-    };
-    events.send(line).is_ok()
+/// Hands a set-point over, decided now unless it says when; false if nobody takes it any more.
+fn give(events: &Sender<Event>, mut setpoint: Setpoint) -> bool {
+    setpoint.time_ns.get_or_insert_with(monotonic_ns);
+    events.send(Event::Setpoint(setpoint)).is_ok()
 }
 
 /// An event on standard input or on the socket.
 enum Event {
-    Line {
-        number: u64,
-        text: String,
-        time_ns: u64,
-    },
-    Input(io::Result<()>),
+    Setpoint(Setpoint),
+    Input(Result<(), SetpointError>),
     Answer(String),
     Closed(io::Result<()>),
 }
@@ -217,24 +202,18 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
     let socket = args.control.socket.clone();
     thread::spawn(move || match source {
         Source::Input => read_input(&events_in),
-        Source::Constant { text, lasts } => repeat(&events_in, &text, lasts),
+        Source::Constant { setpoint, lasts } => repeat(&events_in, &setpoint, lasts),
         Source::Trajectory(way) => follow(&events_in, &way, &socket),
     });
 
     for event in (Newest { events, next: None }) {
         match event {
-            Event::Line {
-                number,
-                text,
-                time_ns,
-            } => {
-                let line = setpoint(&text, time_ns).map_err(|reason| SetpointError::Line {
-                    number,
-                    line: text,
-                    reason,
-                })?;
+            Event::Setpoint(setpoint) => {
+                let line = Request::Setpoint(setpoint)
+                    .to_line()
+                    .map_err(ControlError::from)?;
                 stream
-                    .write_all(format!("{line}\n").as_bytes())
+                    .write_all(line.as_bytes())
                     .map_err(ControlError::from)?;
             }
             Event::Input(Ok(())) => {
@@ -243,10 +222,10 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
                     .shutdown(Shutdown::Write)
                     .map_err(ControlError::from)?;
             }
-            Event::Input(Err(error)) => return Err(SetpointError::Input(error)),
+            Event::Input(Err(error)) => return Err(error),
             Event::Answer(answer) => {
-                let answer = serde_json::from_str(&answer).map_err(ControlError::from)?;
-                control::agreed(answer)?;
+                let answer: Answer = serde_json::from_str(&answer).map_err(ControlError::from)?;
+                answer.agreed().map_err(ControlError::from)?;
             }
             Event::Closed(Ok(())) => break,
             Event::Closed(Err(error)) => return Err(ControlError::from(error).into()),
@@ -255,10 +234,10 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
     Ok(())
 }
 
-/// The events in order; of the lines that are waiting, only the last.
+/// The events in order; of the set-points that are waiting, only the last.
 struct Newest {
     events: Receiver<Event>,
-    /// What came after the last line.
+    /// What came after the last set-point.
     next: Option<Event>,
 }
 
@@ -270,9 +249,9 @@ impl Iterator for Newest {
             Some(event) => event,
             None => self.events.recv().ok()?,
         };
-        while let Event::Line { .. } = event {
+        while let Event::Setpoint(_) = event {
             match self.events.try_recv() {
-                Ok(line @ Event::Line { .. }) => event = line,
+                Ok(newer @ Event::Setpoint(_)) => event = newer,
                 next => {
                     self.next = next.ok();
                     break;
@@ -288,12 +267,20 @@ fn read_input(events: &Sender<Event>) {
     for (number, read) in (1..).zip(io::stdin().lock().lines()) {
         match read {
             Ok(text) if text.trim().is_empty() => {}
-            Ok(text) => {
+            Ok(line) => match setpoint(&line) {
                 // The receiver is gone when the process is about to end.
-                line(events, number, text);
-            }
+                Ok(setpoint) => drop(give(events, setpoint)),
+                Err(reason) => {
+                    ended = Err(SetpointError::Line {
+                        number,
+                        line,
+                        reason,
+                    });
+                    break;
+                }
+            },
             Err(error) => {
-                ended = Err(error);
+                ended = Err(SetpointError::Input(error));
                 break;
             }
         }
@@ -315,22 +302,11 @@ fn read_answers(answers: UnixStream, events: &Sender<Event>) {
     let _ = events.send(Event::Closed(closed));
 }
 
-/// The daemon's command for a line that was read at `time_ns`.
-fn setpoint(line: &str, time_ns: u64) -> Result<Value, String> {
-    let keys = if line.trim_start().starts_with('{') {
-        serde_json::from_str(line).map_err(|error| error.to_string())?
-    } else {
-        numbers(line)?
-    };
-    let mut command = Map::new();
-    command.insert("version".to_owned(), SOCKET_VERSION.into());
-    command.insert("command".to_owned(), "setpoint".into());
-    command.insert("time_ns".to_owned(), time_ns.into());
-    command.extend(keys);
-    Ok(Value::Object(command))
-}
-
-fn numbers(line: &str) -> Result<Map<String, Value>, String> {
+/// The set-point of a line.
+fn setpoint(line: &str) -> Result<Setpoint, String> {
+    if line.trim_start().starts_with('{') {
+        return serde_json::from_str(line).map_err(|error| error.to_string());
+    }
     let numbers = line
         .split_whitespace()
         .map(|word| match word.parse::<f64>() {
@@ -338,15 +314,16 @@ fn numbers(line: &str) -> Result<Map<String, Value>, String> {
             _ => Err(format!("{word:?} is no number")),
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let keys = match numbers[..] {
-        [v_x, v_y] => json!({ "velocity_m_s": [v_x, v_y] }),
-        [v_x, v_y, x, y] => json!({ "velocity_m_s": [v_x, v_y], "position_m": [x, y] }),
+    let (velocity, position) = match numbers[..] {
+        [v_x, v_y] => ([v_x, v_y], None),
+        [v_x, v_y, x, y] => ([v_x, v_y], Some([x, y])),
         _ => return Err(format!("it has {} numbers", numbers.len())),
     };
-    match keys {
-        Value::Object(keys) => Ok(keys),
-        _ => Ok(Map::new()),
-    }
+    Ok(Setpoint {
+        velocity_m_s: Some(velocity),
+        position_m: position,
+        ..Setpoint::default()
+    })
 }
 
 #[cfg(test)]
@@ -355,26 +332,29 @@ mod tests {
 
     #[test]
     fn a_line_of_numbers_and_one_of_json_are_the_same_set_point() {
-        let both = json!({
-            "version": 2, "command": "setpoint", "time_ns": 7,
-            "velocity_m_s": [0.5, -1.0], "position_m": [2.0, 3.0],
-        });
-        assert_eq!(setpoint(" 0.5 -1\t2 3 ", 7), Ok(both.clone()));
+        let both = Setpoint {
+            velocity_m_s: Some([0.5, -1.0]),
+            position_m: Some([2.0, 3.0]),
+            ..Setpoint::default()
+        };
+        assert_eq!(setpoint(" 0.5 -1\t2 3 "), Ok(both.clone()));
         let line = r#"{"velocity_m_s":[0.5,-1.0],"position_m":[2.0,3.0]}"#;
-        assert_eq!(setpoint(line, 7), Ok(both));
-        let velocity = json!({
-            "version": 2, "command": "setpoint", "time_ns": 8, "velocity_m_s": [0.0, 0.25],
-        });
-        assert_eq!(setpoint("0 0.25", 8), Ok(velocity));
+        assert_eq!(setpoint(line), Ok(both));
+        let velocity = Setpoint {
+            velocity_m_s: Some([0.0, 0.25]),
+            ..Setpoint::default()
+        };
+        assert_eq!(setpoint("0 0.25"), Ok(velocity));
     }
 
     #[test]
-    fn of_lines_that_wait_the_newest_is_sent_and_nothing_else_is_lost() {
+    fn of_set_points_that_wait_the_newest_is_sent_and_nothing_else_is_lost() {
         let (sender, events) = mpsc::channel();
-        let line = |number| Event::Line {
-            number,
-            text: String::new(),
-            time_ns: 0,
+        let line = |number| {
+            Event::Setpoint(Setpoint {
+                sequence: Some(number),
+                ..Setpoint::default()
+            })
         };
         for event in [
             line(1),
@@ -389,7 +369,7 @@ mod tests {
         drop(sender);
         let told: Vec<String> = Newest { events, next: None }
             .map(|event| match event {
-                Event::Line { number, .. } => number.to_string(),
+                Event::Setpoint(setpoint) => setpoint.sequence.unwrap().to_string(),
                 Event::Answer(answer) => answer,
                 Event::Input(_) => "end".to_owned(),
                 Event::Closed(_) => "closed".to_owned(),
@@ -408,7 +388,7 @@ mod tests {
             ("1e999 0", "is no number"),
             ("{\"velocity_m_s\"", "EOF"),
         ] {
-            let reason = setpoint(text, 0).unwrap_err();
+            let reason = setpoint(text).unwrap_err();
             assert!(reason.contains(part), "{text}: {reason}");
         }
     }

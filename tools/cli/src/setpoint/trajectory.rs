@@ -3,7 +3,7 @@
 use std::{fs, io, path::Path};
 
 use serde::Deserialize;
-use serde_json::{Value, json};
+use singletrack_api::{Setpoint, TrajectoryPoint};
 
 /// Points that are sent at once: in two ticks they are with the pilot.
 const WINDOW: usize = 40;
@@ -147,7 +147,7 @@ impl TrajectoryFile {
 
     /// The set-point at `now_ns` of a trajectory that began at `begin_ns` with its first point:
     /// that of now and those after it; `None` when the last one is over.
-    pub(super) fn window(&self, begin_ns: u64, now_ns: u64) -> Option<Value> {
+    pub(super) fn window(&self, begin_ns: u64, now_ns: u64) -> Option<Setpoint> {
         let Self(points) = self;
         let first = points.first()?;
         let time_ns = |point: &Point| begin_ns + ((point.time - first.time) * 1e9) as u64;
@@ -157,14 +157,16 @@ impl TrajectoryFile {
         let over = points.partition_point(|point| time_ns(point) <= now_ns);
         // The curve from the last point that is over goes through now. Two make a trajectory.
         let from = over.saturating_sub(1).min(points.len().saturating_sub(2));
-        let window = points.iter().skip(from).take(WINDOW).map(|point| {
-            json!({
-                "time_ns": time_ns(point),
-                "position_m": point.position,
-                "velocity_m_s": point.velocity,
-            })
+        let window = points.iter().skip(from).take(WINDOW);
+        let window = window.map(|point| TrajectoryPoint {
+            time_ns: time_ns(point),
+            position_m: point.position,
+            velocity_m_s: point.velocity,
         });
-        Some(json!({ "trajectory": window.collect::<Vec<_>>() }))
+        Some(Setpoint {
+            trajectory: Some(window.collect()),
+            ..Setpoint::default()
+        })
     }
 }
 
@@ -179,10 +181,9 @@ fn slope(from: &Written, to: &Written) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    fn times(keys: &Value) -> Vec<u64> {
-        let points = keys["trajectory"].as_array().unwrap();
-        let time = |point: &Value| point["time_ns"].as_u64().unwrap();
-        points.iter().map(time).collect()
+    fn times(setpoint: &Setpoint) -> Vec<u64> {
+        let points = setpoint.trajectory.as_ref().unwrap();
+        points.iter().map(|point| point.time_ns).collect()
     }
 
     #[test]

@@ -5,8 +5,7 @@ mod summary;
 mod watch;
 
 use clap::Args;
-use serde_json::{Value, json};
-use singletrackd::SOCKET_VERSION;
+use singletrack_api::Request;
 
 use crate::control::{ControlArgs, ControlError, ask, print};
 use summary::Summary;
@@ -35,15 +34,15 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
     if args.watch {
         return watch::run(socket);
     }
-    let answer = ask(&question(), socket)?;
-    let status = answer.get("status").unwrap_or(&answer);
+    let answer = ask(&Request::Status {}, socket)?;
     print(&if args.json {
-        serde_json::to_string_pretty(status)?
+        serde_json::to_string_pretty(&answer.status)?
     } else {
-        Summary::of(status).line()
+        answer
+            .status
+            .as_ref()
+            .map(Summary::of)
+            .unwrap_or_default()
+            .line()
     })
-}
-
-fn question() -> Value {
-    json!({ "version": SOCKET_VERSION, "command": "status" })
 }

@@ -1,6 +1,6 @@
 //! The status in words.
 
-use serde_json::Value;
+use singletrack_api::{State, Status, Word};
 
 use super::reasons::{Entry, Source};
 use crate::tune;
@@ -13,13 +13,13 @@ const VALUES: usize = 18;
 /// What a person needs of the daemon's status.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Summary {
-    mode: String,
+    mode: Word,
     /// Why the car does not drive, or stopped.
-    reason: Option<String>,
+    reason: Option<Word>,
     /// Why an arm request would be refused now.
-    preflight: Option<String>,
+    preflight: Option<Word>,
     /// Why the board last went to neutral.
-    stop_cause: Option<String>,
+    stop_cause: Option<Word>,
     /// What is wrong with the cameras, and what to do.
     cameras: Option<String>,
     /// Which other rigid body is near the car.
@@ -37,7 +37,7 @@ pub(super) struct Summary {
     commanded_speed_m_s: Option<f64>,
     steering_rad: Option<f64>,
     battery_v: Option<f64>,
-    link: Option<String>,
+    link: Option<Word>,
     telemetry_age_s: Option<f64>,
 }
 
@@ -50,71 +50,67 @@ struct Why {
 
 impl Summary {
     /// Of an answer to `status`.
-    pub(super) fn of(status: &Value) -> Self {
+    pub(super) fn of(status: &Status) -> Self {
         let mut summary = Self::default();
         summary.take_status(status);
-        let estimate = status.get("estimate");
-        let of_estimate = |key| number(estimate?.get(key));
-        summary.pose_age_s = of_estimate("pose_age_ms").map(|age_ms| age_ms / 1_000.0);
-        summary.speed_m_s = of_estimate("speed_m_s");
-        summary.yaw_rad = of_estimate("yaw_rad");
-        summary.position_m = of_estimate("x_m").zip(of_estimate("y_m")).map(Into::into);
-        summary.point_m = pair(status.get("point_m"));
-        summary.reference_m = pair(status.get("reference_m"));
-        summary.drive_time_s = number(status.get("drive_time_s"));
-        let command = status.get("command");
-        summary.commanded_speed_m_s = command.and_then(|command| number(command.get("speed_m_s")));
-        summary.steering_rad = command.and_then(|command| number(command.get("steering_rad")));
+        if let Some(estimate) = &status.estimate {
+            summary.pose_age_s = Some(estimate.pose_age_ms / 1_000.0);
+            summary.speed_m_s = Some(estimate.speed_m_s);
+            summary.yaw_rad = Some(estimate.yaw_rad);
+            summary.position_m = Some([estimate.x_m, estimate.y_m]);
+        }
+        summary.point_m = status.point_m;
+        summary.reference_m = status.reference_m;
+        summary.drive_time_s = status.drive_time_s;
+        summary.commanded_speed_m_s = status.command.map(|command| command.speed_m_s);
+        summary.steering_rad = status.command.map(|command| command.steering_rad);
         summary
     }
 
     /// Takes from an answer to `status` all that the states do not have.
-    pub(super) fn take_status(&mut self, status: &Value) {
-        self.mode = word(status.get("mode")).unwrap_or_else(|| "unknown".to_owned());
-        self.reason = word(status.get("reason"));
-        self.preflight = word(status.get("preflight"));
-        self.link = word(status.get("link"));
-        let board = status.get("board");
-        self.stop_cause = board.and_then(|board| word(board.get("stop_cause")));
+    pub(super) fn take_status(&mut self, status: &Status) {
+        self.mode = status.mode.clone();
+        self.reason.clone_from(&status.reason);
+        self.preflight.clone_from(&status.preflight);
+        self.link.clone_from(&status.link);
+        let board = status.board.as_ref();
+        self.stop_cause = board.map(|board| board.stop_cause.clone());
         self.battery_v = board
-            .and_then(|board| number(board.get("battery_mv")))
-            .map(|battery_mv| battery_mv / 1_000.0);
-        self.cameras = status.get("cameras").and_then(|cameras| {
-            let diagnosis = cameras.get("diagnosis")?.as_str()?;
-            (!matches!(diagnosis, "good" | "starting")).then(|| word(cameras.get("text")))?
-        });
-        self.neighbour = status
-            .get("cameras")
-            .and_then(|cameras| word(cameras.get("neighbour")));
-        self.record_error = word(status.get("record_error"));
-        self.tuned = status.get("tuning").and_then(|tuning| {
-            let differs = tuning.get("differs")?.as_bool()?;
-            let configured = tuning.get("configured")?;
-            differs.then(|| [tuning, configured].map(tune::in_words))
+            .and_then(|board| board.battery_mv)
+            .map(|battery_mv| f64::from(battery_mv) / 1_000.0);
+        let cameras = &status.cameras;
+        let is_trouble = !matches!(&*cameras.diagnosis, "good" | "starting");
+        self.cameras = is_trouble.then(|| cameras.text.clone());
+        self.neighbour.clone_from(&cameras.neighbour);
+        self.record_error.clone_from(&status.record_error);
+        self.tuned = status.tuning.as_ref().and_then(|tuning| {
+            let configured = tuning.configured.as_deref()?;
+            tuning
+                .differs?
+                .then(|| [tuning, configured].map(tune::in_words))
         });
     }
 
-    /// Takes a line of the state stream.
-    pub(super) fn take_state(&mut self, state: &Value) {
-        let of = |key| number(state.get(key));
-        self.mode = word(state.get("mode")).unwrap_or_default();
-        self.reason = word(state.get("reason"));
-        self.drive_time_s = of("drive_time");
-        self.pose_age_s = of("pose_age");
-        self.speed_m_s = of("speed");
-        self.yaw_rad = of("yaw");
-        self.position_m = of("x").zip(of("y")).map(Into::into);
-        self.point_m = pair(state.get("point"));
-        self.reference_m = pair(state.get("reference"));
-        self.commanded_speed_m_s = of("commanded_speed");
-        self.steering_rad = of("steering");
-        self.telemetry_age_s = of("board_age");
+    /// Takes a state of the stream.
+    pub(super) fn take_state(&mut self, state: State) {
+        self.mode = state.mode;
+        self.reason = state.reason;
+        self.drive_time_s = state.drive_time;
+        self.pose_age_s = state.pose_age;
+        self.speed_m_s = state.speed;
+        self.yaw_rad = state.yaw;
+        self.position_m = state.x.zip(state.y).map(Into::into);
+        self.point_m = state.point;
+        self.reference_m = state.reference;
+        self.commanded_speed_m_s = Some(state.commanded_speed);
+        self.steering_rad = Some(state.steering);
+        self.telemetry_age_s = state.board_age;
     }
 
     /// The status as one line.
     pub(super) fn line(&self) -> String {
         let why = self.why();
-        let mut line = self.mode.clone();
+        let mut line = self.mode.to_string();
         if let Some(time_s) = self.drive_time_s {
             line += &format!(" {time_s:.1} s");
         }
@@ -187,12 +183,12 @@ impl Summary {
     /// Why the car does not drive: of a car that stands, why it can't be armed now, and not why
     /// the last drive ended.
     fn why(&self) -> Option<Why> {
-        let stands = matches!(self.mode.as_str(), "idle" | "ready");
+        let stands = matches!(&*self.mode, "idle" | "ready");
         let preflight = self.preflight.as_ref().filter(|_| stands);
         let word = preflight.or(self.reason.as_ref())?;
         let Some(entry) = Entry::find(Source::Host, word) else {
             return Some(Why {
-                text: word.clone(),
+                text: word.to_string(),
                 advice: None,
             });
         };
@@ -211,10 +207,7 @@ impl Summary {
             advice = stop.advice;
         }
         // The daemon knows better what is wrong with its cameras than the table does.
-        let is_about_poses = matches!(
-            word.as_str(),
-            "no-pose" | "pose-too-old" | "pose-implausible"
-        );
+        let is_about_poses = matches!(&**word, "no-pose" | "pose-too-old" | "pose-implausible");
         if let Some(cameras) = self.cameras.as_ref().filter(|_| is_about_poses) {
             advice = Some(format!("{cameras}."));
         }
@@ -249,19 +242,6 @@ impl Summary {
         let error_m = (x_m - reference_x_m).hypot(y_m - reference_y_m);
         format!("{:.0} mm from its reference", error_m * 1_000.0)
     }
-}
-
-fn word(value: Option<&Value>) -> Option<String> {
-    value?.as_str().map(ToOwned::to_owned)
-}
-
-fn number(value: Option<&Value>) -> Option<f64> {
-    value?.as_f64()
-}
-
-fn pair(value: Option<&Value>) -> Option<[f64; 2]> {
-    let pair = value?;
-    Some([number(pair.get(0))?, number(pair.get(1))?])
 }
 
 fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {
@@ -311,9 +291,13 @@ fn wrap(text: &str, columns: usize) -> impl Iterator<Item = String> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     use super::*;
+
+    fn of(status: &Value) -> Summary {
+        Summary::of(&serde_json::from_value(status.clone()).unwrap())
+    }
 
     fn standing() -> Value {
         json!({
@@ -321,13 +305,14 @@ mod tests {
             "estimate": null, "drive_time_s": null,
             "board": {"mode": "neutral", "stop_cause": "disarmed", "battery_mv": 7412},
             "cameras": {"diagnosis": "good", "text": "poses arrive"},
+            "configuration": {"number": 1}, "figures": {}, "realtime": {},
         })
     }
 
     #[test]
     fn a_car_that_stands_says_why_it_is_not_armed_and_what_to_do() {
         assert_eq!(
-            Summary::of(&standing()).line(),
+            of(&standing()).line(),
             "idle: no pose yet (no-pose); pose none, battery 7.41 V, link ready, speed unknown. \
              To do: Start streaming; check motion_capture.server and rigid_body; look at the \
              camera messages in the log."
@@ -338,10 +323,10 @@ mod tests {
     fn the_diagnosis_of_the_cameras_replaces_the_advice_for_poses_alone() {
         let mut status = standing();
         status["cameras"] = json!({"diagnosis": "no-server", "text": "is the cable plugged in?"});
-        let line = Summary::of(&status).line();
+        let line = of(&status).line();
         assert!(line.ends_with("To do: is the cable plugged in?."), "{line}");
         status["preflight"] = json!("battery-low");
-        let line = Summary::of(&status).line();
+        let line = of(&status).line();
         assert!(
             line.contains("(battery-low)") && line.contains("Charge it."),
             "{line}"
@@ -354,7 +339,7 @@ mod tests {
         status["cameras"]["neighbour"] = json!("\"wand\" is near");
         for (preflight, named) in [("pose-implausible", true), ("battery-low", false)] {
             status["preflight"] = json!(preflight);
-            let line = Summary::of(&status).line();
+            let line = of(&status).line();
             assert_eq!(line.contains("; \"wand\" is near"), named, "{line}");
             assert!(line.contains("To do: "), "{line}");
         }
@@ -366,7 +351,7 @@ mod tests {
         status["mode"] = json!("fault");
         status["reason"] = json!("board-failsafe");
         status["board"]["stop_cause"] = json!("motor-sensor");
-        let line = Summary::of(&status).line();
+        let line = of(&status).line();
         assert!(
             line.starts_with(
                 "fault: the board stopped the car by itself (board-failsafe): no motor pulse"
@@ -381,14 +366,16 @@ mod tests {
         let mut status = standing();
         status["mode"] = json!("driving");
         status["reason"] = json!(null);
-        let mut summary = Summary::of(&status);
+        let mut summary = of(&status);
         let state = json!({
             "mode": "driving", "reason": null, "drive_time": 12.34, "pose_age": 0.0124,
             "speed": 0.4987, "x": 1.0, "y": -0.5, "yaw": 0.5, "point": [1.0, 0.0],
             "reference": [1.0, 0.012], "commanded_speed": 0.5, "steering": -0.1,
             "board_age": 0.008,
+            "topic": "state", "tick": 1, "t": 0.0, "time_ns": 1, "held": false,
+            "filtering": "none",
         });
-        summary.take_state(&state);
+        summary.take_state(serde_json::from_value(state).unwrap());
         assert_eq!(
             summary.line(),
             "driving 12.3 s; pose 12 ms old, battery 7.41 V, link ready, speed 0.50 m/s"
@@ -402,7 +389,7 @@ mod tests {
             assert!(lines.contains(part), "{part} is missing in {lines}");
         }
         // A state has no battery; the answer to a later question has no newer pose.
-        summary.take_status(&standing());
+        summary.take_status(&serde_json::from_value(standing()).unwrap());
         assert!(summary.line().contains("pose 12 ms old"));
     }
 
@@ -412,37 +399,31 @@ mod tests {
         status["mode"] = json!("ready");
         status["preflight"] = json!(null);
         status["reason"] = json!("time-up");
-        status["estimate"] = json!({"speed_m_s": -0.004, "pose_age_ms": 8.0});
-        let line = Summary::of(&status).line();
+        status["estimate"] = json!({
+            "speed_m_s": -0.004, "pose_age_ms": 8.0, "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0,
+            "yaw_rate_rad_s": 0.0, "sideslip_rad": 0.0,
+        });
+        let line = of(&status).line();
         assert_eq!(
             line,
             "ready: the last drive ended, the time that was given with the arm request is over \
              (time-up); pose 8 ms old, battery 7.41 V, link ready, speed 0.00 m/s"
         );
         status["estimate"]["speed_m_s"] = json!(-0.3);
-        assert!(Summary::of(&status).line().ends_with("speed -0.30 m/s"));
+        assert!(of(&status).line().ends_with("speed -0.30 m/s"));
     }
 
     #[test]
-    fn an_unknown_word_and_an_empty_status_are_shown_as_they_are() {
+    fn an_unknown_word_is_shown_as_it_is() {
         let mut status = standing();
         status["preflight"] = json!("asleep");
-        assert!(
-            Summary::of(&status)
-                .line()
-                .starts_with("idle: asleep; pose none")
-        );
-        assert!(
-            Summary::of(&json!({}))
-                .line()
-                .starts_with("unknown; pose none")
-        );
+        assert!(of(&status).line().starts_with("idle: asleep; pose none"));
     }
 
     #[test]
     fn no_line_of_the_view_is_wider_than_the_terminal() {
         for columns in [40, 80, 200] {
-            let lines = Summary::of(&standing()).lines(columns);
+            let lines = of(&standing()).lines(columns);
             for line in lines.iter().filter(|line| line.starts_with("to do")) {
                 assert!(line.chars().count() <= columns, "{line}");
             }

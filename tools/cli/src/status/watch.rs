@@ -6,16 +6,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use serde_json::{Value, json};
-use singletrack_client::Connection;
-use singletrackd::SOCKET_VERSION;
+use singletrack_api::{Answer, Connection, Reply, Request};
 
-use super::{Summary, question};
-use crate::{
-    control::{ControlError, agreed},
-    interrupt::Interrupt,
-    terminal::Screen,
-};
+use super::Summary;
+use crate::{control::ControlError, interrupt::Interrupt, terminal::Screen};
 
 /// Interval of the pictures on a terminal, and of the lines elsewhere.
 const PICTURE: Duration = Duration::from_millis(100);
@@ -42,21 +36,19 @@ struct Feed {
 impl Feed {
     fn open(socket: &Path) -> Result<Self, ControlError> {
         let mut questions = Connection::open(socket, PATIENCE)?;
-        questions.send(&question())?;
-        let answer = questions
+        questions.send(&Request::Status {})?;
+        let answer: Answer = questions
             .receive_within(PATIENCE)?
             .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
-        let answer = agreed(answer)?;
+        let status = answer.agreed()?.status;
         let mut states = Connection::open(socket, PATIENCE)?;
-        states.send(&json!({
-            "version": SOCKET_VERSION,
-            "command": "watch",
-            "topics": ["state"],
-        }))?;
+        states.send(&Request::Watch {
+            topics: vec!["state".to_owned()],
+        })?;
         Ok(Self {
             states,
             questions,
-            summary: Summary::of(answer.get("status").unwrap_or(&Value::Null)),
+            summary: status.as_ref().map(Summary::of).unwrap_or_default(),
             asked: Instant::now(),
             is_answered: true,
             heard: Instant::now(),
@@ -65,26 +57,25 @@ impl Feed {
 
     /// Takes what has come, and waits a little if nothing has.
     fn renew(&mut self) -> Result<(), ControlError> {
-        if let Some(answer) = self.questions.receive()? {
-            let answer = agreed(answer)?;
-            self.summary
-                .take_status(answer.get("status").unwrap_or(&Value::Null));
+        if let Some(answer) = self.questions.receive::<Answer>()? {
+            if let Some(status) = &answer.agreed()?.status {
+                self.summary.take_status(status);
+            }
             self.is_answered = true;
         }
         if self.is_answered && self.asked.elapsed() >= QUESTION {
-            self.questions.send(&question())?;
+            self.questions.send(&Request::Status {})?;
             self.asked = Instant::now();
             self.is_answered = false;
         }
-        let Some(line) = self.states.receive_within(WAIT)? else {
-            return Ok(());
-        };
-        if line.get("ok").is_some() {
+        match self.states.receive_within(WAIT)? {
+            Some(Reply::State(state)) => {
+                self.heard = Instant::now();
+                self.summary.take_state(*state);
+            }
             // The stream begins.
-            agreed(line)?;
-        } else if line.get("topic").and_then(Value::as_str) == Some("state") {
-            self.heard = Instant::now();
-            self.summary.take_state(&line);
+            Some(Reply::Answer(answer)) => drop(answer.agreed()?),
+            _ => {}
         }
         Ok(())
     }

@@ -7,9 +7,9 @@ use std::{
     time::{Instant, SystemTime, UNIX_EPOCH},
 };
 
-use serde_json::json;
+use singletrack_api::Request;
 use singletrack_record::{ParseEntryError, Shown, Topic, Value};
-use singletrackd::{SOCKET_VERSION, monotonic_ns};
+use singletrackd::monotonic_ns;
 
 use super::{Close, Next, PATIENCE, Row, Source};
 use crate::dump::{DumpError, kind::Kind};
@@ -54,15 +54,16 @@ impl Live {
         let topics: Vec<_> = chosen
             .iter()
             .filter_map(|index| kinds.get(*index))
-            .map(|kind| kind.name)
+            .map(|kind| kind.name.to_string())
             .collect();
-        let request = json!({
-            "version": SOCKET_VERSION,
-            "command": "watch",
-            "topics": topics,
-        });
+        let request = Request::Watch { topics }.to_line();
         stream
-            .write_all(format!("{request}\n").as_bytes())
+            .write_all(
+                request
+                    .map_err(io::Error::from)
+                    .map_err(unreachable)?
+                    .as_bytes(),
+            )
             .map_err(unreachable)?;
         let times = kinds
             .iter()
