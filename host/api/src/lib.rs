@@ -11,7 +11,7 @@ mod request;
 mod state;
 mod status;
 
-pub use connection::{Connection, ask, ask_within, connect};
+pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
 pub use messages::{Clocks, Message, MessageStream, Received};
 pub use reply::{Answer, Drive, Ended, Reply, Tuning, TuningBounds, Word};

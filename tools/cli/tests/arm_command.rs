@@ -83,7 +83,7 @@ fn a_held_drive_is_renewed_and_the_exit_status_tells_how_it_ended() {
         assert_eq!(
             serde_json::from_str::<serde_json::Value>(&asked[0]).unwrap(),
             serde_json::json!({
-                "version": 2, "command": "arm", "attendance": "hold", "uncalibrated": false,
+                "version": 2, "command": "arm", "attendance": "hold",
             })
         );
         let renewals = asked.get(1..=RENEWALS).unwrap();

@@ -19,9 +19,12 @@ use serde_json::{Value, json};
 fn status() -> Value {
     json!({
         "mode": "idle", "reason": "requested", "preflight": "battery-low", "link": "ready",
-        "estimate": {"speed_m_s": 0.0, "pose_age_ms": 8.4, "x_m": 0.1, "y_m": 0.2, "yaw_rad": 0.0},
+        "estimate": {"speed_m_s": 0.0, "pose_age_ms": 8.4, "x_m": 0.1, "y_m": 0.2,
+            "yaw_rad": 0.0, "yaw_rate_rad_s": 0.0, "sideslip_rad": 0.0},
         "board": {"mode": "neutral", "stop_cause": "disarmed", "battery_mv": 6100},
         "cameras": {"diagnosis": "good", "text": "poses arrive"},
+        "configuration": {"number": 1}, "figures": {"ticks": 7}, "realtime": {},
+        "of_a_newer_daemon": [1, 2],
     })
 }
 
@@ -69,7 +72,8 @@ fn serve(mut client: UnixStream, states: usize) {
                 "topic": "state", "tick": tick, "mode": "driving", "reason": null,
                 "drive_time": tick as f64 * 0.01, "pose_age": 0.012, "speed": 0.5,
                 "x": 0.1, "y": 0.2, "yaw": 1.0, "point": [0.3, 0.2], "reference": [0.3, 0.21],
-                "commanded_speed": 0.5, "steering": 0.1, "board_age": 0.004,
+                "commanded_speed": 0.5, "steering": 0.1, "board_age": 0.004, "held": false,
+                "t": 1.0, "time_ns": 1, "filtering": "none",
             });
             if writeln!(client, "{state}").is_err() {
                 return;

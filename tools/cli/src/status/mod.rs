@@ -5,6 +5,7 @@ mod summary;
 mod watch;
 
 use clap::Args;
+use serde_json::Value;
 use singletrack_api::Request;
 
 use crate::control::{ControlArgs, ControlError, ask, print};
@@ -34,15 +35,14 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
     if args.watch {
         return watch::run(socket);
     }
+    if args.json {
+        // As the daemon wrote it, which may be newer than this program.
+        let line = singletrack_api::ask_for_line(&Request::Status {}, socket)?;
+        let mut answer: Value = serde_json::from_str(&line)?;
+        let status = answer.get_mut("status").map(Value::take);
+        return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);
+    }
     let answer = ask(&Request::Status {}, socket)?;
-    print(&if args.json {
-        serde_json::to_string_pretty(&answer.status)?
-    } else {
-        answer
-            .status
-            .as_ref()
-            .map(Summary::of)
-            .unwrap_or_default()
-            .line()
-    })
+    let summary = answer.status.as_ref().map(Summary::of);
+    print(&summary.unwrap_or_default().line())
 }
