@@ -215,10 +215,7 @@ proptest! {
             .believing(belief);
         let polynomial = closed_loop.characteristic_polynomial();
         // Polynomials are compared, because roots that are close to each other are sensitive.
-        let coefficients = match polynomial {
-            singletrack_analysis::stability::CharacteristicPolynomial::Quartic(a) => a.to_vec(),
-            singletrack_analysis::stability::CharacteristicPolynomial::Cubic(a) => a.to_vec(),
-        };
+        let coefficients = polynomial.coefficients().to_vec();
         let eigenvalues = closed_loop.eigenvalues();
         let mut product = vec![nalgebra::Complex::new(1.0, 0.0)];
         let mut scale = vec![1.0];

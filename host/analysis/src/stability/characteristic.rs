@@ -26,6 +26,7 @@
 //! Hurwitz' determinant contains v in one positive term only, `κ L/v²`: a car that is stable
 //! at some speed is stable at all lower speeds.
 
+use nalgebra::Complex;
 use singletrack_control::VehicleParameters;
 
 use super::closed_loop::{Belief, ClosedLoop, Law};
@@ -40,21 +41,46 @@ pub enum CharacteristicPolynomial {
 }
 
 impl CharacteristicPolynomial {
+    /// The coefficients from a₀ on.
+    #[must_use]
+    pub const fn coefficients(&self) -> &[f64] {
+        match self {
+            Self::Quartic(a) => a,
+            Self::Cubic(a) => a,
+        }
+    }
+
     /// Whether all roots have negative real parts (Liénard and Chipart).
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        let positive = match self {
-            Self::Quartic(a) => a.iter().all(|a| *a > 0.0),
-            Self::Cubic(a) => a.iter().all(|a| *a > 0.0),
-        };
-        positive && self.hurwitz_determinant() > 0.0
+        self.coefficients().iter().all(|a| *a > 0.0) && self.hurwitz_determinant() > 0.0
     }
 
     /// Whether all coefficients are finite.
     pub(super) fn is_finite(&self) -> bool {
-        match self {
-            Self::Quartic(a) => a.iter().all(|a| a.is_finite()),
-            Self::Cubic(a) => a.iter().all(|a| a.is_finite()),
+        self.coefficients().iter().all(|a| a.is_finite())
+    }
+
+    /// The root near `root`, by Newton's method for as long as it comes nearer.
+    pub(super) fn polished(&self, mut root: Complex<f64>) -> Complex<f64> {
+        let at = |root: Complex<f64>| {
+            let (mut value, mut slope) = (Complex::new(1.0, 0.0), Complex::new(0.0, 0.0));
+            for coefficient in self.coefficients().iter().rev() {
+                slope = slope * root + value;
+                value = value * root + coefficient;
+            }
+            (value, slope)
+        };
+        let (mut value, mut slope) = at(root);
+        loop {
+            let next = root - value / slope;
+            let (next_value, next_slope) = at(next);
+            // Also ends where the slope is zero.
+            let is_nearer = next_value.norm() < value.norm();
+            if !is_nearer {
+                return root;
+            }
+            (root, value, slope) = (next, next_value, next_slope);
         }
     }
 
@@ -154,15 +180,7 @@ impl ClosedLoop {
     }
 
     fn velocity_point_coefficients(&self) -> [Affine; 3] {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: i_z,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = self.vehicle;
+        let [m, i_z, l_f, l_r, c_f, c_r] = symbols(&self.vehicle);
         let (v, p) = (self.speed, self.point_distance);
         let wheelbase = l_f + l_r;
         let w = match self.belief {
@@ -181,17 +199,21 @@ impl ClosedLoop {
     }
 }
 
+/// `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r` of the equations above.
+const fn symbols(vehicle: &VehicleParameters) -> [f64; 6] {
+    [
+        vehicle.mass_kg,
+        vehicle.yaw_inertia_kg_m2,
+        vehicle.front_axle_distance_m,
+        vehicle.rear_axle_distance_m,
+        vehicle.front_cornering_stiffness_n_rad,
+        vehicle.rear_cornering_stiffness_n_rad,
+    ]
+}
+
 /// a₀, v a₁, a₂ and v a₃ of the front-point law at 1/v².
 fn front_point(vehicle: &VehicleParameters, p: f64, inverse_square: f64) -> [Affine; 4] {
-    let VehicleParameters {
-        mass_kg: m,
-        yaw_inertia_kg_m2: i_z,
-        front_axle_distance_m: l_f,
-        rear_axle_distance_m: l_r,
-        front_cornering_stiffness_n_rad: c_f,
-        rear_cornering_stiffness_n_rad: c_r,
-        ..
-    } = *vehicle;
+    let [m, i_z, l_f, l_r, c_f, c_r] = symbols(vehicle);
     let wheelbase = l_f + l_r;
     let kappa = c_f * c_r * wheelbase / (m * i_z);
     let front = c_f * l_f / (i_z * p);
@@ -231,15 +253,7 @@ pub(super) fn front_point_quadratic(
 /// p² v² times Hurwitz' determinant of the front-point law at infinite speed over κ, as
 /// a quadratic in p, by power.
 pub(super) fn front_point_quadratic_in_p(vehicle: &VehicleParameters, deviation: f64) -> [f64; 3] {
-    let VehicleParameters {
-        mass_kg: m,
-        yaw_inertia_kg_m2: i_z,
-        front_axle_distance_m: l_f,
-        rear_axle_distance_m: l_r,
-        front_cornering_stiffness_n_rad: c_f,
-        rear_cornering_stiffness_n_rad: c_r,
-        ..
-    } = *vehicle;
+    let [m, i_z, l_f, l_r, c_f, c_r] = symbols(vehicle);
     let wheelbase = l_f + l_r;
     let kappa = c_f * c_r * wheelbase / (m * i_z);
     let damping = (c_f + c_r) / m + (c_f * l_f * l_f + c_r * l_r * l_r) / i_z;

@@ -10,12 +10,15 @@
 //! so that they decay on their own, as the outer loop says.
 
 use libm::{atan2, atanh, cos, fabs, hypot, sin, sqrt, tanh};
-use nalgebra::{Complex, Matrix4, Vector4};
-use num_dual::Dual64;
+use nalgebra::{Complex, Matrix4};
 use singletrack_control::{
     Axles, GRAVITY, LateralMotion, Tyres, VehicleParameterError, VehicleParameters,
 };
 
+use super::{
+    linearisation::{in_order, jacobian},
+    vector_field::VectorField,
+};
 use crate::dual::{Dual, DualFunctions};
 
 /// A circle of P, and the car that follows it.
@@ -203,19 +206,9 @@ impl SteadyCircle {
     /// ascending real part.
     #[must_use]
     pub fn eigenvalues(&self) -> [Complex<f64>; 4] {
-        let mut jacobian = Matrix4::<f64>::zeros();
-        for column in 0..4 {
-            let mut state = self.state().map(Dual64::from);
-            if let Some(entry) = state.get_mut(column) {
-                entry.eps = 1.0;
-            }
-            let slope = self.slope(state).map(|slope| slope.eps);
-            jacobian.set_column(column, &Vector4::from(slope));
-        }
+        let jacobian = Matrix4::from_iterator(jacobian(self, self.state()).iter().copied());
         let mut eigenvalues = jacobian.complex_eigenvalues();
-        eigenvalues
-            .as_mut_slice()
-            .sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
+        in_order(eigenvalues.as_mut_slice());
         eigenvalues.into()
     }
 
@@ -235,7 +228,9 @@ impl SteadyCircle {
             self.steering,
         ]
     }
+}
 
+impl VectorField<4> for SteadyCircle {
     /// Equation 7 and Newton's equations with saturating tyres; yaw is relative to the velocity
     /// of P, which turns.
     fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip, steering]: [D; 4]) -> [D; 4] {

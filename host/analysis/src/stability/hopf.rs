@@ -186,29 +186,21 @@ impl ClosedLoop {
 
     /// The derivative by dl of the real part of the eigenvalue i ω.
     fn crossing(&self, frequency: f64) -> Option<f64> {
-        let slopes = [0.0, 1.0].map(|dl| Some(coefficients(&self.with_deviation(dl).ok()?)));
-        let [Some(at_zero), Some(at_one)] = slopes else {
-            return None;
-        };
+        let at_zero = self.with_deviation(0.0).ok()?.characteristic_polynomial();
+        let at_one = self.with_deviation(1.0).ok()?.characteristic_polynomial();
+        let slopes = at_zero.coefficients().iter().zip(at_one.coefficients());
         let eigenvalue = Complex::new(0.0, frequency);
         let mut by_deviation = Complex::new(0.0, 0.0);
         let mut by_eigenvalue = Complex::new(0.0, 0.0);
         let mut power = Complex::new(1.0, 0.0);
-        let own = coefficients(self);
-        for (index, (zero, one)) in at_zero.iter().zip(&at_one).enumerate() {
+        let own = self.characteristic_polynomial();
+        for (index, (zero, one)) in slopes.enumerate() {
             by_deviation += power * (one - zero);
-            let next = own.get(index + 1).copied().unwrap_or(1.0);
+            let next = own.coefficients().get(index + 1).copied().unwrap_or(1.0);
             by_eigenvalue += power * next * (index + 1) as f64;
             power *= eigenvalue;
         }
         Some(-(by_deviation / by_eigenvalue).re)
-    }
-}
-
-fn coefficients(closed_loop: &ClosedLoop) -> Vec<f64> {
-    match closed_loop.characteristic_polynomial() {
-        CharacteristicPolynomial::Quartic(a) => a.to_vec(),
-        CharacteristicPolynomial::Cubic(a) => a.to_vec(),
     }
 }
 

@@ -1,17 +1,18 @@
 //! The closed loop linearised at its steady motion, and its eigenvalues.
 
-use nalgebra::{Complex, DMatrix, Matrix3, Matrix4, SMatrix, SVector, Schur};
+use nalgebra::{Complex, DMatrix, Schur};
 use num_dual::Dual64;
 
 use super::{
-    characteristic::CharacteristicPolynomial,
     closed_loop::{ClosedLoop, Law},
-    roots,
     vector_field::{FrontPointField, VectorField, VelocityPointField},
 };
 
 /// The eigenvalues of a steady motion: three or four.
 pub type Eigenvalues = heapless::Vec<Complex<f64>, 4>;
+
+/// Limit of the steps of the QR algorithm, more than a matrix of this size needs.
+const MOST_STEPS: usize = 10_000;
 
 impl ClosedLoop {
     /// The Jacobian of the steady motion, by exact derivatives, in rad and s: four by four for
@@ -20,10 +21,8 @@ impl ClosedLoop {
     #[must_use]
     pub fn jacobian(&self) -> DMatrix<f64> {
         match self.law {
-            Law::FrontPoint => DMatrix::from_iterator(4, 4, self.front_point().iter().copied()),
-            Law::VelocityPoint => {
-                DMatrix::from_iterator(3, 3, self.velocity_point().iter().copied())
-            }
+            Law::FrontPoint => jacobian(&FrontPointField(self), [0.0; 4]),
+            Law::VelocityPoint => jacobian(&VelocityPointField(self), [0.0; 3]),
         }
     }
 
@@ -31,63 +30,46 @@ impl ClosedLoop {
     /// the velocity-point law.
     ///
     /// By ascending real part; of a complex pair the one with the negative imaginary part is
-    /// first. They are the roots of the characteristic polynomial in closed form, or, where
-    /// its factors are too close to each other, the eigenvalues of the Jacobian by the QR
-    /// algorithm; not numbers if that does not converge.
+    /// first. They are those of the Jacobian by the QR algorithm, polished on the characteristic
+    /// polynomial, which has no roundings of large entries; not numbers if that does not converge.
     #[must_use]
     pub fn eigenvalues(&self) -> Eigenvalues {
-        let found = match self.characteristic_polynomial() {
-            CharacteristicPolynomial::Quartic(a) => {
-                roots::quartic(a).map(|found| found.into_iter().collect())
+        let polynomial = self.characteristic_polynomial();
+        let schur = Schur::try_new(self.jacobian(), f64::EPSILON, MOST_STEPS);
+        let mut eigenvalues: Eigenvalues = match schur {
+            Some(schur) => {
+                let found = schur.complex_eigenvalues();
+                found
+                    .iter()
+                    .map(|root| polynomial.polished(*root))
+                    .collect()
             }
-            CharacteristicPolynomial::Cubic(a) => {
-                roots::cubic(a).map(|found| found.into_iter().collect())
-            }
+            None => polynomial
+                .coefficients()
+                .iter()
+                .map(|_| Complex::new(f64::NAN, f64::NAN))
+                .collect(),
         };
-        let mut eigenvalues: Eigenvalues = found.unwrap_or_else(|| self.eigenvalues_by_qr());
-        eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
+        in_order(&mut eigenvalues);
         eigenvalues
-    }
-
-    /// The eigenvalues of the Jacobian, in no order.
-    fn eigenvalues_by_qr(&self) -> Eigenvalues {
-        let unknown = || Complex::new(f64::NAN, f64::NAN);
-        match self.law {
-            Law::FrontPoint => Schur::try_new(self.front_point(), f64::EPSILON, MOST_STEPS)
-                .map_or_else(
-                    || [unknown(); 4].into_iter().collect(),
-                    |schur| schur.complex_eigenvalues().iter().copied().collect(),
-                ),
-            Law::VelocityPoint => Schur::try_new(self.velocity_point(), f64::EPSILON, MOST_STEPS)
-                .map_or_else(
-                    || [unknown(); 3].into_iter().collect(),
-                    |schur| schur.complex_eigenvalues().iter().copied().collect(),
-                ),
-        }
-    }
-
-    fn front_point(&self) -> Matrix4<f64> {
-        jacobian(&FrontPointField(self))
-    }
-
-    fn velocity_point(&self) -> Matrix3<f64> {
-        jacobian(&VelocityPointField(self))
     }
 }
 
-/// Limit of the steps of the QR algorithm, more than a matrix of this size needs.
-const MOST_STEPS: usize = 10_000;
+/// Sorts by ascending real part, then imaginary part.
+pub(super) fn in_order(eigenvalues: &mut [Complex<f64>]) {
+    eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
+}
 
-/// The Jacobian at the origin.
-fn jacobian<const N: usize>(field: &impl VectorField<N>) -> SMatrix<f64, N, N> {
-    let mut jacobian = SMatrix::<f64, N, N>::zeros();
+/// The Jacobian at a state, by exact derivatives.
+pub(super) fn jacobian<const N: usize>(field: &impl VectorField<N>, at: [f64; N]) -> DMatrix<f64> {
+    let mut jacobian = DMatrix::zeros(N, N);
     for column in 0..N {
-        let mut state = [Dual64::from(0.0); N];
+        let mut state = at.map(Dual64::from);
         if let Some(state) = state.get_mut(column) {
             state.eps = 1.0;
         }
-        let slope = field.slope(state);
-        jacobian.set_column(column, &SVector::from(slope.map(|slope| slope.eps)));
+        let slope = field.slope(state).map(|slope| slope.eps);
+        jacobian.column_mut(column).copy_from_slice(&slope);
     }
     jacobian
 }

@@ -20,7 +20,6 @@ mod hopf;
 mod limits;
 mod linearisation;
 mod lyapunov;
-mod roots;
 mod sampled;
 mod vector_field;
 

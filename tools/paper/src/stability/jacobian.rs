@@ -5,7 +5,7 @@ use std::io;
 use clap::Args;
 use nalgebra::DMatrix;
 use serde_json::json;
-use singletrack_analysis::stability::{CharacteristicPolynomial, Law};
+use singletrack_analysis::stability::Law;
 
 use super::{
     arguments::{Format, LoopArgs},
@@ -51,10 +51,10 @@ pub(super) fn run(args: &JacobianArgs) -> Result<(), StabilityCommandError> {
                 .row_iter()
                 .map(|row| row.iter().copied().collect())
                 .collect();
-            let polynomial = match closed_loop.characteristic_polynomial() {
-                CharacteristicPolynomial::Quartic(a) => a.to_vec(),
-                CharacteristicPolynomial::Cubic(a) => a.to_vec(),
-            };
+            let polynomial = closed_loop
+                .characteristic_polynomial()
+                .coefficients()
+                .to_vec();
             let eigenvalues: Vec<_> = closed_loop
                 .eigenvalues()
                 .iter()
