@@ -45,6 +45,7 @@ impl Arrivals {
         let time_ns = time_ns.unwrap_or(self.last_ns);
         if self.count == 0 {
             self.first_ns = time_ns;
+            self.gap.begin_ns = time_ns;
         } else {
             self.gap.add(self.last_ns, time_ns);
         }

@@ -1,5 +1,7 @@
 //! The scale of the gyro, from the cameras.
 
+use singletrack_statistics::Line;
+
 use super::{
     data::{DriveData, Span},
     simulation::seen,
@@ -25,26 +27,19 @@ impl GyroScale {
                 Some([seen.yaw_rate, sample.yaw_rate_rad_s])
             })
             .collect();
+        let line = Line::through(pairs.iter().copied());
         let count = pairs.len() as f64;
-        let mean = |index: usize| pairs.iter().map(|pair| pair[index]).sum::<f64>() / count;
-        let (camera, gyro) = (mean(0), mean(1));
-        let (mut square, mut product) = (0.0, 0.0);
-        for [one, other] in &pairs {
-            square += (one - camera) * (one - camera);
-            product += (one - camera) * (other - gyro);
-        }
-        let value = product / square;
         let errors: f64 = pairs
             .iter()
-            .map(|[one, other]| (other - gyro - value * (one - camera)).powi(2))
+            .map(|[camera, gyro]| (gyro - line.at(*camera)).powi(2))
             .sum();
         // The errors of samples of a few hertz that are interpolated are alike over ten of them.
         const ALIKE: f64 = 10.0;
-        let deviation = (ALIKE * errors / count / square).sqrt().max(1e-4);
-        (value.is_finite() && deviation.is_finite()).then_some(Self {
-            value,
+        let deviation = (ALIKE * errors / count / line.spread).sqrt().max(1e-4);
+        (line.spread > 0.0 && deviation.is_finite()).then_some(Self {
+            value: line.slope,
             deviation,
-            turning: (square / count).sqrt(),
+            turning: (line.spread / count).sqrt(),
         })
     }
 }

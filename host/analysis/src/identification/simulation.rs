@@ -2,6 +2,7 @@
 //! it: the paper's validation figures.
 
 use singletrack_control::{Tyres, wrap};
+use singletrack_statistics::Line;
 
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},
@@ -233,25 +234,15 @@ pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
     let to = poses.partition_point(|pose| pose.time_s <= time + AROUND);
     let around = poses.get(from..to)?;
     let first = around.first().filter(|_| around.len() >= LEAST_POSES)?;
-    let count = around.len() as f64;
-    let mean = |value: &dyn Fn(&Pose) -> f64| around.iter().map(value).sum::<f64>() / count;
-    let middle = mean(&|pose| pose.time_s - time);
-    let slope = |value: &dyn Fn(&Pose) -> f64| {
-        let mean = mean(value);
-        let (mut product, mut square) = (0.0, 0.0);
-        for pose in around {
-            let since = pose.time_s - time - middle;
-            product += since * (value(pose) - mean);
-            square += since * since;
-        }
-        product / square
+    let line = |value: &dyn Fn(&Pose) -> f64| {
+        Line::through(around.iter().map(|pose| [pose.time_s - time, value(pose)]))
     };
-    let yaw = &|pose: &Pose| wrap(pose.yaw_rad - first.yaw_rad);
-    let (x, y) = (slope(&|pose| pose.x_m), slope(&|pose| pose.y_m));
-    Some(Seen {
+    let yaw = line(&|pose| wrap(pose.yaw_rad - first.yaw_rad));
+    let (x, y) = (line(&|pose| pose.x_m).slope, line(&|pose| pose.y_m).slope);
+    (yaw.spread > 0.0).then(|| Seen {
         speed: x.hypot(y),
-        sideslip: wrap(y.atan2(x) - first.yaw_rad - mean(yaw)),
-        yaw_rate: slope(yaw),
+        sideslip: wrap(y.atan2(x) - first.yaw_rad - yaw.middle[1]),
+        yaw_rate: yaw.slope,
     })
 }
 

@@ -1,7 +1,7 @@
 //! How the estimate compares with the smoothed cameras, and what the sensors' noise is.
 
-use singletrack_control::{EstimatorConfig, InertialSample, Time};
-use singletrack_statistics::RootMeanSquare;
+use singletrack_control::{EstimatorConfig, InertialSample, Time, wrap};
+use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::truth::{self, Kind, Motion, Seen};
 
@@ -29,7 +29,7 @@ pub(super) struct Compared {
 impl Compared {
     /// Estimated minus true sideslip, rad.
     pub(super) fn sideslip_error(&self) -> f64 {
-        truth::wrap(self.sideslip - self.truth.sideslip())
+        wrap(self.sideslip - self.truth.sideslip())
     }
 
     pub(super) fn is_fast(&self) -> bool {
@@ -254,29 +254,12 @@ pub(super) fn differences(
             Some((sample.time, *motor, motion, differences))
         })
         .collect();
-    let (bias, scale) = line(rows.iter().map(|row| (row.2.yaw_rate, row.3[2])));
+    // Bias and scale of the gyro.
+    let line = Line::through(rows.iter().map(|row| [row.2.yaw_rate, row.3[2]]));
     for (_, _, motion, [_, _, turned]) in &mut rows {
-        *turned -= bias + scale * motion.yaw_rate;
+        *turned -= line.at(motion.yaw_rate);
     }
     rows
-}
-
-/// The line `y = a + b x` through points, by least squares.
-fn line(points: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
-    let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for (px, py) in points {
-        n += 1.0;
-        x += px;
-        y += py;
-        xx += px * px;
-        xy += px * py;
-    }
-    let spread = n * xx - x * x;
-    if spread <= 0.0 {
-        return (0.0, 0.0);
-    }
-    let slope = (n * xy - x * y) / spread;
-    ((y - slope * x) / n, slope)
 }
 
 /// Whether a pose's innovation counts in the mean.

@@ -1,9 +1,7 @@
 //! What the cameras saw, told apart: the car, ghosts and flips; and the smoothed motion of the car.
 
-use std::f64::consts::{PI, TAU};
-
 use nalgebra::{Matrix3, Vector3};
-use singletrack_control::{CarPose, Time, direction};
+use singletrack_control::{CarPose, Time, direction, wrap};
 
 /// Half of the time over which the motion is smoothed, s: 110 ms, 11 poses at 100 Hz.
 const HALF: f64 = 0.055;
@@ -137,11 +135,6 @@ fn moments(seen: &mut [Seen]) {
             () => Kind::Car,
         };
     }
-}
-
-/// The same angle in -pi to pi.
-pub(super) fn wrap(angle: f64) -> f64 {
-    angle - TAU * ((angle + PI) / TAU).floor()
 }
 
 /// Parabolas through poses, over the time from `origin`: x and y relative to the first pose, and yaw
