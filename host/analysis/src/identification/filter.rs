@@ -8,15 +8,11 @@ use singletrack_control::{Tyres, wrap};
 use super::{
     channel::Channel,
     data::{DriveData, ServoTarget, Span},
-    model::{Model, Motion},
+    model::Model,
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    timeline::{EventHandler, StateEstimate, replay},
+    timeline::{EventHandler, STATES, StateEstimate, replay},
 };
-
-/// Number of states: x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias of the
-/// forward acceleration. The steering angle is no state: it follows from the servo's targets.
-pub(super) const STATES: usize = 8;
 
 /// The Kalman gain of an innovation and its standard deviation, which is zero for a sample
 /// that was not used.
@@ -151,23 +147,8 @@ const START: [f64; STATES] = [1e-3, 1e-3, 0.01, 0.3, 0.1, 0.1, 0.03, 0.3];
 impl Filter<'_> {
     /// The state, with its derivatives by itself.
     fn seeded(&self) -> StateEstimate<Dual> {
-        let seed = |index: usize| {
-            let value = self.state.get(index).copied().unwrap_or(0.0);
-            Dual::from(value).derivative(index)
-        };
-        StateEstimate {
-            motion: Motion {
-                x: seed(0),
-                y: seed(1),
-                yaw: seed(2),
-                yaw_rate: seed(3),
-                sideslip: seed(4),
-                speed: seed(5),
-                steering: Dual::from(self.steering),
-            },
-            gyro_bias: seed(6),
-            forward_bias: seed(7),
-        }
+        let seed = |index: usize| Dual::from(self.state[index]).derivative(index);
+        StateEstimate::of(core::array::from_fn(seed), Dual::from(self.steering))
     }
 
     /// Corrects the state with a measurement. `expected` is its prediction with derivatives by
@@ -202,18 +183,8 @@ fn gradient(value: &Dual) -> SMatrix<f64, 1, STATES> {
 
 impl EventHandler<f64> for Filter<'_> {
     fn begin(&mut self, estimate: StateEstimate<f64>) {
-        let Motion {
-            x,
-            y,
-            yaw,
-            yaw_rate,
-            sideslip,
-            speed,
-            steering,
-        } = estimate.motion;
-        let biases = [estimate.gyro_bias, estimate.forward_bias];
-        self.state = SVector::from([x, y, yaw, yaw_rate, sideslip, speed, biases[0], biases[1]]);
-        self.steering = steering;
+        self.state = SVector::from(estimate.states());
+        self.steering = estimate.motion.steering;
         self.covariance = SMatrix::from_diagonal(&SVector::from(START).map(|x| x * x));
     }
 
@@ -223,16 +194,8 @@ impl EventHandler<f64> for Filter<'_> {
         let after = self
             .model
             .advance(estimate.motion, Dual::from(step), target, forward)?;
-        let rows = [
-            after.x,
-            after.y,
-            after.yaw,
-            after.yaw_rate,
-            after.sideslip,
-            after.speed,
-            estimate.gyro_bias,
-            estimate.forward_bias,
-        ];
+        let motion = after;
+        let rows = StateEstimate { motion, ..estimate }.states();
         let transition = SMatrix::<f64, STATES, STATES>::from_rows(&rows.map(|row| gradient(&row)));
         self.state = SVector::from(rows.map(|row| row.re));
         self.steering = after.steering.re;

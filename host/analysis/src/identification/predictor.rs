@@ -10,11 +10,11 @@ use singletrack_control::Tyres;
 
 use super::{
     data::{DriveData, ServoTarget, Span},
-    filter::{Gain, Gains, STATES},
-    model::{Model, Motion},
+    filter::{Gain, Gains},
+    model::Model,
     parameter::{Parameter, Values},
     problem::Problem,
-    timeline::{EventHandler, StateEstimate, replay},
+    timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 use crate::dual::Dual;
 
@@ -63,7 +63,7 @@ impl Problem for Prediction<'_> {
         let mut predictor = Predictor {
             prediction: self,
             model: Model::new(self.start, parameters, self.tyres),
-            estimate: zero_estimate(),
+            estimate: StateEstimate::of([zero; STATES], zero),
             errors: vec![zero; self.rows()],
         };
         let model = predictor.model;
@@ -72,24 +72,6 @@ impl Problem for Prediction<'_> {
             replay(self.data, self.servo, *span, &model, order, &mut predictor)?;
         }
         Some(predictor.errors)
-    }
-}
-
-/// All zero.
-fn zero_estimate<D: Dual>() -> StateEstimate<D> {
-    let zero = D::from(0.0);
-    StateEstimate {
-        motion: Motion {
-            x: zero,
-            y: zero,
-            yaw: zero,
-            yaw_rate: zero,
-            sideslip: zero,
-            speed: zero,
-            steering: zero,
-        },
-        gyro_bias: zero,
-        forward_bias: zero,
     }
 }
 
@@ -108,24 +90,11 @@ impl<D: Dual> Predictor<'_, D> {
         if let Some(place) = self.errors.get_mut(row) {
             *place = error / gain.deviation;
         }
-        let StateEstimate {
-            motion: m,
-            gyro_bias,
-            forward_bias,
-        } = &mut self.estimate;
-        let states: [&mut D; STATES] = [
-            &mut m.x,
-            &mut m.y,
-            &mut m.yaw,
-            &mut m.yaw_rate,
-            &mut m.sideslip,
-            &mut m.speed,
-            gyro_bias,
-            forward_bias,
-        ];
-        for (state, gain) in states.into_iter().zip(gain.gain) {
+        let mut states = self.estimate.states();
+        for (state, gain) in states.iter_mut().zip(gain.gain) {
             *state += error * gain;
         }
+        self.estimate = StateEstimate::of(states, self.estimate.motion.steering);
     }
 }
 

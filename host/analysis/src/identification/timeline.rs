@@ -4,6 +4,7 @@
 //! delay, and the time stamps of the IMU are late.
 
 use singletrack_control::wrap;
+use singletrack_statistics::Line;
 
 use super::{
     data::{DriveData, Pose, ServoTarget, Span},
@@ -20,6 +21,46 @@ pub(super) struct StateEstimate<D> {
     pub(super) gyro_bias: D,
     /// Bias of the forward acceleration, in m/s².
     pub(super) forward_bias: D,
+}
+
+/// Number of states: x, y, yaw, yaw rate, sideslip, speed, bias of the gyro, bias of the
+/// forward acceleration. The steering angle is no state: it follows from the servo's targets.
+pub(super) const STATES: usize = 8;
+
+impl<D: Copy> StateEstimate<D> {
+    pub(super) const fn of(states: [D; STATES], steering: D) -> Self {
+        let [
+            x,
+            y,
+            yaw,
+            yaw_rate,
+            sideslip,
+            speed,
+            gyro_bias,
+            forward_bias,
+        ] = states;
+        Self {
+            motion: Motion {
+                x,
+                y,
+                yaw,
+                yaw_rate,
+                sideslip,
+                speed,
+                steering,
+            },
+            gyro_bias,
+            forward_bias,
+        }
+    }
+
+    pub(super) const fn states(&self) -> [D; STATES] {
+        let m = &self.motion;
+        let (gyro, forward) = (self.gyro_bias, self.forward_bias);
+        [
+            m.x, m.y, m.yaw, m.yaw_rate, m.sideslip, m.speed, gyro, forward,
+        ]
+    }
 }
 
 /// A consumer of the events of a stretch.
@@ -178,44 +219,22 @@ fn initial_estimate<D: Dual>(data: &DriveData, time: f64, steering: D) -> Option
     // None of another drive.
     let near = |other: &&Pose| (other.time_s - time).abs() <= AROUND;
     let around: Vec<&Pose> = around.iter().filter(near).collect();
-    let (mut squares, mut x, mut y, mut turn) = (0.0, 0.0, 0.0, 0.0);
-    let mut mean = [0.0; 4];
-    let count = around.len() as f64;
-    for other in &around {
-        let values = [
-            other.time_s - time,
-            other.x_m,
-            other.y_m,
-            wrap(other.yaw_rad - pose.yaw_rad),
-        ];
-        for (mean, value) in mean.iter_mut().zip(values) {
-            *mean += value / count;
-        }
-    }
-    for other in &around {
-        let since = other.time_s - time - mean[0];
-        squares += since * since;
-        x += since * (other.x_m - mean[1]);
-        y += since * (other.y_m - mean[2]);
-        turn += since * (wrap(other.yaw_rad - pose.yaw_rad) - mean[3]);
-    }
-    if squares <= 0.0 {
+    let line = |value: &dyn Fn(&Pose) -> f64| {
+        let points = around
+            .iter()
+            .map(|other| [other.time_s - time, value(other)]);
+        Line::through(points)
+    };
+    let [x, y] = [line(&|other| other.x_m), line(&|other| other.y_m)];
+    let turned = line(&|other| wrap(other.yaw_rad - pose.yaw_rad));
+    if turned.spread <= 0.0 {
         return None;
     }
-    let (vx, vy) = (x / squares, y / squares);
+    let (vx, vy) = (x.slope, y.slope);
     let course = vy.atan2(vx);
-    let yaw = pose.yaw_rad + mean[3] - mean[0] * turn / squares;
-    Some(StateEstimate {
-        motion: Motion {
-            x: D::from(mean[1] - mean[0] * vx),
-            y: D::from(mean[2] - mean[0] * vy),
-            yaw: D::from(yaw),
-            yaw_rate: D::from(turn / squares),
-            sideslip: D::from(wrap(course - yaw).clamp(-0.5, 0.5)),
-            speed: D::from(vx.hypot(vy)),
-            steering,
-        },
-        gyro_bias: D::from(0.0),
-        forward_bias: D::from(0.0),
-    })
+    let yaw = pose.yaw_rad + turned.at(0.0);
+    let sideslip = wrap(course - yaw).clamp(-0.5, 0.5);
+    let (x, y, speed) = (x.at(0.0), y.at(0.0), vx.hypot(vy));
+    let states = [x, y, yaw, turned.slope, sideslip, speed, 0.0, 0.0];
+    Some(StateEstimate::of(states.map(D::from), steering))
 }
