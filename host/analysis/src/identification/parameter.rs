@@ -38,6 +38,23 @@ pub enum Parameter {
 /// Number of parameters.
 pub(super) const COUNT: usize = 12;
 
+/// Short names, units and prior distributions, in the order of the discriminants.
+const TABLE: [(&str, &str, Prior); COUNT] = [
+    // Two thirds of all cars are within a factor of four of the start value.
+    ("c_f", "N/rad", Prior::factor(1.4)),
+    ("c_r", "N/rad", Prior::factor(1.4)),
+    ("i_z", "kg m²", Prior::factor(1.4)),
+    ("l_f", "m", Prior::factor(0.5)),
+    ("friction", "", Prior::factor(0.5)),
+    ("steering_gain", "", Prior::factor(0.2)),
+    ("servo_lag", "s", Prior::factor(1.0)),
+    ("delay", "s", Prior::shift(0.03)),
+    ("trim", "rad", Prior::shift(0.1)),
+    ("imu_delay", "s", Prior::shift(0.03)),
+    ("lateral_bias", "m/s²", Prior::shift(0.3)),
+    ("gyro_scale", "", Prior::factor(0.05)),
+];
+
 impl Parameter {
     /// All parameters, in the order of the discriminants.
     pub const ALL: [Self; COUNT] = [
@@ -75,50 +92,18 @@ impl Parameter {
     /// The short name.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::FrontStiffness => "c_f",
-            Self::RearStiffness => "c_r",
-            Self::YawInertia => "i_z",
-            Self::FrontAxleDistance => "l_f",
-            Self::Friction => "friction",
-            Self::SteeringGain => "steering_gain",
-            Self::ServoLag => "servo_lag",
-            Self::SteeringDelay => "delay",
-            Self::SteeringTrim => "trim",
-            Self::InertialDelay => "imu_delay",
-            Self::LateralBias => "lateral_bias",
-            Self::GyroScale => "gyro_scale",
-        }
+        TABLE[self.index()].0
     }
 
     /// The unit; empty for a ratio.
     #[must_use]
     pub const fn unit(self) -> &'static str {
-        match self {
-            Self::FrontStiffness | Self::RearStiffness => "N/rad",
-            Self::YawInertia => "kg m²",
-            Self::FrontAxleDistance => "m",
-            Self::Friction | Self::SteeringGain | Self::GyroScale => "",
-            Self::ServoLag | Self::SteeringDelay | Self::InertialDelay => "s",
-            Self::SteeringTrim => "rad",
-            Self::LateralBias => "m/s²",
-        }
+        TABLE[self.index()].1
     }
 
     /// The prior distribution, in the coordinate of the optimiser.
     pub(super) const fn prior(self) -> Prior {
-        match self {
-            // Two thirds of all cars are within a factor of four of the start value.
-            Self::FrontStiffness | Self::RearStiffness | Self::YawInertia => Prior::factor(1.4),
-            Self::FrontAxleDistance | Self::Friction => Prior::factor(0.5),
-            Self::SteeringGain => Prior::factor(0.2),
-            Self::ServoLag => Prior::factor(1.0),
-            Self::SteeringDelay => Prior::shift(0.03),
-            Self::SteeringTrim => Prior::shift(0.1),
-            Self::InertialDelay => Prior::shift(0.03),
-            Self::LateralBias => Prior::shift(0.3),
-            Self::GyroScale => Prior::factor(0.05),
-        }
+        TABLE[self.index()].2
     }
 
     const fn index(self) -> usize {
