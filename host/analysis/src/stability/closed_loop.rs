@@ -83,16 +83,6 @@ impl ClosedLoop {
         speed: f64,
         deviation: f64,
     ) -> Result<Self, StabilityError> {
-        vehicle.validate()?;
-        if !(point_distance.is_finite() && point_distance > 0.0) {
-            return Err(StabilityError::PointDistance(point_distance));
-        }
-        if !(speed.is_finite() && speed > 0.0) {
-            return Err(StabilityError::Speed(speed));
-        }
-        if !deviation.is_finite() {
-            return Err(StabilityError::Deviation(deviation));
-        }
         Self {
             vehicle,
             law,
@@ -101,17 +91,28 @@ impl ClosedLoop {
             speed,
             deviation,
         }
-        .finite()
+        .checked()
     }
 
-    /// This loop, if its Jacobian and its characteristic polynomial are finite.
-    fn finite(self) -> Result<Self, StabilityError> {
+    /// This loop, if its parameters are valid, and if its Jacobian and its characteristic
+    /// polynomial are finite.
+    fn checked(self) -> Result<Self, StabilityError> {
         let Self {
             point_distance: p,
             speed: v,
             deviation,
             ..
         } = self;
+        self.vehicle.validate()?;
+        if !(p.is_finite() && p > 0.0) {
+            return Err(StabilityError::PointDistance(p));
+        }
+        if !(v.is_finite() && v > 0.0) {
+            return Err(StabilityError::Speed(v));
+        }
+        if !deviation.is_finite() {
+            return Err(StabilityError::Deviation(deviation));
+        }
         // What the entries of the Jacobian contain besides the car's parameters.
         let factors = [
             v,
@@ -148,10 +149,7 @@ impl ClosedLoop {
     ///
     /// A deviation that is not finite.
     pub fn with_deviation(self, deviation: f64) -> Result<Self, StabilityError> {
-        if !deviation.is_finite() {
-            return Err(StabilityError::Deviation(deviation));
-        }
-        Self { deviation, ..self }.finite()
+        Self { deviation, ..self }.checked()
     }
 
     /// The same loop at another speed, in m/s.
@@ -160,10 +158,7 @@ impl ClosedLoop {
     ///
     /// A speed without a steady motion.
     pub fn with_speed(self, speed: f64) -> Result<Self, StabilityError> {
-        if !(speed.is_finite() && speed > 0.0) {
-            return Err(StabilityError::Speed(speed));
-        }
-        Self { speed, ..self }.finite()
+        Self { speed, ..self }.checked()
     }
 
     /// The same loop with another distance p, in m.
@@ -172,14 +167,11 @@ impl ClosedLoop {
     ///
     /// An invalid distance.
     pub fn with_point_distance(self, point_distance: f64) -> Result<Self, StabilityError> {
-        if !(point_distance.is_finite() && point_distance > 0.0) {
-            return Err(StabilityError::PointDistance(point_distance));
-        }
         Self {
             point_distance,
             ..self
         }
-        .finite()
+        .checked()
     }
 
     /// The car.

@@ -47,6 +47,21 @@ pub struct SamplingError {
     pub rule: &'static str,
 }
 
+impl SamplingError {
+    /// Refuses a value that is not valid.
+    fn unless(
+        is_valid: bool,
+        name: &'static str,
+        value: f64,
+        rule: &'static str,
+    ) -> Result<(), Self> {
+        match is_valid {
+            true => Ok(()),
+            false => Err(Self { name, value, rule }),
+        }
+    }
+}
+
 /// The limits of the search for margins.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MarginLimits {
@@ -80,17 +95,12 @@ impl SampledLoop {
     /// A period that is not above zero, a delay below zero or above a thousand
     /// periods.
     pub fn new(closed_loop: ClosedLoop, period: f64, delay: f64) -> Result<Self, SamplingError> {
-        let error = |name, value, rule| Err(SamplingError { name, value, rule });
-        if !(period.is_finite() && period > 0.0) {
-            return error("the control period in s", period, "finite and above zero");
-        }
-        if !(0.0..=MOST_TICKS * period).contains(&delay) {
-            return error(
-                "the delay in s",
-                delay,
-                "between 0 and 1000 control periods",
-            );
-        }
+        let is_valid = period.is_finite() && period > 0.0;
+        let rule = "finite and above zero";
+        SamplingError::unless(is_valid, "the control period in s", period, rule)?;
+        let is_valid = (0.0..=MOST_TICKS * period).contains(&delay);
+        let rule = "between 0 and 1000 control periods";
+        SamplingError::unless(is_valid, "the delay in s", delay, rule)?;
         Ok(Self {
             closed_loop,
             period,
@@ -167,13 +177,9 @@ impl SampledLoop {
     ///
     /// A gain that is negative or not finite.
     pub fn with_position_gain(self, position_gain: f64) -> Result<Self, SamplingError> {
-        if !(position_gain.is_finite() && position_gain >= 0.0) {
-            return Err(SamplingError {
-                name: "the position gain in 1/s",
-                value: position_gain,
-                rule: "finite and not negative",
-            });
-        }
+        let is_valid = position_gain.is_finite() && position_gain >= 0.0;
+        let rule = "finite and not negative";
+        SamplingError::unless(is_valid, "the position gain in 1/s", position_gain, rule)?;
         Ok(Self {
             position_gain,
             ..self

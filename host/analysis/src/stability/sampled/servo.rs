@@ -15,21 +15,12 @@ pub struct Servo {
 
 impl Servo {
     pub(super) fn validate(&self) -> Result<(), SamplingError> {
-        if !(self.lag.is_finite() && self.lag > 0.0) {
-            return Err(SamplingError {
-                name: "the lag of the servo in s",
-                value: self.lag,
-                rule: "finite and above zero",
-            });
-        }
-        if !(self.dead_time.is_finite() && self.dead_time >= 0.0) {
-            return Err(SamplingError {
-                name: "the dead time of the servo in s",
-                value: self.dead_time,
-                rule: "finite and not negative",
-            });
-        }
-        Ok(())
+        let Self { lag, dead_time } = *self;
+        let (is_valid, rule) = (lag.is_finite() && lag > 0.0, "finite and above zero");
+        SamplingError::unless(is_valid, "the lag of the servo in s", lag, rule)?;
+        let is_valid = dead_time.is_finite() && dead_time >= 0.0;
+        let rule = "finite and not negative";
+        SamplingError::unless(is_valid, "the dead time of the servo in s", dead_time, rule)
     }
 }
 
