@@ -2,9 +2,9 @@
 
 use super::{
     log::Log,
-    map::{ImuSection, Map, MotorSection, SteeringMap, nanoseconds},
+    map::{ImuSection, Map, MotorSection, nanoseconds},
     row::{Header, Place, Row},
-    samples::{Sample, Series},
+    samples::Series,
     sensor::{Column, Poses, Sensor},
 };
 
@@ -14,7 +14,7 @@ pub(super) struct Columns<'a> {
     imu: Option<Sensor<3>>,
     motor: Sensor<1>,
     driving: Option<Driving>,
-    steering: Steering,
+    steering: Sensor<1>,
     speed_command: Option<Sensor<1>>,
 }
 
@@ -36,15 +36,11 @@ impl<'a> Columns<'a> {
                     changes: Vec::new(),
                 }),
             },
-            steering: Steering {
-                place: header.find(
-                    "steering.column",
-                    map.steering.messages(),
-                    &map.steering.column,
-                )?,
-                map: map.steering.map(),
-                delay_ns: nanoseconds(map.steering.delay_s),
-                samples: Vec::new(),
+            steering: {
+                let (section, key) = (&map.steering, "steering.column");
+                let place = header.find(key, section.messages(), &section.column)?;
+                let delay_ns = nanoseconds(section.delay_s);
+                Sensor::new([Column::plain(place)], None, delay_ns)
             },
             speed_command: match &map.speed_command {
                 None => None,
@@ -82,6 +78,11 @@ impl<'a> Columns<'a> {
     pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64) -> Log {
         let held = |sensor: Sensor<1>| Series::new(sensor.into_samples(), None);
         let inertial = self.imu.zip(map.imu.as_ref());
+        let angle = map.steering.map();
+        let mut steering = self.steering.into_samples();
+        for sample in &mut steering {
+            sample.values = sample.values.map(|command| angle.angle(command));
+        }
         Log {
             start_wall_ns,
             end_ns,
@@ -89,7 +90,7 @@ impl<'a> Columns<'a> {
             inertial: inertial
                 .map(|(sensor, imu)| Series::new(sensor.into_samples(), imu.interpolation())),
             motor_speed: Series::new(self.motor.into_samples(), map.motor.interpolation()),
-            steering: Series::new(self.steering.samples, None),
+            steering: Series::new(steering, None),
             speed_command: self.speed_command.map(held),
             driving: self.driving.map(|driving| driving.changes),
             tick_ns: u64::from(map.tick_ms) * 1_000_000,
@@ -144,27 +145,6 @@ impl Driving {
         {
             self.changes.push((time_ns, is_driving));
         }
-        Ok(())
-    }
-}
-
-/// The steering command, as an angle.
-struct Steering {
-    place: Place,
-    map: SteeringMap,
-    delay_ns: u64,
-    samples: Vec<Sample<1>>,
-}
-
-impl Steering {
-    fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
-        if !row.has(self.place) || row.is_empty(self.place) {
-            return Ok(());
-        }
-        self.samples.push(Sample {
-            time_ns: time_ns - self.delay_ns,
-            values: [self.map.angle(row.finite(self.place)?)],
-        });
         Ok(())
     }
 }

@@ -44,7 +44,7 @@ pub use map::{
     ImuSection, Length, Map, MapError, MotorSection, PoseSection, Quantity, Speed, SteeringMap,
     SteeringSection, TimeSection, TimeUnit,
 };
-pub use summary::{Gap, Samples, Summary};
+pub use summary::Summary;
 pub use timeline::TooManyEvents;
 
 use log::Log;

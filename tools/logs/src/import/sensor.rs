@@ -65,6 +65,14 @@ impl Column {
         })
     }
 
+    /// A column whose numbers are taken as they are.
+    pub(super) const fn plain(place: Place) -> Self {
+        Self {
+            place,
+            conversion: Conversion::NONE,
+        }
+    }
+
     /// The number in SI units, which need not be finite.
     fn number<R: Row>(&self, row: &R) -> Result<f64, R::Error> {
         Ok(self.conversion.si(row.number(self.place)?))

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use singletrack_record::seconds_since;
+use singletrack_statistics::Arrivals;
 
 use super::FIRST_ROW_NS;
 
@@ -12,17 +13,17 @@ pub struct Summary {
     /// From the first row to the last.
     pub duration_ns: u64,
     /// Poses that can be used, by the times of their arrival.
-    pub poses: Samples,
+    pub poses: Arrivals,
     /// Poses with a number that is missing or not finite.
     pub rejected: u64,
     /// Poses that the log marks as not tracked.
     pub untracked: u64,
     /// Samples of the IMU in the log, before any interpolation; `None` if it has no IMU.
-    pub inertial: Option<Samples>,
+    pub inertial: Option<Arrivals>,
     /// Samples of the speed of the motor in the log, before any interpolation.
-    pub motor: Samples,
+    pub motor: Arrivals,
     /// Samples of the board in the record.
-    pub board: Samples,
+    pub board: Arrivals,
     /// Inertial samples that are left out, because the speed of the motor is not known at their
     /// time.
     pub without_motor_speed: u64,
@@ -30,55 +31,21 @@ pub struct Summary {
     pub ticks: u64,
 }
 
-/// Some samples.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Samples {
-    /// How many there are.
-    pub count: u64,
-    /// The longest time between two of them, or the first one of several; `None` if there are
-    /// fewer than two.
-    pub longest_gap: Option<Gap>,
-}
-
-/// A time without a sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gap {
-    /// Its start, in s since the first row.
-    pub start_s: f64,
-    /// Its length, in s.
-    pub length_s: f64,
-}
-
-impl Samples {
+impl Summary {
     /// Of samples at these times, which are in order.
-    pub(super) fn at(times_ns: impl Iterator<Item = u64>) -> Self {
-        let mut count = 0;
-        let mut longest: Option<(u64, u64)> = None;
-        let mut before = None;
+    pub(super) fn arrivals(times_ns: impl Iterator<Item = u64>) -> Arrivals {
+        let mut arrivals = Arrivals::default();
         for time_ns in times_ns {
-            count += 1;
-            if let Some(before) = before {
-                let length_ns = time_ns - before;
-                if longest.is_none_or(|(_, other)| length_ns > other) {
-                    longest = Some((before, length_ns));
-                }
-            }
-            before = Some(time_ns);
+            arrivals.add(Some(time_ns.cast_signed()));
         }
-        Self {
-            count,
-            longest_gap: longest.map(|(start_ns, length_ns)| Gap {
-                start_s: seconds_since(FIRST_ROW_NS, start_ns),
-                length_s: length_ns as f64 * 1e-9,
-            }),
-        }
+        arrivals
     }
 }
 
 impl fmt::Display for Summary {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let duration_s = self.duration_ns as f64 * 1e-9;
-        write!(formatter, "{duration_s:.2} s, {} poses", self.poses.count)?;
+        write!(formatter, "{duration_s:.2} s, {} poses", self.poses.count())?;
         for (count, what) in [
             (self.rejected, "not finite"),
             (self.untracked, "not tracked"),
@@ -87,11 +54,11 @@ impl fmt::Display for Summary {
                 write!(formatter, " and {count} {what}")?;
             }
         }
-        write!(formatter, ", {} board samples of ", self.board.count)?;
+        write!(formatter, ", {} board samples of ", self.board.count())?;
         if let Some(inertial) = &self.inertial {
-            write!(formatter, "{} of the IMU and ", inertial.count)?;
+            write!(formatter, "{} of the IMU and ", inertial.count())?;
         }
-        write!(formatter, "{} of the motor", self.motor.count)?;
+        write!(formatter, "{} of the motor", self.motor.count())?;
         if self.without_motor_speed > 0 {
             let count = self.without_motor_speed;
             write!(
@@ -109,10 +76,12 @@ impl fmt::Display for Summary {
     }
 }
 
-fn write_gap(formatter: &mut fmt::Formatter<'_>, what: &str, of: &Samples) -> fmt::Result {
-    match of.longest_gap {
+fn write_gap(formatter: &mut fmt::Formatter<'_>, what: &str, of: &Arrivals) -> fmt::Result {
+    match of.longest_gap() {
         None => write!(formatter, "{what} none"),
-        Some(Gap { start_s, length_s }) => {
+        Some(gap) => {
+            let start_s = seconds_since(FIRST_ROW_NS, gap.begin_ns.cast_unsigned());
+            let length_s = gap.longest_ns as f64 * 1e-9;
             write!(formatter, "{what} {length_s:.3} s at {start_s:.3} s")
         }
     }

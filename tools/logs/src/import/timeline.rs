@@ -11,7 +11,7 @@ use super::{
     FIRST_ROW_NS,
     board::BoardSamples,
     log::{Log, LoggedPose, LoggedState},
-    summary::{Samples, Summary},
+    summary::Summary,
 };
 
 /// More events fall in a tick than it can hold.
@@ -121,12 +121,12 @@ impl<'a> Timeline<'a> {
         let inertial = self.log.inertial.as_ref();
         Summary {
             duration_ns: self.log.end_ns - FIRST_ROW_NS,
-            poses: Samples::at(poses.iter().filter(is_valid).map(|pose| pose.receive_ns)),
+            poses: Summary::arrivals(poses.iter().filter(is_valid).map(|pose| pose.receive_ns)),
             rejected: count(LoggedState::NotFinite),
             untracked: count(LoggedState::Untracked),
-            inertial: inertial.map(|series| Samples::at(series.times_ns())),
-            motor: Samples::at(self.log.motor_speed.times_ns()),
-            board: Samples::at(self.board.samples.iter().map(|sample| sample.time.0)),
+            inertial: inertial.map(|series| Summary::arrivals(series.times_ns())),
+            motor: Summary::arrivals(self.log.motor_speed.times_ns()),
+            board: Summary::arrivals(self.board.samples.iter().map(|sample| sample.time.0)),
             without_motor_speed: self.board.without_motor_speed,
             ticks: self.ticks,
         }

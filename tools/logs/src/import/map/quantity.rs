@@ -28,6 +28,11 @@ pub(in crate::import) struct Conversion {
 }
 
 impl Conversion {
+    pub(in crate::import) const NONE: Self = Self {
+        factor: 1.0,
+        offset: 0.0,
+    };
+
     pub(in crate::import) fn si(self, number: f64) -> f64 {
         number * self.factor + self.offset
     }
