@@ -140,26 +140,36 @@ impl SessionConfig {
     /// The first field whose value cannot be used.
     pub fn validate(&self) -> Result<(), SessionConfigError> {
         let timing = &self.timing;
-        for (key, value) in [
+        positive(&[
             ("quaternion_norm_tolerance", self.quaternion_norm_tolerance),
             ("max_clock_skew_ppm", timing.max_clock_skew_ppm),
-        ] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(SessionConfigError::NotPositive { key, value });
-            }
-        }
-        for (key, value) in [
+        ])?;
+        not_zero(&[
             ("retry_ns", timing.retry_ns),
             ("keep_alive_ns", timing.keep_alive_ns),
             ("echo_ns", timing.echo_ns),
             ("model_poll_ns", timing.model_poll_ns),
             ("stale_after_ns", timing.stale_after_ns),
             ("reconnect_after_ns", timing.reconnect_after_ns),
-        ] {
-            if value == 0 {
-                return Err(SessionConfigError::Zero { key });
-            }
-        }
-        Ok(())
+        ])
+    }
+}
+
+/// Refuses the first value that is not a positive number.
+pub(crate) fn positive(values: &[(&'static str, f64)]) -> Result<(), SessionConfigError> {
+    match values
+        .iter()
+        .find(|(_, value)| !(value.is_finite() && *value > 0.0))
+    {
+        Some(&(key, value)) => Err(SessionConfigError::NotPositive { key, value }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses the first value that is zero.
+pub(crate) fn not_zero(values: &[(&'static str, u64)]) -> Result<(), SessionConfigError> {
+    match values.iter().find(|(_, value)| *value == 0) {
+        Some(&(key, _)) => Err(SessionConfigError::Zero { key }),
+        None => Ok(()),
     }
 }

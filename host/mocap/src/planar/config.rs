@@ -4,7 +4,7 @@ use core::net::IpAddr;
 
 use crate::{
     axes::UpAxis,
-    config::{SessionConfig, SessionConfigError, Transport},
+    config::{SessionConfig, SessionConfigError, Transport, not_zero, positive},
 };
 
 /// A rigid body's name as in the server's asset list.
@@ -14,7 +14,7 @@ pub type RigidBodyName = heapless::String<255>;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct PlanarConfig {
-    /// The camera session's configuration.
+    /// The camera session's configuration, or a limit.
     pub session: SessionConfig,
     /// The body to follow.
     pub rigid_body: RigidBodyName,
@@ -62,7 +62,7 @@ impl Default for PoseLimits {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlanarConfigError {
-    /// The camera session's configuration.
+    /// The camera session's configuration, or a limit.
     #[error(transparent)]
     Session(#[from] SessionConfigError),
     /// No name, or one that NatNet cannot carry.
@@ -70,20 +70,6 @@ pub enum PlanarConfigError {
     RigidBodyName {
         /// Length of the name.
         len: usize,
-    },
-    /// A limit that is not a positive number.
-    #[error("{key} is {value}, it must be a positive number")]
-    NotPositive {
-        /// The configuration's field.
-        key: &'static str,
-        /// Its value.
-        value: f64,
-    },
-    /// A count that is zero.
-    #[error("{key} is 0, it must be at least 1")]
-    Zero {
-        /// The configuration's field.
-        key: &'static str,
     },
 }
 
@@ -113,24 +99,16 @@ impl PlanarConfig {
 }
 
 impl PoseLimits {
-    pub(super) fn validate(&self) -> Result<(), PlanarConfigError> {
-        for (key, value) in [
+    pub(super) fn validate(&self) -> Result<(), SessionConfigError> {
+        positive(&[
             ("max_mean_error_m", self.max_mean_error_m),
             ("max_speed_m_s", self.max_speed_m_s),
             ("jump_margin_m", self.jump_margin_m),
             ("max_yaw_rate_rad_s", self.max_yaw_rate_rad_s),
             ("yaw_margin_rad", self.yaw_margin_rad),
             ("max_tilt_rad", self.max_tilt_rad),
-        ] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(PlanarConfigError::NotPositive { key, value });
-            }
-        }
-        if self.max_consecutive_rejects == 0 {
-            return Err(PlanarConfigError::Zero {
-                key: "max_consecutive_rejects",
-            });
-        }
-        Ok(())
+        ])?;
+        let rejects = self.max_consecutive_rejects.into();
+        not_zero(&[("max_consecutive_rejects", rejects)])
     }
 }

@@ -7,16 +7,10 @@ use super::{
     observation::{PlanarPose, PoseState, RejectReason},
 };
 
-/// The gate's decision on a pose.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Verdict {
-    Valid(PlanarPose),
-    Rejected(RejectReason),
-    LockedOut(RejectReason),
-}
-
+/// The plausibility check of a [`PlanarTracker`](super::PlanarTracker), which is also for poses
+/// that were recorded without one.
 #[derive(Clone, Debug)]
-pub(super) struct Gate {
+pub struct PoseGate {
     limits: PoseLimits,
     last_valid: Option<PlanarPose>,
     last_implausible: Option<PlanarPose>,
@@ -25,36 +19,10 @@ pub(super) struct Gate {
     consistent: u32,
 }
 
-/// The plausibility check of a [`PlanarTracker`](super::PlanarTracker) alone, for poses that were
-/// recorded without one.
-#[derive(Clone, Debug)]
-pub struct PoseGate(Gate);
-
 impl PoseGate {
     /// A gate that has seen no pose.
     #[must_use]
     pub const fn new(limits: PoseLimits) -> Self {
-        Self(Gate::new(limits))
-    }
-
-    /// Whether the pose can follow the ones before it.
-    pub fn judge(&mut self, pose: PlanarPose) -> PoseState {
-        self.0.judge(Ok(pose)).state()
-    }
-}
-
-impl Verdict {
-    pub(super) const fn state(self) -> PoseState {
-        match self {
-            Self::Valid(pose) => PoseState::Valid(pose),
-            Self::Rejected(reason) => PoseState::Rejected(reason),
-            Self::LockedOut(reason) => PoseState::LockedOut(reason),
-        }
-    }
-}
-
-impl Gate {
-    pub(super) const fn new(limits: PoseLimits) -> Self {
         Self {
             limits,
             last_valid: None,
@@ -64,12 +32,20 @@ impl Gate {
         }
     }
 
+    /// Whether the pose can follow the ones before it.
+    pub fn judge(&mut self, pose: PlanarPose) -> PoseState {
+        self.judge_candidate(Ok(pose))
+    }
+
     /// Position of the last accepted pose, m.
     pub(super) fn place_m(&self) -> Option<[f64; 3]> {
         self.last_valid.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
     }
 
-    pub(super) fn judge(&mut self, candidate: Result<PlanarPose, RejectReason>) -> Verdict {
+    pub(super) fn judge_candidate(
+        &mut self,
+        candidate: Result<PlanarPose, RejectReason>,
+    ) -> PoseState {
         let pose = match candidate {
             Ok(pose) => pose,
             Err(reason) => {
@@ -105,21 +81,21 @@ impl Gate {
         self.rejects >= self.limits.max_consecutive_rejects
     }
 
-    fn accept(&mut self, mut pose: PlanarPose, reacquired: bool) -> Verdict {
+    fn accept(&mut self, mut pose: PlanarPose, reacquired: bool) -> PoseState {
         pose.reacquired = reacquired;
         self.last_valid = Some(pose);
         self.last_implausible = None;
         self.rejects = 0;
         self.consistent = 0;
-        Verdict::Valid(pose)
+        PoseState::Valid(pose)
     }
 
-    const fn reject(&mut self, reason: RejectReason) -> Verdict {
+    const fn reject(&mut self, reason: RejectReason) -> PoseState {
         self.rejects = self.rejects.saturating_add(1);
         if self.is_locked_out() {
-            Verdict::LockedOut(reason)
+            PoseState::LockedOut(reason)
         } else {
-            Verdict::Rejected(reason)
+            PoseState::Rejected(reason)
         }
     }
 

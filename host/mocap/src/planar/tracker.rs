@@ -3,7 +3,7 @@
 use super::{
     config::{PlanarConfigError, PoseLimits, RigidBodyName},
     counters::PlanarCounters,
-    gate::{Gate, Verdict},
+    gate::PoseGate,
     level::Level,
     neighbour::Neighbour,
     observation::{Observation, PlanarPose, PoseState, RejectReason},
@@ -35,7 +35,7 @@ pub struct PlanarTracker {
     binding: Binding,
     /// The names of the definitions read last.
     names: BodyNames,
-    gate: Gate,
+    gate: PoseGate,
     level: Option<Level>,
     neighbour: Option<Neighbour>,
     state: PoseState,
@@ -59,7 +59,7 @@ impl PlanarTracker {
             names: BodyNames::default(),
             level: None,
             neighbour: None,
-            gate: Gate::new(limits),
+            gate: PoseGate::new(limits),
             state: PoseState::NoFrames,
             counters: PlanarCounters::default(),
         })
@@ -119,16 +119,16 @@ impl PlanarTracker {
             }
             state => self.candidate(state, frame),
         };
-        let verdict = self.gate.judge(candidate);
-        match verdict {
-            Verdict::Valid(_) => self.counters.valid += 1,
-            Verdict::Rejected(reason) => self.counters.rejected.count(reason),
-            Verdict::LockedOut(reason) => {
+        let state = self.gate.judge_candidate(candidate);
+        match state {
+            PoseState::Rejected(reason) => self.counters.rejected.count(reason),
+            PoseState::LockedOut(reason) => {
                 self.counters.rejected.count(reason);
                 self.counters.locked_out += 1;
             }
+            _ => self.counters.valid += 1,
         }
-        verdict.state()
+        state
     }
 
     /// The body's pose in the plane, or why it is rejected without regard to earlier

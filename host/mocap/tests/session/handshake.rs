@@ -274,10 +274,10 @@ fn an_invalid_configuration_is_refused_with_the_fields_name() {
     bad.limits.max_speed_m_s = -1.0;
     assert_eq!(
         PlanarSession::new(bad).map(drop).unwrap_err(),
-        PlanarConfigError::NotPositive {
+        PlanarConfigError::Session(SessionConfigError::NotPositive {
             key: "max_speed_m_s",
             value: -1.0
-        }
+        })
     );
     let mut bad = config(UNICAST);
     bad.session.timing.echo_ns = 0;
