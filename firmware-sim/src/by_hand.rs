@@ -140,7 +140,11 @@ impl fmt::Display for HandCommand {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let on = |on: bool| if on { "on" } else { "off" };
         match *self {
-            Self::Move(motion) => write_motion(f, motion),
+            Self::Move(motion) => {
+                let (name, numbers) = words(motion);
+                f.write_str(name)?;
+                numbers.iter().try_for_each(|number| write!(f, " {number}"))
+            }
             Self::Esc(is_on) => write!(f, "esc {}", on(is_on)),
             Self::Battery(is_on) => write!(f, "battery {}", on(is_on)),
             Self::Cable(is_on) => write!(f, "cable {}", on(is_on)),
@@ -159,52 +163,39 @@ fn degrees(angle_rad: f64) -> f64 {
     (angle_rad.to_degrees() * 1e9).round() / 1e9
 }
 
-fn write_motion(f: &mut fmt::Formatter<'_>, motion: HandMotion) -> fmt::Result {
+/// The name of a motion, and its numbers.
+fn words(motion: HandMotion) -> (&'static str, Vec<f64>) {
     match motion {
-        HandMotion::Lift { height_m } => write!(f, "lift {height_m}"),
-        HandMotion::PutDown => f.write_str("put-down"),
+        HandMotion::Lift { height_m } => ("lift", vec![height_m]),
+        HandMotion::PutDown => ("put-down", Vec::new()),
         HandMotion::Roll {
-            distance_m,
-            speed_m_s,
-        } => write!(f, "roll {distance_m} {speed_m_s}"),
+            distance_m: distance,
+            speed_m_s: speed,
+        } => ("roll", vec![distance, speed]),
         HandMotion::Turn {
-            angle_rad,
+            angle_rad: angle,
             about_m: [forward, left],
-            wander_m,
+            wander_m: wander,
             for_s,
-        } => write!(
-            f,
-            "turn {} {forward} {left} {for_s} {wander_m}",
-            degrees(angle_rad)
-        ),
+        } => ("turn", vec![degrees(angle), forward, left, for_s, wander]),
         HandMotion::Twist {
-            amplitude_rad,
+            amplitude_rad: angle,
             about_m: [forward, left],
             period_s,
             for_s,
-        } => write!(
-            f,
-            "twist {} {forward} {left} {period_s} {for_s}",
-            degrees(amplitude_rad)
+        } => (
+            "twist",
+            vec![degrees(angle), forward, left, period_s, for_s],
         ),
         HandMotion::Tilt {
-            roll_rad,
-            pitch_rad,
+            roll_rad: roll,
+            pitch_rad: pitch,
             for_s,
-        } => write!(
-            f,
-            "tilt {} {} {for_s}",
-            degrees(roll_rad),
-            degrees(pitch_rad)
-        ),
-        HandMotion::Carry { to, for_s } => write!(
-            f,
-            "carry {} {} {} {for_s}",
-            to.x_m,
-            to.y_m,
-            degrees(to.yaw_rad)
-        ),
-        HandMotion::Hold { for_s } => write!(f, "hold {for_s}"),
+        } => ("tilt", vec![degrees(roll), degrees(pitch), for_s]),
+        HandMotion::Carry { to, for_s } => {
+            ("carry", vec![to.x_m, to.y_m, degrees(to.yaw_rad), for_s])
+        }
+        HandMotion::Hold { for_s } => ("hold", vec![for_s]),
     }
 }
 

@@ -425,16 +425,18 @@ mod tests {
     }
 
     /// Turning left at 0.5 rad/s while accelerating forward with 1 m/s².
-    const TURNING: Truth = Truth {
-        yaw_rate: 0.5,
-        longitudinal_acceleration: 1.0,
-        lateral_acceleration: 0.2,
-        wheel_speed: 0.4,
-        ..Truth::AT_REST
-    };
+    fn turning() -> Truth {
+        Truth {
+            yaw_rate: 0.5,
+            longitudinal_acceleration: 1.0,
+            lateral_acceleration: 0.2,
+            wheel_speed: 0.4,
+            ..Truth::default()
+        }
+    }
 
     fn mounted(mounting_deg: [f64; 3]) -> ImuReading {
-        readings(|p| p.mounting_deg = mounting_deg, TURNING, 1)[0]
+        readings(|p| p.mounting_deg = mounting_deg, turning(), 1)[0]
     }
 
     #[test]
@@ -460,7 +462,7 @@ mod tests {
     #[test]
     fn a_lasting_acceleration_leaks_away_and_tilts_the_attitude() {
         // Ten time constants.
-        let last = *readings(|p| p.leak_s = Some(2.0), TURNING, 2_000)
+        let last = *readings(|p| p.leak_s = Some(2.0), turning(), 2_000)
             .last()
             .unwrap();
         assert_eq!(last.linear_acceleration_mm_s2, [0, 0, 0]);
@@ -469,7 +471,7 @@ mod tests {
         let [_, roll, pitch, _] = last.attitude_q14;
         assert!((f64::from(roll) / 16_384.0 - 0.2 / 9.81 / 2.0).abs() < 2e-4);
         assert!((f64::from(pitch) / 16_384.0 + 1.0 / 9.81 / 2.0).abs() < 5e-4);
-        let first = readings(|p| p.leak_s = Some(2.0), TURNING, 1)[0];
+        let first = readings(|p| p.leak_s = Some(2.0), turning(), 1)[0];
         assert!(first.linear_acceleration_mm_s2[0] > 990);
     }
 
@@ -477,7 +479,7 @@ mod tests {
     fn scale_and_vibration_change_the_samples_of_a_moving_car() {
         let scaled = readings(
             |p| (p.gyro_scale, p.acceleration_scale) = (1.1, 0.5),
-            TURNING,
+            turning(),
             1,
         )[0];
         assert_eq!(scaled.angular_velocity_mrad_s, [0, 0, 550]);
@@ -492,10 +494,10 @@ mod tests {
                 .map(|reading| f64::from(reading.linear_acceleration_mm_s2[2]).powi(2));
             (up.sum::<f64>() / 2_000.0).sqrt()
         };
-        assert!((deviation(TURNING, 0.0) - 2_000.0).abs() < 150.0);
-        let faster = 2_000.0 + 3_000.0 * TURNING.wheel_speed;
-        assert!((deviation(TURNING, 3.0) / faster - 1.0).abs() < 0.075);
-        assert_eq!(deviation(Truth::AT_REST, 3.0), 0.0);
+        assert!((deviation(turning(), 0.0) - 2_000.0).abs() < 150.0);
+        let faster = 2_000.0 + 3_000.0 * turning().wheel_speed;
+        assert!((deviation(turning(), 3.0) / faster - 1.0).abs() < 0.075);
+        assert_eq!(deviation(Truth::default(), 3.0), 0.0);
     }
 
     #[test]

@@ -109,29 +109,6 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// A car at rest at the origin, without a battery.
-    pub const AT_REST: Self = Self {
-        time_us: 0,
-        x: 0.0,
-        y: 0.0,
-        yaw: 0.0,
-        yaw_rate: 0.0,
-        sideslip: 0.0,
-        steering: 0.0,
-        speed: 0.0,
-        wheel_speed: 0.0,
-        longitudinal_acceleration: 0.0,
-        lateral_acceleration: 0.0,
-        battery_v: 0.0,
-        way: 0.0,
-        roll: 0.0,
-        pitch: 0.0,
-        held: false,
-        height: 0.0,
-        roll_rate: 0.0,
-        pitch_rate: 0.0,
-    };
-
     /// The point P, `point_distance_m` beyond the front axle in the direction
     /// of the front wheels, when the front axle is `front_axle_distance_m`
     /// ahead of G: x and y in m.

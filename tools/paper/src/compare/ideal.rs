@@ -301,7 +301,7 @@ impl Car {
             steering: self.steering,
             speed: self.speed,
             lateral_acceleration: self.speed * turn,
-            ..Truth::AT_REST
+            ..Truth::default()
         }
     }
 }
