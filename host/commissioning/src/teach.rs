@@ -6,6 +6,7 @@
 //! front axle: P lies ahead of it in the direction of its motion. A car whose P follows this
 //! path rolls as it was pushed.
 
+use nalgebra::{Matrix3, Matrix3x2, Vector3};
 use singletrack_control::{Position, Velocity, direction, wrap};
 
 /// Where the car was at one moment.
@@ -279,33 +280,29 @@ fn smooth(steps: &[Step], way: f64) -> (Position, Velocity) {
     let from = steps.partition_point(|step| step.way < way - window);
     let to = steps.partition_point(|step| step.way <= way + window);
     let around = steps.get(from..to).unwrap_or_default();
-    // Sums of the normal equations, in units of the window.
-    let mut sums = [0.0; 5];
-    let mut right = [Velocity::zeros(); 3];
+    // The normal equations, in units of the window.
+    let mut normal = Matrix3::zeros();
+    let mut right = Matrix3x2::zeros();
     let origin = nearest(steps, way).position;
     for step in around {
         let x = (step.way - way) / window;
         let weight = (1.0 - x.abs().powi(3)).max(0.0).powi(3);
-        let mut power = weight;
-        for (index, sum) in sums.iter_mut().enumerate() {
-            *sum += power;
-            if let Some(right) = right.get_mut(index) {
-                *right += power * (step.position - origin);
-            }
-            power *= x;
+        let row = Vector3::new(1.0, x, x * x);
+        normal += weight * row * row.transpose();
+        right += weight * row * (step.position - origin).transpose();
+    }
+    let inverse = normal.try_inverse();
+    match inverse.filter(|_| normal.determinant().abs() >= 1e-9) {
+        Some(inverse) => {
+            let parabola = inverse * right;
+            let [offset, slope] = [0, 1].map(|power| parabola.row(power).transpose());
+            (origin + offset, slope)
+        }
+        None => {
+            let near = nearest(steps, way);
+            (near.position, direction(near.yaw))
         }
     }
-    let [a, b, c, d, e] = sums;
-    let [r0, r1, r2] = right;
-    // Cramer's rule for the symmetric matrix of the sums.
-    let determinant = a * (c * e - d * d) - b * (b * e - c * d) + c * (b * d - c * c);
-    if determinant.abs() < 1e-9 {
-        let near = nearest(steps, way);
-        return (near.position, direction(near.yaw));
-    }
-    let offset = ((c * e - d * d) * r0 + (c * d - b * e) * r1 + (b * d - c * c) * r2) / determinant;
-    let slope = ((c * d - b * e) * r0 + (a * e - c * c) * r1 + (b * c - a * d) * r2) / determinant;
-    (origin + offset, slope)
 }
 
 fn roughness(steps: &[Step], length: f64) -> f64 {

@@ -1,5 +1,7 @@
 //! Where the rigid body of the cameras sits on the car, from turning and rolling it by hand.
 
+use singletrack_control::wrap;
+
 use crate::fit::least_squares;
 
 /// A pose of the rigid body on the floor: position in m, and yaw in rad.
@@ -11,6 +13,18 @@ pub struct FloorPose {
     pub y: f64,
     /// Yaw, in rad.
     pub yaw: f64,
+}
+
+impl FloorPose {
+    /// The place of the point from which the body's origin is at `origin`, along the body's axes.
+    #[must_use]
+    pub fn place_of(&self, origin: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.yaw.sin_cos();
+        [
+            self.x - cos * origin[0] + sin * origin[1],
+            self.y - sin * origin[0] - cos * origin[1],
+        ]
+    }
 }
 
 /// The body's origin, from the point about which the body was turned, along the axes of the
@@ -50,39 +64,29 @@ pub struct Rolled {
 pub fn rolled(poses: &[FloorPose], origin: [f64; 2]) -> Option<Rolled> {
     /// Shorter movements are noise, in m.
     const SPACING: f64 = 0.05;
-    let place = |pose: &FloorPose| {
-        let (sin, cos) = pose.yaw.sin_cos();
-        [
-            pose.x - cos * origin[0] + sin * origin[1],
-            pose.y - sin * origin[0] - cos * origin[1],
-        ]
-    };
     let first = poses.first()?;
     let mut last = first;
     let mut moved = [0.0; 2];
     let mut way = 0.0;
     for pose in poses {
-        let (from, to) = (place(last), place(pose));
+        let (from, to) = (last.place_of(origin), pose.place_of(origin));
         let step = [to[0] - from[0], to[1] - from[1]];
         let length = step[0].hypot(step[1]);
         if length < SPACING {
             continue;
         }
         // A chord points along the mean of the yaws at its ends.
-        let turn = (pose.yaw - last.yaw)
-            .sin()
-            .atan2((pose.yaw - last.yaw).cos());
+        let turn = wrap(pose.yaw - last.yaw);
         let (sin, cos) = (last.yaw + turn / 2.0).sin_cos();
         moved[0] += cos * step[0] + sin * step[1];
         moved[1] += cos * step[1] - sin * step[0];
         way += length;
         last = pose;
     }
-    let turn = last.yaw - first.yaw;
     (way > 0.0).then(|| Rolled {
         way,
         direction: moved[1].atan2(moved[0]),
-        turn: turn.sin().atan2(turn.cos()),
+        turn: wrap(last.yaw - first.yaw),
     })
 }
 

@@ -2,7 +2,7 @@
 
 use crate::{
     Interval,
-    fit::{jackknife_each, least_squares},
+    fit::{jackknife, least_squares},
 };
 
 /// Result of [`stamp_delay`].
@@ -74,7 +74,7 @@ pub fn stamp_delay(
     };
     let blocks: Vec<&[(f64, f64)]> = usable.chunks_exact(usable.len() / BLOCKS).collect();
     let (_, residual) = solve(&blocks.iter().collect::<Vec<_>>())?;
-    let [late, scale] = jackknife_each(&blocks, [systematic, 0.0], |chosen| {
+    let [late, scale] = jackknife(&blocks, [systematic, 0.0], |chosen| {
         solve(chosen).map(|(parameters, _)| parameters)
     })?;
     Some(Delay {

@@ -1,5 +1,7 @@
 //! Linear least squares with a few parameters.
 
+use nalgebra::{SMatrix, SVector};
+
 /// A solution of [`least_squares`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeastSquares<const N: usize> {
@@ -19,31 +21,24 @@ pub struct LeastSquares<const N: usize> {
 pub fn least_squares<const N: usize>(
     equations: impl Iterator<Item = ([f64; N], f64)> + Clone,
 ) -> Option<LeastSquares<N>> {
-    let mut normal = [[0.0; N]; N];
-    let mut right = [0.0; N];
+    let mut normal = SMatrix::<f64, N, N>::zeros();
+    let mut right = SVector::<f64, N>::zeros();
     let mut count = 0_usize;
     for (row, value) in equations.clone() {
+        let row = SVector::from(row);
+        normal += row * row.transpose();
+        right += row * value;
         count += 1;
-        for i in 0..N {
-            right[i] += row[i] * value;
-            for j in 0..N {
-                normal[i][j] += row[i] * row[j];
-            }
-        }
     }
-    let inverse = inverted(normal)?;
-    let parameters: [f64; N] =
-        std::array::from_fn(|i| (0..N).map(|j| inverse[i][j] * right[j]).sum());
+    let inverse = inverted(&normal)?;
+    let parameters = inverse * right;
     let squares: f64 = equations
-        .map(|(row, value)| {
-            let model: f64 = (0..N).map(|i| row[i] * parameters[i]).sum();
-            (value - model).powi(2)
-        })
+        .map(|(row, value)| (value - parameters.dot(&SVector::from(row))).powi(2))
         .sum();
     let freedom = count.saturating_sub(N).max(1) as f64;
     Some(LeastSquares {
-        parameters,
-        standard_errors: std::array::from_fn(|i| (inverse[i][i] * squares / freedom).sqrt()),
+        parameters: parameters.into(),
+        standard_errors: std::array::from_fn(|i| (inverse[(i, i)] * squares / freedom).sqrt()),
         residual: (squares / count.max(1) as f64).sqrt(),
         count,
     })
@@ -51,35 +46,13 @@ pub fn least_squares<const N: usize>(
 
 /// The inverse of a symmetric matrix that is positive definite; none if it is not, to the
 /// precision of the numbers.
-fn inverted<const N: usize>(matrix: [[f64; N]; N]) -> Option<[[f64; N]; N]> {
+pub(super) fn inverted<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Option<SMatrix<f64, N, N>> {
     /// A pivot below this part of its diagonal element is rounding.
     const SINGULAR: f64 = 1e-12;
-    let mut left = matrix;
-    let mut right: [[f64; N]; N] =
-        std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
-    for i in 0..N {
-        let pivot = left[i][i];
-        // Also refuses a pivot that is no number.
-        let is_regular = pivot > SINGULAR * matrix[i][i];
-        if !is_regular {
-            return None;
-        }
-        for j in 0..N {
-            left[i][j] /= pivot;
-            right[i][j] /= pivot;
-        }
-        for other in 0..N {
-            if other == i {
-                continue;
-            }
-            let factor = left[other][i];
-            for j in 0..N {
-                left[other][j] -= factor * left[i][j];
-                right[other][j] -= factor * right[i][j];
-            }
-        }
-    }
-    Some(right)
+    let factors = matrix.cholesky()?;
+    let pivots = factors.l_dirty().diagonal().map(|root| root * root);
+    let is_regular = (0..N).all(|i| pivots[i] > SINGULAR * matrix[(i, i)]);
+    is_regular.then(|| factors.inverse())
 }
 
 #[cfg(test)]

@@ -31,8 +31,7 @@ pub use least_squares::{LeastSquares, least_squares};
 pub use sample_times::{Reading, SampleTimes, sample_times};
 pub use signal_noise::{SignalNoise, signal_noise};
 pub use statistics::{
-    block_means, jackknife, jackknife_each, mean, mean_interval, median, standard_deviation,
-    student_quantile,
+    block_means, jackknife, mean, mean_interval, median, standard_deviation, student_quantile,
 };
 pub use track::{Motion, Signal, Track};
 pub use wheels::{Turning, Wheels, wheel_angles, wheels, yaw_rates};

@@ -4,7 +4,9 @@
 //! beyond the edge: a line that bends. Its inverse `x = a v / (1 - w v)` has two parameters
 //! that enter linearly, the edge and `a = 1 / g`, and the bend `w`, which is searched.
 
-use super::{LeastSquares, least_squares, student_quantile};
+use nalgebra::Vector3;
+
+use super::{LeastSquares, least_squares, least_squares::inverted, student_quantile};
 use crate::Interval;
 
 /// Highest bend that is searched, s/m: speeds reach 0.9 m/s, and 1/w is the highest of all.
@@ -74,66 +76,27 @@ pub(crate) fn fit_speed_curve(
     let [edge, slope] = fit.parameters;
     let scatter = fit.residual * (fit.count as f64 / freedom as f64).sqrt();
     // Linear around the solution, the bend with it.
-    let columns = readings.iter().map(|[_, speed]| {
-        let by = bent(*speed, bend);
-        [1.0, by, slope * by * by]
-    });
     let believed = scatter.max(LEAST_SCATTER_US);
-    let covariance = Covariance::of(columns, (believed / BEND_SPREAD).powi(2))?;
+    let known = Vector3::new(0.0, 0.0, believed / BEND_SPREAD);
+    let mut normal = known * known.transpose();
+    for [_, speed] in readings {
+        let by = bent(*speed, bend);
+        let row = Vector3::new(1.0, by, slope * by * by);
+        normal += row * row.transpose();
+    }
+    let covariance = inverted(&normal)?;
+    let error_along = |towards: Vector3<f64>| towards.dot(&(covariance * towards)).max(0.0).sqrt();
     let half = student_quantile(freedom) * believed;
     let at = bent(at_speed, bend);
-    let towards = [0.0, at / at_speed, slope * at * at / at_speed];
+    let towards = Vector3::new(0.0, at / at_speed, slope * at * at / at_speed);
     Some(SpeedCurve {
-        edge: Interval::around(edge, half * covariance.along([1.0, 0.0, 0.0]))
-            .widened(systematic_us),
-        feed_forward: Interval::around(slope * at / at_speed, half * covariance.along(towards))
+        edge: Interval::around(edge, half * error_along(Vector3::x())).widened(systematic_us),
+        feed_forward: Interval::around(slope * at / at_speed, half * error_along(towards))
             .widened(systematic_us / at_speed),
         scatter,
         slope,
         bend,
     })
-}
-
-/// Of three parameters, for a scatter of one.
-struct Covariance([[f64; 3]; 3]);
-
-impl Covariance {
-    /// `known` is the weight of what is known of the third.
-    fn of(columns: impl Iterator<Item = [f64; 3]>, known: f64) -> Option<Self> {
-        let mut normal = [[0.0; 3]; 3];
-        normal[2][2] = known;
-        for row in columns {
-            for i in 0..3 {
-                for j in 0..3 {
-                    normal[i][j] += row[i] * row[j];
-                }
-            }
-        }
-        let minor = |i: usize, j: usize| {
-            let [a, b] = [(i + 1) % 3, (i + 2) % 3];
-            let [c, d] = [(j + 1) % 3, (j + 2) % 3];
-            normal[a][c] * normal[b][d] - normal[a][d] * normal[b][c]
-        };
-        let determinant: f64 = (0..3).map(|j| normal[0][j] * minor(0, j)).sum();
-        let scale = normal[0][0] * normal[1][1] * normal[2][2];
-        let is_regular = determinant > 1e-12 * scale;
-        is_regular.then(|| {
-            Self(std::array::from_fn(|i| {
-                std::array::from_fn(|j| minor(i, j) / determinant)
-            }))
-        })
-    }
-
-    /// Standard error of a combination of the parameters.
-    fn along(&self, towards: [f64; 3]) -> f64 {
-        let mut sum = 0.0;
-        for (i, row) in self.0.iter().enumerate() {
-            for (j, element) in row.iter().enumerate() {
-                sum += towards[i] * element * towards[j];
-            }
-        }
-        sum.max(0.0).sqrt()
-    }
 }
 
 #[cfg(test)]

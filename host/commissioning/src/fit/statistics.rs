@@ -75,21 +75,11 @@ pub fn block_means(values: &[f64], count: usize) -> Vec<f64> {
         .collect()
 }
 
-/// The interval of an estimate from several passes or blocks, by leaving out one after the
+/// The intervals of estimates from several passes or blocks, by leaving out one after the
 /// other (the jackknife). It needs no model of the errors within a pass. `systematic` bounds the
-/// error that all passes share. None if there are fewer than two passes, or if the estimate
+/// errors that all passes share. None if there are fewer than two passes, or if the estimate
 /// fails without one of them.
-pub fn jackknife<T>(
-    passes: &[T],
-    systematic: f64,
-    estimate: impl Fn(&[&T]) -> Option<f64>,
-) -> Option<Interval> {
-    let [interval] = jackknife_each(passes, [systematic], |chosen| Some([estimate(chosen)?]))?;
-    Some(interval)
-}
-
-/// As [`jackknife`], for estimates that come from one fit.
-pub fn jackknife_each<T, const N: usize>(
+pub fn jackknife<T, const N: usize>(
     passes: &[T],
     systematic: [f64; N],
     estimate: impl Fn(&[&T]) -> Option<[f64; N]>,
@@ -169,9 +159,9 @@ mod tests {
     fn one_pass_gives_no_interval() {
         assert_eq!(mean_interval(&[1.0], 0.1), None);
         assert!(
-            jackknife(&[1.0], 0.1, |all| mean(
-                &all.iter().map(|v| **v).collect::<Vec<_>>()
-            ))
+            jackknife(&[1.0], [0.1], |all| {
+                Some([mean(&all.iter().map(|v| **v).collect::<Vec<_>>())?])
+            })
             .is_none()
         );
     }
@@ -209,8 +199,9 @@ mod tests {
     #[test]
     fn the_jackknife_of_a_mean_is_the_interval_of_the_mean() {
         let values = [1.0, 2.0, 4.0, 8.0];
-        let found = jackknife(&values, 0.0, |chosen| {
-            mean(&chosen.iter().map(|value| **value).collect::<Vec<_>>())
+        let [found] = jackknife(&values, [0.0], |chosen| {
+            let chosen: Vec<_> = chosen.iter().map(|value| **value).collect();
+            Some([mean(&chosen)?])
         })
         .unwrap();
         let expected = mean_interval(&values, 0.0).unwrap();

@@ -1,5 +1,7 @@
 //! The servo's map from angles that a person has read.
 
+use singletrack_statistics::Line;
+
 use super::student_quantile;
 use crate::Interval;
 
@@ -27,24 +29,24 @@ pub(crate) fn fit_steering(
     if readings.len() < 3 {
         return None;
     }
-    let mean = |index: usize| readings.iter().map(|reading| reading[index]).sum::<f64>() / count;
-    let (pulse, angle) = (mean(0), mean(1));
-    let sum = |of: &dyn Fn(&[f64; 2]) -> f64| readings.iter().map(of).sum::<f64>();
-    let spread = sum(&|reading| (reading[0] - pulse).powi(2));
-    let slope = sum(&|reading| (reading[0] - pulse) * (reading[1] - angle)) / spread;
-    let residual = |reading: &[f64; 2]| reading[1] - angle - slope * (reading[0] - pulse);
+    let line = Line::through(readings.iter().copied());
+    let slope = line.slope;
+    let squares: f64 = readings
+        .iter()
+        .map(|[pulse, angle]| (angle - line.at(*pulse)).powi(2))
+        .sum();
     let freedom = readings.len() - 2;
-    let scatter = (sum(&|reading| residual(reading).powi(2)) / freedom as f64).sqrt();
+    let scatter = (squares / freedom as f64).sqrt();
     let believed = scatter.max(least_scatter);
     let t = student_quantile(freedom);
-    let random = t * believed / spread.sqrt();
+    let random = t * believed / line.spread.sqrt();
     let half = random.hypot(scale * slope);
-    if !slope.is_finite() || slope.abs() <= half {
+    if line.spread == 0.0 || slope.abs() <= half {
         return None;
     }
     let ends = [1.0 / (slope - half), 1.0 / (slope + half)];
-    let zero = pulse - angle / slope;
-    let at_zero = believed * (1.0 / count + (zero - pulse).powi(2) / spread).sqrt();
+    let zero = line.middle[0] - line.middle[1] / slope;
+    let at_zero = believed * (1.0 / count + (zero - line.middle[0]).powi(2) / line.spread).sqrt();
     Some(Steering {
         gain: Interval {
             value: 1.0 / slope,

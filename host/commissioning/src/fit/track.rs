@@ -1,5 +1,8 @@
 //! The readings of a drive on one time axis.
 
+use singletrack_control::unwrap_near;
+use singletrack_statistics::Line;
+
 use super::{Frames, Reading, frames::Record, sample_times};
 use crate::Observation;
 
@@ -59,8 +62,7 @@ impl Track {
             Observation::Pose(pose) => {
                 let time = self.seconds(pose.capture.0);
                 let last = self.poses.last().map_or(0.0, |(_, (_, yaw))| *yaw);
-                let turn = core::f64::consts::TAU;
-                let yaw = pose.yaw + ((last - pose.yaw) / turn).round() * turn;
+                let yaw = unwrap_near(pose.yaw, last);
                 let [x, y, _] = pose.position;
                 self.poses.push((time, ([x, y], yaw)));
             }
@@ -186,21 +188,9 @@ impl Track {
 
 /// Values without their mean and trend over time.
 fn detrended(times: &[f64], values: &[f64]) -> Vec<f64> {
-    let count = times.len() as f64;
-    let mean = |of: &[f64]| of.iter().sum::<f64>() / count;
-    let (time, value) = (mean(times), mean(values));
-    let spread: f64 = times.iter().map(|t| (t - time).powi(2)).sum();
-    let common: f64 = times
-        .iter()
-        .zip(values)
-        .map(|(t, v)| (t - time) * (v - value))
-        .sum();
-    let slope = if spread > 0.0 { common / spread } else { 0.0 };
-    times
-        .iter()
-        .zip(values)
-        .map(|(t, v)| v - value - slope * (t - time))
-        .collect()
+    let points = times.iter().zip(values).map(|(t, v)| [*t, *v]);
+    let line = Line::through(points.clone());
+    points.map(|[t, v]| v - line.at(t)).collect()
 }
 
 /// A value over time, linear between its samples.
