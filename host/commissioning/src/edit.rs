@@ -36,6 +36,16 @@ pub enum EditError {
     Config(#[from] Box<ConfigError>),
 }
 
+impl EditError {
+    /// What the system says of a file.
+    fn of(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        |source| Self::File {
+            path: path.to_owned(),
+            source,
+        }
+    }
+}
+
 /// The text of a configuration, with its comments.
 #[derive(Clone, Debug)]
 pub struct Edit {
@@ -63,10 +73,7 @@ impl Edit {
     ///
     /// It can't be read, or is not valid TOML.
     pub fn read(path: &Path) -> Result<Self, EditError> {
-        let text = fs::read_to_string(path).map_err(|source| EditError::File {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = fs::read_to_string(path).map_err(EditError::of(path))?;
         Self::new(&text)
     }
 
@@ -144,10 +151,7 @@ impl Edit {
     ///
     /// It can't be written.
     pub fn take_back(&self, path: &Path) -> Result<(), EditError> {
-        let path = fs::canonicalize(path).map_err(|source| EditError::File {
-            path: path.to_owned(),
-            source,
-        })?;
+        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
         let staged = with_suffix(&path, ".new");
         stage(&path, &staged, &self.old)?;
         replace(&staged, &path)
@@ -159,10 +163,7 @@ impl Edit {
     ///
     /// It can't be written.
     pub fn rehearse(&self, path: &Path) -> Result<(), EditError> {
-        let path = fs::canonicalize(path).map_err(|source| EditError::File {
-            path: path.to_owned(),
-            source,
-        })?;
+        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
         let staged = with_suffix(&path, ".new");
         let result = stage(&path, &staged, &self.new);
         let _ = fs::remove_file(&staged);
@@ -190,10 +191,7 @@ impl Edit {
             return Ok(None);
         }
         // A link stays a link.
-        let path = fs::canonicalize(path).map_err(|source| EditError::File {
-            path: path.to_owned(),
-            source,
-        })?;
+        let path = fs::canonicalize(path).map_err(EditError::of(path))?;
         let kept = kept_name(&path, date);
         let staged = with_suffix(&path, ".new");
         let result = stage(&path, &staged, &self.new)
@@ -213,10 +211,7 @@ impl Edit {
 
 /// Writes the new text beside the file, with its owner and permissions, down to the disk.
 fn stage(path: &Path, staged: &Path, text: &str) -> Result<(), EditError> {
-    let failed = |source| EditError::File {
-        path: staged.to_owned(),
-        source,
-    };
+    let failed = EditError::of(staged);
     let mut file = File::create(staged).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)?;
     let old = fs::metadata(path).map_err(failed)?;
@@ -248,10 +243,7 @@ fn keep_owner(file: &File, old: &Metadata) -> io::Result<()> {
 
 /// Copies the file, down to the disk.
 fn keep(path: &Path, kept: &Path) -> Result<(), EditError> {
-    let failed = |source| EditError::File {
-        path: kept.to_owned(),
-        source,
-    };
+    let failed = EditError::of(kept);
     fs::copy(path, kept).map_err(failed)?;
     File::open(kept)
         .and_then(|file| file.sync_all())
@@ -260,10 +252,7 @@ fn keep(path: &Path, kept: &Path) -> Result<(), EditError> {
 
 /// Puts the new file in the place of the old one.
 fn replace(staged: &Path, path: &Path) -> Result<(), EditError> {
-    let failed = |source| EditError::File {
-        path: path.to_owned(),
-        source,
-    };
+    let failed = EditError::of(path);
     fs::rename(staged, path).map_err(failed)?;
     let folder = path.parent().unwrap_or(Path::new("/"));
     File::open(folder)

@@ -4,6 +4,7 @@
 //! that has to be believed, and never a reason to believe less.
 
 use singletrack_core::config::EstimatorSection;
+use singletrack_statistics::Line;
 
 use crate::{
     Inertial, Interval, Parameter,
@@ -98,22 +99,13 @@ impl Belief {
             .map(NoiseLevel::acceleration)
             .fold(0.0, f64::max);
         // A line through the powers over the squared speeds, of wheels that turn.
-        let turning: Vec<[f64; 2]> = levels
-            .iter()
-            .filter(|level| level.speed > 0.0)
-            .map(|level| [level.speed.powi(2), level.acceleration().powi(2)])
-            .collect();
-        let count = turning.len().max(1) as f64;
-        let [x, y] = [0, 1].map(|i| turning.iter().map(|one| one[i]).sum::<f64>() / count);
-        let [xx, xy] = [0, 1].map(|i| {
-            let products = turning
-                .iter()
-                .map(|one| (one[0] - x) * (one[i] - [x, y][i]));
-            products.sum::<f64>()
-        });
-        let slope = if xx > 0.0 { (xy / xx).max(0.0) } else { 0.0 };
+        let turning = levels.iter().filter(|level| level.speed > 0.0);
+        let line =
+            Line::through(turning.map(|level| [level.speed.powi(2), level.acceleration().powi(2)]));
+        let [x, y] = line.middle;
+        let slope = line.slope.max(0.0);
         let (quiet, offset) = (rest * rest, y - slope * x);
-        let (power, slope) = if xx > 0.0 && offset >= quiet {
+        let (power, slope) = if line.spread > 0.0 && offset >= quiet {
             (offset, slope)
         } else if x > 0.0 {
             // Through the noise at rest: there is no less.
@@ -224,12 +216,12 @@ pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Co
                 digits(believed)
             ));
         }
-        comparison.parameters.push(Parameter {
+        comparison.parameters.push(Parameter::new(
             name,
             unit,
-            estimate: Interval::around(measured, error * measured),
-            key: is_raised.then(|| (key, proposed.into())),
-        });
+            Interval::around(measured, error * measured),
+            is_raised.then(|| (key, proposed.into())),
+        ));
     }
     comparison
 }

@@ -28,7 +28,7 @@ pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
     Refused, TickReading,
 };
-pub use finding::{Finding, Verdict};
+pub use finding::{Finding, Trouble, Verdict};
 pub use parameter::{Interval, Parameter};
 pub use plot::{Plot, PlotKind, PlotLine};
 pub use procedure::{Journal, Step, run};

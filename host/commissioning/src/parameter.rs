@@ -1,7 +1,9 @@
 //! A measured value and its uncertainty.
 
+use serde::{Deserialize, Serialize, Serializer};
+
 /// An estimate with its 95 % interval.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interval {
     /// The estimate.
     pub value: f64,
@@ -67,15 +69,46 @@ impl Interval {
 }
 
 /// A parameter of the car that was measured.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Parameter {
     /// Its name, such as `servo-centre`; in one procedure each has one.
     pub name: &'static str,
     /// Its unit, such as `us`.
     pub unit: &'static str,
     /// The estimate, in the unit.
+    #[serde(flatten)]
     pub estimate: Interval,
     /// The key of the configuration that takes it, such as `board.servo.centre_us`, with the
     /// value as TOML.
+    #[serde(flatten, serialize_with = "key_and_toml")]
     pub key: Option<(&'static str, toml_edit::Value)>,
+}
+
+impl Parameter {
+    pub(crate) const fn new(
+        name: &'static str,
+        unit: &'static str,
+        estimate: Interval,
+        key: Option<(&'static str, toml_edit::Value)>,
+    ) -> Self {
+        Self {
+            name,
+            unit,
+            estimate,
+            key,
+        }
+    }
+}
+
+/// As two keys; as none if there is no key.
+fn key_and_toml<S: Serializer>(
+    key: &Option<(&'static str, toml_edit::Value)>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    let key = key.as_ref();
+    let entries = key.map(|(key, value)| {
+        let toml = value.to_string().trim().to_owned();
+        [("key", (*key).to_owned()), ("toml", toml)]
+    });
+    serializer.collect_map(entries.into_iter().flatten())
 }

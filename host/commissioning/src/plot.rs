@@ -48,6 +48,12 @@ pub struct PlotLine {
     pub points: Vec<[f64; 2]>,
 }
 
+impl PlotLine {
+    pub(crate) const fn new(name: &'static str, kind: PlotKind, points: Vec<[f64; 2]>) -> Self {
+        Self { name, kind, points }
+    }
+}
+
 /// What a line of a [`Plot`] is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlotKind {

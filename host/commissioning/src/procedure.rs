@@ -1,6 +1,6 @@
 //! Runs the steps of a procedure in their order, and keeps their findings.
 
-use crate::{Bench, Finding, Interrupted, Verdict};
+use crate::{Bench, Finding, Interrupted, Trouble, Verdict};
 
 /// A step of a procedure.
 #[derive(Clone, Copy)]
@@ -11,8 +11,54 @@ pub struct Step {
     pub title: &'static str,
     /// Whether nothing after it makes sense if it fails.
     pub essential: bool,
+    /// What is expected, if every finding of the step is compared with the same.
+    pub expected: &'static str,
     /// Runs it. It leaves a car that stands and is disarmed.
-    pub run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
+    pub run: fn(&mut dyn Bench) -> Result<Finding, Trouble>,
+}
+
+impl Step {
+    /// An essential step.
+    pub(crate) const fn new(
+        name: &'static str,
+        title: &'static str,
+        expected: &'static str,
+        run: fn(&mut dyn Bench) -> Result<Finding, Trouble>,
+    ) -> Self {
+        Self {
+            name,
+            title,
+            essential: true,
+            expected,
+            run,
+        }
+    }
+
+    /// The same, but it may fail.
+    pub(crate) const fn optional(self) -> Self {
+        Self {
+            essential: false,
+            ..self
+        }
+    }
+
+    /// Runs it, and disarms the car after any trouble.
+    fn find(&self, bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+        let finding = (self.run)(bench).or_else(|trouble| {
+            // Refused where there is nothing to disarm; the daemon stops the car as well when the
+            // connection ends.
+            let _ = bench.disarm();
+            trouble.finding()
+        })?;
+        Ok(Finding {
+            step: self.name,
+            expected: match finding.expected.is_empty() {
+                true => self.expected.to_owned(),
+                false => finding.expected,
+            },
+            ..finding
+        })
+    }
 }
 
 /// Keeps the findings of a procedure from one start to the next.
@@ -48,15 +94,13 @@ pub fn run(
             Some(finding) => finding,
             None => {
                 journal.begin(step, index + 1, steps.len());
-                let result = (step.run)(bench).and_then(|finding| match bench.interrupted() {
-                    Some(interrupted) if finding.verdict == Verdict::Failed => Err(interrupted),
-                    _ => Ok(finding),
-                });
-                if result.is_err() {
-                    // The daemon stops the car as well when the connection ends.
+                let finding = step.find(bench)?;
+                if let Some(interrupted) = bench.interrupted()
+                    && finding.verdict == Verdict::Failed
+                {
                     let _ = bench.disarm();
+                    return Err(interrupted);
                 }
-                let finding = result?;
                 journal.keep(&finding)?;
                 finding
             }
@@ -86,45 +130,26 @@ mod tests {
         static INTERRUPTS: Cell<Option<usize>> = const { Cell::new(None) };
     }
 
-    fn number<const N: usize>(_: &mut dyn Bench) -> Result<Finding, Interrupted> {
+    fn number<const N: usize>(_: &mut dyn Bench) -> Result<Finding, Trouble> {
         let mut runs = RUNS.get();
         runs[N] += 1;
         RUNS.set(runs);
         if INTERRUPTS.get() == Some(N) {
-            return Err(Interrupted::ByOperator);
+            return Err(Interrupted::ByOperator.into());
         }
-        Ok(Finding {
-            step: STEPS[N].name,
-            verdict: if FAILS.get() == Some(N) {
-                Verdict::Failed
-            } else {
-                Verdict::Good
-            },
-            found: String::new(),
-            expected: String::new(),
-            fix: String::new(),
-            parameters: Vec::new(),
-        })
+        let verdict = if FAILS.get() == Some(N) {
+            Verdict::Failed
+        } else {
+            Verdict::Good
+        };
+        Ok(Finding::new(verdict, "", ""))
     }
 
     const STEPS: [Step; 3] = [
-        step("first", true, number::<0>),
-        step("second", false, number::<1>),
-        step("third", true, number::<2>),
+        Step::new("first", "", "", number::<0>),
+        Step::new("second", "", "", number::<1>).optional(),
+        Step::new("third", "", "", number::<2>),
     ];
-
-    const fn step(
-        name: &'static str,
-        essential: bool,
-        run: fn(&mut dyn Bench) -> Result<Finding, Interrupted>,
-    ) -> Step {
-        Step {
-            name,
-            title: name,
-            essential,
-            run,
-        }
-    }
 
     #[derive(Default)]
     struct Memory(Vec<Finding>);

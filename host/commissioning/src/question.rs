@@ -1,14 +1,28 @@
 //! Questions to the operator, and what the terminal shows meanwhile.
 
+use std::borrow::Cow;
+
 /// A question to the operator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Question {
     /// Its name, for scripts, such as `push-forward`. It never changes.
     pub id: &'static str,
     /// The question or the request, in whole sentences.
-    pub text: String,
+    pub text: Cow<'static, str>,
     /// The answers that it takes.
     pub answers: Answers,
+}
+
+impl Question {
+    /// With a text that never changes.
+    #[must_use]
+    pub const fn new(id: &'static str, text: &'static str, answers: Answers) -> Self {
+        Self {
+            id,
+            text: Cow::Borrowed(text),
+            answers,
+        }
+    }
 }
 
 /// The answers that a question takes. Every question can also be skipped.

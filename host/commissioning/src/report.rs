@@ -2,39 +2,15 @@
 
 use std::fmt::Write as _;
 
-use serde_json::{Map, Value, json};
+use serde::Deserialize as _;
+use serde_json::{Value, json};
 
 use crate::{Finding, Interval, Parameter, Verdict};
 
 /// A finding as JSON.
 #[must_use]
 pub fn to_json(finding: &Finding) -> Value {
-    let parameters: Vec<Value> = finding
-        .parameters
-        .iter()
-        .map(|parameter| {
-            let Interval { value, low, high } = parameter.estimate;
-            let mut object = Map::new();
-            object.insert("name".into(), parameter.name.into());
-            object.insert("unit".into(), parameter.unit.into());
-            object.insert("value".into(), value.into());
-            object.insert("low".into(), low.into());
-            object.insert("high".into(), high.into());
-            if let Some((key, value)) = &parameter.key {
-                object.insert("key".into(), (*key).into());
-                object.insert("toml".into(), value.to_string().trim().into());
-            }
-            object.into()
-        })
-        .collect();
-    json!({
-        "step": finding.step,
-        "verdict": finding.verdict.name(),
-        "found": finding.found,
-        "expected": finding.expected,
-        "fix": finding.fix,
-        "parameters": parameters,
-    })
+    json!(finding)
 }
 
 /// A finding from JSON; none if it is not one of [`to_json`]. `step` is its step's name.
@@ -44,49 +20,26 @@ pub fn from_json(step: &'static str, json: &Value) -> Option<Finding> {
         return None;
     }
     let text = |key| Some(json.get(key)?.as_str()?.to_owned());
-    let word = text("verdict")?;
-    let verdict = [
-        Verdict::Good,
-        Verdict::Skipped,
-        Verdict::Warning,
-        Verdict::Failed,
-    ]
-    .into_iter()
-    .find(|verdict| verdict.name() == word)?;
-    let parameters = json
-        .get("parameters")?
-        .as_array()?
-        .iter()
-        .map(parameter)
-        .collect::<Option<_>>()?;
+    let parameters = json.get("parameters")?.as_array()?.iter().map(parameter);
     Some(Finding {
         step,
-        verdict,
+        verdict: Verdict::deserialize(json.get("verdict")?).ok()?,
         found: text("found")?,
         expected: text("expected")?,
         fix: text("fix")?,
-        parameters,
+        parameters: parameters.collect::<Option<_>>()?,
     })
 }
 
 fn parameter(json: &Value) -> Option<Parameter> {
     // Read once in a run of the program: the leak is small.
     let word = |key| Some(&*json.get(key)?.as_str()?.to_owned().leak());
-    let number = |key| json.get(key)?.as_f64();
     let key = match json.get("key") {
         None => None,
         Some(_) => Some((word("key")?, json.get("toml")?.as_str()?.parse().ok()?)),
     };
-    Some(Parameter {
-        name: word("name")?,
-        unit: word("unit")?,
-        estimate: Interval {
-            value: number("value")?,
-            low: number("low")?,
-            high: number("high")?,
-        },
-        key,
-    })
+    let estimate = Interval::deserialize(json).ok()?;
+    Some(Parameter::new(word("name")?, word("unit")?, estimate, key))
 }
 
 /// The subject of a page.

@@ -43,7 +43,7 @@ fn the_same_seed_gives_the_same_bits() {
             let answer = bench
                 .ask(&Question {
                     id,
-                    text: String::new(),
+                    text: "".into(),
                     answers: Answers::Begin,
                 })
                 .unwrap();

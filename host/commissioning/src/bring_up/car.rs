@@ -3,11 +3,10 @@
 use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::{
-    outcome::{Trouble, failed},
-    place::Place,
+use super::place::Place;
+use crate::{
+    Attendance, Bench, BoardReading, Jog, Live, Observation, Refused, Trouble, finding::failed,
 };
-use crate::{Attendance, Bench, BoardReading, Jog, Live, Observation, Refused};
 
 /// The longest time for which the cameras may lose a car whose wheels turn, s.
 const UNSEEN_S: f64 = 0.5;

@@ -6,12 +6,17 @@ use singletrack_protocol::JOG_LIMIT_US;
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, change, conclude, failed, step},
+    request::change,
     spin::{CREEPS, beyond, way},
 };
-use crate::{Bench, Finding, Interrupted, Interval, Jog, Parameter, Step};
+use crate::{Bench, Finding, Interval, Jog, Parameter, Step, Trouble, finding::failed};
 
-pub(super) const STEP: Step = step("esc-kind", "What a pulse below neutral does", run);
+pub(super) const STEP: Step = Step::new(
+    "esc-kind",
+    "What a pulse below neutral does",
+    "board.esc.kind says what a pulse below neutral does.",
+    find,
+);
 
 /// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
 /// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
@@ -35,15 +40,6 @@ const FROM_M_S: f64 = 0.65;
 
 /// Measurements at speed of each, rolling and below neutral.
 const TIMES: u32 = 2;
-
-fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &STEP,
-        "board.esc.kind says what a pulse below neutral does.",
-        find,
-    )
-}
 
 /// What pulses below neutral did.
 #[derive(Debug)]
@@ -73,7 +69,7 @@ impl Seen {
     }
 }
 
-fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let esc = bench.configuration().board.esc;
     let feed_forward = f64::from(bench.configuration().board.speed.feed_forward_us_per_m_s);
     let pulse_of = |speed: f64| {
@@ -105,7 +101,7 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         seen.rolled_m
     );
     let Some(kind) = seen.kind() else {
-        return Ok(Outcome::warning(
+        return Ok(Finding::warning(
             format!("{found}; no pulse below neutral had an effect"),
             "None, if board.esc.kind is left out: no pulse below neutral is ever sent.",
         ));
@@ -117,8 +113,8 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         let brake = ("board.esc.brake_us", i64::from(brake_us).into());
         change(bench, &[kind_key.clone(), brake])?;
     }
-    let outcome = match bench.configuration().board.esc.kind {
-        Some(_) => Outcome::good(format!("\"{kind}\": {found}")),
+    let finding = match bench.configuration().board.esc.kind {
+        Some(_) => Finding::good(format!("\"{kind}\": {found}")),
         None => {
             return Err(failed(
                 "board.esc.kind was not written",
@@ -130,12 +126,12 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         .iter()
         .position(|name| *name == kind)
         .unwrap_or(0);
-    Ok(outcome.with(vec![Parameter {
-        name: "esc-kind",
-        unit: "",
-        estimate: Interval::around(number as f64, 0.0),
-        key: Some(kind_key),
-    }]))
+    Ok(finding.with(vec![Parameter::new(
+        "esc-kind",
+        "",
+        Interval::around(number as f64, 0.0),
+        Some(kind_key),
+    )]))
 }
 
 const fn turned(turned: bool) -> &'static str {

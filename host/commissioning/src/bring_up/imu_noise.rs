@@ -6,17 +6,22 @@ use singletrack_protocol::JOG_LIMIT_US;
 use super::{
     car::{Car, armed},
     kill::{self, never_turned},
-    outcome::{Outcome, Trouble, change, conclude, failed, step},
+    request::change,
     spin::mean_speed,
     stand,
 };
 use crate::{
-    Bench, BoardReading, Finding, Inertial, Interrupted, Jog, Plot, PlotKind, PlotLine, Step,
-    Verdict,
+    Bench, BoardReading, Finding, Inertial, Jog, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
+    finding::failed,
     imu_noise::{Comparison, NoiseLevel, compare},
 };
 
-pub(super) const STEP: Step = step("imu-noise", "IMU: its noise with the wheels turning", run);
+pub(super) const STEP: Step = Step::new(
+    "imu-noise",
+    "IMU: its noise with the wheels turning",
+    "The noise at every speed is at most 1.3 times what [estimator] believes.",
+    find,
+);
 
 /// Time at rest, s.
 const REST_S: f64 = 15.0;
@@ -30,16 +35,7 @@ const RUNS: usize = 3;
 const SETTLE_S: f64 = 1.0;
 const MEASURE_S: f64 = 4.0;
 
-fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &STEP,
-        "The noise at every speed is at most 1.3 times what [estimator] believes.",
-        find,
-    )
-}
-
-fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // In every run: the car may have been put down after an interruption.
     stand::find(bench)?;
     let kill = kill::find(bench)?;
@@ -60,7 +56,7 @@ fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     if !keys.is_empty() {
         change(bench, &keys)?;
     }
-    Ok(outcome(comparison, &kill))
+    Ok(finding(comparison, &kill))
 }
 
 /// The telemetry of some runs at about this speed, m/s.
@@ -96,7 +92,7 @@ fn level(speed: f64, runs: &[Vec<BoardReading>]) -> Result<NoiseLevel, Trouble> 
     })
 }
 
-fn outcome(comparison: Comparison, kill: &Outcome) -> Outcome {
+fn finding(comparison: Comparison, kill: &Finding) -> Finding {
     let mut found = comparison.found;
     let mut fixes = Vec::new();
     if !comparison.too_small.is_empty() {
@@ -113,23 +109,20 @@ fn outcome(comparison: Comparison, kill: &Outcome) -> Outcome {
         found.push(kill.found.clone());
         fixes.push(&kill.fix);
     }
-    let found = found.join("; ");
-    let outcome = if fixes.is_empty() {
-        Outcome::good(found)
-    } else {
-        Outcome::warning(found, fixes.join(" "))
-    };
-    outcome.with(comparison.parameters)
+    let fix = fixes.join(" ");
+    Finding::warning_if(!fixes.is_empty(), found.join("; "), &fix).with(comparison.parameters)
 }
 
 fn plot(levels: &[NoiseLevel]) -> Plot {
-    let line = |name, kind, density: fn(&NoiseLevel) -> f64| PlotLine {
-        name,
-        kind,
-        points: levels
-            .iter()
-            .map(|level| [level.speed, density(level)])
-            .collect(),
+    let line = |name, kind, density: fn(&NoiseLevel) -> f64| {
+        PlotLine::new(
+            name,
+            kind,
+            levels
+                .iter()
+                .map(|level| [level.speed, density(level)])
+                .collect(),
+        )
     };
     Plot {
         name: "imu-noise",

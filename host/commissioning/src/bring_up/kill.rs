@@ -2,10 +2,10 @@
 
 use super::{
     car::armed,
-    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed, step},
     questions,
+    request::{ask, ask_yes},
 };
-use crate::{Bench, BoardReading, Finding, Interrupted, Step};
+use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
 
 /// Time for which an armed board holds neutral, s.
 const ARMED_S: f64 = 1.0;
@@ -16,18 +16,14 @@ const CUT_WITHIN_S: f64 = 6.0;
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
 
-pub(super) const STEP: Step = step("kill", "The kill switch of the ESC's supply", run);
+pub(super) const STEP: Step = Step::new(
+    "kill",
+    "The kill switch of the ESC's supply",
+    "The supply of the ESC can be cut, also while its pulse drives the motor.",
+    find,
+);
 
-fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &STEP,
-        "The supply of the ESC can be cut, also while its pulse drives the motor.",
-        find,
-    )
-}
-
-pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.configuration().board.kill_output {
         by_board(bench)
     } else {
@@ -35,10 +31,10 @@ pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     }
 }
 
-fn by_board(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const WIRING: &str = "Check the wiring of the kill output (pin D7) and of its relay, which is \
                           normally open: docs/uno.md.";
-    let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::esc_dark());
+    let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::ESC_DARK);
     if !dark(bench)? {
         return Err(failed(
             "the ESC has its supply although the kill output is off",
@@ -56,7 +52,7 @@ fn by_board(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             "Load the image again: `cargo uno`.",
         ));
     }
-    if !ask_yes(bench, &questions::esc_woke())? {
+    if !ask_yes(bench, &questions::ESC_WOKE)? {
         return Err(failed("the armed board does not switch the ESC on", WIRING));
     }
     if !dark(bench)? {
@@ -65,32 +61,32 @@ fn by_board(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
             WIRING,
         ));
     }
-    Ok(Outcome::good(
+    Ok(Finding::good(
         "the ESC is on while the board is armed, and off before and after",
     ))
 }
 
-fn by_hand(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const NONE: &str = "Wire the kill output (docs/uno.md) and set board.kill_output, or put a \
                         switch that you reach at any time into the supply of the ESC.";
-    if !ask_yes(bench, &questions::kill_switch())? {
-        return Ok(Outcome::warning(
+    if !ask_yes(bench, &questions::KILL_SWITCH)? {
+        return Ok(Finding::warning(
             "nothing but the pulses on one wire stops the motor",
             NONE,
         ));
     }
-    ask(bench, &questions::cut_supply())?;
+    ask(bench, &questions::CUT_SUPPLY)?;
     let spun = armed(bench, |car| {
         car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
     })?;
-    ask(bench, &questions::restore_supply())?;
+    ask(bench, &questions::RESTORE_SUPPLY)?;
     if !spun.stopped_under_drive() {
         return Err(failed(
             format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it"),
             NONE,
         ));
     }
-    Ok(Outcome::good(format!(
+    Ok(Finding::good(format!(
         "without its supply the motor came to rest within {:.1} s, with the pulse still driving it",
         roll_down(&spun.readings, spun.fastest())
     )))

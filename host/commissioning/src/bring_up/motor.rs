@@ -11,12 +11,13 @@ use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, ask_word, change, conclude, failed, step},
     questions::{self, WAYS},
+    request::{ask_word, change},
     spin::{CREEPS, beyond, mean_speed, way},
 };
 use crate::{
-    Bench, Finding, Interrupted, Interval, Jog, Parameter, Step,
+    Bench, Finding, Interval, Jog, Parameter, Step, Trouble,
+    finding::failed,
     fit::{
         LeastSquares, least_squares, mean,
         speed_curve::{SpeedCurve, fit_speed_curve},
@@ -24,8 +25,18 @@ use crate::{
     },
 };
 
-pub(super) const DIRECTION: Step = step("motor-direction", "Direction of the motor", direction);
-pub(super) const MAP: Step = step("motor-map", "Deadband and speeds of the motor", map);
+pub(super) const DIRECTION: Step = Step::new(
+    "motor-direction",
+    "Direction of the motor",
+    "A pulse above neutral drives forward, and the motor's pulses count.",
+    direction,
+);
+pub(super) const MAP: Step = Step::new(
+    "motor-map",
+    "Deadband and speeds of the motor",
+    "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
+    map,
+);
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
@@ -87,16 +98,7 @@ const LATE_S: [f64; 7] = [0.03, 0.045, 0.06, 0.075, 0.09, 0.105, 0.12];
 /// The widest band that an ESC ignores, to one side, us.
 const WIDEST_US: f64 = 60.0;
 
-fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &DIRECTION,
-        "A pulse above neutral drives forward, and the motor's pulses count.",
-        find_direction,
-    )
-}
-
-fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let turned = armed(bench, |car| {
         let Some(jog) = car.spin(FROM_US)? else {
             return Ok(None);
@@ -113,9 +115,9 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         }) => None,
         turned => turned?,
     };
-    let seen = ask_word(bench, &questions::driven_wheels(), WAYS)?;
+    let seen = ask_word(bench, &questions::DRIVEN_WHEELS, WAYS)?;
     match (turned, seen) {
-        (Some(pulse_us), "forward") => Ok(Outcome::good(format!(
+        (Some(pulse_us), "forward") => Ok(Finding::good(format!(
             "forward at {pulse_us} us, and the pulses count"
         ))),
         (Some(_), "backward") => Err(failed(
@@ -135,15 +137,6 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     }
 }
 
-fn map(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &MAP,
-        "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
-        find_map,
-    )
-}
-
 /// What pulses below neutral do.
 enum Below {
     /// The wheels turn backward beyond this edge.
@@ -154,7 +147,7 @@ enum Below {
     Nothing,
 }
 
-fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let (ahead, below) = armed(bench, |car| {
         let ahead = curve(car, true)?.ok_or_else(|| never_turned(JOG_LIMIT_US))?;
         let below = match curve(car, false)? {
@@ -246,34 +239,21 @@ fn find_map(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         ahead.scatter
     );
     let [neutral_key, deadband_key, feed_forward_key] = keys;
-    let outcome = if ahead.scatter > 4.0 {
-        Outcome::warning(
-            found,
-            "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
+    let finding = Finding::warning_if(
+        ahead.scatter > 4.0,
+        found,
+        "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
              interference?",
-        )
-    } else {
-        Outcome::good(found)
-    };
-    Ok(outcome.with(vec![
-        Parameter {
-            name: "esc-neutral",
-            unit: "us",
-            estimate: neutral,
-            key: Some(neutral_key),
-        },
-        Parameter {
-            name: "esc-deadband",
-            unit: "us",
-            estimate: deadband,
-            key: Some(deadband_key),
-        },
-        Parameter {
-            name: "feed-forward",
-            unit: "us/(m/s)",
-            estimate: feed_forward,
-            key: Some(feed_forward_key),
-        },
+    );
+    Ok(finding.with(vec![
+        Parameter::new("esc-neutral", "us", neutral, Some(neutral_key)),
+        Parameter::new("esc-deadband", "us", deadband, Some(deadband_key)),
+        Parameter::new(
+            "feed-forward",
+            "us/(m/s)",
+            feed_forward,
+            Some(feed_forward_key),
+        ),
     ]))
 }
 

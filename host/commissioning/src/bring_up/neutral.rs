@@ -2,29 +2,25 @@
 
 use super::{
     car::{Car, armed},
-    outcome::{Outcome, Trouble, ask, ask_yes, conclude, failed, step},
     questions,
+    request::{ask, ask_yes},
 };
-use crate::{Bench, BoardReading, Finding, Interrupted, Step};
+use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
 
 /// The step, watching for `SECONDS` in each order of switching on.
 pub(super) const fn step_with<const SECONDS: u32>() -> Step {
-    step("esc-neutral", "The ESC at neutral", run::<SECONDS>)
-}
-
-/// Most milliseconds of this step in which the board may refuse edges of the sensor.
-const REFUSED: u16 = 2;
-
-fn run<const SECONDS: u32>(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &step_with::<SECONDS>(),
+    Step::new(
+        "esc-neutral",
+        "The ESC at neutral",
         "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
         |bench| find(bench, SECONDS.into()),
     )
 }
 
-fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Outcome, Trouble> {
+/// Most milliseconds of this step in which the board may refuse edges of the sensor.
+const REFUSED: u16 = 2;
+
+fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Finding, Trouble> {
     let orders = if bench.configuration().board.kill_output {
         // The board starts the ESC: there is one order.
         let readings = armed(bench, |car| {
@@ -36,8 +32,8 @@ fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Outcome, Trouble> {
         "the board starts the ESC"
     } else {
         for (question, order) in [
-            (questions::esc_after_board(), "after the board"),
-            (questions::board_after_esc(), "before the board"),
+            (questions::ESC_AFTER_BOARD, "after the board"),
+            (questions::BOARD_AFTER_ESC, "before the board"),
         ] {
             ask(bench, &question)?;
             let mut car = Car::look(bench)?;
@@ -47,7 +43,7 @@ fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Outcome, Trouble> {
         }
         "ESC on before and after the board"
     };
-    Ok(Outcome::good(format!(
+    Ok(Finding::good(format!(
         "no motor pulse in {seconds:.0} s at neutral: {orders}"
     )))
 }
@@ -98,7 +94,7 @@ fn check(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
 }
 
 fn still(bench: &mut dyn Bench) -> Result<(), Trouble> {
-    if ask_yes(bench, &questions::wheels_still())? {
+    if ask_yes(bench, &questions::WHEELS_STILL)? {
         return Ok(());
     }
     Err(failed(

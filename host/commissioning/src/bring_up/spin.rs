@@ -2,8 +2,8 @@
 
 use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
-use super::{car::Car, kill::never_turned, outcome::Trouble};
-use crate::{BoardReading, Jog};
+use super::{car::Car, kill::never_turned};
+use crate::{BoardReading, Jog, Trouble};
 
 /// Speed below which wheels that slow down count as standing, m/s.
 pub(super) const CREEPS: f64 = 0.12;

@@ -1,28 +1,20 @@
 //! The car is on its stand, at rest and in view of the cameras.
 
-use super::{
-    car::Car,
-    outcome::{Outcome, Trouble, ask_yes, conclude, failed, step},
-    questions,
-};
-use crate::{Bench, Finding, Interrupted, Step};
+use super::{car::Car, questions, request::ask_yes};
+use crate::{Bench, Finding, Step, Trouble, finding::failed};
 
 /// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
 
-pub(super) const STEP: Step = step("stand", "The car on its stand", run);
+pub(super) const STEP: Step = Step::new(
+    "stand",
+    "The car on its stand",
+    "All wheels are clear of the floor, the cameras see the car, and it stands still.",
+    find,
+);
 
-fn run(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &STEP,
-        "All wheels are clear of the floor, the cameras see the car, and it stands still.",
-        find,
-    )
-}
-
-pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
-    if !ask_yes(bench, &questions::on_stand())? {
+pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    if !ask_yes(bench, &questions::ON_STAND)? {
         return Err(failed(
             "the car is not on a stand",
             "Put a box under the chassis so that all wheels turn freely.",
@@ -37,5 +29,5 @@ pub(super) fn find(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
              picks up interference: see docs/uno.md.",
         ));
     }
-    Ok(Outcome::good("the car stands still in view of the cameras"))
+    Ok(Finding::good("the car stands still in view of the cameras"))
 }

@@ -5,12 +5,13 @@
 
 use super::{
     car::{Car, armed},
-    outcome::{Outcome, Trouble, ask_number, ask_word, ask_yes, change, conclude, failed, step},
     questions::{self, SIDES},
+    request::{ask_number, ask_word, ask_yes, change},
 };
 use crate::{
-    Bench, BoardReading, Finding, Interrupted, Interval, Jog, Parameter, Step,
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
     calibrate::steering_table::straight_line,
+    finding::failed,
     fit::steering::{Steering, fit_steering},
 };
 
@@ -52,10 +53,30 @@ const READING_RAD: f64 = 0.0175;
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
 
-pub(super) const DIRECTION: Step = step("servo-direction", "Direction of the servo", direction);
-pub(super) const CENTRE: Step = step("servo-centre", "Centre of the servo", centre);
-pub(super) const STOPS: Step = step("servo-stops", "End stops of the servo", stops);
-pub(super) const GAIN: Step = step("servo-gain", "Gain of the servo", gain);
+pub(super) const DIRECTION: Step = Step::new(
+    "servo-direction",
+    "Direction of the servo",
+    "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
+    direction,
+);
+pub(super) const CENTRE: Step = Step::new(
+    "servo-centre",
+    "Centre of the servo",
+    "The front wheels point straight on at board.servo.centre_us.",
+    centre,
+);
+pub(super) const STOPS: Step = Step::new(
+    "servo-stops",
+    "End stops of the servo",
+    "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
+    stops,
+);
+pub(super) const GAIN: Step = Step::new(
+    "servo-gain",
+    "Gain of the servo",
+    "The angle of the front wheels follows board.servo.gain_us_per_rad.",
+    gain,
+);
 
 /// Moves the servo and leaves it there.
 fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
@@ -116,19 +137,10 @@ fn direction_of(side: &str) -> i32 {
 }
 
 fn see(bench: &mut dyn Bench) -> Result<i32, Trouble> {
-    ask_word(bench, &questions::front_wheels(), SIDES).map(direction_of)
+    ask_word(bench, &questions::FRONT_WHEELS, SIDES).map(direction_of)
 }
 
-fn direction(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &DIRECTION,
-        "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
-        find_direction,
-    )
-}
-
-fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let believed = i32::from(servo.gain_us_per_rad).signum();
     let centre = i32::from(servo.centre_us);
@@ -158,23 +170,14 @@ fn find_direction(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let longer = if sign > 0 { "left" } else { "right" };
     let found = format!("a longer pulse steers to the {longer}");
     if sign == believed {
-        return Ok(Outcome::good(found));
+        return Ok(Finding::good(found));
     }
     let gain = -i64::from(servo.gain_us_per_rad);
     change_servo(bench, &[("board.servo.gain_us_per_rad", gain)])?;
-    Ok(Outcome::warning(
+    Ok(Finding::warning(
         format!("{found}; board.servo.gain_us_per_rad had the other sign"),
         "None: its sign was changed.",
     ))
-}
-
-fn centre(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &CENTRE,
-        "The front wheels point straight on at board.servo.centre_us.",
-        find_centre,
-    )
 }
 
 /// Searches the two edges of the band of pulses at which the wheels look straight.
@@ -231,7 +234,7 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
     Ok(edges)
 }
 
-fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let up = find_straight(bench, servo.centre_us.into(), -1)?;
     let middle = f64::midpoint(up[0], up[1]);
@@ -245,38 +248,26 @@ fn find_centre(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     turn_to(bench, centre_us)?;
     let key = ("board.servo.centre_us", i64::from(centre_us));
     change_servo(bench, &[key])?;
-    let parameter = Parameter {
-        name: "servo-centre",
-        unit: "us",
-        estimate: Interval::around(centre, half),
-        key: Some((key.0, key.1.into())),
-    };
+    let parameter = Parameter::new(
+        "servo-centre",
+        "us",
+        Interval::around(centre, half),
+        Some((key.0, key.1.into())),
+    );
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
         "straight on at {centre:.0} us, known to {half:.0} us; it looks straight over {wide:.0} us, and \
          from the other side {play:.0} us beside"
     );
-    let outcome = if play > 30.0 {
-        Outcome::warning(
-            found,
-            "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.",
-        )
-    } else {
-        Outcome::good(found)
-    };
-    Ok(outcome.with(vec![parameter]))
+    let finding = Finding::warning_if(
+        play > 30.0,
+        found,
+        "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.",
+    );
+    Ok(finding.with(vec![parameter]))
 }
 
-fn stops(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &STOPS,
-        "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
-        find_stops,
-    )
-}
-
-fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let centre = i32::from(servo.centre_us);
     let touches = |bench: &mut dyn Bench, pulse: i32| -> Result<bool, Trouble> {
@@ -339,22 +330,22 @@ fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     let parameter = |name, free: i32, stop: Option<i32>, key: (&'static str, i64)| {
         let free = f64::from(free);
         let stop = stop.map_or(free, f64::from);
-        Parameter {
+        Parameter::new(
             name,
-            unit: "us",
-            estimate: Interval {
+            "us",
+            Interval {
                 value: free,
                 low: free.min(stop),
                 high: free.max(stop),
             },
-            key: Some((key.0, key.1.into())),
-        }
+            Some((key.0, key.1.into())),
+        )
     };
     let said = |stop: Option<i32>| match stop {
         Some(stop) => format!("stop at {stop} us"),
         None => "no stop".into(),
     };
-    Ok(Outcome::good(format!(
+    Ok(Finding::good(format!(
         "free from {min} us ({}) to {max} us ({})",
         said(below),
         said(above)
@@ -365,16 +356,7 @@ fn find_stops(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     ]))
 }
 
-fn gain(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &GAIN,
-        "The angle of the front wheels follows board.servo.gain_us_per_rad.",
-        find_gain,
-    )
-}
-
-fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let servo = bench.configuration().board.servo;
     let believed = f64::from(servo.gain_us_per_rad);
     let centre = i32::from(servo.centre_us);
@@ -384,7 +366,7 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     for part in READ_AT.into_iter().chain(READ_AT.into_iter().rev()) {
         let pulse = centre + (part * f64::from(range)).round() as i32;
         turn_to(bench, limited(servo.min_us, servo.max_us, pulse))?;
-        let degrees = ask_number(bench, &questions::wheel_angle())?;
+        let degrees = ask_number(bench, &questions::WHEEL_ANGLE)?;
         readings.push([f64::from(pulse), degrees.to_radians()]);
     }
     turn_to(bench, servo.centre_us)?;
@@ -414,12 +396,7 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     }
     let key = ("board.servo.gain_us_per_rad", rounded as i64);
     change_servo(bench, &[key])?;
-    let parameter = Parameter {
-        name: "servo-gain",
-        unit: "us/rad",
-        estimate: gain,
-        key: Some((key.0, key.1.into())),
-    };
+    let parameter = Parameter::new("servo-gain", "us/rad", gain, Some((key.0, key.1.into())));
     let found = format!(
         "{:.0} us/rad, {:.0} to {:.0}; the readings scatter by {:.1} degrees and say straight on \
          at {:.0} us",
@@ -429,15 +406,12 @@ fn find_gain(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
         scatter.to_degrees(),
         straight.value
     );
-    let outcome = if scatter > 0.07 {
-        Outcome::warning(
-            found,
-            "Read the angles again: run the bring-up with --again.",
-        )
-    } else {
-        Outcome::good(found)
-    };
-    Ok(outcome.with(vec![parameter]))
+    let finding = Finding::warning_if(
+        scatter > 0.07,
+        found,
+        "Read the angles again: run the bring-up with --again.",
+    );
+    Ok(finding.with(vec![parameter]))
 }
 
 /// Puts values of the servo in force, and lowers the steering limit to what they reach.

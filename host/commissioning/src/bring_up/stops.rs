@@ -11,18 +11,51 @@ use singletrack_protocol::{BoardMode, JOG_LIMIT_US};
 use super::{
     car::{Car, armed},
     kill::never_turned,
-    outcome::{Outcome, Trouble, ask, ask_word, conclude, failed, step},
     questions::{self, STOPS},
+    request::{ask, ask_word},
     spin::{Spun, mean_speed},
 };
-use crate::{Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Question, Step};
+use crate::{
+    Bench, BoardReading, Finding, Interval, Parameter, Question, Step, Trouble, Verdict,
+    finding::failed,
+};
 
-pub(super) const SILENCE: Step = step("stop-silence", "Stop: no more jogs", silence);
-pub(super) const DISARM: Step = step("stop-disarm", "Stop: disarm", disarm);
-pub(super) const SWITCH: Step = step("stop-switch", "Stop: the stop switch", switch);
-pub(super) const RESET: Step = step("stop-reset", "Stop: reset of the board", reset);
-pub(super) const UNPLUG: Step = step("stop-unplug", "Stop: the cable", unplug);
-pub(super) const EMERGENCY: Step = step("stop-emergency", "Stop: emergency stop", emergency);
+pub(super) const SILENCE: Step = Step::new(
+    "stop-silence",
+    "Stop: no more jogs",
+    "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
+    silence,
+);
+pub(super) const DISARM: Step = Step::new(
+    "stop-disarm",
+    "Stop: disarm",
+    "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+    disarm,
+);
+pub(super) const SWITCH: Step = Step::new(
+    "stop-switch",
+    "Stop: the stop switch",
+    "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
+    switch,
+);
+pub(super) const RESET: Step = Step::new(
+    "stop-reset",
+    "Stop: reset of the board",
+    "A reset of the board stops the motor at once.",
+    reset,
+);
+pub(super) const UNPLUG: Step = Step::new(
+    "stop-unplug",
+    "Stop: the cable",
+    "A pulled cable stops the motor at once.",
+    unplug,
+);
+pub(super) const EMERGENCY: Step = Step::new(
+    "stop-emergency",
+    "Stop: emergency stop",
+    "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+    emergency,
+);
 
 /// From a request to the neutral pulse at most, s.
 const PULSE_WITHIN_S: f64 = 0.2;
@@ -103,7 +136,7 @@ fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f6
 }
 
 impl Stop {
-    fn outcome(&self, name: &'static str, within_s: f64) -> Result<Outcome, Trouble> {
+    fn finding(&self, name: &'static str, within_s: f64) -> Result<Finding, Trouble> {
         let Some(pulse_s) = self.pulse_s else {
             return Err(failed(
                 "the pulse did not go to neutral",
@@ -139,63 +172,33 @@ impl Stop {
             low: ((seconds - RECORD_S) * 1e3).max(0.0),
             high: (seconds + RECORD_S) * 1e3,
         };
-        Ok(Outcome::good(found).with(vec![Parameter {
-            name,
-            unit: "ms",
-            estimate: ms(pulse_s),
-            key: None,
-        }]))
+        Ok(Finding::good(found).with(vec![Parameter::new(name, "ms", ms(pulse_s), None)]))
     }
 }
 
-fn silence(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &SILENCE,
-        "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
-        |bench| {
-            let stop = armed(bench, |car| {
-                let speed = turn(car)?;
-                watch(car, speed)
-            })?;
-            stop.outcome(SILENCE.name, HOLD_S + PULSE_WITHIN_S)
-        },
-    )
+fn silence(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let stop = armed(bench, |car| {
+        let speed = turn(car)?;
+        watch(car, speed)
+    })?;
+    stop.finding(SILENCE.name, HOLD_S + PULSE_WITHIN_S)
 }
 
-fn disarm(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &DISARM,
-        "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-        |bench| {
-            let stop = armed(bench, |car| {
-                let speed = turn(car)?;
-                car.request_disarm()?;
-                watch(car, speed)
-            })?;
-            stop.outcome(DISARM.name, PULSE_WITHIN_S)
-        },
-    )
+fn disarm(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let stop = armed(bench, |car| {
+        let speed = turn(car)?;
+        car.request_disarm()?;
+        watch(car, speed)
+    })?;
+    stop.finding(DISARM.name, PULSE_WITHIN_S)
 }
 
-fn switch(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &SWITCH,
-        "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
-        find_switch,
-    )
-}
-
-fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if !bench.configuration().board.stop_input {
-        return Ok(Outcome {
-            verdict: crate::Verdict::Skipped,
-            ..Outcome::good("board.stop_input is false: there is no stop switch")
-        });
+        let found = "board.stop_input is false: there is no stop switch";
+        return Ok(Finding::new(Verdict::Skipped, found, ""));
     }
-    ask(bench, &questions::open_switch())?;
+    ask(bench, &questions::OPEN_SWITCH)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "press the stop switch")?;
@@ -214,25 +217,16 @@ fn find_switch(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
     };
     readings.extend(car.watch(WATCHED_S, "stopping")?);
     let stop = evaluate(&mut car, &readings, noticed, spun.last_speed());
-    ask(bench, &questions::close_switch())?;
-    stop.outcome(SWITCH.name, PULSE_WITHIN_S)
+    ask(bench, &questions::CLOSE_SWITCH)?;
+    stop.finding(SWITCH.name, PULSE_WITHIN_S)
 }
 
-fn emergency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &EMERGENCY,
-        "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-        find_emergency,
-    )
-}
-
-fn find_emergency(bench: &mut dyn Bench) -> Result<Outcome, Trouble> {
+fn emergency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stop = by_request(bench)?;
-    ask(bench, &questions::clear_latch())?;
+    ask(bench, &questions::CLEAR_LATCH)?;
     // A bootloader may wait for longer than the operator.
     unlatched(bench)?;
-    stop.outcome(EMERGENCY.name, PULSE_WITHIN_S)
+    stop.finding(EMERGENCY.name, PULSE_WITHIN_S)
 }
 
 /// Waits until the board has been reset and is configured again.
@@ -280,22 +274,12 @@ fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
     car.spin_for_hand(deadband_us + 4, HAND_S, what)
 }
 
-fn reset(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &RESET,
-        "A reset of the board stops the motor at once.",
-        |bench| unheard(bench, &questions::reset_at_speed(), None),
-    )
+fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    unheard(bench, &questions::RESET_AT_SPEED, None)
 }
 
-fn unplug(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    conclude(
-        bench,
-        &UNPLUG,
-        "A pulled cable stops the motor at once.",
-        |bench| unheard(bench, &questions::unplug(), Some(questions::plug_in())),
-    )
+fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    unheard(bench, &questions::UNPLUG, Some(questions::PLUG_IN))
 }
 
 /// A stop after which the board sends nothing: the operator judges it.
@@ -303,7 +287,7 @@ fn unheard(
     bench: &mut dyn Bench,
     question: &Question,
     after: Option<Question>,
-) -> Result<Outcome, Trouble> {
+) -> Result<Finding, Trouble> {
     ask(bench, question)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
@@ -316,15 +300,15 @@ fn unheard(
     }
     // The operator watches the wheels.
     car.watch(2.0, "stopping")?;
-    let seen = ask_word(bench, &questions::stopped_how(), STOPS);
+    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS);
     if let Some(after) = after {
         ask(bench, &after)?;
     }
     // The board starts again, and the ESC with it where the board holds its supply.
     Car::wait_for_board(bench)?;
     match seen? {
-        "at-once" => Ok(Outcome::good("the motor stopped at once, by eye")),
-        "late" => Ok(Outcome::warning(
+        "at-once" => Ok(Finding::good("the motor stopped at once, by eye")),
+        "late" => Ok(Finding::warning(
             "the motor drove on for a while without pulses",
             ESC_HOLDS,
         )),

@@ -1,11 +1,14 @@
 //! Bends to both sides, with a weave: the steering, and the body on the car.
 
+use singletrack_control::wrap;
+
 use super::{
-    floor::{self, Ends, Figure, SLOW, round},
+    floor::{self, Figure, SLOW, round},
     steering_table::{bent, straight_line},
 };
 use crate::{
-    Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
+    Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
+    finding::failed,
     fit::{self, Body, Frames, Motion, Signal, Track, Turning, Wheels},
 };
 
@@ -32,14 +35,14 @@ const AXLE: f64 = 0.0018;
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
 
-const EXPECTED: &str = "the same values from every pass, near those of doctor and bring-up";
+pub(super) const STEP: Step = Step::new(
+    "bends",
+    "Bends to both sides: steering, and the body on the car",
+    "the same values from every pass, near those of doctor and bring-up",
+    measure,
+);
 
-pub(super) fn bends(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let found = measure(bench);
-    floor::result("bends", EXPECTED, found)
-}
-
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
     floor::limit_speed(bench, SLOW)?;
     let stands = floor::ready(bench)?;
@@ -123,9 +126,9 @@ impl Believed {
     }
 }
 
-fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Ends> {
+fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
-        Ends::Failed(
+        failed(
             "the drive does not determine the car: too few poses, or too little steering"
                 .to_owned(),
             "check that all markers are visible everywhere, and run this step again",
@@ -200,7 +203,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         ),
         (
             "motion_capture.marker_yaw_rad",
-            round(floor::angle(yaw.value), 5).into(),
+            round(wrap(yaw.value), 5).into(),
         ),
         (
             "motion_capture.marker_offset_m",
@@ -232,14 +235,16 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let is_doubtful = (gain.value / believed.servo[1] - 1.0).abs() > 0.25;
     let moved = (ahead.value - believed.offset[0]).hypot(left.value - believed.offset[1]);
     floor::change(bench, &values)?;
-    let parameter = |name, unit, estimate: Interval, key: &str| Parameter {
-        name,
-        unit,
-        estimate,
-        key: values
-            .iter()
-            .find(|(other, _)| *other == key)
-            .map(|(key, value)| (*key, value.clone())),
+    let parameter = |name, unit, estimate: Interval, key: &str| {
+        Parameter::new(
+            name,
+            unit,
+            estimate,
+            values
+                .iter()
+                .find(|(other, _)| *other == key)
+                .map(|(key, value)| (*key, value.clone())),
+        )
     };
     let mut parameters = vec![
         parameter("servo-centre", "us", centre, "board.servo.centre_us"),
@@ -259,34 +264,20 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         let key = "actuators.steering_table";
         parameters.push(parameter("steering-bend", "rad", bent.off, key));
     }
-    Ok(Finding {
-        step: "bends",
-        verdict: if is_doubtful {
-            Verdict::Warning
-        } else {
-            Verdict::Good
-        },
-        found: format!(
-            "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from \
-             where it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % \
-             tighter than the map",
-            passes.len(),
-            1e3 * late,
-            1e3 * moved,
-            floor::angle(yaw.value - believed.body_yaw).to_degrees(),
-            excess[0],
-            excess[1]
-        ),
-        expected: EXPECTED.to_owned(),
-        fix: if is_doubtful {
-            "the gain differs by more than a quarter from that of bring-up: measure \
-             vehicle.front_axle_distance_m and rear_axle_distance_m again"
-                .to_owned()
-        } else {
-            String::new()
-        },
-        parameters,
-    })
+    let found = format!(
+        "{} passes; stamps late by another {:.1} ms; the body {:.1} mm and {:.2} degrees from where \
+         it was; play {play:.0} us; bends to the left {:+.1} % and to the right {:+.1} % tighter \
+         than the map",
+        passes.len(),
+        1e3 * late,
+        1e3 * moved,
+        wrap(yaw.value - believed.body_yaw).to_degrees(),
+        excess[0],
+        excess[1]
+    );
+    let fix = "the gain differs by more than a quarter from that of bring-up: measure \
+               vehicle.front_axle_distance_m and rear_axle_distance_m again";
+    Ok(Finding::warning_if(is_doubtful, found, fix).with(parameters))
 }
 
 /// The way of the body in a pass, and the yaw rate in the middle of it.
@@ -298,14 +289,17 @@ fn plot(
     (body, steering): &(Body, Wheels),
 ) {
     const SHOWN: f64 = 6.0;
-    let line = |name, kind, points| PlotLine { name, kind, points };
     bench.plot(&Plot {
         name: "bends",
         title: "The body on both circles",
         x: ("x", "m"),
         y: ("y", "m"),
         equal: true,
-        lines: vec![line("body", PlotKind::Measured, motion.position.clone())],
+        lines: vec![PlotLine::new(
+            "body",
+            PlotKind::Measured,
+            motion.position.clone(),
+        )],
     });
     let speed = motion.rear_speed(body.yaw, body.left, 2);
     let rates = fit::yaw_rates(motion, pulses, &speed, &believed.turning, steering);
@@ -325,8 +319,8 @@ fn plot(
         y: ("yaw rate", "rad/s"),
         equal: false,
         lines: vec![
-            line("measured", PlotKind::Measured, measured),
-            line("fitted", PlotKind::Fitted, fitted),
+            PlotLine::new("measured", PlotKind::Measured, measured),
+            PlotLine::new("fitted", PlotKind::Fitted, fitted),
         ],
     });
 }

@@ -2,8 +2,8 @@
 
 use singletrack_pilot::Reason;
 
-use super::floor::{self, Drive, Ends, Figure, SLOW};
-use crate::{Answer, Answers, Bench, Finding, Interrupted, Question, Verdict};
+use super::floor::{self, Drive, Figure, SLOW};
+use crate::{Answer, Answers, Bench, Finding, Question, Step, Trouble, Verdict};
 
 /// How long the operator has to cover the markers, s.
 const SECONDS: f64 = 30.0;
@@ -17,51 +17,43 @@ const BY_MARKERS: [Reason; 4] = [
     Reason::PoseHeight,
 ];
 
-const EXPECTED: &str = "it stops by itself within the way that the geofence allows for";
+pub(super) const STEP: Step = Step::new(
+    "cover",
+    "Markers covered while it drives: the stop without poses",
+    "it stops by itself within the way that the geofence allows for",
+    measure,
+)
+.optional();
 
-pub(super) fn cover(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let found = measure(bench);
-    floor::result("cover", EXPECTED, found)
-}
-
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
-    let answer = bench.ask(&Question {
-        id: "cover-markers",
-        text: "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
-               from above, and keep them covered until it stands."
-            .to_owned(),
-        answers: Answers::Begin,
-    })?;
-    let finding = |verdict, found: String, fix: &str| Finding {
-        step: "cover",
-        verdict,
-        found,
-        expected: EXPECTED.to_owned(),
-        fix: fix.to_owned(),
-        parameters: Vec::new(),
-    };
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let answer = bench.ask(&Question::new(
+        "cover-markers",
+        "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
+               from above, and keep them covered until it stands.",
+        Answers::Begin,
+    ))?;
     if answer == Answer::Skip {
-        return Ok(finding(Verdict::Skipped, "not done".to_owned(), ""));
+        return Ok(Finding::new(Verdict::Skipped, "not done", ""));
     }
     let stands = floor::ready(bench)?;
     let figure = Figure::find(bench, &stands)?;
     let mut drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
         figure.at(SLOW * time, SLOW)
     })?;
-    let _ = bench.ask(&Question {
-        id: "uncover-markers",
-        text: "Uncover the markers.".to_owned(),
-        answers: Answers::Begin,
-    })?;
+    let _ = bench.ask(&Question::new(
+        "uncover-markers",
+        "Uncover the markers.",
+        Answers::Begin,
+    ))?;
     let Some(reason) = drive.reason else {
-        return Ok(finding(
+        return Ok(Finding::new(
             Verdict::Warning,
             format!("the car drove on for {SECONDS} s: its markers were not covered"),
             "run this step again, and cover all markers until the car stands",
         ));
     };
     if !BY_MARKERS.map(Reason::name).contains(&reason) {
-        return Ok(finding(
+        return Ok(Finding::new(
             Verdict::Failed,
             format!("stopped by {reason}, before its markers were covered"),
             "docs/reasons.md says what the word means; correct it and run this step again",
@@ -74,20 +66,10 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         + 0.1;
     let lost = drive.last_pose_ns;
     let way = blind_way(&mut drive, lost);
-    let is_good = way <= allowed;
-    Ok(finding(
-        if is_good {
-            Verdict::Good
-        } else {
-            Verdict::Failed
-        },
-        format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m"),
-        if is_good {
-            ""
-        } else {
-            "run the step roll-out again: the car stops later than fence.braking_m_s2 says"
-        },
-    ))
+    let found =
+        format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m");
+    let fix = "run the step roll-out again: the car stops later than fence.braking_m_s2 says";
+    Ok(Finding::check(way <= allowed, found, fix))
 }
 
 /// The way by the motor's pulses from the last pose on, m.

@@ -1,13 +1,13 @@
 //! Drives on the floor: where there is room, and what a drive shows.
 
-use singletrack_control::{Position, Velocity};
+use singletrack_control::{Position, Velocity, wrap};
 use singletrack_core::Config;
 use singletrack_pilot::{Fence, Mode};
 use singletrack_protocol::BoardMode;
 
 use crate::{
-    Answer, Answers, Attendance, Bench, Finding, Interrupted, Live, Observation, Question,
-    TickReading, Verdict, fit::Track,
+    Answer, Answers, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading,
+    Trouble, finding::failed, fit::Track,
 };
 
 /// The speed of the first drives, m/s.
@@ -46,20 +46,6 @@ pub(super) struct Wanted {
     pub(super) rolls: bool,
 }
 
-/// Why a step ends without a result.
-pub(super) enum Ends {
-    /// The operator, or the daemon.
-    Interrupted(Interrupted),
-    /// What was found, and what to do.
-    Failed(String, &'static str),
-}
-
-impl From<Interrupted> for Ends {
-    fn from(interrupted: Interrupted) -> Self {
-        Self::Interrupted(interrupted)
-    }
-}
-
 /// What a drive showed.
 #[derive(Default)]
 pub(super) struct Drive {
@@ -74,33 +60,13 @@ pub(super) struct Drive {
     pub(super) reason: Option<&'static str>,
 }
 
-/// A step whose drive ended otherwise than planned.
-pub(super) fn result(
-    step: &'static str,
-    expected: &str,
-    found: Result<Finding, Ends>,
-) -> Result<Finding, Interrupted> {
-    match found {
-        Ok(finding) => Ok(finding),
-        Err(Ends::Interrupted(interrupted)) => Err(interrupted),
-        Err(Ends::Failed(found, fix)) => Ok(Finding {
-            step,
-            verdict: Verdict::Failed,
-            found,
-            expected: expected.to_owned(),
-            fix: fix.to_owned(),
-            parameters: Vec::new(),
-        }),
-    }
-}
-
 /// Puts values into the configuration.
 pub(super) fn change(
     bench: &mut dyn Bench,
     values: &[(&str, toml_edit::Value)],
-) -> Result<(), Ends> {
+) -> Result<(), Trouble> {
     bench.change(values).map_err(|refused| {
-        Ends::Failed(
+        failed(
             format!("the values are refused: {refused}"),
             "correct the key that the message names, and run this step again",
         )
@@ -108,7 +74,7 @@ pub(super) fn change(
 }
 
 /// Limits the car to this speed.
-pub(super) fn limit_speed(bench: &mut dyn Bench, speed: f64) -> Result<(), Ends> {
+pub(super) fn limit_speed(bench: &mut dyn Bench, speed: f64) -> Result<(), Trouble> {
     let top = round(speed + SPARE, 2);
     let limits = &bench.configuration().limits;
     let mut values = Vec::new();
@@ -131,7 +97,7 @@ pub(super) fn round(value: f64, digits: i32) -> f64 {
 }
 
 /// Waits until the car can be armed, and gives where it stands.
-pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Ends> {
+pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Trouble> {
     let mut observed = Vec::new();
     let mut reason = None;
     let mut rested = 0;
@@ -153,24 +119,23 @@ pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Ends> {
         }
     }
     let reason = reason.map_or("no reason", singletrack_pilot::Reason::name);
-    Err(Ends::Failed(
+    Err(failed(
         format!("the car is not ready to be armed: {reason}"),
         "docs/reasons.md says what the word means; correct it and run this step again",
     ))
 }
 
 /// Asks the operator to put the car on the floor.
-pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Ends> {
-    let answer = bench.ask(&Question {
-        id: "place-on-floor",
-        text: "Put the car on the floor in the middle of the geofence, looking along its longer \
+pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Trouble> {
+    let answer = bench.ask(&Question::new(
+        "place-on-floor",
+        "Put the car on the floor in the middle of the geofence, looking along its longer \
                side. Keep everybody out of the geofence. The car drives by itself while you hold \
-               the key, and stops when you let it go."
-            .to_owned(),
-        answers: Answers::Begin,
-    })?;
+               the key, and stops when you let it go.",
+        Answers::Begin,
+    ))?;
     match answer {
-        Answer::Skip => Err(Ends::Failed(
+        Answer::Skip => Err(failed(
             "the car is not on the floor".to_owned(),
             "run this step again when there is room",
         )),
@@ -191,10 +156,10 @@ pub(super) struct Figure {
 
 impl Figure {
     /// The one that has room nearest to where the car stands.
-    pub(super) fn find(bench: &dyn Bench, stands: &TickReading) -> Result<Self, Ends> {
+    pub(super) fn find(bench: &dyn Bench, stands: &TickReading) -> Result<Self, Trouble> {
         let config = bench.configuration();
         let no_room = || {
-            Ends::Failed(
+            failed(
                 "the geofence has no room for two circles that touch each other".to_owned(),
                 "widen fence.corners_m: the car needs about 3 by 5 m of free floor",
             )
@@ -225,7 +190,7 @@ impl Figure {
                     radius,
                 };
                 // A way to drive there, and a turn at both of its ends, are to be avoided.
-                let off = angle(course - yaw).abs();
+                let off = wrap(course - yaw).abs();
                 let cost = way + turned.abs() + off;
                 let is_better = best.as_ref().is_none_or(|(least, _)| cost < *least);
                 if is_better && figure.fits(&fence, 2.0, ROOM) {
@@ -331,11 +296,6 @@ impl Wanted {
     }
 }
 
-/// An angle between -π and π.
-pub(super) fn angle(angle: f64) -> f64 {
-    angle.sin().atan2(angle.cos())
-}
-
 /// Drives P as wanted for a time in s, then stops and disarms. A drive that ends by itself is no
 /// error.
 pub(super) fn drive(
@@ -343,13 +303,13 @@ pub(super) fn drive(
     seconds: f64,
     text: &str,
     wanted: &dyn Fn(f64) -> Wanted,
-) -> Result<Drive, Ends> {
+) -> Result<Drive, Trouble> {
     let mut point: Option<Position> = None;
     const FIX: &str =
         "docs/reasons.md says what the word means; correct it and run this step again";
     bench
         .arm(Attendance::Drive)
-        .map_err(|error| Ends::Failed(format!("the car can't be armed: {error}"), FIX))?;
+        .map_err(|error| failed(format!("the car can't be armed: {error}"), FIX))?;
     let mut drive = Drive::default();
     let mut observed = Vec::new();
     let mut is_over = false;
@@ -372,7 +332,7 @@ pub(super) fn drive(
         };
         if let Err(error) = bench.drive(velocity, None) {
             stop(bench, &mut drive)?;
-            return Err(Ends::Failed(format!("the drive ended: {error}"), FIX));
+            return Err(failed(format!("the drive ended: {error}"), FIX));
         }
         observed.clear();
         bench.wait(&mut observed)?;
@@ -462,15 +422,15 @@ impl Drive {
     }
 
     /// Refuses a drive that ended by itself.
-    pub(super) fn completed(self) -> Result<Self, Ends> {
+    pub(super) fn completed(self) -> Result<Self, Trouble> {
         match self.reason {
             None => Ok(self),
-            Some("astray") => Err(Ends::Failed(
+            Some("astray") => Err(failed(
                 format!("the car was {ASTRAY} m from its way, and was stopped"),
                 "check board.servo.gain_us_per_rad, marker_yaw_rad and vehicle.*, or run \
                  `singletrack bring-up` again",
             )),
-            Some(reason) => Err(Ends::Failed(
+            Some(reason) => Err(failed(
                 format!("the drive ended by itself: {reason}"),
                 "docs/reasons.md says what the word means; correct it and run this step again",
             )),

@@ -17,36 +17,11 @@ use crate::Step;
 
 /// The steps, in their order.
 pub const STEPS: [Step; 5] = [
-    Step {
-        name: "straight",
-        title: "A straight metre: signs, pulses, course",
-        essential: true,
-        run: straight::straight,
-    },
-    Step {
-        name: "bends",
-        title: "Bends to both sides: steering, and the body on the car",
-        essential: true,
-        run: bends::bends,
-    },
-    Step {
-        name: "speed",
-        title: "Changes of speed: ESC and motor",
-        essential: false,
-        run: speed::speed,
-    },
-    Step {
-        name: "roll-out",
-        title: "Roll-outs from rising speeds: brakes and top speed",
-        essential: true,
-        run: roll_out::roll_out,
-    },
-    Step {
-        name: "cover",
-        title: "Markers covered while it drives: the stop without poses",
-        essential: false,
-        run: cover::cover,
-    },
+    straight::STEP,
+    bends::STEP,
+    speed::STEP,
+    roll_out::STEP,
+    cover::STEP,
 ];
 
 /// The ids of all questions, in the order in which they come.

@@ -2,8 +2,11 @@
 //! when nothing brakes it. The speed is raised only after the roll-outs from the one below have
 //! shown what the geofence can count on.
 
-use super::floor::{self, Ends, Figure, SLOW, Wanted, round};
-use crate::{Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Verdict, fit};
+use super::floor::{self, Figure, SLOW, Wanted, round};
+use crate::{
+    Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Step, Trouble, Verdict, finding::failed,
+    fit,
+};
 
 /// The speeds, m/s.
 const SPEEDS: [f64; 3] = [SLOW, 0.6, 1.0];
@@ -21,14 +24,14 @@ const LEAST: f64 = 0.2;
 /// How much of the weakest roll-out the geofence counts on.
 const COUNTED: f64 = 0.8;
 
-const EXPECTED: &str = "every roll-out at least as short as fence.braking_m_s2 makes it";
+pub(super) const STEP: Step = Step::new(
+    "roll-out",
+    "Roll-outs from rising speeds: brakes and top speed",
+    "every roll-out at least as short as fence.braking_m_s2 makes it",
+    measure,
+);
 
-pub(super) fn roll_out(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let found = measure(bench);
-    floor::result("roll-out", EXPECTED, found)
-}
-
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
     let mut stops: Vec<(f64, f64)> = Vec::new();
     let mut ways = Vec::new();
@@ -46,7 +49,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
             })?;
             let Some(braking) = braking else {
                 if passed == 0.0 {
-                    return Err(Ends::Failed(
+                    return Err(failed(
                         "there is no room for a circle where the car stands".to_owned(),
                         "put it in the middle of the geofence, or widen fence.corners_m",
                     ));
@@ -69,11 +72,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         x: ("time since neutral was asked for", "s"),
         y: ("way", "m"),
         equal: false,
-        lines: vec![PlotLine {
-            name: "rear axle",
-            kind: PlotKind::Measured,
-            points: ways,
-        }],
+        lines: vec![PlotLine::new("rear axle", PlotKind::Measured, ways)],
     });
     let mean = |speed: f64| {
         let of: Vec<f64> = stops
@@ -93,31 +92,21 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         .iter()
         .map(|(speed, braking)| format!("{braking:.2} from {speed:.1} m/s"))
         .collect();
-    Ok(Finding {
-        step: "roll-out",
-        verdict: if weakest.is_some() {
-            Verdict::Good
-        } else {
-            Verdict::Failed
-        },
-        found: format!(
-            "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up \
-             to {} m/s",
-            text.join(", "),
-            round(passed + 0.05, 2)
-        ),
-        expected: EXPECTED.to_owned(),
-        fix: String::new(),
-        parameters: weakest
-            .map(|estimate| Parameter {
-                name: "braking",
-                unit: "m/s2",
-                estimate,
-                key: Some(("fence.braking_m_s2", counted.into())),
-            })
-            .into_iter()
-            .collect(),
-    })
+    let verdict = match weakest {
+        Some(_) => Verdict::Good,
+        None => Verdict::Failed,
+    };
+    let found = format!(
+        "decelerations in m/s2: {}; the geofence counts on {counted}, and the car may drive up to \
+         {} m/s",
+        text.join(", "),
+        round(passed + 0.05, 2)
+    );
+    let braking = weakest.map(|estimate| {
+        let key = ("fence.braking_m_s2", counted.into());
+        Parameter::new("braking", "m/s2", estimate, Some(key))
+    });
+    Ok(Finding::new(verdict, found, "").with(braking.into_iter().collect()))
 }
 
 /// What the geofence may count on: the weakest roll-out, less 20 %.
@@ -136,7 +125,7 @@ fn rolled(
     bench: &mut dyn Bench,
     speed: f64,
     ways: &mut Vec<[f64; 2]>,
-) -> Result<Option<f64>, Ends> {
+) -> Result<Option<f64>, Trouble> {
     let mut stands = floor::ready(bench)?;
     let mut circle = Figure::circle(bench, &stands, speed);
     if circle.is_none() {
@@ -175,7 +164,7 @@ fn rolled(
     fit::roll_out(&motion.time[first..], &way[first..])
         .map(Some)
         .ok_or_else(|| {
-            Ends::Failed(
+            failed(
                 format!("the car did not roll out from {speed:.1} m/s"),
                 "check that the floor is level and that the markers are visible everywhere, and \
                  run this step again",

@@ -1,8 +1,9 @@
 //! Changes of speed: the ESC, the motor, and how the car rolls.
 
-use super::floor::{self, Ends, Figure, SLOW, round};
+use super::floor::{self, Figure, SLOW, round};
 use crate::{
-    Bench, Finding, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine, Verdict,
+    Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
+    finding::failed,
     fit::{self, DriveTrain, Motion},
 };
 
@@ -20,12 +21,13 @@ const LOOK: [f64; 2] = [0.4, 1.3];
 /// cameras.
 const SYSTEMATIC: [f64; 2] = [0.015, 0.006];
 
-const EXPECTED: &str = "the speed follows within 0.3 s, and the same at every rise";
-
-pub(super) fn speed(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let found = measure(bench);
-    floor::result("speed", EXPECTED, found)
-}
+pub(super) const STEP: Step = Step::new(
+    "speed",
+    "Changes of speed: ESC and motor",
+    "the speed follows within 0.3 s, and the same at every rise",
+    measure,
+)
+.optional();
 
 /// Speed and way after a time in s.
 fn profile(time: f64) -> [f64; 2] {
@@ -40,7 +42,7 @@ fn profile(time: f64) -> [f64; 2] {
     [speed, periods * period + way]
 }
 
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
     floor::limit_speed(bench, SLOW)?;
     let stands = floor::ready(bench)?;
@@ -143,26 +145,21 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
         y: ("speed", "m/s"),
         equal: false,
         lines: vec![
-            PlotLine {
-                name: "rear axle",
-                kind: PlotKind::Measured,
-                points,
-            },
-            PlotLine {
-                name: "mean",
-                kind: PlotKind::Fitted,
-                points: sums
-                    .into_iter()
+            PlotLine::new("rear axle", PlotKind::Measured, points),
+            PlotLine::new(
+                "mean",
+                PlotKind::Fitted,
+                sums.into_iter()
                     .map(|[time, speed, count]| [time / count, speed / count])
                     .collect(),
-            },
+            ),
         ],
     });
 }
 
-fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Ends> {
+fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
-        Ends::Failed(
+        failed(
             "the changes of speed do not determine motor and ESC".to_owned(),
             "charge the battery, check that the markers are visible everywhere, and run this step \
              again",
@@ -193,43 +190,26 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
         ),
     ];
     floor::change(bench, &values)?;
-    let parameter = |name, unit, estimate: Interval, index: usize| Parameter {
-        name,
-        unit,
-        estimate,
-        key: values.get(index).cloned(),
+    let parameter = |name, unit, estimate: Interval, index: usize| {
+        Parameter::new(name, unit, estimate, values.get(index).cloned())
     };
     let is_slow = lag.value + dead.value > 300.0;
-    Ok(Finding {
-        step: "speed",
-        verdict: if is_slow {
-            Verdict::Warning
-        } else {
-            Verdict::Good
-        },
-        found: format!(
-            "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
-            rises.len(),
-            edge.value,
-            roll.map_or_else(String::new, |roll| format!(
-                "; at neutral it slows down with {:.2} m/s2",
-                roll.value
-            ))
-        ),
-        expected: EXPECTED.to_owned(),
-        fix: if is_slow {
-            "the motor follows slowly: lower the speeds of your references, or change the ESC's \
-             settings"
-                .to_owned()
-        } else {
-            String::new()
-        },
-        parameters: vec![
-            parameter("feed-forward", "us/(m/s)", gain, 0),
-            parameter("motor-lag", "ms", lag, 1),
-            parameter("motor-dead-time", "ms", dead, 2),
-        ],
-    })
+    let found = format!(
+        "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
+        rises.len(),
+        edge.value,
+        roll.map_or_else(String::new, |roll| format!(
+            "; at neutral it slows down with {:.2} m/s2",
+            roll.value
+        ))
+    );
+    let fix = "the motor follows slowly: lower the speeds of your references, or change the ESC's \
+               settings";
+    Ok(Finding::warning_if(is_slow, found, fix).with(vec![
+        parameter("feed-forward", "us/(m/s)", gain, 0),
+        parameter("motor-lag", "ms", lag, 1),
+        parameter("motor-dead-time", "ms", dead, 2),
+    ]))
 }
 
 /// The values without those that are far from most.

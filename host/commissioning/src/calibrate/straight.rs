@@ -1,7 +1,7 @@
 //! A straight metre: what contradicts the configuration, before the car drives bends.
 
-use super::floor::{self, Drive, Ends, SLOW, Wanted};
-use crate::{Bench, Finding, Interrupted, Verdict};
+use super::floor::{self, Drive, SLOW, Wanted};
+use crate::{Bench, Finding, Step, Trouble, finding::failed};
 
 /// The way, m.
 const WAY: f64 = 1.2;
@@ -10,21 +10,21 @@ const COURSE: f64 = 0.17;
 /// The largest difference of the ways by pulses and cameras, as a fraction.
 const PULSES: f64 = 0.15;
 
-const EXPECTED: &str = "it moves along its own axis within 10 degrees, and by what the motor's \
-                        pulses say within 15 %";
+pub(super) const STEP: Step = Step::new(
+    "straight",
+    "A straight metre: signs, pulses, course",
+    "it moves along its own axis within 10 degrees, and by what the motor's \
+     pulses say within 15 %",
+    measure,
+);
 
-pub(super) fn straight(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
-    let found = measure(bench);
-    floor::result("straight", EXPECTED, found)
-}
-
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
+fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
     floor::limit_speed(bench, SLOW)?;
     let stands = floor::ready(bench)?;
     let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
     let Some(point) = stands.point else {
-        return Err(Ends::Failed("no estimate".to_owned(), "run it again"));
+        return Err(failed("no estimate".to_owned(), "run it again"));
     };
     let (sin, cos) = yaw.sin_cos();
     let wanted = |time: f64| Wanted {
@@ -42,7 +42,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
         .filter(|&index| (begin..=end).contains(&motion.time[index]))
         .collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
-        return Err(Ends::Failed(
+        return Err(failed(
             "the cameras saw too little of it".to_owned(),
             "check that all markers are visible, and run it again",
         ));
@@ -58,28 +58,14 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Ends> {
     let ratio = pulses / along.hypot(across);
     let turn = motion.yaw[last] - motion.yaw[first];
     let is_good = course.abs() < COURSE && (ratio - 1.0).abs() < PULSES;
-    Ok(Finding {
-        step: "straight",
-        verdict: if is_good {
-            Verdict::Good
-        } else {
-            Verdict::Failed
-        },
-        found: format!(
-            "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % \
-             of that way",
-            along.hypot(across),
-            course.to_degrees(),
-            turn.to_degrees(),
-            100.0 * ratio
-        ),
-        expected: EXPECTED.to_owned(),
-        fix: if is_good {
-            String::new()
-        } else {
-            "run `singletrack doctor` again: its step geometry measures the body and the pulses"
-                .to_owned()
-        },
-        parameters: Vec::new(),
-    })
+    let found = format!(
+        "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % of \
+         that way",
+        along.hypot(across),
+        course.to_degrees(),
+        turn.to_degrees(),
+        100.0 * ratio
+    );
+    let fix = "run `singletrack doctor` again: its step geometry measures the body and the pulses";
+    Ok(Finding::check(is_good, found, fix))
 }

@@ -8,7 +8,7 @@ use super::{
     gather::{Readings, for_time, reset_if_stopped, until},
     questions,
 };
-use crate::{Answer, Bench, Finding, Interrupted, Question};
+use crate::{Answer, Bench, Finding, Interrupted, Question, Trouble};
 
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
 /// one for a second.
@@ -25,7 +25,7 @@ const BAD_SUPPLY_MV: u16 = 4_450;
 const VOLTAGE_SHARE: f64 = 0.05;
 
 /// Whether the board answers, with which reset cause, and how long a reset takes.
-pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let readings = for_time(bench, 1.5, "board")?;
     if let Some(reason) = refusal(&readings) {
@@ -35,7 +35,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "the board's image and configuration are accepted",
             fix,
         );
-        return checks.finding("board", bench);
+        return checks.finding(bench);
     }
     let Some(status) = readings.health.last().map(|health| health.status) else {
         checks.failed(
@@ -43,7 +43,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "telemetry 100 times a second",
             "connect the board, look at serial.port, and flash the image: cargo uno",
         );
-        return checks.finding("board", bench);
+        return checks.finding(bench);
     };
     let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
     checks.check(
@@ -55,7 +55,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     check_line(&readings, &mut checks);
     check_reset_cause(status.reset_cause, &mut checks);
     reset(bench, &mut checks)?;
-    checks.finding("board", bench)
+    checks.finding(bench)
 }
 
 /// Why the daemon does not accept the board, and what to do.
@@ -112,7 +112,7 @@ fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
 
 /// The time without telemetry after the button.
 fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::press_reset())? == Answer::Skip {
+    if bench.ask(&questions::PRESS_RESET)? == Answer::Skip {
         checks.skipped("reset");
         return Ok(());
     }
@@ -163,7 +163,7 @@ fn silent_since(readings: &Readings) -> f64 {
 }
 
 /// Battery, supply and stop switch.
-pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let config = bench.configuration();
     let (wanted, minimum) = (
@@ -178,7 +178,7 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "a status five times a second",
             "see step board",
         );
-        return checks.finding("power", bench);
+        return checks.finding(bench);
     };
     if wanted > 0.0 {
         battery(bench, &status, [minimum, wanted], &mut checks)?;
@@ -199,7 +199,7 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         );
     }
     supply(bench, &mut checks)?;
-    checks.finding("power", bench)
+    checks.finding(bench)
 }
 
 fn battery(
@@ -223,7 +223,7 @@ fn battery(
         format!("at least {wanted:.1} V to arm"),
         "charge the battery, or set supervisor.arm_battery_v for its cells",
     );
-    match bench.ask(&questions::voltmeter())? {
+    match bench.ask(&questions::VOLTMETER)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
             checks.check(
@@ -235,7 +235,7 @@ fn battery(
         }
         _ => checks.skipped("voltmeter"),
     }
-    if bench.ask(&questions::unplug_battery())? == Answer::Skip {
+    if bench.ask(&questions::UNPLUG_BATTERY)? == Answer::Skip {
         checks.skipped("unplugged battery");
         return Ok(());
     }
@@ -252,7 +252,7 @@ fn battery(
         "noticed",
         "A0 is fed from somewhere else: wire the divider to the battery's plug",
     );
-    if bench.ask(&questions::plug_battery())? != Answer::Skip {
+    if bench.ask(&questions::PLUG_BATTERY)? != Answer::Skip {
         let is_back = seen(bench, "battery", |status| !is_gone(status))?;
         checks.check(
             is_back,
@@ -266,8 +266,8 @@ fn battery(
 
 fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
     let steps: [(Question, bool, &str); 2] = [
-        (questions::open_stop_switch(), true, "open"),
-        (questions::close_stop_switch(), false, "closed"),
+        (questions::OPEN_STOP_SWITCH, true, "open"),
+        (questions::CLOSE_STOP_SWITCH, false, "closed"),
     ];
     for (question, is_open, word) in steps {
         if bench.ask(&question)? == Answer::Skip {
@@ -299,7 +299,7 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
 }
 
 fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::push_wheels())? == Answer::Skip {
+    if bench.ask(&questions::PUSH_WHEELS)? == Answer::Skip {
         checks.skipped("supply under load");
         return Ok(());
     }

@@ -1,15 +1,16 @@
 //! The cameras: rate, height, identity of the body, and latency of its poses.
 
+use singletrack_control::wrap;
 use singletrack_core::Config;
 use singletrack_pilot::Reason;
 
 use super::{
     finding::{Checks, put_in_force},
-    gather::{Readings, distance, for_time, motion, seconds, turned, until},
+    gather::{Readings, for_time, motion, seconds, turned, until},
     questions,
 };
 use crate::{
-    Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine,
+    Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Trouble,
     fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
 };
 
@@ -30,7 +31,7 @@ const LATE_S: f64 = 0.005;
 const OFFSET_KEY: &str = "motion_capture.timing.stamp_offset_ms";
 
 /// Rate, gaps, uncertainty and height; then the car is pushed.
-pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let readings = for_time(bench, 5.0, "cameras")?;
     if readings.poses.len() < 50 {
@@ -43,7 +44,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "100 poses a second",
             no_pose(bench.configuration(), &readings),
         );
-        return checks.finding("cameras", bench);
+        return checks.finding(bench);
     }
     check_stream(bench, &readings, &mut checks);
     check_push(bench, &mut checks)?;
@@ -68,7 +69,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             );
         }
     }
-    checks.finding("cameras", bench)
+    checks.finding(bench)
 }
 
 fn heights(readings: &Readings) -> Vec<f64> {
@@ -166,19 +167,19 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
 
 /// A push forward: body and wheels move together.
 fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::push_forward())? == Answer::Skip {
+    if bench.ask(&questions::PUSH_FORWARD)? == Answer::Skip {
         checks.skipped("push");
         return Ok(());
     }
     let (readings, is_done) = motion(bench, |readings| {
         // A body that is not the car's does not move, and the wheels still do.
-        let moved = moved(readings).max(rolled(readings));
+        let moved = readings.moved().max(rolled(readings));
         (format!("{moved:.2} m"), moved / ENOUGH_M)
     })?;
     if readings.is_latched() {
         checks.latched();
     }
-    let (moved, rolled) = (moved(&readings), rolled(&readings));
+    let (moved, rolled) = (readings.moved(), rolled(&readings));
     let found = format!("pushed: body {moved:.2} m, wheels {rolled:.2} m");
     let expected = "0.5 m, both";
     if moved < LEAST_M && rolled > LEAST_M {
@@ -236,14 +237,6 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
     Ok(())
 }
 
-/// The distance of the body from where it was, in m.
-fn moved(readings: &Readings) -> f64 {
-    match (readings.poses.first(), readings.poses.last()) {
-        (Some(first), Some(last)) => distance(first.position, last.position),
-        _ => 0.0,
-    }
-}
-
 /// The way of the wheels, by the believed distance of a pulse, in m.
 fn rolled(readings: &Readings) -> f64 {
     readings
@@ -258,15 +251,15 @@ fn heading(readings: &Readings) -> Option<f64> {
     let (first, last) = (readings.poses.first()?, readings.poses.last()?);
     let direction =
         (last.position[1] - first.position[1]).atan2(last.position[0] - first.position[0]);
-    Some(super::gather::wrap(direction - last.yaw))
+    Some(wrap(direction - last.yaw))
 }
 
 /// The stamps of the cameras against the gyro, in a twist.
-pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&questions::twist())? == Answer::Skip {
+    if bench.ask(&questions::TWIST)? == Answer::Skip {
         checks.skipped("twist");
-        return checks.finding("latency", bench);
+        return checks.finding(bench);
     }
     let (readings, is_done) = until(bench, |readings| {
         let gyro = readings.gyro();
@@ -281,7 +274,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     })?;
     let again = "twist the car as asked, in view of the cameras, and run this step again";
     let Some(begin) = readings.ticks.first().map(|tick| tick.time) else {
-        return checks.finding("latency", bench);
+        return checks.finding(bench);
     };
     let yaw = turned(&readings.poses);
     let angles: Vec<(f64, f64)> = readings
@@ -291,9 +284,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         .map(|(pose, yaw)| (seconds(begin, pose.capture), yaw))
         .collect();
     let (read, rates): (Vec<Reading>, Vec<f64>) = readings
-        .boards
-        .iter()
-        .filter_map(|board| board.inertial)
+        .inertial()
         .map(|inertial| {
             let reading = Reading {
                 time: seconds(begin, inertial.time),
@@ -315,7 +306,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     let delay = stamp_delay(&angles, &velocities, samples.systematic.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
         checks.failed("the car was not twisted", "10 s to and fro", again);
-        return checks.finding("latency", bench);
+        return checks.finding(bench);
     };
     bench.plot(&plot(&angles, &velocities));
     let scale = delay.scale.value;
@@ -336,7 +327,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
     if !checks.has_failed() {
         judge_delay(bench, &mut checks, delay.late.scaled(1e3));
     }
-    checks.finding("latency", bench)
+    checks.finding(bench)
 }
 
 /// The angular velocities of both, in the middle of the twist.
@@ -363,16 +354,8 @@ fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
         "A twist by hand, seen by gyro and cameras",
         ("yaw rate", "rad/s"),
         vec![
-            PlotLine {
-                name: "cameras",
-                kind: PlotKind::Measured,
-                points: cameras,
-            },
-            PlotLine {
-                name: "gyro",
-                kind: PlotKind::Other,
-                points: gyro,
-            },
+            PlotLine::new("cameras", PlotKind::Measured, cameras),
+            PlotLine::new("gyro", PlotKind::Other, gyro),
         ],
     )
 }
@@ -383,12 +366,12 @@ fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     let whole = late.shifted(offset.unwrap_or(0.0));
     // Rounded to a tenth; an offset that is already in force is not written again.
     let value = (whole.value * 10.0).round() / 10.0;
-    checks.measured(Parameter {
-        name: "camera-latency",
-        unit: "ms",
-        estimate: whole,
-        key: offset.map(|_| (OFFSET_KEY, value.into())),
-    });
+    checks.measured(Parameter::new(
+        "camera-latency",
+        "ms",
+        whole,
+        offset.map(|_| (OFFSET_KEY, value.into())),
+    ));
     let found = format!(
         "the cameras' stamps are {:.1} ms {}",
         late.value.abs(),
@@ -423,7 +406,7 @@ fn number(config: &Config, key: &str) -> Option<f64> {
 }
 
 /// Whether the car can be armed, and its reference be driven.
-pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     use singletrack_core::feasibility::{Severity, Stand, judge_reference};
 
     /// How long the estimate may take to settle, in s.
@@ -478,5 +461,5 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             }
         }
     }
-    checks.finding("drive", bench)
+    checks.finding(bench)
 }

@@ -1,7 +1,7 @@
 //! Combines the checks of a step into one finding.
 
 use super::gather::reset_if_stopped;
-use crate::{Bench, Finding, Interrupted, Parameter, Refused, Verdict};
+use crate::{Bench, Finding, Interrupted, Parameter, Refused, Trouble, Verdict};
 
 /// The checks of a step.
 #[derive(Debug, Default)]
@@ -104,11 +104,7 @@ impl Checks {
     /// # Errors
     ///
     /// The operator interrupts, or the daemon is gone.
-    pub(super) fn finding(
-        mut self,
-        step: &'static str,
-        bench: &mut dyn Bench,
-    ) -> Result<Finding, Interrupted> {
+    pub(super) fn finding(mut self, bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let values: Vec<(&str, toml_edit::Value)> = self
             .parameters
             .iter()
@@ -131,12 +127,13 @@ impl Checks {
             }
         }
         Ok(Finding {
-            step,
-            verdict: self.verdict.unwrap_or(Verdict::Skipped),
-            found: self.found.join("; "),
             expected: self.expected.join("; "),
-            fix: self.fixes.join("; "),
             parameters: self.parameters,
+            ..Finding::new(
+                self.verdict.unwrap_or(Verdict::Skipped),
+                self.found.join("; "),
+                self.fixes.join("; "),
+            )
         })
     }
 }

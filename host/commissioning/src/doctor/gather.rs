@@ -1,11 +1,12 @@
 //! Gathers readings for a time, or until a hand has finished a motion.
 
-use singletrack_control::Time;
+use singletrack_control::{Time, wrap};
 use singletrack_protocol::{BoardMode, StopCause};
 
 use super::questions;
 use crate::{
-    Answer, Bench, BoardReading, Health, Interrupted, Live, Observation, PoseReading, TickReading,
+    Answer, Bench, BoardReading, Health, Inertial, Interrupted, Live, Observation, PoseReading,
+    TickReading,
 };
 
 /// Observations of a time, each kind in the order of its arrival.
@@ -62,10 +63,8 @@ impl Readings {
         }
         let is_recent = |time| seconds(time, now) < STILL_S;
         let turns = self
-            .boards
-            .iter()
+            .inertial()
             .rev()
-            .filter_map(|board| board.inertial)
             .take_while(|inertial| is_recent(inertial.time))
             .any(|inertial| norm(inertial.angular_velocity) > STILL_RAD_S);
         let mut recent = self
@@ -91,20 +90,26 @@ impl Readings {
         })
     }
 
-    /// The samples of the IMU, with their times in s from the first tick.
+    /// The samples of the IMU.
+    pub(super) fn inertial(&self) -> impl DoubleEndedIterator<Item = Inertial> {
+        self.boards.iter().filter_map(|board| board.inertial)
+    }
+
+    /// The distance of the body from where it was, in m.
+    pub(super) fn moved(&self) -> f64 {
+        match (self.poses.first(), self.poses.last()) {
+            (Some(first), Some(last)) => distance(first.position, last.position),
+            _ => 0.0,
+        }
+    }
+
+    /// Its angular velocities, with their times in s from the first tick.
     pub(super) fn gyro(&self) -> Vec<(f64, [f64; 3])> {
         let Some(first) = self.ticks.first() else {
             return Vec::new();
         };
-        self.boards
-            .iter()
-            .filter_map(|board| board.inertial)
-            .map(|inertial| {
-                (
-                    seconds(first.time, inertial.time),
-                    inertial.angular_velocity,
-                )
-            })
+        self.inertial()
+            .map(|sample| (seconds(first.time, sample.time), sample.angular_velocity))
             .collect()
     }
 
@@ -183,7 +188,7 @@ pub(super) fn reset_if_stopped(bench: &mut dyn Bench) -> Result<bool, Interrupte
     if mode(&readings) != Some(BoardMode::EmergencyStopped) {
         return Ok(true);
     }
-    if bench.ask(&questions::press_reset())? == Answer::Skip {
+    if bench.ask(&questions::PRESS_RESET)? == Answer::Skip {
         return Ok(false);
     }
     // Nothing but a reset ends an emergency stop; the silence of the reset itself may have begun
@@ -223,9 +228,4 @@ pub(super) fn norm(vector: [f64; 3]) -> f64 {
 /// Distance on the floor, in m.
 pub(super) fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
     (to[0] - from[0]).hypot(to[1] - from[1])
-}
-
-/// An angle from -π to π.
-pub(super) fn wrap(angle: f64) -> f64 {
-    angle.sin().atan2(angle.cos())
 }

@@ -2,16 +2,16 @@
 
 use core::f64::consts::TAU;
 
-use singletrack_control::Time;
+use singletrack_control::{Time, unwrap_near, wrap};
 
 use super::{
     finding::Checks,
-    gather::{Readings, distance, motion, seconds, turned, wrap},
+    gather::{Readings, distance, motion, seconds, turned},
     questions,
 };
 use crate::{
     Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
-    PlotLine, PoseReading,
+    PlotLine, PoseReading, Trouble,
     fit::{FloorPose, mean, mean_interval, rolled, turned_about},
 };
 
@@ -42,34 +42,30 @@ const STRETCH_S: f64 = 0.2;
 const STRAIGHT_RAD: f64 = 0.6;
 
 /// Pivot, yaw and pulse distance, by turns and rolls.
-pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let Some(origins) = turns(bench, &mut checks)? else {
-        return checks.finding("geometry", bench);
+        return checks.finding(bench);
     };
     let axis = |index: usize| -> Vec<f64> { origins.iter().map(|origin| origin[index]).collect() };
     let (Some(along), Some(across)) = (
         mean_interval(&axis(0), AXLE_M),
         mean_interval(&axis(1), AXLE_M),
     ) else {
-        return checks.finding("geometry", bench);
+        return checks.finding(bench);
     };
     let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
-        return checks.finding("geometry", bench);
+        return checks.finding(bench);
     };
-    if let Some(yaw) = mean_interval(
-        &unwrapped(
-            &passes
-                .iter()
-                .map(|pass| -pass.direction)
-                .collect::<Vec<_>>(),
-        ),
-        TOE_RAD,
-    ) {
+    let first = passes.first().map_or(0.0, |pass| -pass.direction);
+    let yaws = passes
+        .iter()
+        .map(|pass| unwrap_near(-pass.direction, first));
+    if let Some(yaw) = mean_interval(&yaws.collect::<Vec<_>>(), TOE_RAD) {
         place(bench, [along, across], yaw, &mut checks);
     }
     pulses(bench, &passes, &mut checks);
-    checks.finding("geometry", bench)
+    checks.finding(bench)
 }
 
 /// The origin of the body from the rear axle, along the body's axes, by each turn.
@@ -78,9 +74,9 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
     let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
         let question = if turn % 2 == 0 {
-            questions::turn_left_about_rear_axle()
+            questions::TURN_LEFT_ABOUT_REAR_AXLE
         } else {
-            questions::turn_right_about_rear_axle()
+            questions::TURN_RIGHT_ABOUT_REAR_AXLE
         };
         if bench.ask(&question)? == Answer::Skip {
             checks.skipped("turn about the rear axle");
@@ -114,7 +110,7 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         };
         origins.push(origin);
         for (path, held) in paths.iter_mut().zip([[0.0; 2], origin]) {
-            path.extend(poses.iter().map(|pose| place_of(pose, held)));
+            path.extend(poses.iter().map(|pose| pose.place_of(held)));
             // A NaN separates the lines of two turns.
             path.push([f64::NAN; 2]);
         }
@@ -127,16 +123,8 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         y: ("y", "m"),
         equal: true,
         lines: vec![
-            PlotLine {
-                name: "body",
-                kind: PlotKind::Measured,
-                points: body,
-            },
-            PlotLine {
-                name: "rear axle",
-                kind: PlotKind::Fitted,
-                points: axle,
-            },
+            PlotLine::new("body", PlotKind::Measured, body),
+            PlotLine::new("rear axle", PlotKind::Fitted, axle),
         ],
     });
     Ok(Some(origins))
@@ -163,15 +151,12 @@ fn rolls(
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
-        if bench.ask(&questions::roll_forward())? == Answer::Skip {
+        if bench.ask(&questions::ROLL_FORWARD)? == Answer::Skip {
             checks.skipped("roll");
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
-            let way = match (readings.poses.first(), readings.poses.last()) {
-                (Some(first), Some(last)) => distance(first.position, last.position),
-                _ => 0.0,
-            };
+            let way = readings.moved();
             (format!("{way:.2} m"), way / ENOUGH_M)
         })?;
         let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
@@ -259,31 +244,25 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
         value: wrap(yaw.value),
         ..yaw.shifted(wrap(yaw.value) - yaw.value)
     };
-    checks.measured(Parameter {
-        name: "body-yaw",
-        unit: "rad",
-        estimate: yaw,
-        key: Some((
+    checks.measured(Parameter::new(
+        "body-yaw",
+        "rad",
+        yaw,
+        Some((
             "motion_capture.marker_yaw_rad",
             round(yaw.value, 1e4).into(),
         )),
-    });
-    checks.measured(Parameter {
-        name: "body-forward",
-        unit: "m",
-        estimate: forward,
-        // One key takes both values.
-        key: Some((
+    ));
+    checks.measured(Parameter::new(
+        "body-forward",
+        "m",
+        forward, // One key takes both values.
+        Some((
             "motion_capture.marker_offset_m",
             toml_edit::Value::from_iter(offset),
         )),
-    });
-    checks.measured(Parameter {
-        name: "body-left",
-        unit: "m",
-        estimate: left,
-        key: None,
-    });
+    ));
+    checks.measured(Parameter::new("body-left", "m", left, None));
 }
 
 /// The distance of a pulse.
@@ -326,12 +305,12 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
             fix,
         );
     }
-    checks.measured(Parameter {
-        name: "pulse-distance",
-        unit: "um",
-        estimate: distance,
-        key: Some(("board.speed.pulse_distance_um", (written as i64).into())),
-    });
+    checks.measured(Parameter::new(
+        "pulse-distance",
+        "um",
+        distance,
+        Some(("board.speed.pulse_distance_um", (written as i64).into())),
+    ));
 }
 
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car
@@ -417,7 +396,7 @@ fn way(poses: &[PoseReading], origin: [f64; 2], begin: Time, end: Time) -> Optio
         let (before, after) = (poses.get(after.checked_sub(1)?)?, poses.get(after)?);
         let gap = seconds(before.capture, after.capture);
         let share = seconds(before.capture, time) / gap;
-        let ends = [before, after].map(|pose| place_of(&floor_pose(pose), origin));
+        let ends = [before, after].map(|pose| floor_pose(pose).place_of(origin));
         let place = [0, 1].map(|axis| ends[0][axis] + share * (ends[1][axis] - ends[0][axis]));
         (gap < 0.2).then_some((place, before.yaw))
     };
@@ -439,24 +418,4 @@ const fn floor_pose(pose: &PoseReading) -> FloorPose {
         y,
         yaw: pose.yaw,
     }
-}
-
-/// The place of the point from which the body's origin is at `origin`, along the body's axes.
-fn place_of(pose: &FloorPose, origin: [f64; 2]) -> [f64; 2] {
-    let (sin, cos) = pose.yaw.sin_cos();
-    [
-        pose.x - cos * origin[0] + sin * origin[1],
-        pose.y - sin * origin[0] - cos * origin[1],
-    ]
-}
-
-/// Angles near to the first one, also around ±π.
-fn unwrapped(angles: &[f64]) -> Vec<f64> {
-    let Some(first) = angles.first() else {
-        return Vec::new();
-    };
-    angles
-        .iter()
-        .map(|angle| first + wrap(angle - first))
-        .collect()
 }

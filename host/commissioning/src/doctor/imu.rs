@@ -1,6 +1,6 @@
 //! The IMU at rest and turned by hand.
 
-use singletrack_core::config::{ImuAxisName, ImuSection};
+use singletrack_protocol::{ImuAxes, ImuAxis};
 
 use super::{
     finding::{Checks, put_in_force},
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
-    Question,
+    Question, Trouble,
     fit::{block_means, mean, mean_interval, standard_deviation},
     imu_noise::{NoiseLevel, compare},
 };
@@ -28,21 +28,17 @@ const ENOUGH_RAD: f64 = 0.5;
 const BACK: f64 = 0.4;
 
 /// Registers, tilt, bias and noise of a car that stands.
-pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&questions::stand_still())? == Answer::Skip {
+    if bench.ask(&questions::STAND_STILL)? == Answer::Skip {
         checks.skipped("rest");
-        return checks.finding("rest", bench);
+        return checks.finding(bench);
     }
     // The hand leaves the car.
     for_time(bench, 1.0, "wait")?;
     let readings = for_time(bench, REST_S, "rest")?;
     check_registers(&readings, &mut checks);
-    let samples: Vec<Inertial> = readings
-        .boards
-        .iter()
-        .filter_map(|board| board.inertial)
-        .collect();
+    let samples: Vec<Inertial> = readings.inertial().collect();
     let rate = samples.len() as f64 / readings.duration().max(1.0);
     checks.check(
         rate > 80.0,
@@ -60,17 +56,17 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
         "rest",
         "The gyro at rest",
         ("yaw rate", "rad/s"),
-        vec![PlotLine {
-            name: "gyro",
-            kind: PlotKind::Measured,
-            points: readings
+        vec![PlotLine::new(
+            "gyro",
+            PlotKind::Measured,
+            readings
                 .gyro()
                 .iter()
                 .map(|(time, rate)| [*time, rate[2]])
                 .collect(),
-        }],
+        )],
     ));
-    checks.finding("rest", bench)
+    checks.finding(bench)
 }
 
 fn check_registers(readings: &Readings, checks: &mut Checks) {
@@ -138,20 +134,15 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
         "below 0.02",
         "fix the IMU to the chassis, and the car to a floor that does not shake",
     );
-    checks.measured(Parameter {
-        name: "gyro-bias",
-        unit: "rad/s",
-        estimate: bias,
-        key: None,
-    });
+    checks.measured(Parameter::new("gyro-bias", "rad/s", bias, None));
     // The noise is white: the standard deviation's own error is 1 / sqrt(2 n).
     let spread = 1.96 * noise / (2.0 * rates.len() as f64).sqrt();
-    checks.measured(Parameter {
-        name: "gyro-noise",
-        unit: "rad/s",
-        estimate: Interval::around(noise, spread).widened(0.3 * HALF_STEP),
-        key: None,
-    });
+    checks.measured(Parameter::new(
+        "gyro-noise",
+        "rad/s",
+        Interval::around(noise, spread).widened(0.3 * HALF_STEP),
+        None,
+    ));
 }
 
 /// The noise at rest, against what the estimator believes. It is larger while the wheels turn:
@@ -246,22 +237,22 @@ fn check_wheels(readings: &Readings, checks: &mut Checks) {
 }
 
 /// The axes by three motions. Wrong ones are corrected in the configuration, and tried again.
-pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
+pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    let before = bench.configuration().board.imu;
+    let before = bench.configuration().board_configuration().imu_axes;
     let Some(found) = mounting(bench, &mut checks)? else {
-        return checks.finding("imu-axes", bench);
+        return checks.finding(bench);
     };
-    if same(found, before) {
+    if found == before {
         checks.good(format!("axes are {}", words(found)), "as configured");
-        return checks.finding("imu-axes", bench);
+        return checks.finding(bench);
     }
     let values = [
         ("board.imu.forward", found.forward),
         ("board.imu.left", found.left),
         ("board.imu.up", found.up),
     ]
-    .map(|(key, axis)| (key, toml_edit::Value::from(name(axis))));
+    .map(|(key, axis)| (key, toml_edit::Value::from(axis.name())));
     let fix = "correct board.imu in the configuration, and run this step again";
     let text = format!(
         "axes are {}, configured were {}",
@@ -274,12 +265,12 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             "as configured",
             fix,
         );
-        return checks.finding("imu-axes", bench);
+        return checks.finding(bench);
     }
     // The board restarts the IMU with the new axes.
     for_time(bench, 2.0, "the IMU starts with its new axes")?;
     if let Some(again) = mounting(bench, &mut checks)? {
-        if same(again, found) {
+        if again == found {
             checks.warning(format!("{text}: corrected"), "as configured", "");
         } else {
             checks.failed(
@@ -289,16 +280,16 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Interrupted> {
             );
         }
     }
-    checks.finding("imu-axes", bench)
+    checks.finding(bench)
 }
 
 /// The mounting of the chip, by three motions; `None` if they do not determine it.
-fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSection>, Interrupted> {
+fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes>, Interrupted> {
     // The car is put down again after a lift, but not turned back.
     let steps: [(Question, &str, bool); 3] = [
-        (questions::left_side_up(), "left side up", true),
-        (questions::nose_up(), "nose up", true),
-        (questions::turn_left(), "turn to the left", false),
+        (questions::LEFT_SIDE_UP, "left side up", true),
+        (questions::NOSE_UP, "nose up", true),
+        (questions::TURN_LEFT, "turn to the left", false),
     ];
     let mut rotations = [[0.0; 3]; 3];
     for (rotation, (question, what, returns)) in rotations.iter_mut().zip(steps) {
@@ -328,7 +319,7 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSect
         [*rotation, _] = rotations_of(&readings);
     }
     let [roll, nose_up, turn] = rotations;
-    let axes = bench.configuration().board.imu;
+    let axes = bench.configuration().board_configuration().imu_axes;
     // Along the chip's own axes, in the sense of forward, left and up.
     let measured = [roll, nose_up.map(|part| -part), turn].map(|vector| on_chip(axes, vector));
     let found = nearest(measured);
@@ -347,11 +338,7 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuSect
 fn rotations_of(readings: &Readings) -> [[f64; 3]; 2] {
     let mut rotation = [0.0; 3];
     let mut largest = [0.0; 3];
-    let samples: Vec<Inertial> = readings
-        .boards
-        .iter()
-        .filter_map(|board| board.inertial)
-        .collect();
+    let samples: Vec<Inertial> = readings.inertial().collect();
     for pair in samples.windows(2) {
         // A gap is no rotation.
         let step = seconds(pair[0].time, pair[1].time).clamp(0.0, 0.05);
@@ -370,7 +357,7 @@ fn rotations_of(readings: &Readings) -> [[f64; 3]; 2] {
 }
 
 /// A vector of readings, turned back to the chip's own axes.
-fn on_chip(axes: ImuSection, [forward, left, up]: [f64; 3]) -> [f64; 3] {
+fn on_chip(axes: ImuAxes, [forward, left, up]: [f64; 3]) -> [f64; 3] {
     let mut chip = [0.0; 3];
     for (part, axis) in [(forward, axes.forward), (left, axes.left), (up, axes.up)] {
         let (index, sign) = direction(axis);
@@ -381,88 +368,46 @@ fn on_chip(axes: ImuSection, [forward, left, up]: [f64; 3]) -> [f64; 3] {
 
 /// The mounting whose axes are nearest to these directions of the chip; none if one of them is
 /// far from all axes.
-fn nearest(measured: [[f64; 3]; 3]) -> Option<ImuSection> {
+fn nearest(measured: [[f64; 3]; 3]) -> Option<ImuAxes> {
     /// Cosine of 35 degrees.
     const CLOSE: f64 = 0.82;
-    let mut axes = [ImuAxisName::PlusX; 3];
+    let mut axes = [ImuAxis::PlusX; 3];
     for (axis, vector) in axes.iter_mut().zip(measured) {
         let length = norm(vector);
-        *axis = ALL.into_iter().find(|axis| {
+        *axis = ImuAxis::ALL.into_iter().find(|axis| {
             let (index, sign) = direction(*axis);
             sign * vector[index] > CLOSE * length
         })?;
     }
     let [forward, left, up] = axes;
-    let section = ImuSection { forward, left, up };
-    is_right_handed(section).then_some(section)
+    let axes = ImuAxes { forward, left, up };
+    axes.is_mounting().then_some(axes)
 }
-
-const ALL: [ImuAxisName; 6] = [
-    ImuAxisName::PlusX,
-    ImuAxisName::MinusX,
-    ImuAxisName::PlusY,
-    ImuAxisName::MinusY,
-    ImuAxisName::PlusZ,
-    ImuAxisName::MinusZ,
-];
 
 /// The index and the sign of an axis.
-const fn direction(axis: ImuAxisName) -> (usize, f64) {
-    match axis {
-        ImuAxisName::PlusX => (0, 1.0),
-        ImuAxisName::MinusX => (0, -1.0),
-        ImuAxisName::PlusY => (1, 1.0),
-        ImuAxisName::MinusY => (1, -1.0),
-        ImuAxisName::PlusZ => (2, 1.0),
-        ImuAxisName::MinusZ => (2, -1.0),
-    }
+fn direction(axis: ImuAxis) -> (usize, f64) {
+    let sign = if axis.is_negative() { -1.0 } else { 1.0 };
+    (axis.index().into(), sign)
 }
 
-/// The name in the configuration.
-const fn name(axis: ImuAxisName) -> &'static str {
-    match axis {
-        ImuAxisName::PlusX => "+x",
-        ImuAxisName::MinusX => "-x",
-        ImuAxisName::PlusY => "+y",
-        ImuAxisName::MinusY => "-y",
-        ImuAxisName::PlusZ => "+z",
-        ImuAxisName::MinusZ => "-z",
-    }
-}
-
-fn is_right_handed(axes: ImuSection) -> bool {
-    let unit = |axis| {
-        let (index, sign) = direction(axis);
-        let mut vector = [0.0; 3];
-        vector[index] = sign;
-        vector
-    };
-    let [a, b, c] = [axes.forward, axes.left, axes.up].map(unit);
-    let determinant = a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
-        + a[2] * (b[0] * c[1] - b[1] * c[0]);
-    determinant > 0.5
-}
-
-fn same(left: ImuSection, right: ImuSection) -> bool {
-    words(left) == words(right)
-}
-
-fn words(axes: ImuSection) -> String {
-    [axes.forward, axes.left, axes.up].map(name).join(", ")
+fn words(axes: ImuAxes) -> String {
+    [axes.forward, axes.left, axes.up]
+        .map(ImuAxis::name)
+        .join(", ")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn all_mountings() -> Vec<ImuSection> {
+    fn all_mountings() -> Vec<ImuAxes> {
         let mut mountings = Vec::new();
-        for forward in ALL {
-            for left in ALL {
-                for up in ALL {
-                    let section = ImuSection { forward, left, up };
-                    if is_right_handed(section) {
-                        mountings.push(section);
+        for forward in ImuAxis::ALL {
+            for left in ImuAxis::ALL {
+                for up in ImuAxis::ALL {
+                    let axes = ImuAxes { forward, left, up };
+                    if axes.is_mounting() {
+                        mountings.push(axes);
                     }
                 }
             }
@@ -471,7 +416,7 @@ mod tests {
     }
 
     /// What a chip that is mounted as `truth` reads in the axes that are configured.
-    fn reads(truth: ImuSection, configured: ImuSection, car: [f64; 3]) -> [f64; 3] {
+    fn reads(truth: ImuAxes, configured: ImuAxes, car: [f64; 3]) -> [f64; 3] {
         let chip = on_chip(truth, car);
         [configured.forward, configured.left, configured.up].map(|axis| {
             let (index, sign) = direction(axis);
@@ -491,7 +436,7 @@ mod tests {
                     [roll, nose_up.map(|part| -part), turn]
                         .map(|vector| on_chip(configured, vector)),
                 );
-                assert_eq!(found.map(words), Some(words(truth)));
+                assert_eq!(found, Some(truth));
             }
         }
     }

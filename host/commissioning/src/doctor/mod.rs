@@ -16,54 +16,49 @@ use crate::Step;
 
 /// The steps, in their order.
 pub const STEPS: [Step; 8] = [
-    Step {
-        name: "board",
-        title: "Board: image, line, reset",
-        essential: true,
-        run: board::image,
-    },
-    Step {
-        name: "power",
-        title: "Power: battery, stop switch, 5 V",
-        essential: false,
-        run: board::power,
-    },
-    Step {
-        name: "imu-axes",
-        title: "IMU: its axes, by hand",
-        essential: true,
-        run: imu::axes,
-    },
-    Step {
-        name: "rest",
-        title: "A minute at rest: IMU, bias, noise, pulses",
-        essential: false,
-        run: imu::rest,
-    },
-    Step {
-        name: "cameras",
-        title: "Cameras: stream, body, height, and a push",
-        essential: true,
-        run: cameras::body,
-    },
-    Step {
-        name: "latency",
-        title: "Latency: gyro against cameras, by a twist",
-        essential: false,
-        run: cameras::latency,
-    },
-    Step {
-        name: "geometry",
-        title: "Geometry: the body on the car, and the distance of a pulse",
-        essential: false,
-        run: geometry::geometry,
-    },
-    Step {
-        name: "drive",
-        title: "Reference, geofence and real time",
-        essential: false,
-        run: cameras::drive,
-    },
+    Step::new("board", "Board: image, line, reset", "", board::image),
+    Step::new(
+        "power",
+        "Power: battery, stop switch, 5 V",
+        "",
+        board::power,
+    )
+    .optional(),
+    Step::new("imu-axes", "IMU: its axes, by hand", "", imu::axes),
+    Step::new(
+        "rest",
+        "A minute at rest: IMU, bias, noise, pulses",
+        "",
+        imu::rest,
+    )
+    .optional(),
+    Step::new(
+        "cameras",
+        "Cameras: stream, body, height, and a push",
+        "",
+        cameras::body,
+    ),
+    Step::new(
+        "latency",
+        "Latency: gyro against cameras, by a twist",
+        "",
+        cameras::latency,
+    )
+    .optional(),
+    Step::new(
+        "geometry",
+        "Geometry: the body on the car, and the distance of a pulse",
+        "",
+        geometry::geometry,
+    )
+    .optional(),
+    Step::new(
+        "drive",
+        "Reference, geofence and real time",
+        "",
+        cameras::drive,
+    )
+    .optional(),
 ];
 
 /// The steps of `doctor --stand`, in which the wheels turn on a stand. They use jogs and the

@@ -5,160 +5,124 @@
 
 use crate::{Answers, Question};
 
-fn begin(id: &'static str, text: &str) -> Question {
-    Question {
-        id,
-        text: text.to_owned(),
-        answers: Answers::Begin,
-    }
+const fn begin(id: &'static str, text: &'static str) -> Question {
+    Question::new(id, text, Answers::Begin)
 }
 
 /// The operator presses the reset button of the board once, right after the answer.
-pub(super) fn press_reset() -> Question {
-    begin(
-        "press-reset",
-        "Press Enter, then press the reset button of the board once.",
-    )
-}
+pub(super) const PRESS_RESET: Question = begin(
+    "press-reset",
+    "Press Enter, then press the reset button of the board once.",
+);
 
 /// The voltage of the battery by another instrument.
-pub(super) fn voltmeter() -> Question {
-    Question {
-        id: "voltmeter",
-        text: "Measure the battery with a voltmeter. Its voltage?".to_owned(),
-        answers: Answers::Number {
-            unit: "V",
-            range: [0.0, 60.0],
-        },
-    }
-}
+pub(super) const VOLTMETER: Question = Question::new(
+    "voltmeter",
+    "Measure the battery with a voltmeter. Its voltage?",
+    Answers::Number {
+        unit: "V",
+        range: [0.0, 60.0],
+    },
+);
 
 /// The operator unplugs the battery; the board stays on USB.
-pub(super) fn unplug_battery() -> Question {
-    begin(
-        "unplug-battery",
-        "Press Enter, then unplug the battery. The board stays on USB.",
-    )
-}
+pub(super) const UNPLUG_BATTERY: Question = begin(
+    "unplug-battery",
+    "Press Enter, then unplug the battery. The board stays on USB.",
+);
 
 /// The operator plugs the battery in again.
-pub(super) fn plug_battery() -> Question {
-    begin(
-        "plug-battery",
-        "Press Enter, then plug the battery in again.",
-    )
-}
+pub(super) const PLUG_BATTERY: Question = begin(
+    "plug-battery",
+    "Press Enter, then plug the battery in again.",
+);
 
 /// The operator opens the stop switch.
-pub(super) fn open_stop_switch() -> Question {
-    begin(
-        "open-stop-switch",
-        "Press Enter, then open the stop switch (press the red button).",
-    )
-}
+pub(super) const OPEN_STOP_SWITCH: Question = begin(
+    "open-stop-switch",
+    "Press Enter, then open the stop switch (press the red button).",
+);
 
 /// The operator closes the stop switch.
-pub(super) fn close_stop_switch() -> Question {
-    begin(
-        "close-stop-switch",
-        "Press Enter, then close the stop switch again.",
-    )
-}
+pub(super) const CLOSE_STOP_SWITCH: Question = begin(
+    "close-stop-switch",
+    "Press Enter, then close the stop switch again.",
+);
 
 /// The operator turns the front wheels against the servo for five seconds.
-pub(super) fn push_wheels() -> Question {
-    begin(
-        "push-wheels",
-        "Press Enter, then push the front wheels to the left and to the right by hand, against \
+pub(super) const PUSH_WHEELS: Question = begin(
+    "push-wheels",
+    "Press Enter, then push the front wheels to the left and to the right by hand, against \
          the servo, for five seconds. Do not force them.",
-    )
-}
+);
 
 /// The car stands on the floor, level, and is not touched for a minute.
-pub(super) fn stand_still() -> Question {
-    begin(
-        "stand-still",
-        "Put the car on a level floor, where the cameras see it. Press Enter, and do not touch it \
+pub(super) const STAND_STILL: Question = begin(
+    "stand-still",
+    "Put the car on a level floor, where the cameras see it. Press Enter, and do not touch it \
          for a minute.",
-    )
-}
+);
 
 /// The operator lifts the front of the car by about 45 degrees, holds it for a second, and puts
 /// it down again.
-pub(super) fn nose_up() -> Question {
-    begin(
-        "nose-up",
-        "Press Enter, then lift the front of the car until its nose points up by about 45 \
+pub(super) const NOSE_UP: Question = begin(
+    "nose-up",
+    "Press Enter, then lift the front of the car until its nose points up by about 45 \
          degrees, hold it for a second, and put it down again.",
-    )
-}
+);
 
 /// The same for the left side.
-pub(super) fn left_side_up() -> Question {
-    begin(
-        "left-side-up",
-        "Press Enter, then lift the left side of the car by about 45 degrees, hold it for a \
+pub(super) const LEFT_SIDE_UP: Question = begin(
+    "left-side-up",
+    "Press Enter, then lift the left side of the car by about 45 degrees, hold it for a \
          second, and put it down again.",
-    )
-}
+);
 
 /// The operator turns the car to the left by about 90 degrees, flat on the floor.
-pub(super) fn turn_left() -> Question {
-    begin(
-        "turn-left",
-        "Press Enter, then turn the car to the left (counter-clockwise from above) by about 90 \
+pub(super) const TURN_LEFT: Question = begin(
+    "turn-left",
+    "Press Enter, then turn the car to the left (counter-clockwise from above) by about 90 \
          degrees, flat on the floor, and let go.",
-    )
-}
+);
 
 /// The operator rolls the car straight forward by half a metre.
-pub(super) fn push_forward() -> Question {
-    begin(
-        "push-forward",
-        "Press Enter, then roll the car forward by half a metre, wheels on the floor.",
-    )
-}
+pub(super) const PUSH_FORWARD: Question = begin(
+    "push-forward",
+    "Press Enter, then roll the car forward by half a metre, wheels on the floor.",
+);
 
 /// The operator twists the car to and fro, about 30 degrees to either side, about once a second,
 /// for 12 seconds.
-pub(super) fn twist() -> Question {
-    begin(
-        "twist",
-        "Press Enter, then twist the car to and fro, 30 degrees to either side, about once a \
+pub(super) const TWIST: Question = begin(
+    "twist",
+    "Press Enter, then twist the car to and fro, 30 degrees to either side, about once a \
          second, flat on the floor, for 12 seconds.",
-    )
-}
+);
 
 /// The operator turns the car by a whole turn (at least 270 degrees) to the left, about the
 /// middle of its rear axle.
-pub(super) fn turn_left_about_rear_axle() -> Question {
-    begin(
-        "turn-left-about-rear-axle",
-        "Mark a point on the floor and put the middle of the rear axle over it. Press Enter, then \
+pub(super) const TURN_LEFT_ABOUT_REAR_AXLE: Question = begin(
+    "turn-left-about-rear-axle",
+    "Mark a point on the floor and put the middle of the rear axle over it. Press Enter, then \
          turn the car to the left by a whole turn, in about ten seconds, and keep the middle of \
          the rear axle over the point.",
-    )
-}
+);
 
 /// The same to the right.
-pub(super) fn turn_right_about_rear_axle() -> Question {
-    begin(
-        "turn-right-about-rear-axle",
-        "Put the middle of the rear axle over the point again. Press Enter, then turn the car to \
+pub(super) const TURN_RIGHT_ABOUT_REAR_AXLE: Question = begin(
+    "turn-right-about-rear-axle",
+    "Put the middle of the rear axle over the point again. Press Enter, then turn the car to \
          the right by a whole turn, in about ten seconds, and keep the middle of the rear axle \
          over the point.",
-    )
-}
+);
 
 /// The operator rolls the car straight forward by two metres (1.5 m at least), at about 0.4 m/s,
 /// on all wheels and without a push to the side, in stretches of half a metre with a pause of a
 /// second after each: the board takes wheels that turn for longer for a motor that runs.
-pub(super) fn roll_forward() -> Question {
-    begin(
-        "roll-forward",
-        "Put the car where the cameras see the next two metres in front of it, wheels straight. \
+pub(super) const ROLL_FORWARD: Question = begin(
+    "roll-forward",
+    "Put the car where the cameras see the next two metres in front of it, wheels straight. \
          Press Enter, then roll it forward by two metres, in stretches of half a metre that take a \
          second or two each, with a pause of a second between them: wheels that turn for longer \
          count as a motor that runs. Push from behind, not to the side.",
-    )
-}
+);

@@ -75,13 +75,12 @@ impl LiveBench {
 
     /// Asks the operator to restart the daemon, until it is there again.
     fn restart(&mut self) -> Result<(), Refused> {
-        let question = Question {
-            id: "restart-daemon",
-            text: "These values take a restart of the daemon: sudo systemctl restart \
-                   singletrackd. Press Enter when that is done."
-                .to_owned(),
-            answers: Answers::Begin,
-        };
+        let question = Question::new(
+            "restart-daemon",
+            "These values take a restart of the daemon: sudo systemctl restart \
+                   singletrackd. Press Enter when that is done.",
+            Answers::Begin,
+        );
         let gone = |error: &dyn std::fmt::Display| Refused(error.to_string());
         match self
             .ask_of(&question, false)

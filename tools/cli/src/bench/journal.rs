@@ -112,12 +112,12 @@ pub(super) fn write(path: &Path, text: &str) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_commissioning::{Bench, Interrupted, Interval, Parameter};
+    use singletrack_commissioning::{Bench, Interrupted, Interval, Parameter, Trouble};
 
     use super::*;
 
-    fn never(_: &mut dyn Bench) -> Result<Finding, Interrupted> {
-        Err(Interrupted::ByOperator)
+    fn never(_: &mut dyn Bench) -> Result<Finding, Trouble> {
+        Err(Interrupted::ByOperator.into())
     }
 
     const STEPS: [Step; 2] = [step("first"), step("second")];
@@ -127,6 +127,7 @@ mod tests {
             name,
             title: name,
             essential: false,
+            expected: "",
             run: never,
         }
     }
