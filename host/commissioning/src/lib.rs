@@ -15,7 +15,7 @@ pub mod calibrate;
 pub mod doctor;
 pub mod edit;
 mod finding;
-pub mod fit;
+mod fit;
 mod imu_noise;
 mod parameter;
 mod plot;

@@ -18,6 +18,22 @@ pub struct Plot {
 }
 
 impl Plot {
+    /// Places on the floor, in m.
+    pub(crate) const fn of_places(
+        name: &'static str,
+        title: &'static str,
+        lines: Vec<PlotLine>,
+    ) -> Self {
+        Self {
+            name,
+            title,
+            x: ("x", "m"),
+            y: ("y", "m"),
+            equal: true,
+            lines,
+        }
+    }
+
     /// Lines over the time in s.
     #[must_use]
     pub fn over_time(

@@ -43,7 +43,7 @@ pub(crate) fn procedures() -> Vec<Procedure> {
     };
     vec![
         procedure("doctor", &doctor::STEPS),
-        procedure("bring-up", bring_up::steps()),
+        procedure("bring-up", bring_up::STEPS),
         procedure("calibrate", &calibrate::STEPS),
     ]
 }

@@ -43,7 +43,6 @@ impl Bench for Disarmed {
     }
 
     fn ask(&mut self, question: &Question) -> Result<Answer, Interrupted> {
-        assert!(doctor::QUESTIONS.contains(&question.id), "{question:?}");
         let answer = self.bench.ask(question)?;
         for _ in 0..self.lost_ticks {
             self.wait(&mut Vec::new())?;

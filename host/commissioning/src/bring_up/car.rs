@@ -63,25 +63,35 @@ impl<'a> Car<'a> {
             linked: true,
         };
         car.tick()?;
-        let until = car.now()?.after(10.0);
-        while car.board.is_none() || !car.place.is_known() {
-            if car.now()? >= until {
-                return Err(if car.board.is_none() {
-                    failed(
-                        "the board sends no telemetry",
-                        "Check the serial line with `singletrack doctor`.",
-                    )
-                } else {
-                    failed(
-                        "the cameras do not see the car: nothing would notice that it leaves its \
-                         stand",
-                        "Put the stand where the cameras see the car's markers.",
-                    )
-                });
-            }
-            car.tick()?;
-        }
+        let is_unknown = |car: &Self| car.board.is_none() || !car.place.is_known();
+        car.wait_while(10.0, is_unknown, |car| match car.board {
+            None => failed(
+                "the board sends no telemetry",
+                "Check the serial line with `singletrack doctor`.",
+            ),
+            Some(_) => failed(
+                "the cameras do not see the car: nothing would notice that it leaves its stand",
+                "Put the stand where the cameras see the car's markers.",
+            ),
+        })?;
         Ok(car)
+    }
+
+    /// Waits while something holds; fails if it holds for too long.
+    fn wait_while(
+        &mut self,
+        seconds: f64,
+        holds: impl Fn(&Self) -> bool,
+        trouble: impl FnOnce(&Self) -> Trouble,
+    ) -> Result<(), Trouble> {
+        let until = self.now()?.after(seconds);
+        while holds(self) {
+            if self.now()? >= until {
+                return Err(trouble(self));
+            }
+            self.tick()?;
+        }
+        Ok(())
     }
 
     /// The time of the last tick.
@@ -333,17 +343,12 @@ impl<'a> Car<'a> {
     /// Asks for the end of the jog, and waits for it.
     pub(super) fn disarm(&mut self) -> Result<(), Trouble> {
         self.request_disarm()?;
-        let until = self.now()?.after(3.0);
-        while self.jogs() {
-            if self.now()? >= until {
-                return Err(failed(
-                    "the board is still armed 3 s after the disarm request",
-                    "Cut the supply of the ESC. See the log of the daemon.",
-                ));
-            }
-            self.tick()?;
-        }
-        Ok(())
+        self.wait_while(3.0, Self::jogs, |_| {
+            failed(
+                "the board is still armed 3 s after the disarm request",
+                "Cut the supply of the ESC. See the log of the daemon.",
+            )
+        })
     }
 
     /// Requests the end of the jog.
@@ -404,18 +409,14 @@ impl<'a> Car<'a> {
 
     /// Waits until the motor's pulses have ceased.
     fn until_standing(&mut self, seconds: f64) -> Result<(), Trouble> {
-        let until = self.now()?.after(seconds);
-        while self.board.is_some_and(|board| board.motor_speed != 0.0) {
-            if self.now()? >= until {
-                return Err(failed(
-                    format!("the motor still turns {seconds} s after its pulse went to neutral"),
-                    "Cut the supply of the ESC. Its neutral is another than \
-                     board.esc.neutral_us, or it is stuck.",
-                ));
-            }
-            self.tick()?;
-        }
-        Ok(())
+        let turns = |car: &Self| car.board.is_some_and(|board| board.motor_speed != 0.0);
+        self.wait_while(seconds, turns, |_| {
+            failed(
+                format!("the motor still turns {seconds} s after its pulse went to neutral"),
+                "Cut the supply of the ESC. Its neutral is another than board.esc.neutral_us, or \
+                 it is stuck.",
+            )
+        })
     }
 
     /// The bench, for its configuration.

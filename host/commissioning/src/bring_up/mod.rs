@@ -29,12 +29,6 @@ use crate::Step;
 /// turns only now and then.
 pub const STEPS: &[Step] = &steps_with::<60>();
 
-/// [`STEPS`].
-#[must_use]
-pub const fn steps() -> &'static [Step] {
-    STEPS
-}
-
 /// The steps; the ESC is watched at neutral for `NEUTRAL_S` seconds in each order.
 #[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {

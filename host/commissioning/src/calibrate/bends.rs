@@ -1,6 +1,7 @@
 //! Bends to both sides, with a weave: the steering, and the body on the car.
 
-use singletrack_control::wrap;
+use singletrack_control::{VehicleParameters, wrap};
+use singletrack_core::Config;
 
 use super::{
     floor::{self, Figure, SLOW, round},
@@ -9,7 +10,7 @@ use super::{
 use crate::{
     Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
     finding::failed,
-    fit::{self, Body, Frames, Motion, Signal, Track, Turning, Wheels},
+    fit::{self, Body, Frames, Motion, Signal, Track, Wheels},
 };
 
 /// How often both circles are driven.
@@ -88,53 +89,21 @@ fn between(motion: &Motion, begin: f64, end: f64) -> Motion {
     }
 }
 
-/// What the configuration says of the car.
-struct Believed {
-    body_yaw: f64,
-    offset: [f64; 2],
-    rear_axle: f64,
-    rear_slip: f64,
-    wheelbase: f64,
-    turning: Turning,
-    servo: [f64; 2],
-}
-
-impl Believed {
-    fn of(bench: &dyn Bench) -> Self {
-        let config = bench.configuration();
-        let v = &config.vehicle;
-        let length = v.wheelbase_m();
-        let (front, rear) = (v.front_axle_distance_m, v.rear_axle_distance_m);
-        let c_f = v.front_cornering_stiffness_n_rad;
-        let c_r = v.rear_cornering_stiffness_n_rad;
-        Self {
-            body_yaw: config.motion_capture.marker_yaw_rad,
-            offset: config.motion_capture.marker_offset_m,
-            rear_axle: rear,
-            rear_slip: v.mass_kg * front / (length * c_r),
-            wheelbase: length,
-            turning: Turning {
-                inertia: [v.mass_kg, v.yaw_inertia_kg_m2],
-                axles: [front, rear],
-                stiffness: [c_f, c_r],
-            },
-            servo: [
-                config.board.servo.centre_us.into(),
-                config.board.servo.gain_us_per_rad.into(),
-            ],
-        }
-    }
+/// The slip of the rear axle, rad per m/s² of lateral acceleration.
+fn rear_slip(vehicle: &VehicleParameters) -> f64 {
+    let load = vehicle.mass_kg * vehicle.front_axle_distance_m / vehicle.wheelbase_m();
+    load / vehicle.rear_cornering_stiffness_n_rad
 }
 
 fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
         failed(
-            "the drive does not determine the car: too few poses, or too little steering"
-                .to_owned(),
+            "the drive does not determine the car: too few poses, or too little steering",
             "check that all markers are visible everywhere, and run this step again",
         )
     };
-    let believed = Believed::of(bench);
+    let believed = bench.configuration().clone();
+    let vehicle = &believed.vehicle;
     let [over, of] = track.latency();
     let late = if of > 0.0 { over / of } else { 0.0 };
     let motion = track.motion(late);
@@ -149,21 +118,21 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         .collect::<Option<_>>()
         .ok_or_else(undetermined)?;
     if let (Some(motion), Some(first)) = (motions.first(), passes.first()) {
-        plot(bench, motion, &pulses, &believed, first);
+        plot(bench, motion, &pulses, vehicle, first);
     }
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
         let values: Vec<f64> = passes.iter().map(of).collect();
         fit::mean_interval(&values, systematic).ok_or_else(undetermined)
     };
     let speed = SLOW;
-    let slip = STIFFNESS * believed.rear_slip * speed * speed;
-    let of_length = RULER / believed.wheelbase;
+    let slip = STIFFNESS * rear_slip(vehicle) * speed * speed;
+    let of_length = RULER / vehicle.wheelbase_m();
     let gain = interval(&|(_, steering)| steering.gain_us_per_rad, 0.0)?;
     let gain = gain.widened(gain.value * of_length.hypot(0.003));
     let centre = interval(&|(_, steering)| steering.centre_us, 1.0)?;
     let yaw = interval(&|(body, _)| body.yaw, 0.000_5)?;
     let ahead = interval(&|(body, _)| body.ahead, slip.hypot(AXLE))?;
-    let ahead = ahead.shifted(-believed.rear_axle);
+    let ahead = ahead.shifted(-vehicle.rear_axle_distance_m);
     let left = interval(&|(body, _)| body.left, 0.000_5)?;
     let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * ALIKE[0])?;
     let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * ALIKE[1])?;
@@ -182,7 +151,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
 
     let config = bench.configuration();
     let servo = &config.board.servo;
-    let bent = bent(&motions, &pulses, &believed.turning, &passes, servo)
+    let bent = bent(&motions, &pulses, vehicle, &passes, servo)
         .filter(|bent| bent.is_bent() || config.actuators.steering_table.is_some());
     let (straight_us, reach) = match &bent {
         Some(bent) => {
@@ -232,8 +201,11 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         }
         None => {}
     }
-    let is_doubtful = (gain.value / believed.servo[1] - 1.0).abs() > 0.25;
-    let moved = (ahead.value - believed.offset[0]).hypot(left.value - believed.offset[1]);
+    let is_doubtful =
+        (gain.value / f64::from(believed.board.servo.gain_us_per_rad) - 1.0).abs() > 0.25;
+    let cameras = &believed.motion_capture;
+    let offset = cameras.marker_offset_m;
+    let moved = (ahead.value - offset[0]).hypot(left.value - offset[1]);
     floor::change(bench, &values)?;
     let parameter = |name, unit, estimate: Interval, key: &str| {
         Parameter::new(
@@ -271,7 +243,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         passes.len(),
         1e3 * late,
         1e3 * moved,
-        wrap(yaw.value - believed.body_yaw).to_degrees(),
+        wrap(yaw.value - cameras.marker_yaw_rad).to_degrees(),
         excess[0],
         excess[1]
     );
@@ -285,24 +257,21 @@ fn plot(
     bench: &mut dyn Bench,
     motion: &Motion,
     pulses: &Frames,
-    believed: &Believed,
+    vehicle: &VehicleParameters,
     (body, steering): &(Body, Wheels),
 ) {
     const SHOWN: f64 = 6.0;
-    bench.plot(&Plot {
-        name: "bends",
-        title: "The body on both circles",
-        x: ("x", "m"),
-        y: ("y", "m"),
-        equal: true,
-        lines: vec![PlotLine::new(
+    bench.plot(&Plot::of_places(
+        "bends",
+        "The body on both circles",
+        vec![PlotLine::new(
             "body",
             PlotKind::Measured,
             motion.position.clone(),
         )],
-    });
+    ));
     let speed = motion.rear_speed(body.yaw, body.left, 2);
-    let rates = fit::yaw_rates(motion, pulses, &speed, &believed.turning, steering);
+    let rates = fit::yaw_rates(motion, pulses, &speed, vehicle, steering);
     let middle = rates.get(rates.len() / 2).map_or(0.0, |[time, ..]| *time);
     let shown = |of: usize| {
         rates
@@ -312,17 +281,15 @@ fn plot(
             .collect::<Vec<_>>()
     };
     let (measured, fitted) = (shown(1), shown(2));
-    bench.plot(&Plot {
-        name: "steering",
-        title: "The yaw rate, measured and by the servo's pulses",
-        x: ("time", "s"),
-        y: ("yaw rate", "rad/s"),
-        equal: false,
-        lines: vec![
+    bench.plot(&Plot::over_time(
+        "steering",
+        "The yaw rate, measured and by the servo's pulses",
+        ("yaw rate", "rad/s"),
+        vec![
             PlotLine::new("measured", PlotKind::Measured, measured),
             PlotLine::new("fitted", PlotKind::Fitted, fitted),
         ],
-    });
+    ));
 }
 
 /// One pass.
@@ -330,12 +297,18 @@ fn pass(
     motion: &Motion,
     pulses: &Frames,
     way: &Signal,
-    believed: &Believed,
+    believed: &Config,
 ) -> Option<(Body, Wheels)> {
-    let body = fit::body(motion, way, believed.body_yaw, believed.rear_slip)?;
+    let Config { vehicle, board, .. } = believed;
+    let (yaw, slip) = (believed.motion_capture.marker_yaw_rad, rear_slip(vehicle));
+    let servo = [
+        board.servo.centre_us.into(),
+        board.servo.gain_us_per_rad.into(),
+    ];
+    let body = fit::body(motion, way, yaw, slip)?;
     // Once more about the yaw that was found: the fit is linear in its error.
-    let body = fit::body(motion, way, body.yaw, believed.rear_slip)?;
+    let body = fit::body(motion, way, body.yaw, slip)?;
     let speed = motion.rear_speed(body.yaw, body.left, 2);
-    let steering = fit::wheels(motion, pulses, &speed, &believed.turning, believed.servo)?;
+    let steering = fit::wheels(motion, pulses, &speed, vehicle, servo)?;
     Some((body, steering))
 }

@@ -1,6 +1,6 @@
 //! Drives on the floor: where there is room, and what a drive shows.
 
-use singletrack_control::{Position, Velocity, wrap};
+use singletrack_control::{Position, Velocity, direction, wrap};
 use singletrack_core::Config;
 use singletrack_pilot::{Fence, Mode};
 use singletrack_protocol::BoardMode;
@@ -40,8 +40,8 @@ const READY_TICKS: usize = 1_500;
 /// Where P is to be and how fast, in m and m/s.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Wanted {
-    pub(super) position: [f64; 2],
-    pub(super) velocity: [f64; 2],
+    pub(super) position: Position,
+    pub(super) velocity: Velocity,
     /// The car is to roll out at neutral instead, wherever that is.
     pub(super) rolls: bool,
 }
@@ -136,7 +136,7 @@ pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Trouble> {
     ))?;
     match answer {
         Answer::Skip => Err(failed(
-            "the car is not on the floor".to_owned(),
+            "the car is not on the floor",
             "run this step again when there is room",
         )),
         _ => Ok(()),
@@ -146,8 +146,8 @@ pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Trouble> {
 /// Two circles that touch where P is: the way is to the left first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Figure {
-    start: [f64; 2],
-    tangent: [f64; 2],
+    start: Position,
+    tangent: Position,
     heading: f64,
     /// 1 if the circle to the left comes first, -1 if the one to the right does.
     first: f64,
@@ -160,7 +160,7 @@ impl Figure {
         let config = bench.configuration();
         let no_room = || {
             failed(
-                "the geofence has no room for two circles that touch each other".to_owned(),
+                "the geofence has no room for two circles that touch each other",
                 "widen fence.corners_m: the car needs about 3 by 5 m of free floor",
             )
         };
@@ -169,17 +169,15 @@ impl Figure {
             return Err(no_room());
         };
         let radius = radius(config);
-        let start = [point.x, point.y];
+        let start = point;
         let corners = fence.corners();
-        let count = corners.len() as f64;
-        let middle = [
-            corners.iter().map(|corner| corner.x).sum::<f64>() / count,
-            corners.iter().map(|corner| corner.y).sum::<f64>() / count,
-        ];
-        let to_middle = (middle[1] - start[1]).atan2(middle[0] - start[0]);
+        let sum: Velocity = corners.iter().map(|corner| corner.coords).sum();
+        let middle = Position::from(sum / corners.len() as f64);
+        let to_middle = middle - start;
+        let to_middle = to_middle.y.atan2(to_middle.x);
         let mut best: Option<(f64, Self)> = None;
         for (tangent, course) in [(start, yaw), (middle, to_middle)] {
-            let way = (tangent[0] - start[0]).hypot(tangent[1] - start[1]);
+            let way = (tangent - start).norm();
             for turn in -11..=12 {
                 let turned = f64::from(turn) * 15.0_f64.to_radians();
                 let figure = Self {
@@ -206,8 +204,7 @@ impl Figure {
     pub(super) fn circle(bench: &dyn Bench, stands: &TickReading, speed: f64) -> Option<Self> {
         let config = bench.configuration();
         let fence = config.fence.fence(&config.vehicle).ok()?;
-        let (point, (_, yaw)) = (stands.point?, stands.pose?);
-        let start = [point.x, point.y];
+        let (start, (_, yaw)) = (stands.point?, stands.pose?);
         // A stop holds the steering: it needs less.
         let room = ROOM + 0.5 * speed * speed / (2.0 * config.fence.braking_m_s2);
         let circle = |first| Self {
@@ -227,8 +224,7 @@ impl Figure {
     fn fits(&self, fence: &Fence, laps: f64, room: f64) -> bool {
         (0..48).all(|index| {
             let way = f64::from(index) / 48.0 * laps * self.lap();
-            let [x, y] = self.at(self.approach() + way, 0.0).position;
-            fence.clearance(&Position::new(x, y)) > room
+            fence.clearance(&self.at(self.approach() + way, 0.0).position) > room
         })
     }
 
@@ -239,19 +235,17 @@ impl Figure {
 
     /// The way to where the circles touch, m.
     pub(super) fn approach(&self) -> f64 {
-        let [dx, dy] = [0, 1].map(|i| self.tangent[i] - self.start[i]);
-        dx.hypot(dy)
+        (self.tangent - self.start).norm()
     }
 
     /// Where P is to be after a way, and how fast: `speed` m/s along it.
     pub(super) fn at(&self, way: f64, speed: f64) -> Wanted {
         let approach = self.approach();
         if way < approach {
-            let share = way / approach;
-            let [dx, dy] = [0, 1].map(|i| self.tangent[i] - self.start[i]);
+            let along = (self.tangent - self.start) / approach;
             return Wanted {
-                position: [self.start[0] + share * dx, self.start[1] + share * dy],
-                velocity: [speed * dx / approach, speed * dy / approach],
+                position: self.start + way * along,
+                velocity: speed * along,
                 rolls: false,
             };
         }
@@ -264,11 +258,8 @@ impl Figure {
         let inward = self.heading + side * core::f64::consts::FRAC_PI_2;
         let outward = course - side * core::f64::consts::FRAC_PI_2;
         Wanted {
-            position: [
-                self.tangent[0] + self.radius * (inward.cos() + outward.cos()),
-                self.tangent[1] + self.radius * (inward.sin() + outward.sin()),
-            ],
-            velocity: [speed * course.cos(), speed * course.sin()],
+            position: self.tangent + self.radius * (direction(inward) + direction(outward)),
+            velocity: speed * direction(course),
             rolls: false,
         }
     }
@@ -285,12 +276,11 @@ fn radius(config: &Config) -> f64 {
 impl Wanted {
     /// Moved across its course by `offset` m to the left, which grows with `rate` m/s.
     pub(super) fn aside(self, offset: f64, rate: f64) -> Self {
-        let [vx, vy] = self.velocity;
-        let speed = vx.hypot(vy).max(1e-6);
-        let left = [-vy / speed, vx / speed];
+        let along = self.velocity / self.velocity.norm().max(1e-6);
+        let left = Velocity::new(-along.y, along.x);
         Self {
-            position: [0, 1].map(|i| self.position[i] + offset * left[i]),
-            velocity: [0, 1].map(|i| self.velocity[i] + rate * left[i]),
+            position: self.position + offset * left,
+            velocity: self.velocity + rate * left,
             ..self
         }
     }
@@ -319,13 +309,8 @@ pub(super) fn drive(
         let next = wanted(now);
         let velocity = match (point, last_ns) {
             (Some(point), Some(_)) if !next.rolls => {
-                let [x, y] = next.position;
-                let [vx, vy] = next.velocity;
                 // What waits does not move.
-                Velocity::new(
-                    pace * vx + GAIN * (x - point.x),
-                    pace * vy + GAIN * (y - point.y),
-                )
+                pace * next.velocity + GAIN * (next.position - point)
             }
             // The board arms, or the car rolls: a lower speed than the present one is neutral.
             _ => Velocity::zeros(),
@@ -349,9 +334,8 @@ pub(super) fn drive(
                 drive.reason = tick.reason.map(singletrack_pilot::Reason::name);
                 is_over |= tick.mode != Mode::Slowing;
             }
-            let [x, y] = next.position;
             let behind = match tick.point {
-                Some(p) if !next.rolls => (p.x - x).hypot(p.y - y),
+                Some(point) if !next.rolls => (point - next.position).norm(),
                 _ => 0.0,
             };
             if behind > ASTRAY {
@@ -445,31 +429,31 @@ mod tests {
     #[test]
     fn the_figure_goes_around_both_circles_without_a_jump() {
         let figure = Figure {
-            start: [-1.0, 0.5],
-            tangent: [0.2, 0.1],
+            start: Position::new(-1.0, 0.5),
+            tangent: Position::new(0.2, 0.1),
             heading: 0.7,
             first: 1.0,
             radius: 0.9,
         };
         let length = figure.approach() + 4.0 * figure.lap();
         let mut last = figure.at(0.0, 0.3);
-        assert_eq!(last.position, [-1.0, 0.5]);
+        assert_eq!(last.position, figure.start);
         let step = 0.005;
         for index in 1..(length / step) as u32 {
             let next = figure.at(f64::from(index) * step, 0.3);
-            let moved = [0, 1].map(|i| next.position[i] - last.position[i]);
-            assert!((moved[0].hypot(moved[1]) - step).abs() < 1e-4, "{index}");
+            let moved = next.position - last.position;
+            assert!((moved.norm() - step).abs() < 1e-4, "{index}");
             if f64::from(index) * step > figure.approach() + step {
                 // The course is along the way.
-                let along = (moved[0] * next.velocity[0] + moved[1] * next.velocity[1]) / 0.3;
+                let along = moved.dot(&next.velocity) / 0.3;
                 assert!((along - step).abs() < 1e-3 * step, "{index}: {along}");
             }
             last = next;
         }
         let half = figure.at(figure.approach() + 0.5 * figure.lap(), 0.3);
-        let across = [0, 1].map(|i| half.position[i] - figure.tangent[i]);
-        assert!((across[0].hypot(across[1]) - 1.8).abs() < 1e-9);
+        let across = half.position - figure.tangent;
+        assert!((across.norm() - 1.8).abs() < 1e-9);
         // To the left of the heading.
-        assert!(across[1] * figure.heading.cos() - across[0] * figure.heading.sin() > 1.7);
+        assert!(across.y * figure.heading.cos() - across.x * figure.heading.sin() > 1.7);
     }
 }

@@ -23,6 +23,3 @@ pub const STEPS: [Step; 5] = [
     roll_out::STEP,
     cover::STEP,
 ];
-
-/// The ids of all questions, in the order in which they come.
-pub const QUESTIONS: [&str; 3] = ["place-on-floor", "cover-markers", "uncover-markers"];

@@ -50,7 +50,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             let Some(braking) = braking else {
                 if passed == 0.0 {
                     return Err(failed(
-                        "there is no room for a circle where the car stands".to_owned(),
+                        "there is no room for a circle where the car stands",
                         "put it in the middle of the geofence, or widen fence.corners_m",
                     ));
                 }

@@ -160,7 +160,7 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
 fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
         failed(
-            "the changes of speed do not determine motor and ESC".to_owned(),
+            "the changes of speed do not determine motor and ESC",
             "charge the battery, check that the markers are visible everywhere, and run this step \
              again",
         )

@@ -1,12 +1,12 @@
 //! Steering that is no straight line: the table in its place.
 
-use singletrack_control::SteeringTable;
+use singletrack_control::{SteeringTable, VehicleParameters};
 use singletrack_core::config::ServoSection;
 
 use super::floor::round;
 use crate::{
     Interval,
-    fit::{self, Body, Frames, Motion, Turning, Wheels},
+    fit::{self, Body, Frames, Motion, Wheels},
 };
 
 /// Angles that are off the line by less in all passes are left to the line, rad.
@@ -60,7 +60,7 @@ pub(crate) fn straight_line(
 pub(super) fn bent(
     motions: &[Motion],
     pulses: &Frames,
-    turning: &Turning,
+    vehicle: &VehicleParameters,
     passes: &[(Body, Wheels)],
     servo: &ServoSection,
 ) -> Option<Bent> {
@@ -96,7 +96,7 @@ pub(super) fn bent(
             .zip(passes)
             .map(|(motion, (body, wheels))| {
                 let speed = motion.rear_speed(body.yaw, body.left, 2);
-                fit::wheel_angles::<5, 7>(motion, pulses, &speed, turning, wheels, &at_us)
+                fit::wheel_angles(motion, pulses, &speed, vehicle, wheels, &at_us)
             })
             .collect::<Option<_>>()?;
         let mean = |index: usize| {

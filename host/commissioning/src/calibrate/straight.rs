@@ -1,5 +1,7 @@
 //! A straight metre: what contradicts the configuration, before the car drives bends.
 
+use singletrack_control::direction;
+
 use super::floor::{self, Drive, SLOW, Wanted};
 use crate::{Bench, Finding, Step, Trouble, finding::failed};
 
@@ -24,12 +26,12 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::ready(bench)?;
     let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
     let Some(point) = stands.point else {
-        return Err(failed("no estimate".to_owned(), "run it again"));
+        return Err(failed("no estimate", "run it again"));
     };
-    let (sin, cos) = yaw.sin_cos();
+    let velocity = SLOW * direction(yaw);
     let wanted = |time: f64| Wanted {
-        position: [point.x + SLOW * time * cos, point.y + SLOW * time * sin],
-        velocity: [SLOW * cos, SLOW * sin],
+        position: point + time * velocity,
+        velocity,
         rolls: false,
     };
     let mut drive = floor::drive(bench, WAY / SLOW, "a straight metre", &wanted)?.completed()?;
@@ -43,7 +45,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
         return Err(failed(
-            "the cameras saw too little of it".to_owned(),
+            "the cameras saw too little of it",
             "check that all markers are visible, and run it again",
         ));
     };

@@ -16,25 +16,23 @@ pub(super) struct Checks {
 impl Checks {
     /// A check that passed.
     pub(super) fn good(&mut self, found: impl Into<String>, expected: impl Into<String>) {
-        self.add(Verdict::Good, found, expected);
+        self.add(Verdict::Good, found, expected, "");
     }
 
     /// A check that the operator skipped.
     pub(super) fn skipped(&mut self, what: &str) {
-        self.add(Verdict::Skipped, format!("{what}: skipped"), "");
+        self.add(Verdict::Skipped, format!("{what}: skipped"), "", "");
     }
 
-    /// A check of something that works, but could be better.
+    /// A check of something that works, but could be better. There is nothing left to fix if the
+    /// doctor has corrected it.
     pub(super) fn warning(
         &mut self,
         found: impl Into<String>,
         expected: impl Into<String>,
         fix: impl Into<String>,
     ) {
-        self.add(Verdict::Warning, found, expected);
-        // The doctor has corrected some of them: there is nothing left to do.
-        self.fixes
-            .extend(Some(fix.into()).filter(|fix| !fix.is_empty()));
+        self.add(Verdict::Warning, found, expected, fix);
     }
 
     /// A check that failed.
@@ -44,8 +42,7 @@ impl Checks {
         expected: impl Into<String>,
         fix: impl Into<String>,
     ) {
-        self.add(Verdict::Failed, found, expected);
-        self.fixes.push(fix.into());
+        self.add(Verdict::Failed, found, expected, fix);
     }
 
     /// A check that passed or failed.
@@ -80,7 +77,13 @@ impl Checks {
         self.verdict == Some(Verdict::Failed)
     }
 
-    fn add(&mut self, verdict: Verdict, found: impl Into<String>, expected: impl Into<String>) {
+    fn add(
+        &mut self,
+        verdict: Verdict,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
         self.verdict = Some(match (self.verdict, verdict) {
             // A partly checked step does not count as skipped.
             (Some(Verdict::Skipped), Verdict::Good) => Verdict::Good,
@@ -91,6 +94,7 @@ impl Checks {
         for (list, text) in [
             (&mut self.found, found.into()),
             (&mut self.expected, expected.into()),
+            (&mut self.fixes, fix.into()),
         ] {
             if !text.is_empty() {
                 list.push(text);

@@ -116,17 +116,14 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         }
     }
     let [body, axle] = paths;
-    bench.plot(&Plot {
-        name: "turns",
-        title: "Turns about the rear axle",
-        x: ("x", "m"),
-        y: ("y", "m"),
-        equal: true,
-        lines: vec![
+    bench.plot(&Plot::of_places(
+        "turns",
+        "Turns about the rear axle",
+        vec![
             PlotLine::new("body", PlotKind::Measured, body),
             PlotLine::new("rear axle", PlotKind::Fitted, axle),
         ],
-    });
+    ));
     Ok(Some(origins))
 }
 

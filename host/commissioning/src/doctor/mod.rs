@@ -64,23 +64,3 @@ pub const STEPS: [Step; 8] = [
 /// The steps of `doctor --stand`, in which the wheels turn on a stand. They use jogs and the
 /// questions of the bring-up.
 pub const STAND_STEPS: [Step; 1] = [crate::bring_up::IMU_NOISE];
-
-/// The ids of all questions of [`STEPS`], in the order in which they come. Some come several times.
-pub const QUESTIONS: [&str; 16] = [
-    "press-reset",
-    "voltmeter",
-    "unplug-battery",
-    "plug-battery",
-    "open-stop-switch",
-    "close-stop-switch",
-    "push-wheels",
-    "left-side-up",
-    "nose-up",
-    "turn-left",
-    "stand-still",
-    "push-forward",
-    "twist",
-    "turn-left-about-rear-axle",
-    "turn-right-about-rear-axle",
-    "roll-forward",
-];

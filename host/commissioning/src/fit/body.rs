@@ -6,19 +6,18 @@ use crate::fit::least_squares;
 
 /// A pose of the rigid body on the floor: position in m, and yaw in rad.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FloorPose {
+pub(crate) struct FloorPose {
     /// Position, in m.
-    pub x: f64,
+    pub(crate) x: f64,
     /// Position, in m.
-    pub y: f64,
+    pub(crate) y: f64,
     /// Yaw, in rad.
-    pub yaw: f64,
+    pub(crate) yaw: f64,
 }
 
 impl FloorPose {
     /// The place of the point from which the body's origin is at `origin`, along the body's axes.
-    #[must_use]
-    pub fn place_of(&self, origin: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn place_of(&self, origin: [f64; 2]) -> [f64; 2] {
         let (sin, cos) = self.yaw.sin_cos();
         [
             self.x - cos * origin[0] + sin * origin[1],
@@ -30,8 +29,7 @@ impl FloorPose {
 /// The body's origin, from the point about which the body was turned, along the axes of the
 /// body, in m. The second value is the root mean square of the wander of that point. None if the
 /// body did not turn.
-#[must_use]
-pub fn turned_about(poses: &[FloorPose]) -> Option<([f64; 2], f64)> {
+pub(crate) fn turned_about(poses: &[FloorPose]) -> Option<([f64; 2], f64)> {
     let equations = poses.iter().flat_map(|pose| {
         let (sin, cos) = pose.yaw.sin_cos();
         [
@@ -46,13 +44,13 @@ pub fn turned_about(poses: &[FloorPose]) -> Option<([f64; 2], f64)> {
 
 /// A roll of the car, straight or nearly so.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rolled {
+pub(crate) struct Rolled {
     /// The way of the point, in m.
-    pub way: f64,
+    pub(crate) way: f64,
     /// The direction in which it moved, from the body's x axis, in rad: to the left is positive.
-    pub direction: f64,
+    pub(crate) direction: f64,
     /// By how much the body turned, in rad.
-    pub turn: f64,
+    pub(crate) turn: f64,
 }
 
 /// How a point of the car moved that is at `-origin` from the body's origin, along the axes of
@@ -60,8 +58,7 @@ pub struct Rolled {
 ///
 /// The middle of the rear axle moves along the car, also when the front wheels are not straight:
 /// the direction of its movement gives the yaw of the body on the car.
-#[must_use]
-pub fn rolled(poses: &[FloorPose], origin: [f64; 2]) -> Option<Rolled> {
+pub(crate) fn rolled(poses: &[FloorPose], origin: [f64; 2]) -> Option<Rolled> {
     /// Shorter movements are noise, in m.
     const SPACING: f64 = 0.05;
     let first = poses.first()?;

@@ -4,15 +4,15 @@ use super::{Motion, Signal, least_squares};
 
 /// The rigid body on the car, as one pass shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Body {
+pub(crate) struct Body {
     /// Yaw of the body when that of the car is zero, rad.
-    pub yaw: f64,
+    pub(crate) yaw: f64,
     /// Position of the pivot ahead of the rear axle, m.
-    pub ahead: f64,
+    pub(crate) ahead: f64,
     /// Position of the pivot to the left of the middle, m.
-    pub left: f64,
+    pub(crate) left: f64,
     /// True speed over that of the motor pulses.
-    pub motor_scale: f64,
+    pub(crate) motor_scale: f64,
 }
 
 /// The duration of the windows, s.
@@ -21,8 +21,7 @@ const WINDOW: f64 = 1.0;
 /// Fits the body. The rear axle rolls along the car, but for its slip: `rear_slip` rad per m/s²
 /// of lateral acceleration. `body_yaw` is about the yaw of the body, `way` that of the motor
 /// pulses. None without bends to both sides.
-#[must_use]
-pub fn body(motion: &Motion, way: &Signal, body_yaw: f64, rear_slip: f64) -> Option<Body> {
+pub(crate) fn body(motion: &Motion, way: &Signal, body_yaw: f64, rear_slip: f64) -> Option<Body> {
     let displacement = motion.displacement(body_yaw);
     // Turn, way along and across, slip, way of the motor.
     let mut windows: Vec<[f64; 5]> = Vec::new();

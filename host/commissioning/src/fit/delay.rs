@@ -7,13 +7,13 @@ use crate::{
 
 /// Result of [`stamp_delay`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Delay {
+pub(crate) struct Delay {
     /// By how much the stamps of the angles are too late, in s.
-    pub late: Interval,
+    pub(crate) late: Interval,
     /// Angle of the cameras over angle of the gyro.
-    pub scale: Interval,
+    pub(crate) scale: Interval,
     /// Root mean square of what is left, in rad.
-    pub residual: f64,
+    pub(crate) residual: f64,
 }
 
 /// The largest delay that is looked for, in s.
@@ -29,8 +29,7 @@ const BLOCKS: usize = 10;
 /// (s, rad/s) of the same motion. A constant bias of the velocities does not matter.
 /// `systematic` bounds the error of the stamps of the velocities, in s. None if the motion does
 /// not tell.
-#[must_use]
-pub fn stamp_delay(
+pub(crate) fn stamp_delay(
     angles: &[(f64, f64)],
     velocities: &[(f64, f64)],
     systematic: f64,

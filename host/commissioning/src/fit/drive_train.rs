@@ -4,15 +4,15 @@ use super::{Frames, gauss_newton, speed_curve::USUAL_BEND};
 
 /// How the speed follows the ESC's pulse, as one change of the speed shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DriveTrain {
+pub(crate) struct DriveTrain {
     /// Pulse per speed, µs/(m/s), between the two speeds.
-    pub us_per_m_s: f64,
+    pub(crate) us_per_m_s: f64,
     /// Pulse at which the wheels begin to turn, µs.
-    pub edge_us: f64,
+    pub(crate) edge_us: f64,
     /// Time constant, s.
-    pub lag: f64,
+    pub(crate) lag: f64,
     /// Time from the pulse in the telemetry to the first change, s.
-    pub delay: f64,
+    pub(crate) delay: f64,
 }
 
 /// The step of the simulated motor, s.
@@ -23,8 +23,7 @@ const STEP: f64 = 0.002;
 /// search begins. The map is bent as that of most motors is: the two speeds do not show it. A motor that
 /// turns faster than its pulse wants does not brake: the car rolls, with `rolling` m/s². None if
 /// it is not determined.
-#[must_use]
-pub fn drive_train(
+pub(crate) fn drive_train(
     time: &[f64],
     way: &[f64],
     pulses: &Frames,
@@ -87,8 +86,7 @@ pub fn drive_train(
 /// The deceleration of a roll-out, m/s²: the square of its speed over twice the way. The times in
 /// s and the ways in m begin while the car drives at its speed and end when it stands. None
 /// without a roll-out from 0.1 m/s or more.
-#[must_use]
-pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
+pub(crate) fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
     /// Poses from which the search takes its first speed.
     const FIRST: usize = 10;
     /// The share of the speed in the deceleration, 1/s: a short roll-out does not show it.
@@ -154,8 +152,7 @@ pub fn roll_out(time: &[f64], way: &[f64]) -> Option<f64> {
 
 /// The deceleration of the rear axle over these times, m/s², by a parabola. None of fewer than
 /// four.
-#[must_use]
-pub fn deceleration(time: &[f64], way: &[f64]) -> Option<f64> {
+pub(crate) fn deceleration(time: &[f64], way: &[f64]) -> Option<f64> {
     let start = *time.first()?;
     let rows = time.iter().zip(way).map(|(time, way)| {
         let t = time - start;

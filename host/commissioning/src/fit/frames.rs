@@ -20,9 +20,9 @@ const MOST_TURNS: u32 = 3;
 
 /// The pulses of an output.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Frames(
+pub(crate) struct Frames(
     /// When each began, s, and its length, µs.
-    pub Vec<(f64, f64)>,
+    pub(crate) Vec<(f64, f64)>,
 );
 
 /// A record: when it was made, s, the same on the board's clock, µs, and the pulse that it names,
@@ -66,14 +66,12 @@ impl Frames {
     }
 
     /// The pulse that acts at a time: the last one that has begun, or the first one.
-    #[must_use]
-    pub fn at(&self, time: f64) -> f64 {
+    pub(crate) fn at(&self, time: f64) -> f64 {
         self.last(time).map_or(0.0, |(_, pulse)| pulse)
     }
 
     /// The mean over a time, which ends at `end` and is shorter than the time between two pulses.
-    #[must_use]
-    pub fn mean(&self, end: f64, lasts: f64) -> f64 {
+    pub(crate) fn mean(&self, end: f64, lasts: f64) -> f64 {
         let Some((begin, pulse)) = self.last(end) else {
             return 0.0;
         };

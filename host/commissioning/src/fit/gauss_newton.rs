@@ -8,7 +8,7 @@ const STEPS: usize = 60;
 /// The parameters near `start` that make the residuals least. `scale` is a step by which each
 /// parameter may be changed for its derivative, and `bounds` is where it must stay. None if the
 /// residuals do not determine the parameters.
-pub fn gauss_newton<const N: usize>(
+pub(crate) fn gauss_newton<const N: usize>(
     start: [f64; N],
     scale: [f64; N],
     bounds: [[f64; 2]; N],

@@ -4,21 +4,21 @@ use nalgebra::{SMatrix, SVector};
 
 /// A solution of [`least_squares`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LeastSquares<const N: usize> {
+pub(crate) struct LeastSquares<const N: usize> {
     /// The parameters.
-    pub parameters: [f64; N],
+    pub(crate) parameters: [f64; N],
     /// Standard errors of the parameters if the errors of the equations are independent. Those
     /// of successive readings are not: take the interval from several passes instead.
-    pub standard_errors: [f64; N],
+    pub(crate) standard_errors: [f64; N],
     /// Root mean square of the residuals.
-    pub residual: f64,
+    pub(crate) residual: f64,
     /// The number of equations.
-    pub count: usize,
+    pub(crate) count: usize,
 }
 
 /// Solves `row · parameters = value` for many rows. None if the rows do not determine the
 /// parameters.
-pub fn least_squares<const N: usize>(
+pub(crate) fn least_squares<const N: usize>(
     equations: impl Iterator<Item = ([f64; N], f64)> + Clone,
 ) -> Option<LeastSquares<N>> {
     let mut normal = SMatrix::<f64, N, N>::zeros();

@@ -21,20 +21,20 @@ pub(crate) mod steering;
 mod track;
 mod wheels;
 
-pub use body::{FloorPose, Rolled, rolled, turned_about};
-pub use body_in_bends::{Body, body};
-pub use delay::{Delay, stamp_delay};
-pub use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
-pub use frames::Frames;
-pub use gauss_newton::gauss_newton;
-pub use least_squares::{LeastSquares, least_squares};
-pub use sample_times::{Reading, SampleTimes, sample_times};
-pub use signal_noise::{SignalNoise, signal_noise};
-pub use statistics::{
+pub(crate) use body::{FloorPose, rolled, turned_about};
+pub(crate) use body_in_bends::{Body, body};
+pub(crate) use delay::stamp_delay;
+pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
+pub(crate) use frames::Frames;
+pub(crate) use gauss_newton::gauss_newton;
+pub(crate) use least_squares::{LeastSquares, least_squares};
+pub(crate) use sample_times::{Reading, sample_times};
+pub(crate) use signal_noise::{SignalNoise, signal_noise};
+pub(crate) use statistics::{
     block_means, jackknife, mean, mean_interval, median, standard_deviation, student_quantile,
 };
-pub use track::{Motion, Signal, Track};
-pub use wheels::{Turning, Wheels, wheel_angles, wheels, yaw_rates};
+pub(crate) use track::{Motion, Signal, Track};
+pub(crate) use wheels::{Wheels, wheel_angles, wheels, yaw_rates};
 
 #[cfg(test)]
 pub(crate) mod tests {

@@ -23,25 +23,24 @@ const LOOKS: usize = 10;
 
 /// A sample of the IMU was read.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reading {
+pub(crate) struct Reading {
     /// When, s.
-    pub time: f64,
+    pub(crate) time: f64,
     /// The same on the board's clock, µs.
-    pub board_us: u32,
+    pub(crate) board_us: u32,
 }
 
 /// The times of samples.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct SampleTimes {
+pub(crate) struct SampleTimes {
     /// When each was measured, s.
-    pub times: Vec<f64>,
+    pub(crate) times: Vec<f64>,
     /// Bound on an error that all have in common, s.
-    pub systematic: f64,
+    pub(crate) systematic: f64,
 }
 
 /// The times of the measurements from those of the readings, in their order.
-#[must_use]
-pub fn sample_times(readings: &[Reading]) -> SampleTimes {
+pub(crate) fn sample_times(readings: &[Reading]) -> SampleTimes {
     let times: Vec<f64> = readings.iter().map(|reading| reading.time).collect();
     let (waits, unknown) = if is_polled(readings) {
         waits(&times)

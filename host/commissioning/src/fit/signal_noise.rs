@@ -12,17 +12,16 @@ const MIN_WINDOWS: usize = 20;
 
 /// The noise of a signal, in the signal's unit U.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SignalNoise {
+pub(crate) struct SignalNoise {
     /// Standard deviation of a sample, U.
-    pub deviation: f64,
+    pub(crate) deviation: f64,
     /// Density of white noise whose integrals over 0.1 s scatter as those of the signal, U/√Hz.
-    pub density: Interval,
+    pub(crate) density: Interval,
 }
 
 /// The noise in runs of samples, each a time in s and a value. The mean of each run is taken for
 /// its true value. None if there are fewer than 20 windows of 0.1 s.
-#[must_use]
-pub fn signal_noise(runs: &[Vec<[f64; 2]>]) -> Option<SignalNoise> {
+pub(crate) fn signal_noise(runs: &[Vec<[f64; 2]>]) -> Option<SignalNoise> {
     let mut squares = [0.0; 2];
     let mut counts = [0_usize; 2];
     for run in runs {

@@ -11,8 +11,7 @@ const STUDENT: [f64; 30] = [
 
 /// The half width of a 95 % interval in standard errors, for a standard error that was estimated
 /// with so many degrees of freedom; infinite for none.
-#[must_use]
-pub fn student_quantile(degrees_of_freedom: usize) -> f64 {
+pub(crate) fn student_quantile(degrees_of_freedom: usize) -> f64 {
     let Some(index) = degrees_of_freedom.checked_sub(1) else {
         return f64::INFINITY;
     };
@@ -24,14 +23,12 @@ pub fn student_quantile(degrees_of_freedom: usize) -> f64 {
 }
 
 /// The mean; none of no values.
-#[must_use]
-pub fn mean(values: &[f64]) -> Option<f64> {
+pub(crate) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// The standard deviation of the values around their mean; none of fewer than two.
-#[must_use]
-pub fn standard_deviation(values: &[f64]) -> Option<f64> {
+pub(crate) fn standard_deviation(values: &[f64]) -> Option<f64> {
     let mean = mean(values)?;
     let freedom = values.len().checked_sub(1).filter(|freedom| *freedom > 0)?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -39,8 +36,7 @@ pub fn standard_deviation(values: &[f64]) -> Option<f64> {
 }
 
 /// The median; none of no values.
-#[must_use]
-pub fn median(values: &[f64]) -> Option<f64> {
+pub(crate) fn median(values: &[f64]) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
@@ -54,8 +50,7 @@ pub fn median(values: &[f64]) -> Option<f64> {
 /// The mean of values with independent errors, such as those of separate passes, with its 95 %
 /// interval. `systematic` bounds the error that all of them share. None of fewer than two
 /// values: one pass says nothing of its error.
-#[must_use]
-pub fn mean_interval(values: &[f64], systematic: f64) -> Option<Interval> {
+pub(crate) fn mean_interval(values: &[f64], systematic: f64) -> Option<Interval> {
     let deviation = standard_deviation(values)?;
     let statistical = student_quantile(values.len() - 1) * deviation / (values.len() as f64).sqrt();
     Some(Interval::around(mean(values)?, statistical).widened(systematic))
@@ -63,8 +58,7 @@ pub fn mean_interval(values: &[f64], systematic: f64) -> Option<Interval> {
 
 /// The means of `count` blocks of equal length; values that are left over are dropped. Long
 /// blocks have independent errors where successive values have not.
-#[must_use]
-pub fn block_means(values: &[f64], count: usize) -> Vec<f64> {
+pub(crate) fn block_means(values: &[f64], count: usize) -> Vec<f64> {
     let Some(length) = values.len().checked_div(count).filter(|length| *length > 0) else {
         return Vec::new();
     };
@@ -79,7 +73,7 @@ pub fn block_means(values: &[f64], count: usize) -> Vec<f64> {
 /// other (the jackknife). It needs no model of the errors within a pass. `systematic` bounds the
 /// errors that all passes share. None if there are fewer than two passes, or if the estimate
 /// fails without one of them.
-pub fn jackknife<T, const N: usize>(
+pub(crate) fn jackknife<T, const N: usize>(
     passes: &[T],
     systematic: [f64; N],
     estimate: impl Fn(&[&T]) -> Option<[f64; N]>,

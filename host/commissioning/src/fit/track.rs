@@ -1,6 +1,6 @@
 //! The readings of a drive on one time axis.
 
-use singletrack_control::unwrap_near;
+use singletrack_control::{interpolate, unwrap_near};
 use singletrack_statistics::Line;
 
 use super::{Frames, Reading, frames::Record, sample_times};
@@ -11,29 +11,29 @@ type Sample<T> = (f64, T);
 
 /// The readings of a drive.
 #[derive(Clone, Debug, Default)]
-pub struct Track {
+pub(crate) struct Track {
     origin_ns: Option<u64>,
     /// Angular velocity about the vertical, rad/s, when it was read.
     gyro: Vec<(Reading, f64)>,
     /// Pulses of servo and ESC, µs.
     pulses: [Vec<Record>; 2],
     /// Speed by the motor pulses, m/s.
-    motor: Vec<Sample<f64>>,
+    motor: Vec<[f64; 2]>,
     /// Position, m, and yaw, rad, not wrapped, of the rigid body by the stamp.
     poses: Vec<Sample<([f64; 2], f64)>>,
 }
 
 /// The values of a track at the times of its poses.
 #[derive(Clone, Debug)]
-pub struct Motion {
+pub(crate) struct Motion {
     /// Time by the clock of the gyro, s.
-    pub time: Vec<f64>,
+    pub(crate) time: Vec<f64>,
     /// Position of the rigid body, m.
-    pub position: Vec<[f64; 2]>,
+    pub(crate) position: Vec<[f64; 2]>,
     /// Yaw of the rigid body, smoothed with the gyro, rad.
-    pub yaw: Vec<f64>,
+    pub(crate) yaw: Vec<f64>,
     /// Yaw rate, rad/s.
-    pub yaw_rate: Vec<f64>,
+    pub(crate) yaw_rate: Vec<f64>,
 }
 
 /// What is averaged to smooth the yaw: poses on both sides. The gyro bridges them.
@@ -44,11 +44,11 @@ const WINDOW: f64 = 2.0;
 
 impl Track {
     /// Adds a reading, in the order of arrival.
-    pub fn push(&mut self, observation: &Observation) {
+    pub(crate) fn push(&mut self, observation: &Observation) {
         match observation {
             Observation::Board(board) => {
                 let time = self.seconds(board.time.0);
-                self.motor.push((time, board.motor_speed));
+                self.motor.push([time, board.motor_speed]);
                 for (records, pulse) in self.pulses.iter_mut().zip([board.servo_us, board.esc_us]) {
                     records.push((time, board.board_us, pulse.into()));
                 }
@@ -71,26 +71,18 @@ impl Track {
     }
 
     /// Seconds since the start of the track.
-    pub fn seconds(&mut self, time_ns: u64) -> f64 {
+    pub(crate) fn seconds(&mut self, time_ns: u64) -> f64 {
         let origin = *self.origin_ns.get_or_insert(time_ns);
         time_ns.wrapping_sub(origin).cast_signed() as f64 * 1e-9
     }
 
-    /// The number of poses.
-    #[must_use]
-    pub const fn poses(&self) -> usize {
-        self.poses.len()
-    }
-
     /// The pulses of the servo.
-    #[must_use]
-    pub fn servo(&self) -> Frames {
+    pub(crate) fn servo(&self) -> Frames {
         Frames::of(&self.pulses[0])
     }
 
     /// The pulses of the ESC.
-    #[must_use]
-    pub fn esc(&self) -> Frames {
+    pub(crate) fn esc(&self) -> Frames {
         Frames::of(&self.pulses[1])
     }
 
@@ -98,19 +90,18 @@ impl Track {
     fn rate(&self) -> Signal {
         let (readings, rates): (Vec<Reading>, Vec<f64>) = self.gyro.iter().copied().unzip();
         let times = sample_times(&readings).times;
-        Signal(times.into_iter().zip(rates).collect())
+        let samples = times.into_iter().zip(rates);
+        Signal(samples.map(|(time, rate)| [time, rate]).collect())
     }
 
     /// The integral of the motor's speed, m.
-    #[must_use]
-    pub fn way(&self) -> Signal {
+    pub(crate) fn way(&self) -> Signal {
         Signal(self.motor.clone()).integral()
     }
 
     /// By how much the stamps of the poses are late against the gyro, s: the sums of which the
     /// quotient is that, so that tracks can be added. None without motion.
-    #[must_use]
-    pub fn latency(&self) -> [f64; 2] {
+    pub(crate) fn latency(&self) -> [f64; 2] {
         let rate = self.rate();
         let smooth = rate.smoothed(2);
         let turned = rate.integral();
@@ -143,8 +134,7 @@ impl Track {
     }
 
     /// The motion at the poses, whose stamps are late by `latency` s.
-    #[must_use]
-    pub fn motion(&self, latency: f64) -> Motion {
+    pub(crate) fn motion(&self, latency: f64) -> Motion {
         let turned = self.rate().integral();
         let time: Vec<f64> = self.poses.iter().map(|(time, _)| time - latency).collect();
         let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
@@ -193,71 +183,46 @@ fn detrended(times: &[f64], values: &[f64]) -> Vec<f64> {
     points.map(|[t, v]| v - line.at(t)).collect()
 }
 
-/// A value over time, linear between its samples.
+/// A value over time, linear between its samples: time in s and value.
 #[derive(Clone, Debug, Default)]
-pub struct Signal(pub Vec<Sample<f64>>);
+pub(crate) struct Signal(Vec<[f64; 2]>);
 
 impl Signal {
     /// The value at a time; the first or the last one outside.
-    #[must_use]
-    pub fn at(&self, time: f64) -> f64 {
-        let after = self.0.partition_point(|(sample, _)| *sample <= time);
-        match (after.checked_sub(1).map(|i| self.0[i]), self.0.get(after)) {
-            (Some((t0, v0)), Some((t1, v1))) => {
-                let share = if *t1 > t0 {
-                    (time - t0) / (t1 - t0)
-                } else {
-                    0.0
-                };
-                v0 + share * (v1 - v0)
-            }
-            (Some((_, value)), None) => value,
-            (None, Some((_, value))) => *value,
-            (None, None) => 0.0,
-        }
+    pub(crate) fn at(&self, time: f64) -> f64 {
+        interpolate(&self.0, time)
     }
 
     /// The integral since the first sample.
-    #[must_use]
-    pub fn integral(&self) -> Self {
+    pub(crate) fn integral(&self) -> Self {
         let mut sum = 0.0;
-        let mut last: Option<Sample<f64>> = None;
-        Self(
-            self.0
-                .iter()
-                .map(|&(time, value)| {
-                    if let Some((before, earlier)) = last {
-                        sum += (time - before) * f64::midpoint(value, earlier);
-                    }
-                    last = Some((time, value));
-                    (time, sum)
-                })
-                .collect(),
-        )
+        let mut last: Option<[f64; 2]> = None;
+        let integrated = self.0.iter().map(|&[time, value]| {
+            if let Some([before, earlier]) = last.replace([time, value]) {
+                sum += (time - before) * f64::midpoint(value, earlier);
+            }
+            [time, sum]
+        });
+        Self(integrated.collect())
     }
 
     /// The mean of every sample and `around` on both sides.
-    #[must_use]
     fn smoothed(&self, around: usize) -> Self {
         let all = &self.0;
-        Self(
-            (0..all.len())
-                .map(|index| {
-                    let around = around.min(index).min(all.len() - 1 - index);
-                    let near = &all[index - around..=index + around];
-                    let sum: f64 = near.iter().map(|(_, value)| value).sum();
-                    (all[index].0, sum / near.len() as f64)
-                })
-                .collect(),
-        )
+        let mean = |index: usize| {
+            let around = around.min(index).min(all.len() - 1 - index);
+            let near = &all[index - around..=index + around];
+            let sum: f64 = near.iter().map(|[_, value]| value).sum();
+            [all[index][0], sum / near.len() as f64]
+        };
+        Self((0..all.len()).map(mean).collect())
     }
 }
 
 impl Motion {
     /// The displacement of the rigid body from pose to pose, along and across a car whose yaw is
     /// that of the body less `body_yaw`, m.
-    #[must_use]
-    pub fn displacement(&self, body_yaw: f64) -> Vec<[f64; 2]> {
+    pub(crate) fn displacement(&self, body_yaw: f64) -> Vec<[f64; 2]> {
         (1..self.time.len())
             .map(|index| {
                 let [x0, y0] = self.position[index - 1];
@@ -272,8 +237,7 @@ impl Motion {
 
     /// The way of the rear axle since the first pose, m, when the pivot is `left` m to the left
     /// of the car's middle.
-    #[must_use]
-    pub fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<f64> {
+    pub(crate) fn rear_way(&self, body_yaw: f64, left: f64) -> Vec<f64> {
         let mut way = 0.0;
         let mut ways = vec![0.0];
         for (index, [along, _]) in self.displacement(body_yaw).into_iter().enumerate() {
@@ -284,8 +248,7 @@ impl Motion {
     }
 
     /// The speed of the rear axle at every pose, over `span` poses on both sides, m/s.
-    #[must_use]
-    pub fn rear_speed(&self, body_yaw: f64, left: f64, span: usize) -> Vec<f64> {
+    pub(crate) fn rear_speed(&self, body_yaw: f64, left: f64, span: usize) -> Vec<f64> {
         let way = self.rear_way(body_yaw, left);
         (0..self.time.len())
             .map(|index| {

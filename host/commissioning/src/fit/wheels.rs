@@ -1,36 +1,25 @@
 //! The steering servo, from a drive with bends.
 
-use singletrack_control::interpolate;
+use singletrack_control::{VehicleParameters, interpolate};
 
 use super::{Frames, Motion, gauss_newton};
 
 /// The steering servo, as one pass shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wheels {
+pub(crate) struct Wheels {
     /// Pulse for straight wheels, µs.
-    pub centre_us: f64,
+    pub(crate) centre_us: f64,
     /// Pulse per angle to the left, µs/rad.
-    pub gain_us_per_rad: f64,
+    pub(crate) gain_us_per_rad: f64,
     /// Time constant, s.
-    pub lag: f64,
+    pub(crate) lag: f64,
     /// Time from the pulse in the telemetry to the first movement, s.
-    pub delay: f64,
+    pub(crate) delay: f64,
     /// Play, µs.
-    pub play_us: f64,
+    pub(crate) play_us: f64,
     /// How much more the car turns than the fit in bends to the left and to the right, as a
     /// fraction.
-    pub excess: [f64; 2],
-}
-
-/// What is known of the car: the single-track model in small angles, with linear tyres.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Turning {
-    /// Mass, kg, and yaw inertia, kg m².
-    pub inertia: [f64; 2],
-    /// Distance of the front and the rear axle from the centre of mass, m.
-    pub axles: [f64; 2],
-    /// Cornering stiffness of the front and the rear axle, N/rad.
-    pub stiffness: [f64; 2],
+    pub(crate) excess: [f64; 2],
 }
 
 /// The step of the simulated servo, s.
@@ -40,6 +29,12 @@ const STEP: f64 = 0.002;
 const MOST_PLAY_US: f64 = 24.0;
 const PLAY_STEP_US: f64 = 0.5;
 
+/// Bounds of the time constant and of the dead time, s.
+const SERVO_BOUNDS: [[f64; 2]; 2] = [[0.002, 0.3], [-0.03, 0.2]];
+
+/// Pulses between which the angles of [`wheel_angles`] are straight lines.
+const PULSES: usize = 5;
+
 /// The model moves for so long before the pass: it forgets how it began, s.
 const AHEAD: f64 = 0.3;
 
@@ -48,19 +43,18 @@ const SLOWEST: f64 = 0.05;
 
 /// Fits the servo to the yaw rate: `speed` is that of the rear axle at every pose. `about` is
 /// where the search begins. None if the drive does not determine it.
-#[must_use]
-pub fn wheels(
+pub(crate) fn wheels(
     motion: &Motion,
     pulses: &Frames,
     speed: &[f64],
-    turning: &Turning,
+    vehicle: &VehicleParameters,
     about: [f64; 2],
 ) -> Option<Wheels> {
     let [centre_us, gain_us_per_rad] = about;
     let residuals = |&[centre_us, inverse, lag, delay, play_us]: &[f64; 5]| {
         let angle = |pulse: f64| 1e-3 * (pulse - centre_us) * inverse;
         let servo = [lag, delay, play_us];
-        residuals(motion, pulses, speed, turning, &angle, servo)
+        residuals(motion, pulses, speed, vehicle, &angle, servo)
     };
     let start = [centre_us, 1_000.0 / gain_us_per_rad, 0.04, 0.01];
     let reach = 1_000.0 / gain_us_per_rad.abs();
@@ -68,8 +62,8 @@ pub fn wheels(
         [centre_us - 200.0, centre_us + 200.0],
         // Its sign is known.
         [0.3 * reach, 3.0 * reach].map(|gain| gain * gain_us_per_rad.signum()),
-        [0.002, 0.3],
-        [-0.03, 0.2],
+        SERVO_BOUNDS[0],
+        SERVO_BOUNDS[1],
     ]
     .map(|[one, other]: [f64; 2]| [one.min(other), one.max(other)]);
     let scale = [0.5, 0.01, 0.001, 0.001];
@@ -123,49 +117,40 @@ pub fn wheels(
 /// The angles of the wheels at these pulses, in rad, with straight lines between them, for a servo
 /// that is otherwise as `found`; every pulse of the pass should lie between them. None if the
 /// drive does not determine them.
-#[must_use]
-pub fn wheel_angles<const N: usize, const M: usize>(
+pub(crate) fn wheel_angles(
     motion: &Motion,
     pulses: &Frames,
     speed: &[f64],
-    turning: &Turning,
+    vehicle: &VehicleParameters,
     found: &Wheels,
-    at_us: &[f64; N],
-) -> Option<[f64; N]> {
-    const { assert!(M == N + 2) };
+    at_us: &[f64; PULSES],
+) -> Option<[f64; PULSES]> {
     // The lag and the dead time that fitted a straight line are not quite those of this servo.
-    let whole = |parameters: &[f64; M]| {
-        let pairs: [[f64; 2]; N] = std::array::from_fn(|i| [at_us[i], parameters[i]]);
+    let whole = |&[angles @ .., lag, delay]: &[f64; PULSES + 2]| {
+        let pairs: [[f64; 2]; PULSES] = std::array::from_fn(|i| [at_us[i], angles[i]]);
         let angle = |pulse: f64| interpolate(&pairs, pulse);
-        let servo = [parameters[N], parameters[N + 1], found.play_us];
-        residuals(motion, pulses, speed, turning, &angle, servo)
+        let servo = [lag, delay, found.play_us];
+        residuals(motion, pulses, speed, vehicle, &angle, servo)
     };
-    let start: [f64; M] = std::array::from_fn(|i| match at_us.get(i) {
-        Some(pulse) => (pulse - found.centre_us) / found.gain_us_per_rad,
-        None if i == N => found.lag,
-        None => found.delay,
-    });
-    let bounds = std::array::from_fn(|i| match i {
-        i if i < N => [-1.5, 1.5],
-        i if i == N => [0.002, 0.3],
-        _ => [-0.03, 0.2],
-    });
-    let parameters = gauss_newton(start, [1e-3; M], bounds, whole)?;
-    Some(std::array::from_fn(|i| parameters[i]))
+    let [a, b, c, d, e] = at_us.map(|pulse| (pulse - found.centre_us) / found.gain_us_per_rad);
+    let start = [a, b, c, d, e, found.lag, found.delay];
+    let (wide, [lag, delay]) = ([-1.5, 1.5], SERVO_BOUNDS);
+    let bounds = [wide, wide, wide, wide, wide, lag, delay];
+    let [angles @ .., _, _] = gauss_newton(start, [1e-3; PULSES + 2], bounds, whole)?;
+    Some(angles)
 }
 
 /// The measured yaw rate and that of the model from pose to pose: s, rad/s, rad/s.
-#[must_use]
-pub fn yaw_rates(
+pub(crate) fn yaw_rates(
     motion: &Motion,
     pulses: &Frames,
     speed: &[f64],
-    turning: &Turning,
+    vehicle: &VehicleParameters,
     found: &Wheels,
 ) -> Vec<[f64; 3]> {
     let angle = |pulse: f64| (pulse - found.centre_us) / found.gain_us_per_rad;
     let servo = [found.lag, found.delay, found.play_us];
-    let residuals = residuals(motion, pulses, speed, turning, &angle, servo);
+    let residuals = residuals(motion, pulses, speed, vehicle, &angle, servo);
     let steps = motion.time.windows(2).zip(motion.yaw.windows(2));
     steps
         .zip(residuals)
@@ -181,7 +166,7 @@ fn residuals(
     motion: &Motion,
     pulses: &Frames,
     speed: &[f64],
-    turning: &Turning,
+    vehicle: &VehicleParameters,
     angle: &dyn Fn(f64) -> f64,
     [lag, delay, play_us]: [f64; 3],
 ) -> Vec<f64> {
@@ -191,9 +176,9 @@ fn residuals(
     let mut now = start - AHEAD;
     let mut held = pulses.at(now - delay);
     let mut turned = angle(held);
-    let [front, rear] = turning.axles;
-    let bend = turned / (front + rear);
-    let mut motion_state = [bend * speed.first().unwrap_or(&0.0), bend * rear];
+    let bend = turned / vehicle.wheelbase_m();
+    let beta = bend * vehicle.rear_axle_distance_m;
+    let mut state = [bend * speed.first().unwrap_or(&0.0), beta];
     let share = 1.0 - (-STEP / lag).exp();
     (1..motion.time.len())
         .map(|index| {
@@ -207,55 +192,61 @@ fn residuals(
                 let before = turned;
                 turned += share * (angle(held) - turned);
                 let steered = f64::midpoint(before, turned);
-                motion_state = turning.step(motion_state, speed.max(SLOWEST), steered, STEP);
+                state = step(vehicle, state, speed.max(SLOWEST), steered, STEP);
             }
             if speed < SLOWEST || t1 <= t0 {
                 return 0.0;
             }
             let rate = (motion.yaw[index] - motion.yaw[index - 1]) / (t1 - t0);
             // The remaining part of a step, as if the motion changed evenly.
-            let next = turning.step(motion_state, speed, turned, STEP)[0];
+            let next = step(vehicle, state, speed, turned, STEP)[0];
             let rest = (middle - now) / STEP;
-            rate - motion_state[0] - rest * (next - motion_state[0])
+            rate - state[0] - rest * (next - state[0])
         })
         .collect()
 }
 
-impl Turning {
-    /// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle.
-    fn step(&self, [rate, sideslip]: [f64; 2], speed: f64, steered: f64, step: f64) -> [f64; 2] {
-        let [mass, inertia] = self.inertia;
-        let [front, rear] = self.axles;
-        let [c_f, c_r] = self.stiffness;
-        // Of the centre of mass.
-        let v = speed / sideslip.cos();
-        let matrix = [
-            [
-                -(front * front * c_f + rear * rear * c_r) / (inertia * v),
-                (rear * c_r - front * c_f) / inertia,
-            ],
-            [
-                (rear * c_r - front * c_f) / (mass * v * v) - 1.0,
-                -(c_f + c_r) / (mass * v),
-            ],
-        ];
-        let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
-        // The trapezoidal rule: it is stable, however fast the tyres are.
-        let half = 0.5 * step;
-        let old = [rate, sideslip];
-        let right: [f64; 2] = std::array::from_fn(|i| {
-            old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + step * input[i]
-        });
-        let left = [
-            [1.0 - half * matrix[0][0], -half * matrix[0][1]],
-            [-half * matrix[1][0], 1.0 - half * matrix[1][1]],
-        ];
-        let determinant = left[0][0] * left[1][1] - left[0][1] * left[1][0];
+/// Yaw rate and sideslip after a step with the rear axle's speed and the steering angle, of the
+/// single-track model in small angles, with linear tyres.
+fn step(
+    vehicle: &VehicleParameters,
+    [rate, sideslip]: [f64; 2],
+    speed: f64,
+    steered: f64,
+    step: f64,
+) -> [f64; 2] {
+    let (mass, inertia) = (vehicle.mass_kg, vehicle.yaw_inertia_kg_m2);
+    let (front, rear) = (vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
+    let c_f = vehicle.front_cornering_stiffness_n_rad;
+    let c_r = vehicle.rear_cornering_stiffness_n_rad;
+    // Of the centre of mass.
+    let v = speed / sideslip.cos();
+    let matrix = [
         [
-            (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
-            (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
-        ]
-    }
+            -(front * front * c_f + rear * rear * c_r) / (inertia * v),
+            (rear * c_r - front * c_f) / inertia,
+        ],
+        [
+            (rear * c_r - front * c_f) / (mass * v * v) - 1.0,
+            -(c_f + c_r) / (mass * v),
+        ],
+    ];
+    let input = [front * c_f / inertia * steered, c_f / (mass * v) * steered];
+    // The trapezoidal rule: it is stable, however fast the tyres are.
+    let half = 0.5 * step;
+    let old = [rate, sideslip];
+    let right: [f64; 2] = std::array::from_fn(|i| {
+        old[i] + half * (matrix[i][0] * rate + matrix[i][1] * sideslip) + step * input[i]
+    });
+    let left = [
+        [1.0 - half * matrix[0][0], -half * matrix[0][1]],
+        [-half * matrix[1][0], 1.0 - half * matrix[1][1]],
+    ];
+    let determinant = left[0][0] * left[1][1] - left[0][1] * left[1][0];
+    [
+        (right[0] * left[1][1] - left[0][1] * right[1]) / determinant,
+        (left[0][0] * right[1] - left[1][0] * right[0]) / determinant,
+    ]
 }
 
 #[cfg(test)]
@@ -263,10 +254,14 @@ mod tests {
     use super::*;
     use crate::fit::tests::Noise;
 
-    const CAR: Turning = Turning {
-        inertia: [1.9, 0.0251],
-        axles: [0.1368, 0.1232],
-        stiffness: [58.0, 131.0],
+    const CAR: VehicleParameters = VehicleParameters {
+        mass_kg: 1.9,
+        yaw_inertia_kg_m2: 0.0251,
+        front_axle_distance_m: 0.1368,
+        rear_axle_distance_m: 0.1232,
+        friction: 1.0,
+        front_cornering_stiffness_n_rad: 58.0,
+        rear_cornering_stiffness_n_rad: 131.0,
     };
 
     /// A pass over both circles with a weave, by a servo with these parameters.
@@ -327,7 +322,7 @@ mod tests {
             let pulse = wanted(((acted - phase) / 0.02 + 1e-9).floor() * 0.02 + phase);
             held = held.clamp(pulse - 0.5 * truth.play_us, pulse + 0.5 * truth.play_us);
             turned += step * (turned_by(held) - turned) / truth.lag;
-            state = CAR.step(state, 0.28, turned, step);
+            state = super::step(&CAR, state, 0.28, turned, step);
             yaw += step * state[0];
             if index % 50 == 0 && now > 0.3 {
                 motion.time.push(now + step);
@@ -390,7 +385,7 @@ mod tests {
                 let turned_by = |pulse| interpolate(&table, pulse);
                 let (motion, pulses, speed) = pass_of(seed, &believed, &turned_by);
                 let line = wheels(&motion, &pulses, &speed, &CAR, [1_500.0, -800.0]).unwrap();
-                wheel_angles::<5, 7>(&motion, &pulses, &speed, &CAR, &line, &at_us).unwrap()
+                wheel_angles(&motion, &pulses, &speed, &CAR, &line, &at_us).unwrap()
             })
             .collect();
         for (index, [pulse, angle]) in table.into_iter().enumerate() {
