@@ -5,4 +5,5 @@ pub mod compare;
 pub mod identify;
 pub mod reproduce;
 pub mod stability;
+pub mod table;
 pub mod vehicle_file;

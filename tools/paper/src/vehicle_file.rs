@@ -8,7 +8,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use singletrack_control::{VehicleParameterError, VehicleParameters};
 
 /// Why a file gives no car.
@@ -44,7 +44,7 @@ pub enum VehicleFileError {
 }
 
 /// What is read of a file; other tables may be there.
-#[derive(Deserialize)]
+#[derive(Deserialize, Serialize)]
 struct File {
     vehicle: VehicleParameters,
 }
@@ -79,6 +79,15 @@ pub fn read(path: &Path) -> Result<VehicleParameters, VehicleFileError> {
             source,
         })?;
     Ok(vehicle)
+}
+
+/// The text of a file with this car.
+///
+/// # Errors
+///
+/// A number that has no TOML.
+pub fn text(vehicle: VehicleParameters) -> Result<String, toml::ser::Error> {
+    toml::to_string(&File { vehicle })
 }
 
 #[cfg(test)]

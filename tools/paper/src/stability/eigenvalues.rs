@@ -4,25 +4,21 @@ use serde_json::json;
 use singletrack_analysis::stability::{Eigenvalues, StabilityError};
 
 use super::{
-    arguments::{Format, MapArgs},
-    error::StabilityCommandError,
-    grid::Grid,
-    output::{Table, write_json},
-    subject::Subject,
+    arguments::MapArgs, error::StabilityCommandError, grid::Grid, output::write, subject::Subject,
 };
+use crate::table::Table;
 
 pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let map = eigenvalue_map(&subject, args.points.speeds(), &dl)?;
-    match args.format {
-        Format::Csv => table(&map).write_csv()?,
-        Format::Json => {
-            let points: Vec<_> = map.iter().map(document).collect();
-            write_json(&subject, &points)?;
-        }
-    }
-    Ok(())
+    let points: Vec<_> = map.iter().map(document).collect();
+    Ok(write(
+        args.format,
+        &subject,
+        &eigenvalue_table(&map),
+        &points,
+    )?)
 }
 
 /// The eigenvalues at a speed and a dl.
@@ -59,28 +55,23 @@ pub fn eigenvalue_map(
     Ok(map)
 }
 
-fn table(map: &[EigenvalueRow]) -> Table {
-    let count = map.first().map_or(0, |row| row.eigenvalues.len());
-    let names = ["re1", "im1", "re2", "im2", "re3", "im3", "re4", "im4"];
-    Table {
-        columns: ["speed_m_s", "dl_m"]
+/// The numbers of a map.
+#[must_use]
+pub fn eigenvalue_table(map: &[EigenvalueRow]) -> Table {
+    let mut header = "speed_m_s,dl_m".to_owned();
+    for number in 1..=map.first().map_or(0, |row| row.eigenvalues.len()) {
+        header += &format!(",re{number},im{number}");
+    }
+    let rows = map.iter().map(|row| {
+        let eigenvalues = row.eigenvalues.iter();
+        [row.speed, row.deviation]
             .into_iter()
-            .chain(names.into_iter().take(2 * count))
-            .collect(),
-        rows: map
-            .iter()
-            .map(|row| {
-                let eigenvalues = row
-                    .eigenvalues
-                    .iter()
-                    .flat_map(|value| [value.re, value.im]);
-                [row.speed, row.deviation]
-                    .into_iter()
-                    .chain(eigenvalues)
-                    .map(Some)
-                    .collect()
-            })
-            .collect(),
+            .chain(eigenvalues.flat_map(|value| [value.re, value.im]))
+            .collect()
+    });
+    Table {
+        header,
+        rows: rows.collect(),
     }
 }
 

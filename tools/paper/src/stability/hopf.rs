@@ -1,7 +1,5 @@
 //! The Hopf curve: where stability ends, speed by speed.
 
-use std::io::{self, Write as _};
-
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
@@ -11,10 +9,11 @@ use super::{
     error::StabilityCommandError,
     figures::{self, Scene},
     grid::Grid,
-    output::{Table, write_json},
+    output::{print, write_json},
     region::region,
     subject::Subject,
 };
+use crate::table::Table;
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct HopfArgs {
@@ -44,7 +43,7 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
         eprintln!("singletrack: there is no Hopf point at these speeds, for any dl");
     }
     match args.format {
-        HopfFormat::Csv => table(&curve).write_csv()?,
+        HopfFormat::Csv => print(&hopf_table(&curve).to_csv())?,
         HopfFormat::Json => {
             let points: Vec<_> = curve.iter().map(document).collect();
             write_json(&subject, &points)?;
@@ -53,7 +52,7 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
             let deviations = figures::drawn_deviations(&subject, 241);
             let region = region(&subject, &args.speed.speeds, &deviations)?;
             let figure = figures::region(&Scene::new(&subject, &curve)?, &region)?;
-            io::stdout().write_all(figure.to_svg().as_bytes())?;
+            print(&figure.to_svg())?;
         }
     }
     Ok(())
@@ -78,30 +77,19 @@ pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, St
     Ok(curve)
 }
 
-fn table(curve: &[HopfPoint]) -> Table {
-    Table {
-        columns: vec![
-            "speed_m_s",
-            "dl_hopf_m",
-            "omega_rad_s",
-            "l1_kuznetsov",
-            "l1_matcont",
+/// The numbers of Hopf points.
+#[must_use]
+pub fn hopf_table(curve: &[HopfPoint]) -> Table {
+    Table::of(
+        curve,
+        &[
+            ("speed_m_s", |point| point.speed),
+            ("dl_hopf_m", |point| point.deviation),
+            ("omega_rad_s", |point| point.angular_frequency),
+            ("l1_kuznetsov", |point| point.lyapunov.kuznetsov),
+            ("l1_matcont", |point| point.lyapunov.matcont),
         ],
-        rows: curve
-            .iter()
-            .map(|point| {
-                [
-                    point.speed,
-                    point.deviation,
-                    point.angular_frequency,
-                    point.lyapunov.kuznetsov,
-                    point.lyapunov.matcont,
-                ]
-                .map(Some)
-                .to_vec()
-            })
-            .collect(),
-    }
+    )
 }
 
 fn document(point: &HopfPoint) -> serde_json::Value {

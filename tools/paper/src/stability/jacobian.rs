@@ -10,7 +10,7 @@ use singletrack_analysis::stability::Law;
 use super::{
     arguments::{Format, LoopArgs},
     error::StabilityCommandError,
-    output::{print_csv, write_json},
+    output::{print, write_json},
 };
 
 #[derive(Clone, Debug, Args)]
@@ -76,13 +76,10 @@ pub(super) fn run(args: &JacobianArgs) -> Result<(), StabilityCommandError> {
 }
 
 fn write_csv(states: &[&str], jacobian: &DMatrix<f64>) -> io::Result<()> {
-    let names = states.iter().map(ToString::to_string);
-    let header = ["derivative_of".to_owned()]
-        .into_iter()
-        .chain(names.clone());
-    let rows = names.zip(jacobian.row_iter()).map(|(state, row)| {
-        let cells = row.iter().map(f64::to_string);
-        [state].into_iter().chain(cells).collect()
-    });
-    print_csv([header.collect()].into_iter().chain(rows))
+    let mut text = format!("derivative_of,{}\n", states.join(","));
+    for (state, row) in states.iter().zip(jacobian.row_iter()) {
+        let cells: Vec<String> = row.iter().map(f64::to_string).collect();
+        text += &format!("{state},{}\n", cells.join(","));
+    }
+    print(&text)
 }

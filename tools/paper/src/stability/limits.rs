@@ -8,9 +8,10 @@ use super::{
     arguments::{Format, LoopArgs, TimingArgs},
     error::StabilityCommandError,
     grid::Grid,
-    output::{Table, write_json},
+    output::write,
     subject::Subject,
 };
+use crate::table::Table;
 
 /// The searched speeds, in m/s.
 pub(super) const SEARCHED_SPEEDS: Search = Search {
@@ -27,12 +28,7 @@ pub(super) const RANGE_POINTS: usize = 9;
 
 /// Options of `first-unstable-speed`.
 #[derive(Clone, Debug, Args)]
-#[command(
-    mut_arg("delay_ms", |arg| arg.default_value("6")),
-    mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
-    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
-    mut_arg("point_distance", |arg| arg.hide(true)),
-)]
+#[command(mut_arg("point_distance", |arg| arg.hide(true)))]
 pub(super) struct FirstUnstableArgs {
     #[command(flatten)]
     subject: LoopArgs,
@@ -47,24 +43,13 @@ pub(super) struct FirstUnstableArgs {
         default_value = "0"
     )]
     dl: Grid,
-    /// Delays from tick to servo, in ms [default: the one of --delay-ms]
-    #[arg(long, value_name = "A:B:STEP")]
-    delays_ms: Option<Grid>,
     #[command(flatten)]
-    timing: TimingArgs,
-    /// How to write it
-    #[arg(long, value_enum, default_value_t = Format::Csv)]
-    format: Format,
+    servo: ServoArgs,
 }
 
 /// Options of `least-p`.
 #[derive(Clone, Debug, Args)]
-#[command(
-    mut_arg("delay_ms", |arg| arg.default_value("6")),
-    mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
-    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
-    mut_arg("point_distance", |arg| arg.hide(true)),
-)]
+#[command(mut_arg("point_distance", |arg| arg.hide(true)))]
 pub(super) struct LeastArgs {
     #[command(flatten)]
     subject: LoopArgs,
@@ -79,6 +64,18 @@ pub(super) struct LeastArgs {
         default_value = "0"
     )]
     dl: Grid,
+    #[command(flatten)]
+    servo: ServoArgs,
+}
+
+/// The timing with the servo of the simulated car, and how to write the result.
+#[derive(Clone, Debug, Args)]
+#[command(
+    mut_arg("delay_ms", |arg| arg.default_value("6")),
+    mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
+    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
+)]
+struct ServoArgs {
     /// Delays from tick to servo, in ms [default: the one of --delay-ms]
     #[arg(long, value_name = "A:B:STEP")]
     delays_ms: Option<Grid>,
@@ -87,6 +84,19 @@ pub(super) struct LeastArgs {
     /// How to write it
     #[arg(long, value_enum, default_value_t = Format::Csv)]
     format: Format,
+}
+
+impl ServoArgs {
+    /// The timing with each of the delays, or with its own.
+    fn timings(&self) -> Vec<TimingArgs> {
+        let own = [self.timing.delay_ms];
+        let delays = self.delays_ms.as_ref().map_or(&own[..], Grid::values);
+        let timings = delays.iter().map(|delay_ms| TimingArgs {
+            delay_ms: *delay_ms,
+            ..self.timing
+        });
+        timings.collect()
+    }
 }
 
 /// The first unstable speed with one p, dl and delay.
@@ -113,7 +123,7 @@ pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), Stabili
     let mut rows = Vec::new();
     for p in args.distances.values() {
         for dl in args.dl.values() {
-            for timing in with_delays(args.timing, args.delays_ms.as_ref()) {
+            for timing in args.servo.timings() {
                 rows.push(FirstUnstableRow {
                     point_distance_m: *p,
                     dl_m: *dl,
@@ -123,32 +133,25 @@ pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), Stabili
             }
         }
     }
-    match args.format {
-        Format::Csv => Table {
-            columns: vec!["point_distance_m", "dl_m", "delay_ms", "first_unstable_m_s"],
-            rows: rows
-                .iter()
-                .map(|row| {
-                    vec![
-                        Some(row.point_distance_m),
-                        Some(row.dl_m),
-                        Some(row.delay_ms),
-                        row.first_unstable_m_s,
-                    ]
-                })
-                .collect(),
-        }
-        .write_csv()?,
-        Format::Json => write_json(&subject, &rows)?,
-    }
-    Ok(())
+    let table = Table::of(
+        &rows,
+        &[
+            ("point_distance_m", |row| row.point_distance_m),
+            ("dl_m", |row| row.dl_m),
+            ("delay_ms", |row| row.delay_ms),
+            ("first_unstable_m_s", |row| {
+                row.first_unstable_m_s.unwrap_or(f64::NAN)
+            }),
+        ],
+    );
+    Ok(write(args.servo.format, &subject, &table, &rows)?)
 }
 
 pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
     let mut rows = Vec::new();
     for speed in args.speeds.values() {
-        for timing in with_delays(args.timing, args.delays_ms.as_ref()) {
+        for timing in args.servo.timings() {
             rows.push(LeastRow {
                 speed_m_s: *speed,
                 delay_ms: timing.delay_ms,
@@ -156,31 +159,15 @@ pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
             });
         }
     }
-    match args.format {
-        Format::Csv => Table {
-            columns: vec!["speed_m_s", "delay_ms", "least_p_m"],
-            rows: rows
-                .iter()
-                .map(|row| vec![Some(row.speed_m_s), Some(row.delay_ms), row.least_p_m])
-                .collect(),
-        }
-        .write_csv()?,
-        Format::Json => write_json(&subject, &rows)?,
-    }
-    Ok(())
-}
-
-/// The timing with each of the delays, or with its own.
-fn with_delays(timing: TimingArgs, delays: Option<&Grid>) -> Vec<TimingArgs> {
-    let own = [timing.delay_ms];
-    delays
-        .map_or(&own[..], Grid::values)
-        .iter()
-        .map(|delay_ms| TimingArgs {
-            delay_ms: *delay_ms,
-            ..timing
-        })
-        .collect()
+    let table = Table::of(
+        &rows,
+        &[
+            ("speed_m_s", |row| row.speed_m_s),
+            ("delay_ms", |row| row.delay_ms),
+            ("least_p_m", |row| row.least_p_m.unwrap_or(f64::NAN)),
+        ],
+    );
+    Ok(write(args.servo.format, &subject, &table, &rows)?)
 }
 
 /// The lowest speed in m/s from which the motion is unstable with one of `deviations` (m) and

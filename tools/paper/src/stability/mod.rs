@@ -20,13 +20,13 @@ use std::io;
 use clap::{Args, Subcommand};
 
 pub use arguments::TimingArgs;
-pub use eigenvalues::{EigenvalueRow, eigenvalue_map};
+pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
 pub use error::StabilityCommandError;
 pub use grid::Grid;
-pub use hopf::hopf_curve;
+pub use hopf::{hopf_curve, hopf_table};
 pub use limits::{first_unstable, least_p};
 pub use region::{RegionRow, region};
-pub use sampled::{SampledRow, sampled_map};
+pub use sampled::{SampledRow, sampled_map, sampled_table};
 pub use subject::Subject;
 
 /// Options of `singletrack stability`.

@@ -5,30 +5,27 @@ use std::io::{self, BufWriter, Write};
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law};
-use singletrack_scenario::csv_text::csv_text;
 
-use super::subject::Subject;
+use super::{arguments::Format, subject::Subject};
+use crate::table::Table;
 
-/// A table: the names of its columns and its rows. A missing number is an empty field.
-pub(super) struct Table {
-    pub(super) columns: Vec<&'static str>,
-    pub(super) rows: Vec<Vec<Option<f64>>>,
-}
-
-impl Table {
-    pub(super) fn write_csv(&self) -> io::Result<()> {
-        // The shortest text that is this number and no other.
-        let cell = |value: &Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-        let header = self.columns.iter().map(ToString::to_string).collect();
-        let rows = self.rows.iter().map(|row| row.iter().map(cell).collect());
-        print_csv([header].into_iter().chain(rows))
+/// Writes rows as a table, or as `points` of a document.
+pub(super) fn write(
+    format: Format,
+    subject: &Subject,
+    table: &Table,
+    points: &impl Serialize,
+) -> io::Result<()> {
+    match format {
+        Format::Csv => print(&table.to_csv()),
+        Format::Json => write_json(subject, points),
     }
 }
 
-/// Writes rows of cells to standard output.
-pub(super) fn print_csv(rows: impl IntoIterator<Item = Vec<String>>) -> io::Result<()> {
+/// Writes a text to standard output.
+pub(super) fn print(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    out.write_all(csv_text(rows).as_bytes())?;
+    out.write_all(text.as_bytes())?;
     out.flush()
 }
 

@@ -4,36 +4,24 @@ use serde::Serialize;
 use singletrack_analysis::stability::StabilityError;
 
 use super::{
-    arguments::{Format, MapArgs},
-    error::StabilityCommandError,
-    grid::Grid,
-    output::{Table, write_json},
-    subject::Subject,
+    arguments::MapArgs, error::StabilityCommandError, grid::Grid, output::write, subject::Subject,
 };
+use crate::table::Table;
 
 pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let region = region(&subject, args.points.speeds(), &dl)?;
-    match args.format {
-        Format::Csv => Table {
-            columns: vec!["speed_m_s", "dl_m", "largest_re_per_s", "stable"],
-            rows: region
-                .iter()
-                .map(|row| {
-                    vec![
-                        Some(row.speed_m_s),
-                        Some(row.dl_m),
-                        Some(row.largest_re_per_s),
-                        Some(f64::from(u8::from(row.stable))),
-                    ]
-                })
-                .collect(),
-        }
-        .write_csv()?,
-        Format::Json => write_json(&subject, &region)?,
-    }
-    Ok(())
+    let table = Table::of(
+        &region,
+        &[
+            ("speed_m_s", |row| row.speed_m_s),
+            ("dl_m", |row| row.dl_m),
+            ("largest_re_per_s", |row| row.largest_re_per_s),
+            ("stable", |row| f64::from(u8::from(row.stable))),
+        ],
+    );
+    Ok(write(args.format, &subject, &table, &region)?)
 }
 
 /// Whether the steady motion is stable at a speed and a dl.

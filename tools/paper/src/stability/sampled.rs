@@ -9,9 +9,10 @@ use super::{
     arguments::{Format, LoopArgs, PointArgs, TimingArgs},
     error::StabilityCommandError,
     grid::Grid,
-    output::{Table, write_json},
+    output::write,
     subject::Subject,
 };
+use crate::table::Table;
 
 #[derive(Clone, Debug, Args)]
 #[command(
@@ -50,32 +51,26 @@ pub(super) fn run(args: &SampledArgs) -> Result<(), StabilityCommandError> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    match args.format {
-        Format::Csv => Table {
-            columns: vec![
-                "speed_m_s",
-                "dl_m",
-                "spectral_radius",
-                "delay_margin_s",
-                "longest_marker_interval_s",
-            ],
-            rows: map
-                .iter()
-                .map(|row| {
-                    vec![
-                        Some(row.speed_m_s),
-                        Some(row.dl_m),
-                        Some(row.spectral_radius),
-                        row.delay_margin_s,
-                        row.longest_marker_interval_s,
-                    ]
-                })
-                .collect(),
-        }
-        .write_csv()?,
-        Format::Json => write_json(&subject, &map)?,
-    }
-    Ok(())
+    Ok(write(args.format, &subject, &sampled_table(&map), &map)?)
+}
+
+/// The numbers of a map; of a margin that was not found none.
+#[must_use]
+pub fn sampled_table(map: &[SampledRow]) -> Table {
+    Table::of(
+        map,
+        &[
+            ("speed_m_s", |row| row.speed_m_s),
+            ("dl_m", |row| row.dl_m),
+            ("spectral_radius", |row| row.spectral_radius),
+            ("delay_margin_s", |row| {
+                row.delay_margin_s.unwrap_or(f64::NAN)
+            }),
+            ("longest_marker_interval_s", |row| {
+                row.longest_marker_interval_s.unwrap_or(f64::NAN)
+            }),
+        ],
+    )
 }
 
 /// The sampled loop at a speed and a dl.

@@ -1,0 +1,39 @@
+//! Tables of numbers.
+
+use singletrack_scenario::csv_text::csv_text;
+
+/// Columns of numbers; what is not a number is missing.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// The names of the columns, separated by commas, with their units.
+    pub header: String,
+    /// The rows.
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl Table {
+    /// The columns of some rows.
+    pub fn of<R>(rows: &[R], columns: &[(&str, fn(&R) -> f64)]) -> Self {
+        let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+        let values = |row| columns.iter().map(|(_, value)| value(row)).collect();
+        Self {
+            header: names.join(","),
+            rows: rows.iter().map(values).collect(),
+        }
+    }
+
+    /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let cell = |value: &f64| {
+            if value.is_nan() {
+                String::new()
+            } else {
+                value.to_string()
+            }
+        };
+        let rows = self.rows.iter();
+        let rows = rows.map(|row| row.iter().map(cell).collect::<Vec<String>>());
+        format!("{}\n{}", self.header, csv_text(rows))
+    }
+}
