@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::text::number;
 
@@ -34,7 +34,10 @@ impl Measurements {
 }
 
 /// The condition under which a number agrees. A number that is not finite never does.
-#[derive(Clone, Copy, Debug, PartialEq)]
+///
+/// As text `< a`, `> a` or `= a ± b`, where a value may be a product: `2 0.26`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "String", into = "String")]
 pub enum Criterion {
     /// Within a tolerance of a value.
     Near {
@@ -64,6 +67,35 @@ impl Criterion {
     }
 }
 
+impl TryFrom<String> for Criterion {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let product = |factors: &str| {
+            let factors = factors.trim().split(' ').map(str::parse::<f64>);
+            factors.product::<Result<f64, _>>().ok()
+        };
+        let criterion = match text.split_at_checked(1) {
+            Some(("<", bound)) => product(bound).map(Self::Below),
+            Some((">", bound)) => product(bound).map(Self::Above),
+            Some(("=", near)) => near.split_once('±').and_then(|(value, tolerance)| {
+                Some(Self::Near {
+                    value: product(value)?,
+                    tolerance: product(tolerance)?,
+                })
+            }),
+            _ => None,
+        };
+        criterion.ok_or_else(|| format!("{text:?} is no criterion"))
+    }
+}
+
+impl From<Criterion> for String {
+    fn from(criterion: Criterion) -> Self {
+        criterion.to_string()
+    }
+}
+
 impl fmt::Display for Criterion {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
@@ -83,25 +115,48 @@ impl fmt::Display for Criterion {
 }
 
 /// A number that a claim is about.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct Quantity {
-    /// What distinguishes it, such as the plant; empty if the claim has one number only.
-    pub label: &'static str,
+    /// What distinguishes it, such as the plant.
+    pub label: String,
     /// Its name among the [`Measurements`].
+    #[serde(rename = "quantity")]
     pub name: String,
+    /// The measured number; none if it was not measured.
+    #[serde(skip_deserializing)]
+    pub value: Option<f64>,
     /// The condition for agreement with the paper.
+    #[serde(rename = "agrees_if")]
     pub agrees: Criterion,
     /// The correct value, where the paper has an error.
+    #[serde(default, rename = "should_be")]
     pub instead: Option<Criterion>,
-    /// Whether it comes from the simulated car, with tolerances for the paper's car; it is
-    /// left out for other cars.
-    pub of_paper_car: bool,
+}
+
+impl Quantity {
+    /// Whether the number is measured and meets the criterion.
+    fn meets(&self, criterion: Criterion) -> bool {
+        self.value.is_some_and(|value| criterion.holds(value))
+    }
+
+    /// Why the number does not have the expected value: that of the paper, or the correct one.
+    fn surprise(&self, unit: &str) -> Option<String> {
+        let wanted = self.instead.unwrap_or(self.agrees);
+        if self.meets(wanted) {
+            return None;
+        }
+        let measured = self.value.map_or_else(|| "nothing".to_owned(), number);
+        let text = format!("{} {measured} {unit} should be {wanted} {unit}", self.label);
+        Some(text.trim().to_owned())
+    }
 }
 
 /// The cars that a claim is about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Scope {
     /// It follows from the equations and holds for every car.
+    #[default]
     AnyCar,
     /// The number holds for the paper's car.
     PaperCar,
@@ -109,39 +164,39 @@ pub enum Scope {
     Nobody,
 }
 
-/// A statement of the paper.
-#[derive(Clone, Debug)]
+/// A statement of the paper, and the verdict on it once it is judged.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
 pub struct Claim {
     /// A short, permanent name.
-    pub id: &'static str,
+    pub id: String,
     /// The number of the section that measures it.
     pub section: usize,
+    /// The cars that have a verdict.
+    #[serde(default, skip_serializing)]
+    pub scope: Scope,
     /// The claim.
     pub claim: String,
     /// The paper's words.
     pub paper: String,
+    /// The unit of its numbers.
+    #[serde(default)]
+    pub unit: String,
     /// The numbers that decide it. All must agree.
+    #[serde(rename(serialize = "measured"))]
     pub quantities: Vec<Quantity>,
-    /// Their unit.
-    pub unit: &'static str,
-    /// The cars that have a verdict.
-    pub scope: Scope,
+    /// The verdict.
+    #[serde(skip_deserializing)]
+    pub verdict: Verdict,
     /// Why it agrees, or does not.
     pub why: String,
-}
-
-impl Claim {
-    /// Whether it is a known error of the paper.
-    #[must_use]
-    pub fn is_slip(&self) -> bool {
-        self.quantities
-            .iter()
-            .any(|quantity| quantity.instead.is_some())
-    }
+    /// Why the verdict is not the expected one; `None` if it is.
+    #[serde(skip_deserializing)]
+    pub surprise: Option<String>,
 }
 
 /// Whether the measurements agree with the paper.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// They agree.
@@ -151,6 +206,7 @@ pub enum Verdict {
     /// The paper's number belongs to another car, or is not defined.
     NotComparable,
     /// There is nothing to compare.
+    #[default]
     NotMeasured,
 }
 
@@ -167,101 +223,58 @@ impl Verdict {
     }
 }
 
-/// A claim with its verdict.
-#[derive(Clone, Debug)]
-pub struct Judged {
-    /// The claim.
-    pub claim: Claim,
-    /// The number of each of its quantities.
-    pub measured: Vec<Option<f64>>,
-    /// The verdict.
-    pub verdict: Verdict,
-    /// Why the verdict is not the expected one; `None` if it is.
-    pub surprise: Option<String>,
-}
-
-/// Compares claims with measurements; `paper_car` if these are of the paper's car.
+/// Gives each claim its numbers and its verdict; `paper_car` if they are of the paper's car.
 #[must_use]
-pub fn judge(claims: Vec<Claim>, measurements: &Measurements, paper_car: bool) -> Vec<Judged> {
+pub fn judge(mut claims: Vec<Claim>, measurements: &Measurements, paper_car: bool) -> Vec<Claim> {
+    for claim in &mut claims {
+        claim.judge(measurements, paper_car);
+    }
     claims
-        .into_iter()
-        .map(|claim| judge_one(claim, measurements, paper_car))
-        .collect()
 }
 
-fn judge_one(mut claim: Claim, measurements: &Measurements, paper_car: bool) -> Judged {
-    claim
-        .quantities
-        .retain(|quantity| paper_car || !quantity.of_paper_car);
-    let measured: Vec<Option<f64>> = claim
-        .quantities
-        .iter()
-        .map(|quantity| measurements.get(&quantity.name))
-        .collect();
-    let comparable = match claim.scope {
-        Scope::AnyCar => true,
-        Scope::PaperCar => paper_car,
-        Scope::Nobody => false,
-    };
-    let pairs = || claim.quantities.iter().zip(&measured);
-    let lacking = pairs().find(|(_, value)| value.is_none());
-    let verdict = match (comparable, &lacking) {
-        (false, _) => Verdict::NotComparable,
-        (true, Some(_)) => Verdict::NotMeasured,
-        (true, None) if pairs().all(|(quantity, value)| holds(quantity.agrees, *value)) => {
-            Verdict::Agrees
+impl Claim {
+    fn judge(&mut self, measurements: &Measurements, paper_car: bool) {
+        // The simulated car has tolerances for the paper's car.
+        let has_car = paper_car || self.scope == Scope::PaperCar;
+        self.quantities
+            .retain(|quantity| has_car || !quantity.name.ends_with(".car"));
+        for quantity in &mut self.quantities {
+            quantity.value = measurements.get(&quantity.name);
         }
-        (true, None) => Verdict::Differs,
-    };
-    let surprise = if let Some((quantity, _)) = lacking {
-        // Another car may not be able to run every experiment of the paper's car.
-        (paper_car || claim.scope == Scope::AnyCar).then(|| {
-            format!(
-                "{} was not measured: see the notes of section {}",
-                quantity.name, claim.section
-            )
-        })
-    } else if comparable {
-        pairs().find_map(|(quantity, value)| unexpected(quantity, *value, claim.unit))
-    } else {
-        None
-    };
-    Judged {
-        measured,
-        verdict,
-        surprise,
-        claim,
+        let comparable = match self.scope {
+            Scope::AnyCar => true,
+            Scope::PaperCar => paper_car,
+            Scope::Nobody => false,
+        };
+        let mut quantities = self.quantities.iter();
+        let lacking = self.quantities.iter().find(|one| one.value.is_none());
+        self.verdict = match (comparable, lacking) {
+            (false, _) => Verdict::NotComparable,
+            (true, Some(_)) => Verdict::NotMeasured,
+            (true, None) if quantities.all(|one| one.meets(one.agrees)) => Verdict::Agrees,
+            (true, None) => Verdict::Differs,
+        };
+        self.surprise = match lacking {
+            // Another car may not be able to run every experiment of the paper's car.
+            Some(_) if !paper_car && self.scope != Scope::AnyCar => None,
+            Some(Quantity { name, .. }) => Some(format!(
+                "{name} was not measured: see the notes of section {}",
+                self.section
+            )),
+            None if comparable => {
+                let mut quantities = self.quantities.iter();
+                quantities.find_map(|quantity| quantity.surprise(&self.unit))
+            }
+            None => None,
+        };
     }
-}
-
-fn holds(criterion: Criterion, measured: Option<f64>) -> bool {
-    measured.is_some_and(|measured| criterion.holds(measured))
-}
-
-/// Why a number does not have the expected value: that of the paper, or the correct one.
-fn unexpected(quantity: &Quantity, measured: Option<f64>, unit: &str) -> Option<String> {
-    let wanted = quantity.instead.unwrap_or(quantity.agrees);
-    if !holds(wanted, measured) {
-        let measured = measured.map_or_else(|| "nothing".to_owned(), number);
-        return Some(
-            format!(
-                "{} {measured} {unit} should be {wanted} {unit}",
-                quantity.label
-            )
-            .trim()
-            .to_owned(),
-        );
-    }
-    None
 }
 
 /// The number of unexpected verdicts.
 #[must_use]
-pub fn surprises(judged: &[Judged]) -> usize {
-    judged
-        .iter()
-        .filter(|judged| judged.surprise.is_some())
-        .count()
+pub fn surprises(claims: &[Claim]) -> usize {
+    let surprising = claims.iter().filter(|claim| claim.surprise.is_some());
+    surprising.count()
 }
 
 #[cfg(test)]
@@ -270,20 +283,22 @@ mod tests {
 
     fn claim(agrees: Criterion, instead: Option<Criterion>, scope: Scope) -> Claim {
         Claim {
-            id: "amplitude",
+            id: "amplitude".to_owned(),
             section: 3,
+            scope,
             claim: "The amplitude".to_owned(),
             paper: "1 m".to_owned(),
+            unit: "m".to_owned(),
             quantities: vec![Quantity {
-                label: "ideal",
+                label: "ideal".to_owned(),
                 name: "amplitude".to_owned(),
+                value: None,
                 agrees,
                 instead,
-                of_paper_car: false,
             }],
-            unit: "m",
-            scope,
+            verdict: Verdict::NotMeasured,
             why: String::new(),
+            surprise: None,
         }
     }
 
@@ -324,6 +339,22 @@ mod tests {
     }
 
     #[test]
+    fn a_criterion_is_read_from_text_and_its_values_may_be_products() {
+        let read = |text: &str| Criterion::try_from(text.to_owned());
+        assert_eq!(read("< 0"), Ok(Criterion::Below(0.0)));
+        assert_eq!(read("> 2 -0.13"), Ok(Criterion::Above(-0.26)));
+        let near = Criterion::Near {
+            value: 0.5,
+            tolerance: 1e-3,
+        };
+        assert_eq!(read("= 2 0.25 ± 1e-3"), Ok(near));
+        for text in ["", "1", "= 1", "< {radius}", "± 1"] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(text), "{error}");
+        }
+    }
+
+    #[test]
     fn bounds_are_strict() {
         assert!(Criterion::Below(90.0).holds(89.9) && !Criterion::Below(90.0).holds(90.0));
         assert!(Criterion::Above(0.0).holds(1e-9) && !Criterion::Above(0.0).holds(0.0));
@@ -359,15 +390,19 @@ mod tests {
     fn what_is_of_the_simulated_car_is_left_out_for_another() {
         let mut both = claim(ONE, None, Scope::AnyCar);
         both.quantities.push(Quantity {
-            name: "car".to_owned(),
-            of_paper_car: true,
+            name: "amplitude.car".to_owned(),
             ..both.quantities[0].clone()
         });
         let mut measurements = Measurements::default();
         measurements.add("amplitude", 1.0);
         let of = |paper_car| judge(vec![both.clone()], &measurements, paper_car);
         assert_eq!(of(false)[0].verdict, Verdict::Agrees);
-        assert_eq!(of(false)[0].measured, [Some(1.0)]);
+        let values: Vec<_> = of(false)[0]
+            .quantities
+            .iter()
+            .map(|one| one.value)
+            .collect();
+        assert_eq!(values, [Some(1.0)]);
         assert_eq!(of(true)[0].verdict, Verdict::NotMeasured);
     }
 
@@ -375,7 +410,7 @@ mod tests {
     fn one_quantity_that_differs_is_enough() {
         let mut both = claim(ONE, None, Scope::AnyCar);
         both.quantities.push(Quantity {
-            label: "car",
+            label: "car".to_owned(),
             name: "car".to_owned(),
             ..both.quantities[0].clone()
         });

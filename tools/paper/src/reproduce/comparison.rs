@@ -7,17 +7,19 @@ use singletrack_control::{
     VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
-use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width};
+use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
 
 use super::{
     Setup,
-    drive::Run,
+    drive::{Drives, Experiment, Run},
     extreme::largest,
+    pictures,
     progress::Progress,
-    section::{Picture, Plate, Section, Table, or_note},
+    section::{Picture, Section},
     steps,
     text::{metres, mm, number, with_digits},
 };
+use crate::table::Table;
 
 /// The deviation dl of the laws' centre of mass to the rear, for the paper's car, in m.
 pub(super) const DEVIATION_M: f64 = 0.01;
@@ -37,12 +39,17 @@ fn scaled(vehicle: VehicleParameters, parameter: &str, factor: f64) -> VehiclePa
     scaled
 }
 
+/// The laws with their names.
+const LAWS: [(LawKind, &str, &str); 2] = [
+    (LawKind::FrontPoint, "front-point", "proposed law"),
+    (LawKind::VelocityPoint, "velocity-point", "appendix's law"),
+];
+
+/// A parameter is believed too low or too high.
+const FACTORS: [(&str, f64); 2] = [("low", 1.0 - WRONG), ("high", 1.0 + WRONG)];
+
 pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section {
-        number: 7,
-        title: "The two laws compared",
-        ..Section::default()
-    };
+    let mut section = Section::new(7, "The two laws compared");
     let deviation = DEVIATION_M * setup.scale();
     section.intro.push(format!(
         "The open-loop steps of section 2 on the ideal plant under both laws: with everything \
@@ -52,98 +59,70 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
         mm(deviation),
         number(WRONG * 100.0)
     ));
-    let drive = |section: &mut Section, law, deviation, believed| {
-        let name = match law {
-            LawKind::FrontPoint => "proposed law",
-            LawKind::VelocityPoint => "appendix's law",
-        };
+    let mut drives = Drives::default();
+    let mut drive = |case: &str, (law, kind, name): (_, _, &str), deviation, believed| {
         let name = format!("{name}, dl = {}", mm(deviation));
         progress.doing(&format!("comparison, {name}"));
-        let experiment = super::drive::Experiment {
+        let experiment = Experiment {
             believed,
             ..steps::experiment(setup, law, deviation)
         };
-        section.keep(&name, experiment.ideal(setup))
+        let run = section.keep(&name, experiment.ideal(setup));
+        drives.add(case, kind, run);
     };
-    let both = [LawKind::FrontPoint, LawKind::VelocityPoint];
-    let right = both.map(|law| drive(&mut section, law, 0.0, None));
-    let wrong = both.map(|law| drive(&mut section, law, deviation, None));
-    for (which, runs) in [("right", &right), ("deviation", &wrong)] {
-        for (law, run) in ["front-point", "velocity-point"].into_iter().zip(runs) {
-            let Some(run) = run else { continue };
-            let name = |what: &str| format!("compare.{what}.{which}.{law}");
-            section
-                .measurements
-                .add(name("largest"), run.largest_deviation());
-            section.measurements.add(name("lasts"), lasts(run));
-            section
-                .tables
-                .push(Table::of_rows(format!("compare-{which}-{law}"), &run.rows));
+    for (case, deviation) in [("right", 0.0), ("deviation", deviation)] {
+        for law in LAWS {
+            drive(case, law, deviation, None);
         }
     }
-    let mut believing = Vec::new();
+    let [_, appendix] = LAWS;
     for (_, parameter) in PARAMETERS {
-        for (is_low, factor) in [(true, 1.0 - WRONG), (false, 1.0 + WRONG)] {
+        for (sign, factor) in FACTORS {
             let believed = scaled(setup.vehicle, parameter, factor);
-            let run = drive(&mut section, LawKind::VelocityPoint, 0.0, Some(believed));
-            if let Some(run) = run {
-                let sign = if is_low { "low" } else { "high" };
-                section.measurements.add(
-                    format!("compare.largest.{parameter}-{sign}.velocity-point"),
-                    run.largest_deviation(),
-                );
-                let name = format!("compare-{parameter}-{sign}-velocity-point");
-                section.tables.push(Table::of_rows(name, &run.rows));
-                believing.push(Believing {
-                    parameter,
-                    is_low,
-                    run,
-                });
-            }
+            drive(
+                &format!("{parameter}-{sign}"),
+                appendix,
+                0.0,
+                Some(believed),
+            );
+        }
+    }
+    let mut worst = Vec::new();
+    for (case, law, run) in drives.iter() {
+        let largest = run.largest_deviation();
+        let name = format!("compare.largest.{case}.{law}");
+        section.measurements.add(name, largest);
+        let name = format!("compare-{case}-{law}");
+        section.tables.push((name, run.table()));
+        if !["right", "deviation"].contains(&case) {
+            worst.push(largest);
         }
     }
     // A case without a result may have been the worst.
-    if believing.len() == 2 * PARAMETERS.len() {
-        let deviations = believing.iter().map(|one| one.run.largest_deviation());
-        section.measurements.add(
-            "compare.largest.parameters.velocity-point",
-            largest(deviations),
-        );
+    if worst.len() == FACTORS.len() * PARAMETERS.len() {
+        let name = "compare.largest.parameters.velocity-point";
+        section.measurements.add(name, largest(worst.into_iter()));
     }
     // The proposed law uses none of them: only the car can differ.
-    let own = PARAMETERS.iter().flat_map(|(_, parameter)| {
-        [1.0 - WRONG, 1.0 + WRONG].map(|factor| scaled(setup.vehicle, parameter, factor))
-    });
     let mut front = 0.0_f64;
-    for vehicle in own {
-        let other = Setup {
-            vehicle,
-            ..setup.clone()
-        };
-        let experiment = steps::experiment(setup, LawKind::FrontPoint, 0.0);
-        if let Some(run) = section.keep("proposed law, another car", experiment.ideal(&other)) {
-            front = front.max(run.largest_deviation());
+    for (_, parameter) in PARAMETERS {
+        for (_, factor) in FACTORS {
+            let other = Setup {
+                vehicle: scaled(setup.vehicle, parameter, factor),
+                ..setup.clone()
+            };
+            let experiment = steps::experiment(setup, LawKind::FrontPoint, 0.0);
+            if let Some(run) = section.keep("proposed law, another car", experiment.ideal(&other)) {
+                front = front.max(run.largest_deviation());
+            }
         }
     }
-    section
-        .measurements
-        .add("compare.largest.parameters.front-point", front);
+    let name = "compare.largest.parameters.front-point";
+    section.measurements.add(name, front);
     standstill(setup, &mut section);
     stiffnesses(setup, &mut section);
-    draw(setup, &right, &wrong, &believing, &mut section);
+    draw(setup, &drives, &mut section);
     section
-}
-
-/// A drive under the appendix's law with the parameters of another car.
-struct Believing {
-    parameter: &'static str,
-    is_low: bool,
-    run: Run,
-}
-
-/// How long a drive lasted, in s.
-fn lasts(run: &Run) -> f64 {
-    run.rows.last().map_or(0.0, |row| row.t)
 }
 
 /// Whether each law has a solution for a car at standstill that is to stay there: 1 or 0.
@@ -176,11 +155,7 @@ const SPEEDS: [f64; 9] = [0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0];
 /// motion under the appendix's law is unstable.
 fn stiffnesses(setup: &Setup, section: &mut Section) {
     let factors = [1.0 - WRONG, 1.0, 1.0 + WRONG];
-    let mut table = Table {
-        name: "compare-stiffnesses".to_owned(),
-        header: "speed_m_s,front_stiffness_factor,rear_stiffness_factor,is_stable".to_owned(),
-        rows: Vec::new(),
-    };
+    let mut rows = Vec::new();
     let mut unstable = 0_u32;
     for speed in SPEEDS.map(|speed| speed * setup.scale()) {
         for front in factors {
@@ -189,9 +164,7 @@ fn stiffnesses(setup: &Setup, section: &mut Section) {
                 let believed = scaled(believed, "rear", rear);
                 let stable = is_stable(setup, believed, speed);
                 unstable += u32::from(!stable);
-                table
-                    .rows
-                    .push(vec![speed, front, rear, f64::from(u8::from(stable))]);
+                rows.push(vec![speed, front, rear, f64::from(u8::from(stable))]);
             }
         }
     }
@@ -199,7 +172,11 @@ fn stiffnesses(setup: &Setup, section: &mut Section) {
     let measurements = &mut section.measurements;
     measurements.add("compare.stiffnesses.unstable", f64::from(unstable));
     measurements.add("compare.stiffnesses.combinations", combinations as f64);
-    section.tables.push(table);
+    let header = "speed_m_s,front_stiffness_factor,rear_stiffness_factor,is_stable".to_owned();
+    let table = Table { header, rows };
+    section
+        .tables
+        .push(("compare-stiffnesses".to_owned(), table));
 }
 
 /// Whether the steady motion at a speed is stable under the appendix's law with the
@@ -244,157 +221,106 @@ fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
     a2 > 0.0 && a0 > 0.0 && a2 * a1 > a0
 }
 
-fn draw(
-    setup: &Setup,
-    right: &[Option<Run>; 2],
-    wrong: &[Option<Run>; 2],
-    believing: &[Believing],
-    section: &mut Section,
-) {
-    let measured = section.measurements.clone();
-    let get = |name: &str, unit: &str| or_note(measured.get(name), unit);
+fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
     let deviation = DEVIATION_M * setup.scale();
-    let mut pictures = Vec::new();
-    for (which, name, runs) in [
-        ("right", "dl = 0".to_owned(), right),
-        ("deviation", format!("dl = {}", metres(deviation)), wrong),
-    ] {
-        let laws = [
-            ("front-point", "proposed law"),
-            ("velocity-point", "appendix's law"),
-        ];
-        for ((law, title), run) in laws.into_iter().zip(runs) {
-            if let Some(run) = run {
-                pictures.push(Picture::new(
-                    format!("compare-{which}-{law}"),
-                    format!("{title}, {name}"),
-                    run.trajectory(),
-                ));
-            }
+    let wrong = format!("dl = {}", metres(deviation));
+    // A picture for each law.
+    let pictures = |file: &str, case: &str, name: &str, draw: fn(&Run) -> Figure| {
+        let mut pictures = Vec::new();
+        for (_, law, title) in LAWS {
+            pictures.extend(drives.get(case, law).map(|run| {
+                let label = format!("{title}, {name}");
+                Picture::new(format!("compare-{file}-{law}"), label, draw(run))
+            }));
         }
-    }
-    section.plates.push(Plate {
-        title: "The steps under both laws".to_owned(),
-        paper: "No experiment: the appendix compares the laws by their equations and by their \
-                stability, and calls its own unsuitable in real cases."
-            .to_owned(),
-        ours: format!(
-            "With everything right both follow their nominal paths ({} and {} off at most). With \
-             the centre of mass {} wrong the proposed law is {} off at most; under the appendix's \
-             law P is {} off at most{}.",
-            get("compare.largest.right.front-point", "m"),
-            get("compare.largest.right.velocity-point", "m"),
-            mm(deviation),
-            get("compare.largest.deviation.front-point", "m"),
-            get("compare.largest.deviation.velocity-point", "m"),
-            ended(wrong.get(1).and_then(Option::as_ref)),
-        ),
-        pictures,
-    });
-    let steering: Vec<Picture> = [
-        ("front-point", "proposed law", wrong.first()),
-        ("velocity-point", "appendix's law", wrong.get(1)),
-    ]
-    .into_iter()
-    .filter_map(|(law, title, run)| {
-        let run = run?.as_ref()?;
-        let name = format!("compare-steering-{law}");
-        let label = format!("{title}, dl = {}", metres(deviation));
-        Some(Picture::new(name, label, run.steering()))
-    })
-    .collect();
-    let steepest = |law: usize| {
-        let run = wrong.get(law).and_then(Option::as_ref);
-        run.map_or_else(
+        pictures
+    };
+    let mut steps = pictures("right", "right", "dl = 0", Run::trajectory);
+    steps.extend(pictures("deviation", "deviation", &wrong, Run::trajectory));
+    let ended = drives.get("deviation", "velocity-point");
+    let ended = ended.and_then(|run| run.ended.as_ref());
+    section.plate(
+        "The steps under both laws",
+        "No experiment: the appendix compares the laws by their equations and by their stability, \
+         and calls its own unsuitable in real cases.",
+        "With everything right both follow their nominal paths \
+         ({compare.largest.right.front-point m} and {compare.largest.right.velocity-point m} off \
+         at most). With the centre of mass {dl} wrong the proposed law is \
+         {compare.largest.deviation.front-point m} off at most; under the appendix's law P is \
+         {compare.largest.deviation.velocity-point m} off at most{ended}.",
+        &[
+            ("dl", mm(deviation)),
+            (
+                "ended",
+                ended.map_or_else(String::new, |ended| format!(", and {ended}")),
+            ),
+        ],
+        steps,
+    );
+    let steepest = |law: &str| {
+        drives.get("deviation", law).map_or_else(
             || "(not driven)".to_owned(),
-            |run| {
-                let angles = run.rows.iter().map(|row| row.steering.abs());
-                format!("{} rad", with_digits(largest(angles), 3))
-            },
+            |run| format!("{} rad", with_digits(run.steepest(), 3)),
         )
     };
-    section.plates.push(Plate {
-        title: "Steering under both laws".to_owned(),
-        paper: "No figure.".to_owned(),
-        ours: format!(
-            "At its largest it is {} under the proposed law and {} under the appendix's.",
-            steepest(0),
-            steepest(1),
-        ),
-        pictures: steering,
-    });
-    parameter_plate(believing, section);
-}
-
-/// Why a drive ended early, in words.
-fn ended(run: Option<&Run>) -> String {
-    match run {
-        Some(Run {
-            ended: Some(ended), ..
-        }) => format!(", and {ended}"),
-        _ => String::new(),
-    }
+    section.plate(
+        "Steering under both laws",
+        "No figure.",
+        "At its largest it is {proposed} under the proposed law and {appendix} under the \
+         appendix's.",
+        &[
+            ("proposed", steepest("front-point")),
+            ("appendix", steepest("velocity-point")),
+        ],
+        pictures("steering", "deviation", &wrong, Run::steering),
+    );
+    parameter_plate(drives, section);
 }
 
 /// The deviation of P with wrong parameters, over time.
-fn parameter_plate(believing: &[Believing], section: &mut Section) {
-    let measured = section.measurements.clone();
-    let panels = PARAMETERS
-        .iter()
-        .filter_map(|(symbol, parameter)| {
-            let curves: Vec<_> = believing
-                .iter()
-                .filter(|believing| believing.parameter == *parameter)
-                .map(|believing| {
-                    let (name, look) = if believing.is_low {
-                        ("too low", Look::Actual)
-                    } else {
-                        ("too high", Look::Truth)
-                    };
-                    let run = &believing.run;
-                    let time = run.column(|row| row.t);
-                    Curve::new(name, look, &time, run.deviations().collect())
-                })
-                .collect();
-            let y = Axis {
-                include: Some(0.0),
-                ..Axis::new("deviation of P", Some(Symbol::new("e", "P")), "m")
-            };
-            (!curves.is_empty()).then(|| Panel {
-                title: (*symbol).to_owned(),
-                curves,
-                ..Panel::new(Axis::TIME, y)
+fn parameter_plate(drives: &Drives, section: &mut Section) {
+    let looks = [("too low", Look::Actual), ("too high", Look::Truth)];
+    let panels = PARAMETERS.into_iter().filter_map(|(symbol, parameter)| {
+        let curves = FACTORS.into_iter().zip(looks);
+        let curves: Vec<Curve> = curves
+            .filter_map(|((sign, _), (name, look))| {
+                let run = drives.get(&format!("{parameter}-{sign}"), "velocity-point")?;
+                let time = run.column(|row| row.t);
+                Some(Curve::new(name, look, &time, run.deviations().collect()))
             })
+            .collect();
+        (!curves.is_empty()).then(|| Panel {
+            title: symbol.to_owned(),
+            curves,
+            ..Panel::new(Axis::TIME, pictures::DEVIATION)
         })
-        .collect();
+    });
     let figure = Figure {
         title: "Deviation of P under the appendix's law with a wrong parameter".to_owned(),
         caption: "How far P is from where two integrators would be.".to_owned(),
         width: Width::Page,
-        panels,
+        panels: panels.collect(),
     };
-    let pictures = vec![Picture::new("compare-parameters", "", figure)];
-    let get = |name: &str, unit: &str| or_note(measured.get(name), unit);
-    let unstable = measured.get("compare.stiffnesses.unstable").unwrap_or(0.0);
-    section.plates.push(Plate {
-        title: "What a wrong parameter does under the appendix's law".to_owned(),
-        paper: "No figure: the text says that the law needs mass and cornering stiffnesses, \
-                and that its stability is robust to wrong stiffnesses."
-            .to_owned(),
-        ours: format!(
-            "With one of them {} % wrong P is up to {} off; the proposed law, which is not told \
-             them, stays within {} on cars whose m, C<sub>f</sub> or C<sub>r</sub> is as much \
-             different. Of {} combinations of speed and wrong stiffnesses {} {} unstable.",
-            number(WRONG * 100.0),
-            get("compare.largest.parameters.velocity-point", "m"),
-            get("compare.largest.parameters.front-point", "m"),
-            get("compare.stiffnesses.combinations", "").trim(),
-            match unstable {
-                0.0 => "none".to_owned(),
-                count => number(count),
-            },
-            if unstable == 0.0 { "is" } else { "are" },
-        ),
-        pictures,
-    });
+    let unstable = section.measurements.get("compare.stiffnesses.unstable");
+    let unstable = match unstable.unwrap_or(0.0) {
+        0.0 => "none is".to_owned(),
+        count => format!("{} are", number(count)),
+    };
+    let combinations = section.measurements.get("compare.stiffnesses.combinations");
+    section.plate(
+        "What a wrong parameter does under the appendix's law",
+        "No figure: the text says that the law needs mass and cornering stiffnesses, and that its \
+         stability is robust to wrong stiffnesses.",
+        "With one of them {percent} % wrong P is up to \
+         {compare.largest.parameters.velocity-point m} off; the proposed law, which is not told \
+         them, stays within {compare.largest.parameters.front-point m} on cars whose m, \
+         C<sub>f</sub> or C<sub>r</sub> is as much different. Of {combinations} combinations of \
+         speed and wrong stiffnesses {unstable} unstable.",
+        &[
+            ("percent", number(WRONG * 100.0)),
+            ("combinations", number(combinations.unwrap_or(0.0))),
+            ("unstable", unstable),
+        ],
+        vec![Picture::new("compare-parameters", "", figure)],
+    );
 }

@@ -4,13 +4,14 @@ use singletrack_control::{Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
 use singletrack_scenario::simulate::{
-    self, ControlSection, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
+    self, ControlSection, HEADER, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection,
 };
 use singletrack_sim::BoardKind;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{Setup, extreme::largest};
+use crate::table::Table;
 
 /// An experiment, independent of the plant.
 #[derive(Clone, Debug)]
@@ -59,6 +60,38 @@ pub(super) struct Run {
     pub(super) lost: Vec<[f64; 2]>,
     /// Why it ended early, if it did.
     pub(super) ended: Option<String>,
+}
+
+/// The plants, with their names in a file and in a sentence.
+pub(super) const PLANTS: [(PlantKind, &str, &str); 2] = [
+    (PlantKind::Ideal, "ideal", "ideal plant"),
+    (PlantKind::Car, "car", "car"),
+];
+
+/// Drives by what was driven, and by the plant or the law.
+#[derive(Debug, Default)]
+pub(super) struct Drives(Vec<(String, &'static str, Run)>);
+
+impl Drives {
+    pub(super) fn add(&mut self, case: impl Into<String>, kind: &'static str, run: Option<Run>) {
+        self.0.extend(run.map(|run| (case.into(), kind, run)));
+    }
+
+    pub(super) fn get(&self, case: &str, kind: &str) -> Option<&Run> {
+        let found = self.iter().find(|own| (own.0, own.1) == (case, kind));
+        found.map(|(_, _, run)| run)
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &'static str, &Run)> {
+        let drives = self.0.iter();
+        drives.map(|(case, kind, run)| (case.as_str(), *kind, run))
+    }
+
+    /// The drives on one plant, or under one law.
+    pub(super) fn of(&self, kind: &str) -> impl Iterator<Item = (&str, &Run)> {
+        let drives = self.iter().filter(move |(_, own, _)| *own == kind);
+        drives.map(|(case, _, run)| (case, run))
+    }
 }
 
 /// Period of the controller on the car, in ms.
@@ -229,6 +262,14 @@ fn span(loss: &MarkerLoss) -> [f64; 2] {
 }
 
 impl Run {
+    /// The trajectory.
+    pub(super) fn table(&self) -> Table {
+        Table {
+            header: HEADER.to_owned(),
+            rows: self.rows.iter().map(|row| row.values().to_vec()).collect(),
+        }
+    }
+
     /// The distance from the true P to its reference at each row, in m.
     pub(super) fn deviations(&self) -> impl Iterator<Item = f64> + '_ {
         self.rows
@@ -246,11 +287,21 @@ impl Run {
         RootMeanSquare::of(self.deviations()).value().unwrap_or(0.0)
     }
 
-    /// The largest distance between its P and that of another drive of the same experiment,
+    /// The distance between its P and that of another drive of the same experiment at each row,
     /// in m.
-    pub(super) fn largest_difference(&self, other: &Self) -> f64 {
+    pub(super) fn differences<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = f64> + 'a {
         let both = self.rows.iter().zip(&other.rows);
-        largest(both.map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p)))
+        both.map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p))
+    }
+
+    /// The largest of them, in m.
+    pub(super) fn largest_difference(&self, other: &Self) -> f64 {
+        largest(self.differences(other))
+    }
+
+    /// The largest steering angle, in rad.
+    pub(super) fn steepest(&self) -> f64 {
+        largest(self.rows.iter().map(|row| row.steering.abs()))
     }
 
     /// The length of P's path, in m.

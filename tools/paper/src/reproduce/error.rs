@@ -13,6 +13,9 @@ pub enum ReproduceError {
     /// The car can't be used.
     #[error(transparent)]
     Vehicle(#[from] VehicleFileError),
+    /// The catalogue of the claims can't be read.
+    #[error("the catalogue of the claims: {0}")]
+    Catalogue(#[from] toml::de::Error),
     /// A file or folder can't be written.
     #[error("can't write {}: {source}; choose another folder with --out", path.display())]
     Write {

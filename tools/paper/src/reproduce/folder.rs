@@ -11,7 +11,7 @@ use singletrack_control::VehicleParameters;
 use singletrack_scenario::csv_text::csv_text;
 
 use super::{
-    claims::{Judged, Verdict},
+    claims::Claim,
     error::{ReproduceError, write_error},
     report,
     section::Reproduction,
@@ -92,7 +92,7 @@ pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBu
         let json = Json {
             vehicle: reproduction.setup.vehicle,
             quick: reproduction.setup.quick,
-            claims: reproduction.claims.iter().map(Row::of).collect(),
+            claims: &reproduction.claims,
             files,
         };
         serde_json::to_string_pretty(&json)
@@ -125,8 +125,8 @@ fn texts(reproduction: &Reproduction) -> Vec<(String, String)> {
             let name = format!("{FIGURES}/{}.svg", picture.name);
             texts.push((name, picture.figure.to_svg()));
         }
-        for data in &section.tables {
-            texts.push((format!("{DATA}/{}.csv", data.name), data.to_csv()));
+        for (name, table) in &section.tables {
+            texts.push((format!("{DATA}/{name}.csv"), table.to_csv()));
         }
     }
     let claims = &reproduction.claims;
@@ -149,103 +149,44 @@ fn put(folder: &Path, name: &str, text: &str) -> Result<(), ReproduceError> {
 struct Json<'a> {
     vehicle: VehicleParameters,
     quick: bool,
-    claims: Vec<Row<'a>>,
+    claims: &'a [Claim],
     /// What this reproduction wrote, relative to the folder.
     files: &'a [String],
 }
 
-#[derive(Serialize)]
-struct Row<'a> {
-    id: &'static str,
-    section: usize,
-    claim: &'a str,
-    paper: &'a str,
-    unit: &'static str,
-    measured: Vec<Number<'a>>,
-    verdict: Verdict,
-    why: &'a str,
-    /// Whether the verdict is the one that should be, and if not, why.
-    surprise: Option<&'a str>,
-}
-
-#[derive(Serialize)]
-struct Number<'a> {
-    label: &'static str,
-    quantity: &'a str,
-    /// None if it was not measured.
-    value: Option<f64>,
-    agrees_if: String,
-    /// What a slip of the paper's is instead.
-    should_be: Option<String>,
-}
-
-impl<'a> Row<'a> {
-    fn of(judged: &'a Judged) -> Self {
-        let claim = &judged.claim;
-        Self {
-            id: claim.id,
-            section: claim.section,
-            claim: &claim.claim,
-            paper: &claim.paper,
-            unit: claim.unit,
-            measured: claim
-                .quantities
-                .iter()
-                .zip(&judged.measured)
-                .map(|(quantity, value)| Number {
-                    label: quantity.label,
-                    quantity: &quantity.name,
-                    value: *value,
-                    agrees_if: quantity.agrees.to_string(),
-                    should_be: quantity.instead.map(|instead| instead.to_string()),
-                })
-                .collect(),
-            verdict: judged.verdict,
-            why: &claim.why,
-            surprise: judged.surprise.as_deref(),
-        }
-    }
-}
+/// The columns of `claims.csv`.
+const COLUMNS: &str =
+    "id,section,claim,paper,quantity,measured,unit,agrees_if,should_be,verdict,expected,why";
 
 /// A row for each number of each claim.
-fn csv(claims: &[Judged]) -> String {
-    const COLUMNS: [&str; 12] = [
-        "id",
-        "section",
-        "claim",
-        "paper",
-        "quantity",
-        "measured",
-        "unit",
-        "agrees_if",
-        "should_be",
-        "verdict",
-        "expected",
-        "why",
-    ];
-    let mut rows = vec![COLUMNS.map(ToOwned::to_owned)];
-    for judged in claims {
-        let row = Row::of(judged);
-        for number in &row.measured {
+fn csv(claims: &[Claim]) -> String {
+    let mut rows = Vec::new();
+    for claim in claims {
+        for number in &claim.quantities {
+            let value = number.value.map(|value| value.to_string());
+            let instead = number.instead.map(String::from);
             rows.push([
-                row.id.to_owned(),
-                row.section.to_string(),
-                row.claim.to_owned(),
-                row.paper.to_owned(),
-                number.quantity.to_owned(),
-                number
-                    .value
-                    .map_or_else(String::new, |value| value.to_string()),
-                row.unit.to_owned(),
-                number.agrees_if.clone(),
-                number.should_be.clone().unwrap_or_default(),
-                row.verdict.name().to_owned(),
-                if row.surprise.is_some() { "no" } else { "yes" }.to_owned(),
-                row.why.to_owned(),
+                claim.id.clone(),
+                claim.section.to_string(),
+                claim.claim.clone(),
+                claim.paper.clone(),
+                number.name.clone(),
+                value.unwrap_or_default(),
+                claim.unit.clone(),
+                number.agrees.to_string(),
+                instead.unwrap_or_default(),
+                claim.verdict.name().to_owned(),
+                if claim.surprise.is_some() {
+                    "no"
+                } else {
+                    "yes"
+                }
+                .to_owned(),
+                claim.why.clone(),
             ]);
         }
     }
-    csv_text(rows)
+    format!("{COLUMNS}\n{}", csv_text(rows))
 }
 
 #[cfg(test)]
@@ -286,10 +227,9 @@ mod tests {
             name: String::new(),
             quick: true,
         };
-        let table = |name: &str| super::super::Table {
-            name: name.to_owned(),
-            header: "t".to_owned(),
-            rows: vec![vec![1.0]],
+        let table = |name: &str| {
+            let table = crate::table::Table::of(&[1.0], &[("t", |t| *t)]);
+            (name.to_owned(), table)
         };
         let section = super::super::Section {
             tables: vec![table("one"), table("two")],

@@ -28,11 +28,11 @@ use clap::Args;
 use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
 
 pub use error::ReproduceError;
-pub use section::{Picture, Plate, Reproduction, Section, Table};
+pub use section::{Picture, Plate, Reproduction, Section};
 pub use setup::Setup;
 
 use crate::vehicle_file;
-use claims::{Judged, Measurements, judge, surprises};
+use claims::{Claim, Measurements, judge, surprises};
 use progress::Progress;
 
 /// Options of `singletrack reproduce`.
@@ -75,14 +75,14 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
         setup.name = format!("the car of {}", path.display());
     }
     folder::prepare(&args.out)?;
-    let reproduction = reproduce(setup);
+    let reproduction = reproduce(setup)?;
     let report = folder::write(&args.out, &reproduction)?;
     table::print(&reproduction, &report);
     outcome(&reproduction.claims, report)
 }
 
 /// Fails if a claim's verdict is not the expected one.
-fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
+fn outcome(claims: &[Claim], report: PathBuf) -> Result<(), ReproduceError> {
     match surprises(claims) {
         0 => Ok(()),
         count => Err(ReproduceError::Surprise { count, report }),
@@ -90,8 +90,12 @@ fn outcome(claims: &[Judged], report: PathBuf) -> Result<(), ReproduceError> {
 }
 
 /// Computes everything; shows progress on a terminal.
-#[must_use]
-pub fn reproduce(setup: Setup) -> Reproduction {
+///
+/// # Errors
+///
+/// The catalogue of the claims can't be read.
+pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
+    let claims = catalogue::claims(&setup)?;
     let parts: [fn(&Setup, &Progress) -> Section; 8] = [
         model::section,
         steps::section,
@@ -112,12 +116,12 @@ pub fn reproduce(setup: Setup) -> Reproduction {
         progress.done();
     }
     progress.finish();
-    let claims = judge(catalogue::claims(&setup), &measurements, setup.is_paper());
-    Reproduction {
+    let claims = judge(claims, &measurements, setup.is_paper());
+    Ok(Reproduction {
         setup,
         sections,
         claims,
-    }
+    })
 }
 
 /// Results without an experiment: the car's parameters, and the singularity of the law.
@@ -174,7 +178,7 @@ mod tests {
         let wrong = |value| {
             let mut measurements = Measurements::default();
             measurements.add("hopf.velocity.threshold_mm", value);
-            let claims = catalogue::claims(&setup());
+            let claims = catalogue::claims(&setup()).unwrap();
             let claims = claims
                 .into_iter()
                 .filter(|claim| claim.id == "appendix-threshold");
@@ -205,7 +209,11 @@ mod tests {
 
     #[test]
     fn without_measurements_nothing_agrees_and_every_claim_is_a_surprise() {
-        let judged = judge(catalogue::claims(&setup()), &Measurements::default(), true);
+        let judged = judge(
+            catalogue::claims(&setup()).unwrap(),
+            &Measurements::default(),
+            true,
+        );
         assert_eq!(surprises(&judged), judged.len());
         assert!(
             judged

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use serde::Serialize;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::VehicleParameters;
 use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
@@ -11,12 +10,16 @@ use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateErro
 use super::{
     Setup,
     progress::Progress,
-    section::{Picture, Plate, Section, Table},
+    section::{Picture, Section},
     text::with_digits,
 };
-use crate::identify::{
-    self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, StudyArgs, TyreKind,
-    study::{SCENARIO, Study, StudyPlan, VALIDATION, run_study},
+use crate::{
+    identify::{
+        self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, StudyArgs, TyreKind,
+        study::{SCENARIO, Study, StudyPlan, VALIDATION, run_study},
+    },
+    table::Table,
+    vehicle_file,
 };
 
 /// Factors of the start values of the fit: `C_f`, `C_r`, `I_z`.
@@ -35,12 +38,6 @@ enum ModelError {
     Vehicle(#[from] toml::ser::Error),
     #[error("can't write into a temporary folder: {0}")]
     Temporary(#[from] std::io::Error),
-}
-
-/// The file with the start values of the fit.
-#[derive(Serialize)]
-struct VehicleFile {
-    vehicle: VehicleParameters,
 }
 
 /// Drives a scenario of the identification with the car, and writes its record.
@@ -71,7 +68,7 @@ fn identified(setup: &Setup) -> Result<Report, ModelError> {
     vehicle.front_cornering_stiffness_n_rad *= front;
     vehicle.rear_cornering_stiffness_n_rad *= rear;
     vehicle.yaw_inertia_kg_m2 *= inertia;
-    std::fs::write(&start, toml::to_string(&VehicleFile { vehicle })?)?;
+    std::fs::write(&start, vehicle_file::text(vehicle)?)?;
     Ok(identify::identify(&IdentifyArgs {
         record: vec![record],
         study: StudyArgs::default(),
@@ -92,11 +89,7 @@ fn truth(vehicle: &VehicleParameters, parameter: Parameter) -> f64 {
 }
 
 pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section {
-        number: 1,
-        title: "The model, identified and validated",
-        ..Section::default()
-    };
+    let mut section = Section::new(1, "The model, identified and validated");
     section.intro.push(
         "C<sub>f</sub>, C<sub>r</sub> and I<sub>z</sub> are identified from a record of a minute \
          of weaving with the simulated car, cameras, IMU and servo, all noisy, biased or late, \
@@ -179,42 +172,37 @@ fn measure(setup: &Setup, report: &Report, section: &mut Section) {
         let [low, high] = estimate.interval;
         rows.push(vec![truth, estimate.start, estimate.value, low, high]);
     }
-    section.tables.push(Table {
-        name: "model-estimates".to_owned(),
-        header: "truth,start,estimate,interval_low,interval_high".to_owned(),
-        rows,
-    });
-    section.tables.push(Table {
-        name: "model-validation".to_owned(),
-        header: "time_s,speed_m_s,steering_rad,measured_yaw_rad,yaw_rad,measured_yaw_rate_rad_s,\
-                 yaw_rate_rad_s,measured_sideslip_rad,sideslip_rad,measured_left_m_s2,left_m_s2,\
-                 measured_x_m,measured_y_m,x_m,y_m"
-            .to_owned(),
-        rows: validation(report)
-            .iter()
-            .flat_map(|validation| &validation.simulation.points)
-            .map(|point| {
-                let [[measured_x, measured_y], [x, y]] = [point.measured_m, point.position_m];
-                vec![
-                    point.time_s,
-                    point.speed_m_s,
-                    point.steering_rad,
-                    point.measured_yaw_rad,
-                    point.yaw_rad,
-                    point.measured_yaw_rate_rad_s,
-                    point.yaw_rate_rad_s,
-                    point.measured_sideslip_rad,
-                    point.sideslip_rad,
-                    point.measured_left_m_s2,
-                    point.left_m_s2,
-                    measured_x,
-                    measured_y,
-                    x,
-                    y,
-                ]
-            })
-            .collect(),
-    });
+    let header = "truth,start,estimate,interval_low,interval_high".to_owned();
+    let estimates = Table { header, rows };
+    section
+        .tables
+        .push(("model-estimates".to_owned(), estimates));
+    let points = validation(report).map(|validation| &validation.simulation.points[..]);
+    let validation = Table::of(
+        points.unwrap_or_default(),
+        &[
+            ("time_s", |point| point.time_s),
+            ("speed_m_s", |point| point.speed_m_s),
+            ("steering_rad", |point| point.steering_rad),
+            ("measured_yaw_rad", |point| point.measured_yaw_rad),
+            ("yaw_rad", |point| point.yaw_rad),
+            ("measured_yaw_rate_rad_s", |point| {
+                point.measured_yaw_rate_rad_s
+            }),
+            ("yaw_rate_rad_s", |point| point.yaw_rate_rad_s),
+            ("measured_sideslip_rad", |point| point.measured_sideslip_rad),
+            ("sideslip_rad", |point| point.sideslip_rad),
+            ("measured_left_m_s2", |point| point.measured_left_m_s2),
+            ("left_m_s2", |point| point.left_m_s2),
+            ("measured_x_m", |point| point.measured_m[0]),
+            ("measured_y_m", |point| point.measured_m[1]),
+            ("x_m", |point| point.position_m[0]),
+            ("y_m", |point| point.position_m[1]),
+        ],
+    );
+    section
+        .tables
+        .push(("model-validation".to_owned(), validation));
 }
 
 fn draw(setup: &Setup, report: &Report, section: &mut Section) {
@@ -238,59 +226,50 @@ fn draw(setup: &Setup, report: &Report, section: &mut Section) {
         })
         .collect();
     if let Some(figure) = take("validation-inputs") {
-        section.plates.push(Plate {
-            title: "Inputs and trajectory of the validation".to_owned(),
-            paper: "Part of the inputs, speed and steering, and the vehicle's trajectory."
-                .to_owned(),
-            ours: format!(
-                "Ten seconds of the second drive, and the path that the model drives from the \
-                 first pose on, given the speed. Identified from the first: {}.",
-                estimates.join(", ")
-            ),
-            pictures: vec![Picture::new("model-inputs", "", figure)],
-        });
+        section.plate(
+            "Inputs and trajectory of the validation",
+            "Part of the inputs, speed and steering, and the vehicle's trajectory.",
+            "Ten seconds of the second drive, and the path that the model drives from the first \
+             pose on, given the speed. Identified from the first: {estimates}.",
+            &[("estimates", estimates.join(", "))],
+            vec![Picture::new("model-inputs", "", figure)],
+        );
     }
-    let fit = |output| {
-        let found = validation(report)
-            .and_then(|own| own.score.outputs.iter().find(|own| own.output == output));
-        found.map_or_else(
-            || "(not validated)".to_owned(),
-            |own| format!("{} %", with_digits(own.fit_percent, 3)),
-        )
+    let Some(mut figure) = take("validation-states") else {
+        return;
     };
-    if let Some(mut figure) = take("validation-states") {
-        // As in the paper: the simulation is grey, with the data in black above it.
-        for panel in &mut figure.panels {
-            for curve in panel
-                .curves
-                .iter_mut()
-                .filter(|curve| curve.look != Look::Actual)
-            {
+    // As in the paper: the simulation is grey, with the data in black above it.
+    for panel in &mut figure.panels {
+        for curve in &mut panel.curves {
+            if curve.look != Look::Actual {
                 curve.look = Look::Nominal;
             }
-            panel.curves.sort_by_key(|curve| curve.look == Look::Actual);
         }
-        section.plates.push(Plate {
-            title: "Simulation against data".to_owned(),
-            paper: "Experimental data (black) and the single-track simulation (grey) of four \
-                    states, in good accordance; an NMPE of 0.58, whose definition is not in the \
-                    paper."
-                .to_owned(),
-            ours: format!(
-                "The same of the second drive: the model fits {} of the yaw rate, {} of the \
-                 sideslip and {} of the lateral acceleration, an NMPE of {} ({} on the drive that it was identified from).",
-                fit(Output::YawRate),
-                fit(Output::Sideslip),
-                fit(Output::Left),
-                validation(report).map_or_else(
-                    || "(not validated)".to_owned(),
-                    |validation| with_digits(validation.score.nmpe, 3)
-                ),
-                with_digits(found.score.nmpe, 3),
-            ),
-            pictures: vec![Picture::new("model-states", "", figure)],
-        });
+        panel.curves.sort_by_key(|curve| curve.look == Look::Actual);
     }
+    let told = |name: &str, unit: &str| {
+        section.measurements.get(name).map_or_else(
+            || "(not validated)".to_owned(),
+            |value| format!("{}{unit}", with_digits(value, 3)),
+        )
+    };
+    let words = [
+        ("yaw_rate", told("model.fit.yaw-rate", " %")),
+        ("sideslip", told("model.fit.sideslip", " %")),
+        ("acceleration", told("model.fit.acceleration", " %")),
+        ("nmpe", told("model.nmpe.validation", "")),
+        ("own_nmpe", with_digits(found.score.nmpe, 3)),
+    ];
+    section.plate(
+        "Simulation against data",
+        "Experimental data (black) and the single-track simulation (grey) of four states, in good \
+         accordance; an NMPE of 0.58, whose definition is not in the paper.",
+        "The same of the second drive: the model fits {yaw_rate} of the yaw rate, {sideslip} of the \
+         sideslip and {acceleration} of the lateral acceleration, an NMPE of {nmpe} ({own_nmpe} on \
+         the drive that it was identified from).",
+        &words,
+        vec![Picture::new("model-states", "", figure)],
+    );
 }
 
 /// The estimates from many drives.
@@ -298,14 +277,7 @@ fn many(study: &Study, section: &mut Section) {
     let summaries = study.summaries();
     let mut panels = Vec::new();
     let mut told = Vec::new();
-    for (summary, (name, symbol, html)) in summaries.iter().zip(NAMES) {
-        section
-            .measurements
-            .add(format!("model.covered.{name}"), summary.covered as f64);
-        section.measurements.add(
-            format!("model.worst.{name}"),
-            100.0 * summary.worst_relative_error,
-        );
+    for (summary, (_, symbol, html)) in summaries.iter().zip(NAMES) {
         let estimates: Vec<Estimate> = study
             .seeds
             .iter()
@@ -344,15 +316,15 @@ fn many(study: &Study, section: &mut Section) {
             )
         });
     }
-    section.plates.push(Plate {
-        title: "How far the estimates can be trusted".to_owned(),
-        paper: "No figure: the paper gives the estimates without intervals.".to_owned(),
-        ours: format!(
-            "From {} drives, each with its own noise: {}.",
-            study.seeds.len(),
-            told.join("; ")
-        ),
-        pictures: vec![Picture::new(
+    section.plate(
+        "How far the estimates can be trusted",
+        "No figure: the paper gives the estimates without intervals.",
+        "From {count} drives, each with its own noise: {told}.",
+        &[
+            ("count", study.seeds.len().to_string()),
+            ("told", told.join("; ")),
+        ],
+        vec![Picture::new(
             "model-estimates",
             "",
             Figure {
@@ -362,5 +334,5 @@ fn many(study: &Study, section: &mut Section) {
                 panels,
             },
         )],
-    });
+    );
 }

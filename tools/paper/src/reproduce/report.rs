@@ -7,7 +7,7 @@ use singletrack_figures::{
 
 use super::{
     Plate, Reproduction, Section,
-    claims::{Judged, Verdict},
+    claims::{Claim, Verdict},
     table,
     text::number,
 };
@@ -69,8 +69,8 @@ fn entry(section: &Section) -> String {
 }
 
 /// The class of a verdict in the style sheet.
-const fn class(judged: &Judged) -> &'static str {
-    match (judged.verdict, &judged.surprise) {
+const fn class(claim: &Claim) -> &'static str {
+    match (claim.verdict, &claim.surprise) {
         (_, Some(_)) => "surprise",
         (Verdict::Agrees, None) => "agrees",
         (Verdict::Differs, None) => "differs",
@@ -95,16 +95,15 @@ fn typeset(text: &str) -> String {
     html
 }
 
-fn row(judged: &Judged) -> String {
-    let claim = &judged.claim;
-    let class = class(judged);
-    let surprise = judged
+fn row(claim: &Claim) -> String {
+    let class = class(claim);
+    let surprise = claim
         .surprise
         .as_ref()
         .map_or_else(String::new, |surprise| {
             format!("<strong>Unexpected: {}.</strong> ", escaped(surprise))
         });
-    let measured: Vec<String> = table::measured(judged)
+    let measured: Vec<String> = table::measured(claim)
         .iter()
         .map(|line| typeset(line))
         .collect();
@@ -117,12 +116,12 @@ fn row(judged: &Judged) -> String {
         typeset(&claim.claim),
         typeset(&claim.paper),
         measured.join("<br>"),
-        judged.verdict.name(),
+        claim.verdict.name(),
         typeset(&claim.why)
     )
 }
 
-fn body(section: &Section, claims: &[Judged]) -> String {
+fn body(section: &Section, claims: &[Claim]) -> String {
     let mut html = format!(
         "<section id=\"section-{}\">\n<h2>{}. {}</h2>\n",
         section.number,
@@ -137,14 +136,14 @@ fn body(section: &Section, claims: &[Judged]) -> String {
     }
     let own: Vec<String> = claims
         .iter()
-        .filter(|judged| judged.claim.section == section.number)
-        .map(|judged| {
+        .filter(|claim| claim.section == section.number)
+        .map(|claim| {
             format!(
                 "<li class=\"{}\"><a href=\"#{}\">{}</a>: <span class=\"verdict\">{}</span></li>",
-                class(judged),
-                judged.claim.id,
-                typeset(&judged.claim.claim),
-                judged.verdict.name()
+                class(claim),
+                claim.id,
+                typeset(&claim.claim),
+                claim.verdict.name()
             )
         })
         .collect();
@@ -158,7 +157,7 @@ fn body(section: &Section, claims: &[Judged]) -> String {
         let names: Vec<String> = section
             .tables
             .iter()
-            .map(|table| format!("<a href=\"data/{0}.csv\">{0}.csv</a>", table.name))
+            .map(|(name, _)| format!("<a href=\"data/{name}.csv\">{name}.csv</a>"))
             .collect();
         html += &format!("<p class=\"quiet\">Data: {}.</p>\n", names.join(", "));
     }

@@ -6,11 +6,11 @@ use super::{
     Setup,
     extreme::largest,
     progress::Progress,
-    section::{Plate, Section, Table},
+    section::Section,
     stability::{picture, scene, subject},
     text::{number, with_digits},
 };
-use crate::stability::{Grid, TimingArgs, figures, first_unstable, sampled_map};
+use crate::stability::{Grid, TimingArgs, figures, first_unstable, sampled_map, sampled_table};
 
 /// A time in ms, in words; `None` is beyond the searched range.
 fn ms(time: Option<f64>, limit: f64) -> String {
@@ -27,11 +27,7 @@ const TOLD: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
 const FASTEST: f64 = 5.0;
 
 pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section {
-        number: 8,
-        title: "The loop as it runs: what the paper leaves out",
-        ..Section::default()
-    };
+    let mut section = Section::new(8, "The loop as it runs: what the paper leaves out");
     // The paper's 100 Hz, and a tick from measurement to command.
     let timing = TimingArgs::default();
     section.intro.push(format!(
@@ -67,23 +63,9 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             .measurements
             .add("sampled.servo.first_unstable", first);
     }
-    section.tables.push(Table {
-        name: "sampled-front-point".to_owned(),
-        header: "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_marker_interval_s"
-            .to_owned(),
-        rows: map
-            .iter()
-            .map(|row| {
-                vec![
-                    row.speed_m_s,
-                    row.dl_m,
-                    row.spectral_radius,
-                    row.delay_margin_s.unwrap_or(f64::NAN),
-                    row.longest_marker_interval_s.unwrap_or(f64::NAN),
-                ]
-            })
-            .collect(),
-    });
+    section
+        .tables
+        .push(("sampled-front-point".to_owned(), sampled_table(&map)));
     let limits = MarginLimits::default();
     let mut told = Vec::new();
     for speed in TOLD.map(|speed| speed * setup.scale()) {
@@ -127,19 +109,19 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             pictures.append(&mut drawn);
         }
     }
-    section.plates.push(Plate {
-        title: "Spectral radius, delay margin and marker interval".to_owned(),
-        paper: "Nothing: the analysis has neither sampling nor delay.".to_owned(),
-        ours: format!(
-            "Between {} and {} m/s the sampled loop has a spectral radius of at most {} over the \
-             whole meaningful range of dl. With dl = 0, the delay that makes it unstable and the \
-             longest interval between poses are, at {}.",
-            number(fastest / f64::from(columns)),
-            number(fastest),
-            with_digits(largest, 6),
-            told.join("; ")
-        ),
+    section.plate(
+        "Spectral radius, delay margin and marker interval",
+        "Nothing: the analysis has neither sampling nor delay.",
+        "Between {slowest} and {fastest} m/s the sampled loop has a spectral radius of at most \
+         {largest} over the whole meaningful range of dl. With dl = 0, the delay that makes it \
+         unstable and the longest interval between poses are, at {margins}.",
+        &[
+            ("slowest", number(fastest / f64::from(columns))),
+            ("fastest", number(fastest)),
+            ("largest", with_digits(largest, 6)),
+            ("margins", told.join("; ")),
+        ],
         pictures,
-    });
+    );
     section
 }

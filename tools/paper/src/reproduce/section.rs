@@ -1,17 +1,15 @@
 //! The contents of a section of the report, independent of its format.
 
 use singletrack_figures::figure::Figure;
-use singletrack_scenario::{
-    csv_text::csv_text,
-    simulate::{HEADER, Row},
-};
+use singletrack_scenario::simulate::PlantKind;
 
 use super::{
     Setup,
-    claims::{Judged, Measurements},
+    claims::{Claim, Measurements},
     drive::{DriveError, Experiment, Run},
     text,
 };
+use crate::table::Table;
 
 /// A section of the report, with everything that was computed for it.
 #[derive(Clone, Debug, Default)]
@@ -24,8 +22,8 @@ pub struct Section {
     pub intro: Vec<String>,
     /// Its figures.
     pub plates: Vec<Plate>,
-    /// The data behind them.
-    pub tables: Vec<Table>,
+    /// The data behind them, each with the name of its file, without the ending.
+    pub tables: Vec<(String, Table)>,
     /// Numbers for the claims.
     pub measurements: Measurements,
     /// Notes for the reader: what failed, and why.
@@ -33,6 +31,46 @@ pub struct Section {
 }
 
 impl Section {
+    /// Without contents.
+    pub(super) fn new(number: usize, title: &'static str) -> Self {
+        Self {
+            number,
+            title,
+            ..Self::default()
+        }
+    }
+
+    /// Adds a plate. In `ours` a `{name}` stands for one of the words, and a `{name unit}` for a
+    /// measurement.
+    pub(super) fn plate(
+        &mut self,
+        title: impl Into<String>,
+        paper: &str,
+        ours: &str,
+        words: &[(&str, String)],
+        pictures: Vec<Picture>,
+    ) {
+        let (mut text, mut rest) = (String::new(), ours);
+        while let Some((before, after)) = rest.split_once('{') {
+            let (place, after) = after.split_once('}').unwrap_or((after, ""));
+            text += before;
+            text += &match words.iter().find(|(name, _)| *name == place) {
+                Some((_, word)) => word.clone(),
+                None => {
+                    let (name, unit) = place.split_once(' ').unwrap_or((place, ""));
+                    or_note(self.measurements.get(name), unit)
+                }
+            };
+            rest = after;
+        }
+        self.plates.push(Plate {
+            title: title.into(),
+            paper: paper.to_owned(),
+            ours: text + rest,
+            pictures,
+        });
+    }
+
     /// The result, or a note on its error.
     pub(super) fn or_note<T, E: std::fmt::Display>(
         &mut self,
@@ -48,17 +86,19 @@ impl Section {
         }
     }
 
-    /// The drive on the simulated car, unless that can't represent the car.
-    pub(super) fn drive_car(
+    /// The drive on a plant, unless the simulated car can't represent the car.
+    pub(super) fn drive(
         &mut self,
         setup: &Setup,
+        plant: PlantKind,
         what: &str,
         experiment: &Experiment,
     ) -> Option<Run> {
-        setup
-            .fits_simulated_car()
-            .then(|| self.keep(&format!("car, {what}"), experiment.car(setup)))
-            .flatten()
+        match plant {
+            PlantKind::Ideal => self.keep(what, experiment.ideal(setup)),
+            PlantKind::Car if setup.fits_simulated_car() => self.keep(what, experiment.car(setup)),
+            PlantKind::Car => None,
+        }
     }
 
     /// The drive, or a note on its failure. A drive that ended early has a note too.
@@ -86,7 +126,7 @@ pub struct Reproduction {
     /// The sections of the report, in order.
     pub sections: Vec<Section>,
     /// The claims with their verdicts.
-    pub claims: Vec<Judged>,
+    pub claims: Vec<Claim>,
 }
 
 /// Pictures that belong together, beside the paper's.
@@ -121,43 +161,6 @@ impl Picture {
             label: label.into(),
             figure,
         }
-    }
-}
-
-/// A file of data.
-#[derive(Clone, Debug)]
-pub struct Table {
-    /// The name of its file, without the ending.
-    pub name: String,
-    /// The names of its columns, separated by commas, with their units.
-    pub header: String,
-    /// Its rows.
-    pub rows: Vec<Vec<f64>>,
-}
-
-impl Table {
-    /// The trajectory of a drive.
-    pub fn of_rows(name: impl Into<String>, rows: &[Row]) -> Self {
-        Self {
-            name: name.into(),
-            header: HEADER.to_owned(),
-            rows: rows.iter().map(|row| row.values().to_vec()).collect(),
-        }
-    }
-
-    /// As CSV: numbers with every significant digit; an empty cell for one that is missing.
-    #[must_use]
-    pub fn to_csv(&self) -> String {
-        let cell = |value: &f64| {
-            if value.is_nan() {
-                String::new()
-            } else {
-                value.to_string()
-            }
-        };
-        let header: Vec<String> = self.header.split(',').map(ToOwned::to_owned).collect();
-        let rows = self.rows.iter().map(|row| row.iter().map(cell).collect());
-        csv_text([header].into_iter().chain(rows))
     }
 }
 

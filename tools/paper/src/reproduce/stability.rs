@@ -10,13 +10,13 @@ use super::{
     Setup,
     extreme::{largest, least},
     progress::Progress,
-    section::{Picture, Plate, Section, Table, or_note},
+    section::{Picture, Section, or_note},
     text::{metres, mm, number, with_digits},
 };
 use crate::stability::{
-    EigenvalueRow, Grid, Subject, eigenvalue_map,
+    EigenvalueRow, Grid, Subject, eigenvalue_map, eigenvalue_table,
     figures::{self, Scene},
-    hopf_curve, region,
+    hopf_curve, hopf_table, region,
 };
 
 /// The speeds of the study, for the paper's car, in m/s. The paper does not state its
@@ -88,25 +88,6 @@ fn region_picture(setup: &Setup, law: Law, name: &str, section: &mut Section) ->
     picture(section, name, figures::region(&scene, &rows))
 }
 
-fn hopf_table(name: &str, curve: &[HopfPoint]) -> Table {
-    Table {
-        name: name.to_owned(),
-        header: "speed_m_s,dl_hopf_m,omega_rad_s,l1_kuznetsov,l1_matcont".to_owned(),
-        rows: curve
-            .iter()
-            .map(|point| {
-                vec![
-                    point.speed,
-                    point.deviation,
-                    point.angular_frequency,
-                    point.lyapunov.kuznetsov,
-                    point.lyapunov.matcont,
-                ]
-            })
-            .collect(),
-    }
-}
-
 /// The first Lyapunov coefficients along a curve, in a sentence.
 fn lyapunov(curve: &[HopfPoint]) -> String {
     let range = |value: fn(&HopfPoint) -> f64| {
@@ -130,11 +111,7 @@ fn lyapunov(curve: &[HopfPoint]) -> String {
 /// The bifurcation study of the proposed law.
 pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
     progress.doing("bifurcations of the proposed law");
-    let mut section = Section {
-        number: 4,
-        title: "Bifurcations under the proposed law",
-        ..Section::default()
-    };
+    let mut section = Section::new(4, "Bifurcations under the proposed law");
     let mut curve = curve(setup, Law::FrontPoint, &mut section);
     curve.retain(HopfPoint::ends_stability);
     let [ahead, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
@@ -190,24 +167,26 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
         measurements.add("point.smallest", smallest);
     }
     measurements.add("hopf.front.unstable_in_range", unstable as f64);
-    section.tables.push(hopf_table("hopf-front-point", &curve));
+    section
+        .tables
+        .push(("hopf-front-point".to_owned(), hopf_table(&curve)));
     let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
-    section.plates.push(Plate {
-        title: "Stability over speed and deviation".to_owned(),
-        paper: "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, \
-                outside the physically meaningful range, with values of the first Lyapunov \
-                coefficient along it."
-            .to_owned(),
-        ours: format!(
-            "Between {} and {} m/s the Hopf curve rises from dl = {} to {}, {stable}. {}",
-            number(SPEEDS[0] * setup.scale()),
-            number(SPEEDS[1] * setup.scale()),
-            metres(least(deviations())),
-            metres(largest(deviations())),
-            lyapunov(&curve),
-        ),
+    section.plate(
+        "Stability over speed and deviation",
+        "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, outside the \
+         physically meaningful range, with values of the first Lyapunov coefficient along it.",
+        "Between {slowest} and {fastest} m/s the Hopf curve rises from dl = {least} to {largest}, \
+         {stable}. {lyapunov}",
+        &[
+            ("slowest", number(SPEEDS[0] * setup.scale())),
+            ("fastest", number(SPEEDS[1] * setup.scale())),
+            ("least", metres(least(deviations()))),
+            ("largest", metres(largest(deviations()))),
+            ("stable", stable),
+            ("lyapunov", lyapunov(&curve)),
+        ],
         pictures,
-    });
+    );
     section
 }
 
@@ -220,43 +199,30 @@ fn largest_within(map: &[EigenvalueRow], index: usize, [from, to]: [f64; 2]) -> 
     )
 }
 
-fn eigenvalue_table(name: &str, map: &[EigenvalueRow], count: usize) -> Table {
-    let mut header = "speed_m_s,dl_m".to_owned();
-    for number in 1..=count {
-        header += &format!(",re{number},im{number}");
-    }
-    Table {
-        name: name.to_owned(),
-        header,
-        rows: map
-            .iter()
-            .map(|row| {
-                let eigenvalues = row.eigenvalues.iter();
-                [row.speed, row.deviation]
-                    .into_iter()
-                    .chain(eigenvalues.flat_map(|value| [value.re, value.im]))
-                    .collect()
-            })
-            .collect(),
-    }
-}
-
 /// The eigenvalue maps of both laws.
 pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section {
-        number: 5,
-        title: "Eigenvalues under both laws",
-        ..Section::default()
-    };
+    let mut section = Section::new(5, "Eigenvalues under both laws");
     let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
     section.intro.push(
         "The real parts of the eigenvalues of the same steady motions, numbered by ascending real \
          part at every point."
             .to_owned(),
     );
-    for (law, name, title) in [
-        (Law::FrontPoint, "front", "the proposed law"),
-        (Law::VelocityPoint, "velocity", "the appendix's law"),
+    for (law, name, title, paper) in [
+        (
+            Law::FrontPoint,
+            "front",
+            "the proposed law",
+            "A map for each of four eigenvalues; within the meaningful range all real parts are \
+             negative.",
+        ),
+        (
+            Law::VelocityPoint,
+            "velocity",
+            "the appendix's law",
+            "Three maps, of \"the four eigenvalues\"; that of the most critical, λ<sub>3</sub>, has \
+             a region where it is not negative.",
+        ),
     ] {
         progress.doing(&format!("eigenvalues under {title}"));
         let subject = subject(setup, law);
@@ -266,68 +232,50 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
             continue;
         };
         let count = map.first().map_or(0, |row| row.eigenvalues.len());
-        section.tables.push(eigenvalue_table(
-            &format!("eigenvalues-{name}-point"),
-            &map,
-            count,
-        ));
+        let file = format!("eigenvalues-{name}-point");
+        section.tables.push((file.clone(), eigenvalue_table(&map)));
         let measurements = &mut section.measurements;
         measurements.add(format!("eigenvalues.{name}.count"), count as f64);
         let mut unstable = 0;
+        let mut told = Vec::new();
         for index in 0..count {
             let largest = largest_within(&map, index, range);
-            measurements.add(format!("eigenvalues.{name}.{}", index + 1), largest);
+            let name = format!("eigenvalues.{name}.{}", index + 1);
+            measurements.add(&name, largest);
+            told.push(or_note(measurements.get(&name), "1/s"));
             if largest >= 0.0 {
                 unstable += 1;
             }
         }
         measurements.add(format!("eigenvalues.{name}.unstable"), f64::from(unstable));
-        let largest: Vec<String> = (1..=count)
-            .map(|index| {
-                or_note(
-                    measurements.get(&format!("eigenvalues.{name}.{index}")),
-                    "1/s",
-                )
-            })
-            .collect();
         let pictures = match scene(&subject, setup, &mut section) {
-            Some(scene) => picture(
-                &mut section,
-                &format!("eigenvalues-{name}-point"),
-                figures::eigenvalues(&scene, &map),
-            ),
+            Some(scene) => picture(&mut section, &file, figures::eigenvalues(&scene, &map)),
             None => Vec::new(),
         };
-        section.plates.push(Plate {
-            title: format!("Real parts under {title}"),
-            paper: match law {
-                Law::FrontPoint => {
-                    "A map for each of four eigenvalues; within the meaningful range all real \
-                     parts are negative."
-                }
-                Law::VelocityPoint => {
-                    "Three maps, of \"the four eigenvalues\"; that of the most critical, \
-                     λ<sub>3</sub>, has a region where it is not negative."
-                }
-            }
-            .to_owned(),
-            ours: format!(
-                "{} eigenvalues, for as many states; within the meaningful range their real parts \
-                 are at most {}{}.",
-                match count {
-                    3 => "Three".to_owned(),
-                    4 => "Four".to_owned(),
-                    other => other.to_string(),
-                },
-                largest.join(", "),
-                if unstable > 0 {
-                    format!(": {unstable} become positive, having crossed the axis as a pair")
-                } else {
-                    String::new()
-                }
-            ),
+        let crossing = if unstable > 0 {
+            format!(": {unstable} become positive, having crossed the axis as a pair")
+        } else {
+            String::new()
+        };
+        section.plate(
+            format!("Real parts under {title}"),
+            paper,
+            "{count} eigenvalues, for as many states; within the meaningful range their real parts \
+             are at most {largest}{crossing}.",
+            &[
+                (
+                    "count",
+                    match count {
+                        3 => "Three".to_owned(),
+                        4 => "Four".to_owned(),
+                        other => other.to_string(),
+                    },
+                ),
+                ("largest", told.join(", ")),
+                ("crossing", crossing),
+            ],
             pictures,
-        });
+        );
     }
     section
 }
@@ -338,11 +286,7 @@ const SLOW: f64 = 0.1;
 /// The bifurcation study of the appendix's law.
 pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
     progress.doing("bifurcations of the appendix's law");
-    let mut section = Section {
-        number: 6,
-        title: "Bifurcations under the appendix's law",
-        ..Section::default()
-    };
+    let mut section = Section::new(6, "Bifurcations under the appendix's law");
     section.intro.push(
         "The same study of the law of the appendix, which needs l<sub>r</sub>, the mass and the \
          cornering stiffnesses besides: with its centre of mass dl behind its place on a \
@@ -390,30 +334,29 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
     measurements.add("hopf.velocity.leaves_range", leaves);
     section
         .tables
-        .push(hopf_table("hopf-velocity-point", &curve));
+        .push(("hopf-velocity-point".to_owned(), hopf_table(&curve)));
     let pictures = region_picture(
         setup,
         Law::VelocityPoint,
         "region-velocity-point",
         &mut section,
     );
-    section.plates.push(Plate {
-        title: "Stability over speed and deviation".to_owned(),
-        paper: "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at \
-                small speeds inside the meaningful range and close to zero: 0.136 mm at 0.1 m/s."
-            .to_owned(),
-        ours: format!(
-            "At {} m/s stability ends at dl = {} with l<sub>f</sub> and l<sub>r</sub> \
-             both wrong (with only l<sub>f</sub> wrong it would be {}), and the curve leaves the \
-             meaningful range (l<sub>r</sub> = {}) at {} m/s. {}",
-            number(SLOW * setup.scale()),
-            mm(both),
-            mm(front),
-            metres(behind),
-            with_digits(leaves, 2),
-            lyapunov(&curve),
-        ),
+    section.plate(
+        "Stability over speed and deviation",
+        "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at small \
+         speeds inside the meaningful range and close to zero: 0.136 mm at 0.1 m/s.",
+        "At {slow} m/s stability ends at dl = {both} with l<sub>f</sub> and l<sub>r</sub> both \
+         wrong (with only l<sub>f</sub> wrong it would be {front}), and the curve leaves the \
+         meaningful range (l<sub>r</sub> = {behind}) at {leaves} m/s. {lyapunov}",
+        &[
+            ("slow", number(SLOW * setup.scale())),
+            ("both", mm(both)),
+            ("front", mm(front)),
+            ("behind", metres(behind)),
+            ("leaves", with_digits(leaves, 2)),
+            ("lyapunov", lyapunov(&curve)),
+        ],
         pictures,
-    });
+    );
     section
 }

@@ -1,17 +1,17 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
-use singletrack_figures::figure::{Axis, Curve, Look, Symbol, Width};
-use singletrack_scenario::simulate::MarkerLoss;
+use singletrack_figures::figure::{Curve, Figure, Look, Width};
+use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
 use singletrack_statistics::RootMeanSquare;
 
 use super::{
     Setup,
-    drive::{Experiment, Run},
+    drive::{Drives, Experiment, PLANTS, Run},
     extreme::largest,
     pictures,
     progress::Progress,
-    section::{Picture, Plate, Section, Table, or_note},
+    section::{Picture, Section},
     text::{metres, mm, number, with_digits},
 };
 
@@ -58,20 +58,13 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
     }
 }
 
-/// The drives with right and with wrong parameters, on both plants.
-struct Drives {
-    ideal: [Option<Run>; 2],
-    car: [Option<Run>; 2],
-    /// The first drive of the car, without marker losses.
-    seen: Option<Run>,
-}
+/// The drives with right and with wrong parameters, by their names in a measurement and a file.
+const CASES: [(&str, &str); 2] = [("right", "dl-0"), ("rear", "dl-rear")];
+/// The first drive of the car, without marker losses.
+const SEEN: &str = "seen";
 
 pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section {
-        number: 2,
-        title: "The law alone: open-loop steps",
-        ..Section::default()
-    };
+    let mut section = Section::new(2, "The law alone: open-loop steps");
     let deviations = [0.0, setup.rear_deviation_m()];
     let names = [
         "dl = 0".to_owned(),
@@ -84,35 +77,29 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
          through 225°. On the car the markers are lost four times for 200 ms.",
         names[1]
     ));
-    let mut drives = Drives {
-        ideal: [None, None],
-        car: [None, None],
-        seen: None,
-    };
-    for (index, deviation) in deviations.into_iter().enumerate() {
-        let (Some(name), Some(ideal), Some(car)) = (
-            names.get(index),
-            drives.ideal.get_mut(index),
-            drives.car.get_mut(index),
-        ) else {
-            continue;
+    let mut drives = Drives::default();
+    for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
+        let seen = experiment(setup, LawKind::FrontPoint, deviation);
+        let experiment = Experiment {
+            losses: LOSSES
+                .map(|first_tick| MarkerLoss {
+                    first_tick,
+                    ticks: LOSS_TICKS,
+                })
+                .to_vec(),
+            ..seen.clone()
         };
-        let mut experiment = experiment(setup, LawKind::FrontPoint, deviation);
         progress.doing(&format!("open-loop steps, {name}"));
-        *ideal = section.keep(&format!("ideal plant, {name}"), experiment.ideal(setup));
-        if index == 0 {
-            drives.seen = section.drive_car(setup, "markers always seen", &experiment);
+        for (plant, kind, label) in PLANTS {
+            if plant == PlantKind::Car && case == "right" {
+                let run = section.drive(setup, plant, "car, markers always seen", &seen);
+                drives.add(SEEN, kind, run);
+            }
+            let run = section.drive(setup, plant, &format!("{label}, {name}"), &experiment);
+            drives.add(case, kind, run);
         }
-        experiment.losses = LOSSES
-            .map(|first_tick| MarkerLoss {
-                first_tick,
-                ticks: LOSS_TICKS,
-            })
-            .to_vec();
-        *car = section.drive_car(setup, name, &experiment);
     }
     measure(setup, &drives, &mut section);
-    tabulate(&drives, &mut section);
     draw(setup, &names, &drives, &mut section);
     section
 }
@@ -128,40 +115,36 @@ fn predicted(deviation_m: f64, run: &Run) -> impl Iterator<Item = f64> + '_ {
 
 fn measure(setup: &Setup, drives: &Drives, section: &mut Section) {
     let measurements = &mut section.measurements;
-    for (plant, runs) in [("ideal", &drives.ideal), ("car", &drives.car)] {
-        for (which, run) in ["right", "rear"].into_iter().zip(runs) {
-            let Some(run) = run else { continue };
-            measurements.add(
-                format!("steps.largest.{which}.{plant}"),
-                run.largest_deviation(),
-            );
-            measurements.add(format!("steps.rms.{which}.{plant}"), run.rms_deviation());
-            measurements.add(format!("steps.path.{which}.{plant}"), run.path());
+    for (_, plant, _) in PLANTS {
+        for (case, file) in CASES {
+            let Some(run) = drives.get(case, plant) else {
+                continue;
+            };
+            let mut add =
+                |what, value| measurements.add(format!("steps.{what}.{case}.{plant}"), value);
+            add("largest", run.largest_deviation());
+            add("rms", run.rms_deviation());
+            add("path", run.path());
+            // The peaks of the steering angle, in rad.
+            add("steepest", run.steepest());
+            let name = format!("steps-{file}-{plant}");
+            section.tables.push((name, run.table()));
         }
     }
-    if let [_, Some(rear)] = &drives.ideal {
+    if let Some(rear) = drives.get("rear", "ideal") {
         let both = rear
             .deviations()
             .zip(predicted(setup.rear_deviation_m(), rear));
         let residual = largest(both.map(|(measured, predicted)| (measured - predicted).abs()));
         measurements.add("steps.residual.rear.ideal", residual);
     }
-    if let [Some(right), Some(rear)] = &drives.car {
+    if let Some(right) = drives.get("right", "car") {
         // Both start from standstill; their difference does not contain that error.
-        measurements.add("steps.due_to_dl.car", rear.largest_difference(right));
-    }
-    if let ([Some(right), _], Some(seen)) = (&drives.car, &drives.seen) {
-        measurements.add("steps.due_to_losses.car", right.largest_difference(seen));
-    }
-}
-
-fn tabulate(drives: &Drives, section: &mut Section) {
-    for (plant, runs) in [("ideal", &drives.ideal), ("car", &drives.car)] {
-        for (which, run) in ["dl-0", "dl-rear"].into_iter().zip(runs) {
-            if let Some(run) = run {
-                let name = format!("steps-{which}-{plant}");
-                section.tables.push(Table::of_rows(name, &run.rows));
-            }
+        if let Some(rear) = drives.get("rear", "car") {
+            measurements.add("steps.due_to_dl.car", rear.largest_difference(right));
+        }
+        if let Some(seen) = drives.get(SEEN, "car") {
+            measurements.add("steps.due_to_losses.car", right.largest_difference(seen));
         }
     }
 }
@@ -171,110 +154,79 @@ fn pictures_of(
     what: &str,
     names: &[String; 2],
     drives: &Drives,
-    draw: impl Fn(&Run) -> singletrack_figures::figure::Figure,
+    draw: impl Fn(&Run) -> Figure,
 ) -> Vec<Picture> {
     let mut pictures = Vec::new();
-    for (plant, runs) in [("ideal", &drives.ideal), ("car", &drives.car)] {
-        let short = ["dl-0", "dl-rear"];
-        for ((name, short), run) in names.iter().zip(short).zip(runs) {
-            if let Some(run) = run {
-                let label = match plant {
-                    "ideal" => format!("ideal plant, {name}"),
-                    _ => format!("car, {name}"),
-                };
-                let file = format!("steps-{what}-{short}-{plant}");
-                pictures.push(Picture::new(file, label, draw(run)));
-            }
+    for (_, plant, label) in PLANTS {
+        for ((case, file), name) in CASES.into_iter().zip(names) {
+            pictures.extend(drives.get(case, plant).map(|run| {
+                let label = format!("{label}, {name}");
+                Picture::new(format!("steps-{what}-{file}-{plant}"), label, draw(run))
+            }));
         }
     }
     pictures
 }
 
-/// The peaks of the steering angle of a drive, largest first, in rad.
-fn steepest(run: Option<&Run>) -> Option<f64> {
-    run.map(|run| largest(run.rows.iter().map(|row| row.steering.abs())))
-}
-
 fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
-    let measured = section.measurements.clone();
-    let get = |name: &str| measured.get(name);
-    let length = |name: &str| or_note(get(name), "m");
-    let [ideal_right, ideal_rear] = &drives.ideal;
-    let [car_right, car_rear] = &drives.car;
-
-    if let Some(run) = ideal_right.as_ref().or(car_right.as_ref()) {
+    let right = |plant| drives.get("right", plant);
+    if let Some(run) = right("ideal").or(right("car")) {
         let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
-        section.plates.push(Plate {
-            title: "Commanded velocity of P".to_owned(),
-            paper: "The two components of the velocity, steps that both tests share.".to_owned(),
-            ours: format!(
-                "Six steps, of up to {} m/s, that both tests and both plants share.",
-                with_digits(fastest, 2)
-            ),
-            pictures: vec![Picture::new(
+        section.plate(
+            "Commanded velocity of P",
+            "The two components of the velocity, steps that both tests share.",
+            "Six steps, of up to {fastest} m/s, that both tests and both plants share.",
+            &[("fastest", with_digits(fastest, 2))],
+            vec![Picture::new(
                 "steps-commanded-velocity",
                 "",
                 run.commanded_velocity(),
             )],
-        });
+        );
     }
-    let angle = |run: &Option<Run>| or_note(steepest(run.as_ref()), "rad");
-    section.plates.push(Plate {
-        title: "Steering angle generated by the law".to_owned(),
-        paper: "The reference steering angle for both l<sub>f</sub>.".to_owned(),
-        ours: format!(
-            "Every turn of v<sub>P</sub> is a peak that decays as the car turns into the new \
-             direction: up to {} on the ideal plant and {} on the car; with the wrong \
-             l<sub>f</sub> {} and {}, and slower to decay.",
-            angle(ideal_right),
-            angle(car_right),
-            angle(ideal_rear),
-            angle(car_rear)
-        ),
-        pictures: pictures_of("steering", names, drives, Run::steering),
-    });
-    section.plates.push(Plate {
-        title: "Reference and actual speed".to_owned(),
-        paper: "The reference speed from the law (grey) and the car's (black), which follows it."
-            .to_owned(),
-        ours: format!(
-            "The ideal plant has the speed at once; the car follows {}. The dips are the turns, in \
-             which P moves mostly by steering.",
-            speed_lag(car_right.as_ref())
-        ),
-        pictures: pictures_of("speed", names, drives, Run::speed),
-    });
-    section.plates.push(Plate {
-        title: "Trajectory of P".to_owned(),
-        paper: "Nominal (grey) and actual (black) path, from the triangle to the circle, very \
-                close to each other even with the wrong l<sub>f</sub>."
-            .to_owned(),
-        ours: format!(
-            "Over a path of {} the true P of the ideal plant is at most {} from nominal with the \
-             right l<sub>f</sub> and {} with the wrong one; that of the car {} and {} ({} and {} \
-             RMS): it has to start, while the nominal P moves at once.",
-            length("steps.path.right.ideal"),
-            length("steps.largest.right.ideal"),
-            length("steps.largest.rear.ideal"),
-            length("steps.largest.right.car"),
-            length("steps.largest.rear.car"),
-            length("steps.rms.right.car"),
-            length("steps.rms.rear.car"),
-        ),
-        pictures: pictures_of("trajectory", names, drives, Run::trajectory),
-    });
-    section.plates.push(Plate {
-        title: "Position of P over time".to_owned(),
-        paper: "Nominal and actual coordinates; where the cameras lose the markers the measured \
-                position stays constant though the car moves."
-            .to_owned(),
-        ours: format!(
-            "The same, with four losses of 200 ms on the car (shaded); they move P by at most {} \
-             from where it goes without them.",
-            get("steps.due_to_losses.car").map_or_else(|| "(not driven)".to_owned(), mm)
-        ),
-        pictures: pictures_of("position", names, drives, Run::position),
-    });
+    section.plate(
+        "Steering angle generated by the law",
+        "The reference steering angle for both l<sub>f</sub>.",
+        "Every turn of v<sub>P</sub> is a peak that decays as the car turns into the new \
+         direction: up to {steps.steepest.right.ideal rad} on the ideal plant and \
+         {steps.steepest.right.car rad} on the car; with the wrong l<sub>f</sub> \
+         {steps.steepest.rear.ideal rad} and {steps.steepest.rear.car rad}, and slower to decay.",
+        &[],
+        pictures_of("steering", names, drives, Run::steering),
+    );
+    section.plate(
+        "Reference and actual speed",
+        "The reference speed from the law (grey) and the car's (black), which follows it.",
+        "The ideal plant has the speed at once; the car follows {lag}. The dips are the turns, in \
+         which P moves mostly by steering.",
+        &[("lag", speed_lag(right("car")))],
+        pictures_of("speed", names, drives, Run::speed),
+    );
+    section.plate(
+        "Trajectory of P",
+        "Nominal (grey) and actual (black) path, from the triangle to the circle, very close to \
+         each other even with the wrong l<sub>f</sub>.",
+        "Over a path of {steps.path.right.ideal m} the true P of the ideal plant is at most \
+         {steps.largest.right.ideal m} from nominal with the right l<sub>f</sub> and \
+         {steps.largest.rear.ideal m} with the wrong one; that of the car \
+         {steps.largest.right.car m} and {steps.largest.rear.car m} ({steps.rms.right.car m} and \
+         {steps.rms.rear.car m} RMS): it has to start, while the nominal P moves at once.",
+        &[],
+        pictures_of("trajectory", names, drives, Run::trajectory),
+    );
+    let losses = section.measurements.get("steps.due_to_losses.car");
+    section.plate(
+        "Position of P over time",
+        "Nominal and actual coordinates; where the cameras lose the markers the measured position \
+         stays constant though the car moves.",
+        "The same, with four losses of 200 ms on the car (shaded); they move P by at most {moved} \
+         from where it goes without them.",
+        &[(
+            "moved",
+            losses.map_or_else(|| "(not driven)".to_owned(), mm),
+        )],
+        pictures_of("position", names, drives, Run::position),
+    );
     deviation_plate(setup, drives, section);
 }
 
@@ -298,68 +250,48 @@ fn speed_lag(run: Option<&Run>) -> String {
 
 /// The deviation of the true P over time, and that of a wrong `l_f` by theory.
 fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let [_, Some(rear)] = &drives.ideal else {
+    let Some(rear) = drives.get("rear", "ideal") else {
         return;
     };
     let time = rear.column(|row| row.t);
+    let theory = predicted(setup.rear_deviation_m(), rear).collect();
+    let deviations = rear.deviations().collect();
     let mut curves = vec![
-        Curve::new(
-            "2 |dl sin(Δψ/2)|",
-            Look::Nominal,
-            &time,
-            predicted(setup.rear_deviation_m(), rear).collect(),
-        ),
-        Curve::new(
-            "ideal plant",
-            Look::Actual,
-            &time,
-            rear.deviations().collect(),
-        ),
+        Curve::new("2 |dl sin(Δψ/2)|", Look::Nominal, &time, theory),
+        Curve::new("ideal plant", Look::Actual, &time, deviations),
     ];
-    if let [Some(right), Some(rear)] = &drives.car {
-        let apart = rear
-            .rows
-            .iter()
-            .zip(&right.rows)
-            .map(|(one, other)| (one.x_p - other.x_p).hypot(one.y_p - other.y_p));
-        curves.push(Curve::new(
-            "car, from that with dl = 0",
-            Look::Truth,
-            &rear.column(|row| row.t),
-            apart.collect(),
-        ));
+    if let (Some(right), Some(rear)) = (drives.get("right", "car"), drives.get("rear", "car")) {
+        let time = rear.column(|row| row.t);
+        let apart = rear.differences(right).collect();
+        let name = "car, from that with dl = 0";
+        curves.push(Curve::new(name, Look::Truth, &time, apart));
     }
-    let measured = section.measurements.clone();
-    let y = Axis {
-        include: Some(0.0),
-        ..Axis::new("deviation of P", Some(Symbol::new("e", "P")), "m")
-    };
-    section.plates.push(Plate {
-        title: "What a wrong centre of mass costs".to_owned(),
-        paper: "No figure: equation 9 says that P's velocity is off by dl r, and the text that \
-                the path stays very close to the nominal one."
-            .to_owned(),
-        ours: format!(
-            "Equation 9 integrates to 2 |dl sin(Δψ/2)|, which the ideal plant meets to {}: {} when \
-             the car has turned by 180°, nothing after a full turn. On the car, {} at most from \
-             where P goes with the right l<sub>f</sub>.",
-            measured.get("steps.residual.rear.ideal").map_or_else(
+    let residual = section.measurements.get("steps.residual.rear.ideal");
+    section.plate(
+        "What a wrong centre of mass costs",
+        "No figure: equation 9 says that P's velocity is off by dl r, and the text that the path \
+         stays very close to the nominal one.",
+        "Equation 9 integrates to 2 |dl sin(Δψ/2)|, which the ideal plant meets to {residual}: \
+         {steps.largest.rear.ideal m} when the car has turned by 180°, nothing after a full turn. \
+         On the car, {steps.due_to_dl.car m} at most from where P goes with the right \
+         l<sub>f</sub>.",
+        &[(
+            "residual",
+            residual.map_or_else(
                 || "nothing".to_owned(),
-                |value| format!("{} m", number(value))
+                |value| format!("{} m", number(value)),
             ),
-            or_note(measured.get("steps.largest.rear.ideal"), "m"),
-            or_note(measured.get("steps.due_to_dl.car"), "m"),
-        ),
-        pictures: vec![Picture::new(
+        )],
+        vec![Picture::new(
             "steps-deviation",
             "",
             pictures::over_time(
                 "Deviation of P with the centre of mass believed at the rear axle",
                 "How far the true P is from where two integrators would be.",
-                y,
+                pictures::DEVIATION,
                 Width::Column,
                 curves,
             ),
         )],
-    });
+    );
 }

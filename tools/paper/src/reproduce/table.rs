@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::{
-    claims::{Judged, Verdict, surprises},
+    claims::{Claim, Quantity, Verdict, surprises},
     section::Reproduction,
     text::with_digits,
 };
@@ -30,8 +30,8 @@ fn write(out: &mut impl Write, reproduction: &Reproduction, report: &Path) -> io
     let heads = COLUMNS.map(|(name, _)| name.to_owned());
     row(out, &heads)?;
     rule(out)?;
-    for judged in &reproduction.claims {
-        row(out, &cells(judged))?;
+    for claim in &reproduction.claims {
+        row(out, &cells(claim))?;
         rule(out)?;
     }
     for section in &reproduction.sections {
@@ -44,7 +44,7 @@ fn write(out: &mut impl Write, reproduction: &Reproduction, report: &Path) -> io
 }
 
 /// The number of claims by verdict, in a sentence.
-pub(super) fn counts(claims: &[Judged]) -> String {
+pub(super) fn counts(claims: &[Claim]) -> String {
     let count = |verdict| claims.iter().filter(|one| one.verdict == verdict).count();
     let mut text = format!(
         "{} claims: {} agree, {} differ",
@@ -66,62 +66,47 @@ pub(super) fn counts(claims: &[Judged]) -> String {
     }
 }
 
-fn number(value: f64) -> String {
-    with_digits(value, 4)
-}
-
 /// Each number with its label.
-pub(super) fn measured(judged: &Judged) -> Vec<String> {
-    let quantities = judged.claim.quantities.iter();
+pub(super) fn measured(claim: &Claim) -> Vec<String> {
+    let quantities = claim.quantities.iter();
     quantities
-        .zip(&judged.measured)
-        .map(|(quantity, value)| {
-            let value = value.map_or_else(
-                || "none".to_owned(),
-                |value| match judged.claim.unit {
-                    "°" => format!("{}°", number(value)),
-                    // No line break between number and unit.
-                    unit => format!("{}\u{a0}{unit}", number(value)),
-                },
-            );
-            let value = value.trim_end();
-            if quantity.label.is_empty() {
-                value.to_owned()
-            } else {
-                format!("{}: {value}", quantity.label)
-            }
+        .map(|Quantity { label, value, .. }| match value {
+            None => format!("{label}: none"),
+            // No line break between number and unit.
+            Some(value) => format!("{label}: {}\u{a0}{}", with_digits(*value, 4), claim.unit)
+                .trim_end()
+                .to_owned(),
         })
         .collect()
 }
 
-fn cells(judged: &Judged) -> [String; 5] {
-    let claim = &judged.claim;
-    let mark = if judged.surprise.is_some() { "! " } else { "" };
-    let why = match &judged.surprise {
+fn cells(claim: &Claim) -> [String; 5] {
+    let mark = if claim.surprise.is_some() { "! " } else { "" };
+    let why = match &claim.surprise {
         Some(surprise) => format!("UNEXPECTED: {surprise}. {}", claim.why),
         None => claim.why.clone(),
     };
     [
-        format!("{mark}{}", judged.verdict.name()),
+        format!("{mark}{}", claim.verdict.name()),
         format!("{}. {}", claim.section, claim.claim),
         claim.paper.clone(),
-        measured(judged).join("; "),
+        measured(claim).join("; "),
         why,
     ]
 }
 
 /// The table in Markdown.
-pub(super) fn markdown(claims: &[Judged]) -> String {
+pub(super) fn markdown(claims: &[Claim]) -> String {
     let mut table =
         "| § | claim | the paper | measured | verdict | why |\n|---|---|---|---|---|---|\n"
             .to_owned();
-    for judged in claims {
-        let [verdict, _, paper, _, why] = cells(judged);
+    for claim in claims {
+        let [verdict, _, paper, measured, why] = cells(claim);
         let cells = [
-            judged.claim.section.to_string(),
-            judged.claim.claim.clone(),
+            claim.section.to_string(),
+            claim.claim.clone(),
             paper,
-            measured(judged).join("; "),
+            measured,
             verdict,
             why,
         ];
@@ -181,20 +166,22 @@ fn wrap(text: &str, width: usize) -> Vec<String> {
 mod tests {
     use super::{
         super::claims::{Measurements, judge},
-        markdown, wrap,
+        Verdict, markdown, wrap,
     };
 
     #[test]
     fn a_bar_in_a_cell_is_no_border_in_markdown() {
         let claim = crate::reproduce::claims::Claim {
-            id: "deviation",
+            id: "deviation".to_owned(),
             section: 2,
+            scope: crate::reproduce::claims::Scope::AnyCar,
             claim: "2 |dl|".to_owned(),
             paper: "none".to_owned(),
+            unit: "m".to_owned(),
             quantities: Vec::new(),
-            unit: "m",
-            scope: crate::reproduce::claims::Scope::AnyCar,
+            verdict: Verdict::NotMeasured,
             why: "it is so".to_owned(),
+            surprise: None,
         };
         let judged = judge(vec![claim], &Measurements::default(), true);
         let table = markdown(&judged);
