@@ -2,9 +2,9 @@
 
 use std::{
     collections::BTreeMap,
-    fs::{self, File, Permissions},
+    fs::{self, Permissions},
     hash::{DefaultHasher, Hasher},
-    io::{self, Read, Write},
+    io::{self, Write},
     os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
 };
@@ -124,21 +124,8 @@ fn program(files: Vec<PathBuf>) -> Result<String, FileError> {
     // The file that runs, also when it has been replaced meanwhile.
     let own = PathBuf::from("/proc/self/exe");
     let mut hasher = DefaultHasher::new();
-    let mut buffer = vec![0; 1 << 16];
     for path in [own].into_iter().chain(files) {
-        let failed = |source| FileError::Read {
-            path: path.clone(),
-            source,
-        };
-        let mut file = File::open(&path).map_err(failed)?;
-        loop {
-            match file.read(&mut buffer) {
-                Ok(0) => break,
-                Ok(count) => hasher.write(buffer.get(..count).unwrap_or_default()),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(failed(error)),
-            }
-        }
+        hasher.write(&fs::read(&path).map_err(|source| FileError::Read { path, source })?);
     }
     Ok(format!("{:016x}", hasher.finish()))
 }

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use serde::Serialize;
+
 /// Numbers of a curve, shared by all that draw them.
 pub type Column = Arc<[f64]>;
 
@@ -47,7 +49,8 @@ impl Look {
 }
 
 /// What a mark looks like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum MarkKind {
     /// Where a trajectory starts: a triangle.
     Start,

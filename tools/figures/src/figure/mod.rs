@@ -21,10 +21,13 @@ mod thin;
 mod typeset;
 mod xml;
 
+use serde::Serialize;
+
 pub use look::{Column, Look, MarkKind};
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
 pub use note::{Callout, Callouts, Estimate, Level};
 pub use scale::Scale;
+pub(crate) use scale::trimmed;
 pub use typeset::{plain, superscript};
 pub use xml::escaped;
 
@@ -226,14 +229,15 @@ impl Curve {
 }
 
 /// A point that matters.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Mark {
     /// What it is, for the legend.
+    #[serde(skip)]
     pub name: &'static str,
-    /// Where.
-    pub point: [f64; 2],
     /// What it looks like.
     pub kind: MarkKind,
+    /// Where.
+    pub point: [f64; 2],
 }
 
 /// A bar of a histogram, from zero up.

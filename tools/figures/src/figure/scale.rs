@@ -126,6 +126,13 @@ fn decimals(step: f64) -> usize {
     if digits > 0.0 { digits as usize } else { 0 }
 }
 
+/// A number to this many decimals, without needless digits.
+pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0" } else { text }.to_owned()
+}
+
 /// A real minus sign, and no minus zero.
 pub(super) fn minus(text: String) -> String {
     match text.strip_prefix('-') {

@@ -1,8 +1,10 @@
 //! Why plotting failed.
 
-use std::{io, path::PathBuf};
+use std::path::PathBuf;
 
 use singletrack_record::RecordError;
+
+use crate::output::WriteError;
 
 /// Why plotting failed.
 #[derive(Debug, thiserror::Error)]
@@ -37,11 +39,6 @@ pub enum PlotError {
         why: &'static str,
     },
     /// A picture can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }

@@ -12,7 +12,6 @@ mod summary;
 pub mod truth;
 
 use std::{
-    fs,
     io::{self, Write as _},
     path::{Path, PathBuf},
 };
@@ -24,6 +23,7 @@ pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
 
+use crate::output::{make_folder, write};
 use drive::Drive;
 
 /// Options of `singletrack plot`.
@@ -181,7 +181,7 @@ pub fn write_figures(
     figures: &[FigureKind],
     folder: &Path,
 ) -> Result<Plotted, PlotError> {
-    make(folder)?;
+    make_folder(folder)?;
     let mut plotted = Plotted::default();
     for kind in figures {
         match kind.draw(drive) {
@@ -212,7 +212,7 @@ pub fn write_animation(
             path: record.path.clone(),
             why,
         })?;
-    make(folder)?;
+    make_folder(folder)?;
     let path = folder.join(ANIMATION);
     write(&path, &picture)?;
     Ok(path)
@@ -236,24 +236,10 @@ pub fn write_report(
     drive: &Drive,
     folder: &Path,
 ) -> Result<PathBuf, PlotError> {
-    make(folder)?;
+    make_folder(folder)?;
     let path = folder.join(REPORT);
     write(&path, &report::report(record, number, drive))?;
     Ok(path)
-}
-
-fn make(folder: &Path) -> Result<(), PlotError> {
-    fs::create_dir_all(folder).map_err(|source| PlotError::Write {
-        path: folder.to_owned(),
-        source,
-    })
-}
-
-fn write(path: &Path, text: &str) -> Result<(), PlotError> {
-    fs::write(path, text).map_err(|source| PlotError::Write {
-        path: path.to_owned(),
-        source,
-    })
 }
 
 /// The folder of a record's figures: `drives/one.mcap` has `drives/one`.

@@ -6,6 +6,7 @@ use crate::figure::{
     look::{Look, MarkKind},
     page::{INK, TEXT_SIZE},
     place::Slot,
+    scale::trimmed,
     typeset,
 };
 
@@ -68,13 +69,7 @@ pub(super) fn through(svg: &mut String, points: &[[f64; 2]]) -> fmt::Result {
 
 /// A length to a hundredth of a mm, without needless digits.
 pub(super) fn number(value: f64) -> String {
-    let text = format!("{value:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" {
-        "0".to_owned()
-    } else {
-        text.to_owned()
-    }
+    trimmed(value, 2)
 }
 
 /// Colour, width and dashes of a look. The greys differ as the colours do.

@@ -6,6 +6,8 @@ use std::fmt::Write as _;
 use singletrack_control::VehicleParameters;
 use toml::Value;
 
+use crate::figure::trimmed;
+
 /// The car and its geofence, by the configuration.
 pub(super) struct Scene {
     /// Of the body, in m.
@@ -234,11 +236,5 @@ impl Bounds {
 
 /// A number to a thousandth, without needless digits.
 pub(super) fn number(value: f64) -> String {
-    let text = format!("{value:.3}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" {
-        "0".to_owned()
-    } else {
-        text.to_owned()
-    }
+    trimmed(value, 3)
 }

@@ -1,7 +1,6 @@
 //! The figures of a drive, each as in the paper's experimental section or about
 //! how the controller ran.
 
-mod common;
 mod histogram;
 mod time;
 mod trajectory;
@@ -10,6 +9,9 @@ use clap::ValueEnum;
 
 use super::drive::Drive;
 use crate::figure::Figure;
+
+/// What the shading of every figure means.
+const LOST: &str = "markers lost";
 
 /// A figure of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -50,18 +52,9 @@ impl FigureKind {
 
     /// Its name, on the command line and of its file.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Trajectory => "trajectory",
-            Self::Position => "position",
-            Self::CommandedVelocity => "commanded-velocity",
-            Self::Steering => "steering",
-            Self::Speed => "speed",
-            Self::SideslipYawRate => "sideslip-yaw-rate",
-            Self::TrackingError => "tracking-error",
-            Self::Latency => "latency",
-            Self::Lateness => "lateness",
-        }
+    pub fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// The name of its file.

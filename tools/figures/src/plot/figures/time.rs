@@ -1,10 +1,12 @@
 //! Figures over time.
 
-use super::common::LOST;
+use super::LOST;
 use crate::{
-    figure::{Axis, Curve, Figure, Look, Panel, Symbol, Width},
-    plot::drive::Drive,
-    plot::truth::TruthSample,
+    figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width},
+    plot::{
+        drive::{BoardPoint, Drive, TickSample},
+        truth::TruthSample,
+    },
 };
 
 /// A panel over the time of the drive, with the spans without markers.
@@ -17,26 +19,40 @@ fn over_time(drive: &Drive, y: Axis, curves: Vec<Curve>) -> Panel {
     }
 }
 
+/// A line through a number of each tick.
+fn curve(
+    drive: &Drive,
+    name: &'static str,
+    look: Look,
+    value: impl Fn(&TickSample) -> f64,
+) -> Curve {
+    let time = drive.column(|tick| tick.time);
+    Curve::new(name, look, &time, drive.column(value))
+}
+
+/// A line through a number of each of the board's samples.
+fn measured(drive: &Drive, name: &'static str, value: fn(&BoardPoint) -> f64) -> Curve {
+    let time = drive.board_column(|sample| sample.time);
+    Curve::new(name, Look::Measured, &time, drive.board_column(value))
+}
+
 /// Ground truth, if the car is simulated.
 fn truth(drive: &Drive, value: impl Fn(&TruthSample) -> f64) -> Curve {
-    Curve::new(
-        "true (simulation)",
-        Look::Truth,
-        &drive.truth_column(|sample| sample.time),
-        drive.truth_column(value),
-    )
+    true_curve(drive, drive.truth_column(value))
+}
+
+fn true_curve(drive: &Drive, values: Column) -> Curve {
+    let time = drive.truth_column(|sample| sample.time);
+    Curve::new("true (simulation)", Look::Truth, &time, values)
 }
 
 pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
-    let panel = |quantity, below, axis: usize| {
-        let y = Axis::new(quantity, Some(Symbol::new("v", below)), "m/s");
-        let velocity = drive.column(|tick| tick.point_velocity[axis]);
-        over_time(
-            drive,
-            y,
-            vec![Curve::new("commanded", Look::Actual, &time, velocity)],
-        )
+    let panel = |below, axis: usize| {
+        let y = Axis::new("velocity", Some(Symbol::new("v", below)), "m/s");
+        let velocity = curve(drive, "commanded", Look::Actual, |tick| {
+            tick.point_velocity[axis]
+        });
+        over_time(drive, y, vec![velocity])
     };
     Figure {
         title: "Commanded velocity of P".to_owned(),
@@ -44,66 +60,43 @@ pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
                   point P along x and y: the input of the linearising law."
             .to_owned(),
         width: Width::Page,
-        panels: vec![panel("velocity", "Px", 0), panel("velocity", "Py", 1)],
+        panels: vec![panel("Px", 0), panel("Py", 1)],
     }
 }
 
 pub(super) fn steering(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
     let y = Axis::new("steering", Some(Symbol::new("δ", "")), "rad");
-    let steering = drive.column(|tick| tick.steering);
+    let curves = vec![
+        curve(drive, "commanded", Look::Actual, |tick| tick.steering),
+        truth(drive, |sample| sample.steering),
+    ];
     Figure {
         title: "Steering angle commanded by the law".to_owned(),
         caption: "The steering angle that the linearising law asks for, after the limits of \
                   angle and rate; left is positive."
             .to_owned(),
         width: Width::Column,
-        panels: vec![over_time(
-            drive,
-            y,
-            vec![
-                Curve::new("commanded", Look::Actual, &time, steering),
-                truth(drive, |sample| sample.steering),
-            ],
-        )],
+        panels: vec![over_time(drive, y, curves)],
     }
 }
 
 pub(super) fn speed(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
-    let board = drive.board_column(|sample| sample.time);
     let y = Axis::new("speed", Some(Symbol::new("v", "")), "m/s");
+    let curves = vec![
+        measured(drive, "motor pulses", |sample| sample.motor_speed),
+        curve(drive, "reference", Look::Nominal, |tick| {
+            tick.commanded_speed
+        }),
+        curve(drive, "actual", Look::Actual, |tick| tick.speed),
+        truth(drive, |sample| sample.speed),
+    ];
     Figure {
         title: "Reference and actual speed".to_owned(),
         caption: "The speed of the centre of mass that the law asks for, after limits, and the \
                   car's: as estimated, and as the motor's pulses tell it of the rear axle."
             .to_owned(),
         width: Width::Column,
-        panels: vec![over_time(
-            drive,
-            y,
-            vec![
-                Curve::new(
-                    "motor pulses",
-                    Look::Measured,
-                    &board,
-                    drive.board_column(|sample| sample.motor_speed),
-                ),
-                Curve::new(
-                    "reference",
-                    Look::Nominal,
-                    &time,
-                    drive.column(|tick| tick.commanded_speed),
-                ),
-                Curve::new(
-                    "actual",
-                    Look::Actual,
-                    &time,
-                    drive.column(|tick| tick.speed),
-                ),
-                truth(drive, |sample| sample.speed),
-            ],
-        )],
+        panels: vec![over_time(drive, y, curves)],
     }
 }
 
@@ -113,16 +106,12 @@ pub(super) fn position(drive: &Drive) -> Figure {
     let panel = |letter, axis: usize| {
         let y = Axis::new("position", Some(Symbol::new(letter, "P")), "m");
         let should = drive.spread(nominal.iter().map(|point| point[axis]));
-        let is = drive.column(|tick| tick.point[axis]);
-        over_time(
-            drive,
-            y,
-            vec![
-                Curve::new("nominal", Look::Nominal, &time, should),
-                Curve::new("actual", Look::Actual, &time, is),
-                truth(drive, |sample| sample.point[axis]),
-            ],
-        )
+        let curves = vec![
+            Curve::new("nominal", Look::Nominal, &time, should),
+            curve(drive, "actual", Look::Actual, |tick| tick.point[axis]),
+            truth(drive, |sample| sample.point[axis]),
+        ];
+        over_time(drive, y, curves)
     };
     Figure {
         title: "Position of P over time".to_owned(),
@@ -141,10 +130,16 @@ pub(super) fn position(drive: &Drive) -> Figure {
 }
 
 pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
-    let board = drive.board_column(|sample| sample.time);
-    let sideslip = Axis::new("sideslip", Some(Symbol::new("β", "")), "rad");
-    let yaw_rate = Axis::new("yaw rate", Some(Symbol::new("r", "")), "rad/s");
+    let sideslip = vec![
+        curve(drive, "estimated", Look::Actual, |tick| tick.sideslip),
+        truth(drive, |sample| sample.sideslip),
+    ];
+    let yaw_rate = vec![
+        measured(drive, "gyro", |sample| sample.yaw_rate),
+        curve(drive, "estimated", Look::Actual, |tick| tick.yaw_rate),
+        truth(drive, |sample| sample.yaw_rate),
+    ];
+    let [beta, r] = ["β", "r"].map(|letter| Some(Symbol::new(letter, "")));
     Figure {
         title: "Sideslip angle and yaw rate".to_owned(),
         caption: "The estimated angle from the car's axis to the velocity of its centre of mass, \
@@ -152,70 +147,30 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
             .to_owned(),
         width: Width::Page,
         panels: vec![
-            over_time(
-                drive,
-                sideslip,
-                vec![
-                    Curve::new(
-                        "estimated",
-                        Look::Actual,
-                        &time,
-                        drive.column(|tick| tick.sideslip),
-                    ),
-                    truth(drive, |sample| sample.sideslip),
-                ],
-            ),
-            over_time(
-                drive,
-                yaw_rate,
-                vec![
-                    Curve::new(
-                        "gyro",
-                        Look::Measured,
-                        &board,
-                        drive.board_column(|sample| sample.yaw_rate),
-                    ),
-                    Curve::new(
-                        "estimated",
-                        Look::Actual,
-                        &time,
-                        drive.column(|tick| tick.yaw_rate),
-                    ),
-                    truth(drive, |sample| sample.yaw_rate),
-                ],
-            ),
+            over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
+            over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
         ],
     }
 }
 
 pub(super) fn tracking_error(drive: &Drive) -> Figure {
-    let time = drive.column(|tick| tick.time);
     let y = Axis {
         include: Some(0.0),
         ..Axis::new("tracking error", Some(Symbol::new("e", "P")), "mm")
     };
-    let error = drive
-        .tracking_error()
-        .into_iter()
-        .map(|error| error * 1000.0);
+    let mm = |errors: Vec<f64>| errors.into_iter().map(|error| error * 1000.0);
+    let time = drive.column(|tick| tick.time);
+    let error = drive.spread(mm(drive.tracking_error()));
+    let curves = vec![
+        Curve::new("estimated", Look::Actual, &time, error),
+        true_curve(drive, drive.spread_truth(mm(drive.true_errors()))),
+    ];
     Figure {
         title: "Tracking error of P".to_owned(),
         caption: "Distance from P to where it should be at that moment; with proportional \
                   control alone P lags behind a moving reference and the error stays."
             .to_owned(),
         width: Width::Column,
-        panels: vec![over_time(
-            drive,
-            y,
-            vec![
-                Curve::new("estimated", Look::Actual, &time, drive.spread(error)),
-                Curve::new(
-                    "true (simulation)",
-                    Look::Truth,
-                    &drive.truth_column(|sample| sample.time),
-                    drive.spread_truth(drive.true_errors().into_iter().map(|error| error * 1000.0)),
-                ),
-            ],
-        )],
+        panels: vec![over_time(drive, y, curves)],
     }
 }

@@ -1,6 +1,6 @@
 //! The path of P on the floor.
 
-use super::common::LOST;
+use super::LOST;
 use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width},
     plot::drive::Drive,
@@ -9,40 +9,19 @@ use crate::{
 pub(super) fn trajectory(drive: &Drive) -> Figure {
     let time = drive.column(|tick| tick.time);
     let nominal = drive.nominal();
-    let over = |time: &Column, curve: Curve| Curve {
+    let nominal = |axis: usize| drive.spread(nominal.iter().map(|point| point[axis]));
+    let actual = |axis: usize| drive.column(|tick| tick.point[axis]);
+    let truth = |axis: usize| drive.truth_column(|sample| sample.point[axis]);
+    let over = |time: &Column, name, look, coordinate: &dyn Fn(usize) -> Column| Curve {
         time: Some(time.clone()),
-        ..curve
+        ..Curve::new(name, look, &coordinate(0), coordinate(1))
     };
     let true_time = drive.truth_column(|sample| sample.time);
     let curves = vec![
         lost(drive),
-        over(
-            &time,
-            Curve::new(
-                "nominal",
-                Look::Nominal,
-                &drive.spread(nominal.iter().map(|point| point[0])),
-                drive.spread(nominal.iter().map(|point| point[1])),
-            ),
-        ),
-        over(
-            &time,
-            Curve::new(
-                "actual",
-                Look::Actual,
-                &drive.column(|tick| tick.point[0]),
-                drive.column(|tick| tick.point[1]),
-            ),
-        ),
-        over(
-            &true_time,
-            Curve::new(
-                "true (simulation)",
-                Look::Truth,
-                &drive.truth_column(|sample| sample.point[0]),
-                drive.truth_column(|sample| sample.point[1]),
-            ),
-        ),
+        over(&time, "nominal", Look::Nominal, &nominal),
+        over(&time, "actual", Look::Actual, &actual),
+        over(&true_time, "true (simulation)", Look::Truth, &truth),
     ];
     let seen = || {
         drive

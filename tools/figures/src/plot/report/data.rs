@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::Serialize;
 
 use crate::{
-    figure::{Axis, Column, Figure, Panel},
+    figure::{Axis, Column, Figure, Mark, Panel},
     plot::figures::FigureKind,
 };
 
@@ -21,7 +22,7 @@ struct Data {
 
 #[derive(Serialize)]
 struct FigureData {
-    id: &'static str,
+    id: String,
     title: String,
     caption: String,
     panels: Vec<PanelData>,
@@ -35,7 +36,7 @@ struct PanelData {
     spans: Vec<[f64; 2]>,
     span: &'static str,
     curves: Vec<CurveData>,
-    marks: Vec<MarkData>,
+    marks: Vec<Mark>,
 }
 
 #[derive(Serialize)]
@@ -55,12 +56,6 @@ struct CurveData {
     x: usize,
     y: usize,
     time: usize,
-}
-
-#[derive(Serialize)]
-struct MarkData {
-    kind: &'static str,
-    point: [f64; 2],
 }
 
 /// Whether the script draws a figure: histograms stay pictures.
@@ -123,14 +118,7 @@ impl Columns {
             spans: panel.spans.clone(),
             span: panel.span_name,
             curves,
-            marks: panel
-                .marks
-                .iter()
-                .map(|mark| MarkData {
-                    kind: mark.kind.class(),
-                    point: mark.point,
-                })
-                .collect(),
+            marks: panel.marks.clone(),
         }
     }
 
@@ -139,7 +127,7 @@ impl Columns {
             .iter()
             .flat_map(|value| (*value as f32).to_le_bytes())
             .collect();
-        let text = base64(&bytes);
+        let text = STANDARD.encode(&bytes);
         *self.numbers.entry(text).or_insert_with_key(|text| {
             self.texts.push(text.clone());
             self.texts.len() - 1
@@ -157,46 +145,9 @@ fn axis(axis: &Axis) -> AxisData {
     }
 }
 
-fn base64(bytes: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let letter = |bits: u32| {
-        let letter = LETTERS.get((bits & 63) as usize);
-        char::from(letter.copied().unwrap_or(b'='))
-    };
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for group in bytes.chunks(3) {
-        let byte = |index: usize| u32::from(group.get(index).copied().unwrap_or(0));
-        let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
-        for place in 0..4 {
-            if place <= group.len() {
-                text.push(letter(bits >> (18 - 6 * place)));
-            } else {
-                text.push('=');
-            }
-        }
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_is_that_of_rfc_4648() {
-        for (bytes, text) in [
-            ("", ""),
-            ("f", "Zg=="),
-            ("fo", "Zm8="),
-            ("foo", "Zm9v"),
-            ("foob", "Zm9vYg=="),
-            ("fooba", "Zm9vYmE="),
-            ("foobar", "Zm9vYmFy"),
-        ] {
-            assert_eq!(base64(bytes.as_bytes()), text);
-        }
-        assert_eq!(base64(&[0xfb, 0xff]), "+/8=");
-    }
 
     #[test]
     fn the_same_column_is_written_once() {

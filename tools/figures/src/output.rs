@@ -1,0 +1,56 @@
+//! Results in files and on standard output.
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
+
+/// A file or folder that can't be written.
+#[derive(Debug, thiserror::Error)]
+#[error("can't write {}: {source}; choose another folder with --out", path.display())]
+pub struct WriteError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// The system's error.
+    pub source: io::Error,
+}
+
+impl WriteError {
+    /// The error of the system about this file or folder.
+    pub fn of(path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self { path, source }
+    }
+}
+
+/// Makes a folder, if it is not there.
+///
+/// # Errors
+///
+/// When it can't be made.
+pub fn make_folder(path: &Path) -> Result<(), WriteError> {
+    fs::create_dir_all(path).map_err(WriteError::of(path))
+}
+
+/// Writes a file.
+///
+/// # Errors
+///
+/// When it can't be written.
+pub fn write(path: &Path, text: &str) -> Result<(), WriteError> {
+    fs::write(path, text).map_err(WriteError::of(path))
+}
+
+/// Prints a text as it is. The reader of a pipe may close it at any time.
+///
+/// # Errors
+///
+/// When standard output can't be written.
+pub fn print(text: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
