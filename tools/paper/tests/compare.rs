@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 
+use clap::ValueEnum as _;
 use singletrack_campaign::{Campaign, CampaignArgs};
 use singletrack_paper::compare::{
     Comparison, Condition, ControllerName, DELAYS_HEADER, HEADER, PathName, csv, delays,
@@ -29,7 +30,7 @@ const WORST: usize = 13;
 
 /// Those that drive the car.
 fn drivers() -> Vec<ControllerName> {
-    let all = ControllerName::ALL.into_iter();
+    let all = ControllerName::value_variants().iter().copied();
     all.filter(|controller| *controller != ControllerName::Appendix)
         .collect()
 }
@@ -78,7 +79,7 @@ fn rows(csv: &str) -> BTreeMap<String, Vec<String>> {
 
 #[test]
 fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
-    let plan = plan(&ControllerName::ALL, &[Condition::Nominal]);
+    let plan = plan(ControllerName::value_variants(), &[Condition::Nominal]);
     let all = run(&plan, &CampaignArgs::default());
     let table = csv(&lines(&plan, &all.results));
     let rows_of_all = rows(&table);
@@ -119,7 +120,7 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
     let [panel] = picture.panels.as_slice() else {
         panic!("{} panels", picture.panels.len());
     };
-    let names = drivers().into_iter().map(|name| name.name().to_owned());
+    let names = drivers().into_iter().map(ControllerName::name);
     assert_eq!(panel.names, names.collect::<Vec<_>>());
     for (place, estimate) in panel.estimates.iter().enumerate() {
         assert!((estimate.x - place as f64).abs() < 1e-9, "{estimate:?}");
@@ -210,7 +211,7 @@ fn the_worst_condition_has_a_row_that_names_it() {
 #[test]
 fn laws_without_lag_and_noise_follow_exactly_on_the_ideal_plant() {
     let plan = plan(
-        &ControllerName::ALL,
+        ControllerName::value_variants(),
         &[Condition::Nominal, Condition::IdealPlant],
     );
     let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));

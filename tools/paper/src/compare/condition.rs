@@ -4,6 +4,8 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
 
+use super::name_of;
+
 /// A condition of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -61,43 +63,10 @@ pub enum Condition {
 }
 
 impl Condition {
-    /// All, in the order of the table.
-    pub const ALL: [Self; 14] = [
-        Self::Nominal,
-        Self::SoftTyres,
-        Self::StiffTyres,
-        Self::AxleLeast,
-        Self::AxleLess,
-        Self::AxleMore,
-        Self::AxleMost,
-        Self::Loss50,
-        Self::Loss100,
-        Self::Loss200,
-        Self::Loss500,
-        Self::Loss1000,
-        Self::IdealPlant,
-        Self::AddedDelay,
-    ];
-
     /// As in the table.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Nominal => "nominal",
-            Self::SoftTyres => "tyres-50%",
-            Self::StiffTyres => "tyres+50%",
-            Self::AxleLeast => "axle-lf",
-            Self::AxleLess => "axle-50mm",
-            Self::AxleMore => "axle+50mm",
-            Self::AxleMost => "axle+lr",
-            Self::Loss50 => "loss-50ms",
-            Self::Loss100 => "loss-100ms",
-            Self::Loss200 => "loss-200ms",
-            Self::Loss500 => "loss-500ms",
-            Self::Loss1000 => "loss-1000ms",
-            Self::IdealPlant => "ideal-plant",
-            Self::AddedDelay => "added-delay",
-        }
+    pub fn name(self) -> String {
+        name_of(self)
     }
 
     /// Factor of the true cornering stiffnesses.

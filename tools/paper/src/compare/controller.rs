@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 
-use super::{condition::Condition, foreign::Law};
+use super::{condition::Condition, foreign::Law, name_of};
 
 /// A controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -80,37 +80,10 @@ impl Drives {
 }
 
 impl ControllerName {
-    /// All, in the order of the table.
-    pub const ALL: [Self; 11] = [
-        Self::P,
-        Self::PFf,
-        Self::PTuned,
-        Self::PCompensated,
-        Self::Lqi,
-        Self::LqiCompensated,
-        Self::Mpc,
-        Self::MpcCompensated,
-        Self::PurePursuit,
-        Self::Stanley,
-        Self::Appendix,
-    ];
-
     /// As in the table.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::P => "p",
-            Self::PFf => "p-ff",
-            Self::PTuned => "p-tuned",
-            Self::PCompensated => "p-compensated",
-            Self::Lqi => "lqi",
-            Self::LqiCompensated => "lqi-compensated",
-            Self::Mpc => "mpc",
-            Self::MpcCompensated => "mpc-compensated",
-            Self::PurePursuit => "pure-pursuit",
-            Self::Stanley => "stanley",
-            Self::Appendix => "appendix",
-        }
+    pub fn name(self) -> String {
+        name_of(self)
     }
 
     /// With the parameters of the table.

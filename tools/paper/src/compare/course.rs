@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 use singletrack_control::{Reference, ReferencePoint};
 use singletrack_core::{ConfigError, config::ReferenceSection};
 
+use super::name_of;
+
 /// A path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -20,23 +22,10 @@ pub enum PathName {
 }
 
 impl PathName {
-    /// All, in the order of the table.
-    pub const ALL: [Self; 4] = [
-        Self::Circle,
-        Self::Eight,
-        Self::LaneChange,
-        Self::InfeasibleCircle,
-    ];
-
     /// As in the table.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Circle => "circle",
-            Self::Eight => "eight",
-            Self::LaneChange => "lane-change",
-            Self::InfeasibleCircle => "infeasible-circle",
-        }
+    pub fn name(self) -> String {
+        name_of(self)
     }
 }
 

@@ -94,7 +94,7 @@ pub fn delays_markdown(lines: &[DelayLine]) -> String {
     };
     let case = |line: &DelayLine| (line.row.path, line.row.speed_m_s);
     let head = lines.iter().take_while(|line| case(line) == case(first));
-    let names: Vec<&str> = head.map(|line| line.row.controller.name()).collect();
+    let names: Vec<String> = head.map(|line| line.row.controller.name()).collect();
     let _ = writeln!(
         text,
         "Least added delay that diverges, in ms\n\n| path | m/s | {} |\n|---|---|{}",

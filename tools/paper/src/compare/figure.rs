@@ -59,11 +59,8 @@ fn panel(lines: &[&Line], controllers: &[ControllerName], speeds: &[f64]) -> Pan
     panel.begins_row = true;
     panel.height_mm = HEIGHT_MM;
     let path = lines.first().map(|line| line.row.path.name());
-    panel.title = path.unwrap_or_default().to_owned();
-    panel.names = controllers
-        .iter()
-        .map(|name| name.name().to_owned())
-        .collect();
+    panel.title = path.unwrap_or_default();
+    panel.names = controllers.iter().map(|name| name.name()).collect();
     let place = |line: &Line| {
         let controller = controllers
             .iter()

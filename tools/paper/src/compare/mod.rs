@@ -17,14 +17,11 @@ mod stops;
 mod table;
 mod tune;
 
-use std::{
-    fs,
-    io::{self, Write as _},
-    path::PathBuf,
-};
+use std::{io, path::PathBuf};
 
 use clap::{Args, ValueEnum};
 use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
+use singletrack_figures::output::{WriteError, make_folder, print, write};
 
 pub use condition::{Condition, Worst};
 pub use controller::ControllerName;
@@ -113,16 +110,11 @@ pub enum CompareError {
     #[error(transparent)]
     Tune(#[from] DriveError),
     /// A file can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
     /// Standard output can't be written.
     #[error("can't write to standard output: {0}")]
-    Output(io::Error),
+    Output(#[from] io::Error),
 }
 
 fn speed(text: &str) -> Result<f64, String> {
@@ -132,8 +124,15 @@ fn speed(text: &str) -> Result<f64, String> {
     }
 }
 
-fn or_all<T: Copy>(given: &[T], all: &[T]) -> Vec<T> {
+fn or_all<T: ValueEnum>(given: &[T]) -> Vec<T> {
+    let all = T::value_variants();
     if given.is_empty() { all } else { given }.to_vec()
+}
+
+/// As on the command line and in the tables.
+fn name_of(value: impl ValueEnum) -> String {
+    let value = value.to_possible_value();
+    value.map_or_else(String::new, |value| value.get_name().to_owned())
 }
 
 /// Runs the comparison, prints and writes its table.
@@ -142,19 +141,15 @@ fn or_all<T: Copy>(given: &[T], all: &[T]) -> Vec<T> {
 ///
 /// A drive can't be simulated, or a file can't be read or written.
 pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
-    let controllers = or_all(&args.controllers, &ControllerName::ALL);
+    let controllers = or_all(&args.controllers);
     if args.tune {
-        return print(&tune::tune(&controllers, args.campaign.threads())?);
+        return Ok(print(&tune::tune(&controllers, args.campaign.threads())?)?);
     }
-    let failed = |path: &PathBuf| {
-        let path = path.clone();
-        move |source| CompareError::Write { path, source }
-    };
     if let Some(folder) = &args.out {
         // Before hours of work.
-        fs::create_dir_all(folder).map_err(failed(folder))?;
+        make_folder(folder)?;
     }
-    let mut conditions = or_all(&args.conditions, &Condition::ALL);
+    let mut conditions = or_all(&args.conditions);
     if args.conditions.is_empty()
         && args.format == CompareFormat::Csv
         && args.out.is_none()
@@ -165,7 +160,7 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
     }
     let plan = Comparison {
         controllers,
-        paths: or_all(&args.paths, &PathName::ALL),
+        paths: or_all(&args.paths),
         speeds_m_s: args.speeds.clone(),
         conditions,
         first_seed: args.first_seed,
@@ -189,20 +184,11 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
             files.push(("compare.svg", figure.to_svg()));
         }
         for (name, text) in files {
-            let path = folder.join(name);
-            fs::write(&path, text).map_err(failed(&path))?;
+            write(&folder.join(name), &text)?;
         }
     }
-    print(match args.format {
+    Ok(print(match args.format {
         CompareFormat::Csv => &csv,
         CompareFormat::Markdown => &markdown,
-    })
-}
-
-fn print(text: &str) -> Result<(), CompareError> {
-    match io::stdout().lock().write_all(text.as_bytes()) {
-        // The reader of a pipe may close it at any time.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => result.map_err(CompareError::Output),
-    }
+    })?)
 }

@@ -159,9 +159,11 @@ impl Line {
     }
 
     /// The condition, or what the line is the worst of.
-    fn title(&self) -> &'static str {
-        self.worst_of
-            .map_or_else(|| self.row.condition.name(), Worst::name)
+    fn title(&self) -> String {
+        self.worst_of.map_or_else(
+            || self.row.condition.name(),
+            |worst| worst.name().to_owned(),
+        )
     }
 
     fn condition(&self) -> String {
@@ -246,7 +248,8 @@ pub fn csv(lines: &[Line]) -> String {
             values.join(","),
             line.stops,
             effort.join(","),
-            line.worst_of.map_or("", |_| line.row.condition.name()),
+            line.worst_of
+                .map_or_else(String::new, |_| line.row.condition.name()),
             line.stop_reasons.joined(";")
         );
     }

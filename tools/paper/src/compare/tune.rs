@@ -101,11 +101,13 @@ fn cost(tried: &Tried) -> Result<f64, DriveError> {
 
 #[cfg(test)]
 mod tests {
+    use clap::ValueEnum as _;
+
     use super::*;
 
     #[test]
     fn every_tuned_controller_has_the_same_budget_and_drives_with_what_was_tried() {
-        for controller in ControllerName::ALL {
+        for &controller in ControllerName::value_variants() {
             if let Some([first, second]) = controller.tried() {
                 assert_eq!(first.len() * second.len(), BUDGET, "{}", controller.name());
                 let [a, b] = controller.parameters();
