@@ -155,11 +155,7 @@ impl Collector {
                         y_m: pose.position.y - (along.y * forward + along.x * left),
                         yaw_rad: yaw,
                     };
-                    // A late one is not used.
-                    let last = self.data.poses.last();
-                    if last.is_none_or(|last| pose.time_s > last.time_s) {
-                        self.data.poses.push(pose);
-                    }
+                    push_later(&mut self.data.poses, pose, |pose| pose.time_s);
                 }
                 Event::Board(BoardSample {
                     inertial: Some(sample),
@@ -171,10 +167,7 @@ impl Collector {
                         forward_m_s2: sample.forward_acceleration,
                         left_m_s2: sample.left_acceleration,
                     };
-                    let last = self.of_ticks.inertial.last();
-                    if last.is_none_or(|last| sample.time_s > last.time_s) {
-                        self.of_ticks.inertial.push(sample);
-                    }
+                    push_later(&mut self.of_ticks.inertial, sample, |sample| sample.time_s);
                 }
                 _ => {}
             }
@@ -209,10 +202,7 @@ impl Collector {
                 period: (passed + BOARD_PERIOD_US / 2) / BOARD_PERIOD_US,
                 angle_rad: self.steering.angle(telemetry.servo_us.into()),
             };
-            let last = self.data.servo.last();
-            if last.is_none_or(|last| target.time_s > last.time_s) {
-                self.data.servo.push(target);
-            }
+            push_later(&mut self.data.servo, target, |target| target.time_s);
         }
         if let Some(time_ns) = record.new_imu_time_ns() {
             let [forward_m_s2, left_m_s2, _] = record.linear_acceleration_m_s2();
@@ -223,10 +213,7 @@ impl Collector {
                 forward_m_s2,
                 left_m_s2,
             };
-            let last = self.data.inertial.last();
-            if last.is_none_or(|last| sample.time_s > last.time_s) {
-                self.data.inertial.push(sample);
-            }
+            push_later(&mut self.data.inertial, sample, |sample| sample.time_s);
         }
     }
 
@@ -252,5 +239,15 @@ impl Collector {
         self.data.inertial.retain(|sample| sample.time_s <= end_s);
         self.data.servo.retain(|target| target.time_s <= end_s);
         self.data
+    }
+}
+
+/// Adds a sample, but not one that is late.
+fn push_later<T>(samples: &mut Vec<T>, sample: T, time_s: fn(&T) -> f64) {
+    if samples
+        .last()
+        .is_none_or(|last| time_s(&sample) > time_s(last))
+    {
+        samples.push(sample);
     }
 }

@@ -68,38 +68,28 @@ fn column(points: &[SimulationPoint], value: impl Fn(&SimulationPoint) -> f64) -
 /// The paper's figure of part of the inputs and the trajectory.
 fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
     let time = column(points, |point| point.time_s);
-    let over_time = |y, value: fn(&SimulationPoint) -> f64| Panel {
-        height_mm: 34.0,
-        curves: vec![Curve::new(
-            "input",
-            Look::Actual,
-            &time,
-            column(points, value),
-        )],
-        ..Panel::new(Axis::TIME, y)
+    let over_time = |quantity, letter, unit, value: fn(&SimulationPoint) -> f64| {
+        let input = Curve::new("input", Look::Actual, &time, column(points, value));
+        let y = Axis::new(quantity, Some(Symbol::new(letter, "")), unit);
+        Panel {
+            height_mm: 34.0,
+            curves: vec![input],
+            ..Panel::new(Axis::TIME, y)
+        }
+    };
+    let path = |name, look, position: fn(&SimulationPoint) -> [f64; 2]| {
+        let [x, y] = [0, 1].map(|axis: usize| column(points, |point| position(point)[axis]));
+        Curve {
+            time: Some(time.clone()),
+            ..Curve::new(name, look, &x, y)
+        }
     };
     let trajectory = Panel {
         height_mm: 70.0,
         equal: true,
         curves: vec![
-            Curve {
-                time: Some(time.clone()),
-                ..Curve::new(
-                    MODEL,
-                    Look::Nominal,
-                    &column(points, |point| point.position_m[0]),
-                    column(points, |point| point.position_m[1]),
-                )
-            },
-            Curve {
-                time: Some(time.clone()),
-                ..Curve::new(
-                    MEASURED,
-                    Look::Actual,
-                    &column(points, |point| point.measured_m[0]),
-                    column(points, |point| point.measured_m[1]),
-                )
-            },
+            path(MODEL, Look::Nominal, |point| point.position_m),
+            path(MEASURED, Look::Actual, |point| point.measured_m),
         ],
         begins_row: true,
         ..Panel::new(
@@ -116,14 +106,8 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
         ),
         width: Width::Page,
         panels: vec![
-            over_time(
-                Axis::new("speed", Some(Symbol::new("v", "")), "m/s"),
-                |point| point.speed_m_s,
-            ),
-            over_time(
-                Axis::new("steering", Some(Symbol::new("δ", "")), "rad"),
-                |point| point.steering_rad,
-            ),
+            over_time("speed", "v", "m/s", |point| point.speed_m_s),
+            over_time("steering", "δ", "rad", |point| point.steering_rad),
             trajectory,
         ],
     }
@@ -132,17 +116,38 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
 /// The paper's figure of the states.
 fn states(points: &[SimulationPoint], which: &str) -> Figure {
     let time = column(points, |point| point.time_s);
-    let panel = |y,
-                 begins_row,
-                 measured: fn(&SimulationPoint) -> f64,
-                 model: fn(&SimulationPoint) -> f64| Panel {
-        begins_row,
-        curves: vec![
-            Curve::new(MODEL, Look::Nominal, &time, column(points, model)),
-            Curve::new(MEASURED, Look::Actual, &time, column(points, measured)),
-        ],
-        ..Panel::new(Axis::TIME, y)
+    let panel = |quantity, symbol, unit, values: fn(&SimulationPoint) -> [f64; 2]| {
+        let [measured, model] =
+            [0, 1].map(|which: usize| column(points, |point| values(point)[which]));
+        Panel {
+            curves: vec![
+                Curve::new(MODEL, Look::Nominal, &time, model),
+                Curve::new(MEASURED, Look::Actual, &time, measured),
+            ],
+            ..Panel::new(Axis::TIME, Axis::new(quantity, Some(symbol), unit))
+        }
     };
+    let mut panels = vec![
+        panel("yaw", Symbol::new("ψ", ""), "rad", |point| {
+            [point.measured_yaw_rad, point.yaw_rad]
+        }),
+        panel("yaw rate", Symbol::new("r", ""), "rad/s", |point| {
+            [point.measured_yaw_rate_rad_s, point.yaw_rate_rad_s]
+        }),
+        panel("sideslip", Symbol::new("β", ""), "rad", |point| {
+            [point.measured_sideslip_rad, point.sideslip_rad]
+        }),
+        panel(
+            "lateral acceleration",
+            Symbol::new("a", "y"),
+            "m/s²",
+            |point| [point.measured_left_m_s2, point.left_m_s2],
+        ),
+    ];
+    // Two in a row.
+    if let Some(third) = panels.get_mut(2) {
+        third.begins_row = true;
+    }
     Figure {
         title: "Measured and simulated states".to_owned(),
         caption: format!(
@@ -151,32 +156,7 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
              speed and the servo's pulses and nothing else."
         ),
         width: Width::Page,
-        panels: vec![
-            panel(
-                Axis::new("yaw", Some(Symbol::new("ψ", "")), "rad"),
-                false,
-                |point| point.measured_yaw_rad,
-                |point| point.yaw_rad,
-            ),
-            panel(
-                Axis::new("yaw rate", Some(Symbol::new("r", "")), "rad/s"),
-                false,
-                |point| point.measured_yaw_rate_rad_s,
-                |point| point.yaw_rate_rad_s,
-            ),
-            panel(
-                Axis::new("sideslip", Some(Symbol::new("β", "")), "rad"),
-                true,
-                |point| point.measured_sideslip_rad,
-                |point| point.sideslip_rad,
-            ),
-            panel(
-                Axis::new("lateral acceleration", Some(Symbol::new("a", "y")), "m/s²"),
-                false,
-                |point| point.measured_left_m_s2,
-                |point| point.left_m_s2,
-            ),
-        ],
+        panels,
     }
 }
 

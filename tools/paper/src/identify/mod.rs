@@ -21,7 +21,10 @@ use indicatif::ProgressBar;
 use singletrack_analysis::identification::{self, IdentificationError, Parameter, Settings, Tyres};
 use singletrack_campaign::CampaignError;
 use singletrack_core::{Config, ConfigError};
-use singletrack_figures::plot::PlotError;
+use singletrack_figures::{
+    output::{WriteError, make_folder, print, write as write_file},
+    plot::PlotError,
+};
 use singletrack_record::RecordError;
 
 use crate::vehicle_file::{self, VehicleFileError};
@@ -188,13 +191,11 @@ pub enum IdentifyError {
         source: IdentificationError,
     },
     /// A file can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The car has no TOML.
+    #[error("can't write a vehicle file: {0}")]
+    Toml(#[from] toml::ser::Error),
     /// The folder has a vehicle file that this command did not write.
     #[error(
         "{} is not of an earlier identification; choose another folder with --out, or rename it",
@@ -203,7 +204,7 @@ pub enum IdentifyError {
     Foreign(PathBuf),
     /// Standard output can't be written.
     #[error("can't write to standard output: {0}")]
-    Output(io::Error),
+    Output(#[from] io::Error),
 }
 
 /// Identifies, prints and writes the result. Progress and warnings go to standard
@@ -214,7 +215,7 @@ pub enum IdentifyError {
 /// When a record can't be used, or a file can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     if args.study.is_meant() {
-        return print(&study_command::report(&args.study, args.tyres)?);
+        return Ok(print(&study_command::report(&args.study, args.tyres)?)?);
     }
     if let Some(folder) = &args.out {
         prepare(folder)?;
@@ -247,14 +248,6 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
         }
     }
     Ok(())
-}
-
-fn print(text: &str) -> Result<(), IdentifyError> {
-    match io::stdout().lock().write_all(text.as_bytes()) {
-        // The reader of a pipe may close it at any time.
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => result.map_err(IdentifyError::Output),
-    }
 }
 
 /// Identifies without printing anything but progress.
@@ -331,12 +324,8 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
 /// Checks, before anything is computed, that `folder` can be written to and has no
 /// vehicle file of the user's that would be lost.
 fn prepare(folder: &Path) -> Result<(), IdentifyError> {
-    fs::create_dir_all(folder)
-        .and_then(|()| tempfile::tempfile_in(folder).map(drop))
-        .map_err(|source| IdentifyError::Write {
-            path: folder.to_owned(),
-            source,
-        })?;
+    make_folder(folder)?;
+    tempfile::tempfile_in(folder).map_err(WriteError::of(folder))?;
     let vehicle = folder.join(VEHICLE_FILE);
     match fs::read(&vehicle) {
         Ok(text) if !text.starts_with(output::VEHICLE_FILE_BEGINS.as_bytes()) => {
@@ -355,25 +344,24 @@ const VEHICLE_FILE: &str = "identified.toml";
 ///
 /// When one can't be written.
 pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyError> {
-    let failed = |path: &Path| {
-        let path = path.to_owned();
-        move |source| IdentifyError::Write { path, source }
-    };
-    fs::create_dir_all(folder).map_err(failed(folder))?;
+    make_folder(folder)?;
     // Figures of validations that this one does not have.
     if folder.join("identification.json").exists() {
-        for entry in fs::read_dir(folder).map_err(failed(folder))?.flatten() {
+        for entry in fs::read_dir(folder)
+            .map_err(WriteError::of(folder))?
+            .flatten()
+        {
             let name = entry.file_name().to_string_lossy().into_owned();
             let ours = ["inputs.svg", "states.svg"]
                 .iter()
                 .any(|end| name.ends_with(end));
             if name.starts_with("validation-") && ours {
-                fs::remove_file(entry.path()).map_err(failed(&entry.path()))?;
+                fs::remove_file(entry.path()).map_err(WriteError::of(&entry.path()))?;
             }
         }
     }
     let mut files = vec![
-        (VEHICLE_FILE.to_owned(), output::vehicle_file(report)),
+        (VEHICLE_FILE.to_owned(), output::vehicle_file(report)?),
         ("identification.json".to_owned(), output::json(report)),
     ];
     files.extend(
@@ -384,7 +372,7 @@ pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyErr
     let mut paths = Vec::new();
     for (name, text) in files {
         let path = folder.join(name);
-        fs::write(&path, text).map_err(failed(&path))?;
+        write_file(&path, &text)?;
         paths.push(path);
     }
     Ok(paths)

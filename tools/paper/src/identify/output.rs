@@ -6,6 +6,7 @@ use singletrack_analysis::identification::{
 };
 
 use super::{Identified, Report};
+use crate::vehicle_file;
 
 pub(super) fn json(report: &Report) -> String {
     let Identification {
@@ -173,7 +174,7 @@ fn score(score: &Score) -> Value {
 pub(super) const VEHICLE_FILE_BEGINS: &str = "# Identified by singletrack ";
 
 /// A vehicle file, which a daemon's configuration can use.
-pub(super) fn vehicle_file(report: &Report) -> String {
+pub(super) fn vehicle_file(report: &Report) -> Result<String, toml::ser::Error> {
     let identification = &report.identified.identification;
     let vehicle = identification.vehicle();
     let logs = report.identified.logs.iter();
@@ -197,26 +198,7 @@ pub(super) fn vehicle_file(report: &Report) -> String {
             estimate.parameter.unit(),
         );
     }
-    text += "\n[vehicle]\n";
-    for (key, value) in [
-        ("mass_kg", vehicle.mass_kg),
-        ("yaw_inertia_kg_m2", vehicle.yaw_inertia_kg_m2),
-        ("front_axle_distance_m", vehicle.front_axle_distance_m),
-        ("rear_axle_distance_m", vehicle.rear_axle_distance_m),
-        ("friction", vehicle.friction),
-        (
-            "front_cornering_stiffness_n_rad",
-            vehicle.front_cornering_stiffness_n_rad,
-        ),
-        (
-            "rear_cornering_stiffness_n_rad",
-            vehicle.rear_cornering_stiffness_n_rad,
-        ),
-    ] {
-        // With a point or an exponent, as TOML requires for a float.
-        text += &format!("{key} = {value:?}\n");
-    }
-    text
+    Ok(text + "\n" + &vehicle_file::text(vehicle)?)
 }
 
 /// Lowest and highest speed of the data, in m/s.

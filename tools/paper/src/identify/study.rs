@@ -2,18 +2,18 @@
 //! noise, compared with the truth and with the Cramér-Rao bound.
 
 use std::{
+    error::Error,
     path::Path,
     sync::atomic::{AtomicUsize, Ordering},
 };
 
 use serde::{Deserialize, Serialize};
 use singletrack_analysis::identification::{
-    self, DriveData, IdentificationError, NoiseLevels, Parameter, Settings, Values,
+    self, DriveData, NoiseLevels, Parameter, Settings, Values,
 };
 use singletrack_campaign::{Experiment, run_units, thread_count};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
-use singletrack_core::{Config, ConfigError};
-use singletrack_scenario::simulate::{CarError, Scenario, ScenarioError, drive_entries};
+use singletrack_scenario::simulate::{Scenario, ScenarioError, drive_entries};
 use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
 
 use super::Collector;
@@ -116,30 +116,23 @@ pub enum StudyError {
     /// A scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// A drive can't be simulated.
+    /// A drive can't be simulated, or does not determine the parameters.
     #[error("seed {seed}: {source}")]
-    Drive {
+    Seed {
         /// Under which seed.
         seed: u64,
         /// Why.
-        source: Box<CarError>,
+        source: Box<dyn Error + Send + Sync>,
     },
-    /// The configuration of a drive is invalid.
-    #[error("seed {seed}: {source}")]
-    Configuration {
-        /// Under which seed.
-        seed: u64,
-        /// Why.
-        source: Box<ConfigError>,
-    },
-    /// A drive does not determine the parameters.
-    #[error("seed {seed}: {source}")]
-    Identification {
-        /// Under which seed.
-        seed: u64,
-        /// Why.
-        source: Box<IdentificationError>,
-    },
+}
+
+impl StudyError {
+    fn under(seed: u64, source: impl Error + Send + Sync + 'static) -> Self {
+        Self::Seed {
+            seed,
+            source: Box::new(source),
+        }
+    }
 }
 
 impl Experiment for StudyPlan {
@@ -183,10 +176,7 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
         tyres: plan.fitted_tyres,
         ..Settings::default()
     };
-    let failed = |source| StudyError::Identification {
-        seed,
-        source: Box::new(source),
-    };
+    let failed = |source| StudyError::under(seed, source);
     let data = simulated(plan, SCENARIO, seed)?;
     let identification = identification::identify(&data, &start, &settings).map_err(failed)?;
     let bounds = identification::cramer_rao(
@@ -238,16 +228,10 @@ fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData, Study
     let proved = [("prove_first_metre".to_owned(), false.into())];
     scenario.supervisor.get_or_insert_default().extend(proved);
     let mut entries = Vec::new();
-    let drive = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()));
-    let config: Config = drive.map_err(|source| StudyError::Drive {
-        seed,
-        source: Box::new(source),
-    })?;
-    let collector = Collector::new(&config, 0);
-    let mut collector = collector.map_err(|source| StudyError::Configuration {
-        seed,
-        source: Box::new(source),
-    })?;
+    let config = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()))
+        .map_err(|source| StudyError::under(seed, source))?;
+    let mut collector =
+        Collector::new(&config, 0).map_err(|source| StudyError::under(seed, source))?;
     for entry in &entries {
         collector.take(entry);
     }

@@ -20,44 +20,28 @@ const SPEEDS: [f64; 7] = [0.1, 0.3, 0.5, 1.0, 2.0, 4.0, 8.0];
 
 /// All of them. One that fails is left out, and its claim says so.
 pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
-    let mut add = |name: &str, value: Option<f64>| {
-        if let Some(value) = value {
-            measurements.add(name, value);
-        }
+    let mut add = |name: &str, value: f64| {
+        measurements.add(format!("assumptions.{name}"), value);
     };
-    add("assumptions.similitude", similitude(setup).ok());
+    add("similitude", similitude(setup).unwrap_or(f64::NAN));
     let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
     let [model, exact] =
         [Angles::Small, Angles::Exact].map(|angles| steering_on_circle(setup, amplitude, angles));
-    add("assumptions.steering.model", Some(model));
-    add("assumptions.steering.exact", Some(exact));
-    add(
-        "assumptions.steering.off",
-        Some(100.0 * (model / exact - 1.0)),
-    );
-    add("assumptions.direction", direction_matters(setup).ok());
-    add("assumptions.any-p", error_of_any_p(setup).ok());
-    add("assumptions.measured-point", measured_point(setup).ok());
+    add("steering.model", model);
+    add("steering.exact", exact);
+    add("steering.off", 100.0 * (model / exact - 1.0));
+    add("direction", direction_matters(setup).unwrap_or(f64::NAN));
+    add("any-p", error_of_any_p(setup).unwrap_or(f64::NAN));
+    add("measured-point", measured_point(setup).unwrap_or(f64::NAN));
     let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let inside = with_position_loop(setup, [from, to]);
-    add(
-        "assumptions.unstable-with-position-loop",
-        inside.map(|[unstable, _, _]| unstable),
-    );
-    let outside = with_position_loop(setup, [5.0 * from, from]);
-    add(
-        "assumptions.unstable-motions",
-        outside.map(|[_, unstable, _]| unstable),
-    );
-    add(
-        "assumptions.stable-only-with-position-loop",
-        outside.map(|[_, _, rescued]| rescued),
-    );
-    add(
-        "assumptions.reference-diameter",
-        Some(2.0 * setup.radius_m()),
-    );
-    add("assumptions.path-diameter", Some(2.0 * amplitude));
+    let studied = |range| with_position_loop(setup, range).unwrap_or([f64::NAN; 3]);
+    let [unstable, _, _] = studied([from, to]);
+    add("unstable-with-position-loop", unstable);
+    let [_, unstable, rescued] = studied([5.0 * from, from]);
+    add("unstable-motions", unstable);
+    add("stable-only-with-position-loop", rescued);
+    add("reference-diameter", 2.0 * setup.radius_m());
+    add("path-diameter", 2.0 * amplitude);
 }
 
 /// The largest relative difference between the eigenvalues of the car and those of a car ten
@@ -171,32 +155,39 @@ enum EvaluationError {
     Singularity(#[from] Singularity),
 }
 
-/// States off the steady motion, as yaw against the velocity of P, yaw rate, sideslip and
-/// steering.
-const DISTURBED: [[f64; 4]; 4] = [
-    [0.0, 0.0, 0.0, 0.0],
-    [0.3, 0.5, -0.1, 0.2],
-    [-0.4, 1.0, 0.15, -0.3],
-    [0.1, -2.0, 0.05, 0.35],
+/// States off the steady motion, with the yaw against the velocity of P, and the steering.
+const DISTURBED: [(Motion, f64); 4] = [
+    disturbed([0.0, 0.0, 0.0, 0.0]),
+    disturbed([0.3, 0.5, -0.1, 0.2]),
+    disturbed([-0.4, 1.0, 0.15, -0.3]),
+    disturbed([0.1, -2.0, 0.05, 0.35]),
 ];
+
+const fn disturbed([yaw, yaw_rate, sideslip, steering]: [f64; 4]) -> (Motion, f64) {
+    let motion = Motion {
+        yaw,
+        yaw_rate,
+        sideslip,
+    };
+    (motion, steering)
+}
 
 /// By how much the motion differs between directions of the velocity of P, at most.
 fn direction_matters(setup: &Setup) -> Result<f64, EvaluationError> {
     let law = law(setup, 0.0, setup.point_distance_m())?;
     let model = SingleTrack::new(setup.vehicle);
     let mut largest: f64 = 0.0;
-    for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
+    for (disturbed, steering) in DISTURBED {
         let slope = |heading: f64| -> Result<[f64; 5], EvaluationError> {
             let motion = Motion {
-                yaw: yaw + heading,
-                yaw_rate,
-                sideslip,
+                yaw: disturbed.yaw + heading,
+                ..disturbed
             };
             let command = law.command(&motion, steering, &direction(heading))?;
             let state = SingleTrackState {
                 yaw: motion.yaw,
-                yaw_rate,
-                sideslip,
+                yaw_rate: motion.yaw_rate,
+                sideslip: motion.sideslip,
                 ..SingleTrackState::default()
             };
             let rate = model.derivative(&state, command.speed, steering);
@@ -251,12 +242,7 @@ fn error_of_any_p(setup: &Setup) -> Result<f64, EvaluationError> {
     let mut largest: f64 = 0.0;
     for p in [0.01, 0.05, 0.2, 1.0, 5.0].map(|p| p * setup.scale()) {
         let law = law(setup, 0.0, p)?;
-        for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
-            let motion = Motion {
-                yaw,
-                yaw_rate,
-                sideslip,
-            };
+        for (motion, steering) in DISTURBED {
             let wanted = direction(0.0);
             let command = law.command(&motion, steering, &wanted)?;
             let input = [steering, command.speed, command.steering_rate, p];
@@ -274,12 +260,10 @@ fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
     let p = setup.point_distance_m();
     let [to_front, to_rear] = ClosedLoop::meaningful_deviations(&setup.vehicle).map(|dl| -dl);
     let mut largest: f64 = 0.0;
-    for [yaw, yaw_rate, sideslip, steering] in DISTURBED {
-        let motion = Motion {
-            yaw,
-            yaw_rate,
-            sideslip,
-        };
+    for (motion, steering) in DISTURBED {
+        let Motion {
+            yaw_rate, sideslip, ..
+        } = motion;
         let wanted = direction(0.0);
         let own = law(setup, 0.0, p)?.command(&motion, steering, &wanted)?;
         for ahead in [0.9 * to_front, 0.3 * to_rear, to_rear] {

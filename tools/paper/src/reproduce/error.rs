@@ -1,9 +1,8 @@
 //! Errors of a reproduction.
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
+use std::path::PathBuf;
+
+use singletrack_figures::output::WriteError;
 
 use crate::vehicle_file::VehicleFileError;
 
@@ -17,13 +16,8 @@ pub enum ReproduceError {
     #[error("the catalogue of the claims: {0}")]
     Catalogue(#[from] toml::de::Error),
     /// A file or folder can't be written.
-    #[error("can't write {}: {source}; choose another folder with --out", path.display())]
-    Write {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Write(#[from] WriteError),
     /// The folder holds files that this command did not write.
     #[error(
         "{} holds files that are not of an earlier reproduction ({found}); choose another folder \
@@ -47,10 +41,4 @@ pub enum ReproduceError {
         /// The report.
         report: PathBuf,
     },
-}
-
-/// A file or folder that can't be written.
-pub(super) fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ReproduceError + use<> {
-    let path = path.to_owned();
-    move |source| ReproduceError::Write { path, source }
 }

@@ -8,15 +8,10 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
+use singletrack_figures::output::{self, WriteError, make_folder};
 use singletrack_scenario::csv_text::csv_text;
 
-use super::{
-    claims::Claim,
-    error::{ReproduceError, write_error},
-    report,
-    section::Reproduction,
-    table,
-};
+use super::{claims::Claim, error::ReproduceError, report, section::Reproduction, table};
 
 /// The names of the files.
 const REPORT: &str = "report.html";
@@ -30,11 +25,10 @@ const DATA: &str = "data";
 /// Makes the folder, and checks that it can be written to and holds no other files. An
 /// earlier reproduction stays until the new one is computed, minutes later.
 pub(super) fn prepare(folder: &Path) -> Result<(), ReproduceError> {
-    fs::create_dir_all(folder).map_err(write_error(folder))?;
+    make_folder(folder)?;
     earlier(folder)?;
-    tempfile::tempfile_in(folder)
-        .map(drop)
-        .map_err(write_error(folder))
+    tempfile::tempfile_in(folder).map_err(WriteError::of(folder))?;
+    Ok(())
 }
 
 /// The list of files in `claims.json`.
@@ -45,11 +39,11 @@ struct Contents {
 
 /// The files of an earlier reproduction; none in an empty folder.
 fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
-    let mut entries = fs::read_dir(folder).map_err(write_error(folder))?;
+    let mut entries = fs::read_dir(folder).map_err(WriteError::of(folder))?;
     let Some(first) = entries.next() else {
         return Ok(None);
     };
-    let first = first.map_err(write_error(folder))?.file_name();
+    let first = first.map_err(WriteError::of(folder))?.file_name();
     let foreign = || ReproduceError::Foreign {
         path: folder.to_owned(),
         found: first.to_string_lossy().into_owned(),
@@ -97,7 +91,7 @@ pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBu
         };
         serde_json::to_string_pretty(&json)
             .map(|text| text + "\n")
-            .map_err(|error| write_error(&folder.join(CLAIMS_JSON))(io::Error::other(error)))
+            .map_err(|error| WriteError::of(&folder.join(CLAIMS_JSON))(io::Error::other(error)))
     };
     let mut all = files.clone();
     all.extend(outdated().map(|file| file.to_string_lossy().into_owned()));
@@ -105,7 +99,7 @@ pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBu
     for file in outdated() {
         match fs::remove_file(folder.join(file)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(write_error(&folder.join(file))(error));
+                return Err(WriteError::of(&folder.join(file))(error).into());
             }
             _ => {}
         }
@@ -137,11 +131,10 @@ fn texts(reproduction: &Reproduction) -> Vec<(String, String)> {
 }
 
 /// Writes a file, and the folder that it is in.
-fn put(folder: &Path, name: &str, text: &str) -> Result<(), ReproduceError> {
+fn put(folder: &Path, name: &str, text: &str) -> Result<(), WriteError> {
     let path = folder.join(name);
-    let parent = path.parent().unwrap_or(folder);
-    fs::create_dir_all(parent).map_err(write_error(parent))?;
-    fs::write(&path, text).map_err(write_error(&path))
+    make_folder(path.parent().unwrap_or(folder))?;
+    output::write(&path, text)
 }
 
 /// `claims.json`.

@@ -3,13 +3,14 @@
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
+use singletrack_figures::output::print;
 
 use super::{
     arguments::{LoopArgs, SpeedArgs},
     error::StabilityCommandError,
     figures::{self, Scene},
     grid::Grid,
-    output::{print, write_json},
+    output::write_json,
     region::region,
     subject::Subject,
 };

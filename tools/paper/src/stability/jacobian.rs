@@ -6,11 +6,12 @@ use clap::Args;
 use nalgebra::DMatrix;
 use serde_json::json;
 use singletrack_analysis::stability::Law;
+use singletrack_figures::output::print;
 
 use super::{
     arguments::{Format, LoopArgs},
     error::StabilityCommandError,
-    output::{print, write_json},
+    output::write_json,
 };
 
 #[derive(Clone, Debug, Args)]

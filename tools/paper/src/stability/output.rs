@@ -1,10 +1,11 @@
 //! Rows of numbers as CSV or as JSON.
 
-use std::io::{self, BufWriter, Write};
+use std::io;
 
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law};
+use singletrack_figures::output::print;
 
 use super::{arguments::Format, subject::Subject};
 use crate::table::Table;
@@ -20,13 +21,6 @@ pub(super) fn write(
         Format::Csv => print(&table.to_csv()),
         Format::Json => write_json(subject, points),
     }
-}
-
-/// Writes a text to standard output.
-pub(super) fn print(text: &str) -> io::Result<()> {
-    let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    out.flush()
 }
 
 /// Writes a document: car, law and `points`.
@@ -45,8 +39,5 @@ pub(super) fn write_json(subject: &Subject, points: &impl Serialize) -> io::Resu
         "vehicle": subject.vehicle,
         "points": serde_json::to_value(points).unwrap_or(Value::Null),
     });
-    let mut out = BufWriter::new(io::stdout().lock());
-    serde_json::to_writer_pretty(&mut out, &document)?;
-    writeln!(out)?;
-    out.flush()
+    print(&format!("{document:#}\n"))
 }

@@ -38,7 +38,7 @@ pub(in crate::stability) struct FiguresArgs {
         long = "figure",
         value_enum,
         value_delimiter = ',',
-        default_values_t = Kind::ALL
+        default_values_t = Kind::value_variants().to_vec()
     )]
     figures: Vec<Kind>,
     #[command(flatten)]
@@ -60,23 +60,6 @@ enum Kind {
     DelayMargin,
     /// The time between poses that the sampled loop survives
     MarkerInterval,
-}
-
-impl Kind {
-    const ALL: [Self; 5] = [
-        Self::Region,
-        Self::Eigenvalues,
-        Self::SpectralRadius,
-        Self::DelayMargin,
-        Self::MarkerInterval,
-    ];
-
-    const fn is_sampled(self) -> bool {
-        matches!(
-            self,
-            Self::SpectralRadius | Self::DelayMargin | Self::MarkerInterval
-        )
-    }
 }
 
 /// Deviations in a map of eigenvalues: kinks where pairs meet look sharp.
@@ -127,7 +110,7 @@ fn figures(
             figures.push((format!("eigenvalue-{number}"), figure));
         }
     }
-    if args.figures.iter().any(|kind| kind.is_sampled()) {
+    if wants(Kind::SpectralRadius) || wants(Kind::DelayMargin) || wants(Kind::MarkerInterval) {
         let rows = sampled_rows(subject, args)?;
         for (kind, name, draw) in [
             (
