@@ -66,7 +66,7 @@ impl Condition {
     /// As in the table.
     #[must_use]
     pub fn name(self) -> String {
-        name_of(self)
+        name_of(&self)
     }
 
     /// Factor of the true cornering stiffnesses.
@@ -102,36 +102,15 @@ impl Condition {
     }
 }
 
-/// Conditions of which the worst has a row of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Worst {
-    /// Over the believed place of the front axle, dl from `-l_f` to `l_r`.
-    Axle,
-    /// Over the true cornering stiffness, within 50 %.
-    Tyres,
-}
+use Condition::{AxleLeast, AxleLess, AxleMore, AxleMost, Nominal, SoftTyres, StiffTyres};
 
-impl Worst {
-    /// Both, in the order of the table.
-    pub(super) const ALL: [Self; 2] = [Self::Tyres, Self::Axle];
-
-    /// As in the table.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Axle => "worst-axle",
-            Self::Tyres => "worst-tyres",
-        }
-    }
-
-    /// Whether it is the worst of this condition and others.
-    pub(super) const fn holds(self, condition: Condition) -> bool {
-        use Condition::{AxleLeast, AxleLess, AxleMore, AxleMost, Nominal, SoftTyres, StiffTyres};
-        match self {
-            Self::Axle => matches!(
-                condition,
-                Nominal | AxleLeast | AxleLess | AxleMore | AxleMost
-            ),
-            Self::Tyres => matches!(condition, Nominal | SoftTyres | StiffTyres),
-        }
-    }
-}
+/// Conditions of which the worst has a row of its own, with its name in the table: within 50 % of
+/// the cornering stiffness, and over the believed place of the front axle, dl from `-l_f` to
+/// `l_r`.
+pub(super) const WORST: [(&str, &[Condition]); 2] = [
+    ("worst-tyres", &[Nominal, SoftTyres, StiffTyres]),
+    (
+        "worst-axle",
+        &[Nominal, AxleLeast, AxleLess, AxleMore, AxleMost],
+    ),
+];

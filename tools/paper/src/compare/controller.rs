@@ -34,23 +34,9 @@ pub enum ControllerName {
     Appendix,
 }
 
-/// What `tune` found with [`BUDGET`](super::tune::BUDGET) drives each.
-const TUNED_GAIN: f64 = 10.0;
-const COMPENSATED_GAIN: f64 = 12.0;
-/// Weights of the error's integral and of the correcting velocity; that of the error is 1.
-const TUNED_LQI: [f64; 2] = [100.0, 0.03];
-const COMPENSATED_LQI: [f64; 2] = [300.0, 0.1];
-/// Weight of the velocity's error, that of the error being 1, and the share of an unexplained
-/// velocity that is believed at once.
-const TUNED_MPC: [f64; 2] = [0.1, 0.15];
-const COMPENSATED_MPC: [f64; 2] = [0.01, 0.1];
-/// The weight of the acceleration of both: a tenth of the default. With less hardly anything
-/// changes.
+/// The weight of the acceleration of both predictive controllers: a tenth of the default. With less
+/// hardly anything changes.
 const MPC_ACCELERATION_WEIGHT: f64 = 3e-5;
-const TUNED_PURSUIT: [f64; 2] = [0.2, 12.0];
-const TUNED_STANLEY: [f64; 2] = [16.0, 12.0];
-
-const APPENDIX_GAIN: f64 = 12.0;
 
 /// How a controller drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,7 +69,7 @@ impl ControllerName {
     /// As in the table.
     #[must_use]
     pub fn name(self) -> String {
-        name_of(self)
+        name_of(&self)
     }
 
     /// With the parameters of the table.
@@ -91,19 +77,21 @@ impl ControllerName {
         self.with(self.parameters())
     }
 
-    /// The parameters of the table.
+    /// The parameters of the table: what `tune` found with [`BUDGET`](super::tune::BUDGET) drives
+    /// each. Of the linear-quadratic loop the weights of the error's integral and of the correcting
+    /// velocity, that of the error being 1; of the predictive one the weight of the velocity's
+    /// error, and the share of an unexplained velocity that is believed at once.
     pub(super) const fn parameters(self) -> [f64; 2] {
         match self {
             Self::P | Self::PFf => [1.0, 0.0],
-            Self::PTuned => [TUNED_GAIN, 0.0],
-            Self::PCompensated => [COMPENSATED_GAIN, 0.0],
-            Self::Lqi => TUNED_LQI,
-            Self::LqiCompensated => COMPENSATED_LQI,
-            Self::Mpc => TUNED_MPC,
-            Self::MpcCompensated => COMPENSATED_MPC,
-            Self::PurePursuit => TUNED_PURSUIT,
-            Self::Stanley => TUNED_STANLEY,
-            Self::Appendix => [APPENDIX_GAIN, 0.0],
+            Self::PTuned => [10.0, 0.0],
+            Self::PCompensated | Self::Appendix => [12.0, 0.0],
+            Self::Lqi => [100.0, 0.03],
+            Self::LqiCompensated => [300.0, 0.1],
+            Self::Mpc => [0.1, 0.15],
+            Self::MpcCompensated => [0.01, 0.1],
+            Self::PurePursuit => [0.2, 12.0],
+            Self::Stanley => [16.0, 12.0],
         }
     }
 

@@ -25,7 +25,7 @@ impl PathName {
     /// As in the table.
     #[must_use]
     pub fn name(self) -> String {
-        name_of(self)
+        name_of(&self)
     }
 }
 

@@ -183,21 +183,15 @@ impl<'a> Run<'a> {
         drive.law.point_distance_m = POINT_DISTANCE_M;
         drive.law.front_axle_distance_m = believed.front_axle_distance_m + axle_error_m;
         let mut foreign = None;
-        // The paper's controller has none, and nor have the others.
-        let mut compensation = CompensationSection {
-            clock: false,
-            actuation: false,
-        };
+        // The paper's controller has no compensation, and nor have the others.
+        let mut is_compensated = false;
         match case.drives {
             Drives::Point {
                 outer_loop,
                 compensated,
             } => {
                 drive.outer_loop = outer_loop;
-                compensation = CompensationSection {
-                    clock: compensated,
-                    actuation: compensated,
-                };
+                is_compensated = compensated;
             }
             Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
             Drives::Actuators { law, catch_up } => {
@@ -218,7 +212,10 @@ impl<'a> Run<'a> {
             }
         }
         let mut config = daemon_config(drive);
-        config.compensation = compensation;
+        config.compensation = CompensationSection {
+            clock: is_compensated,
+            actuation: is_compensated,
+        };
         config.limits.max_speed_m_s = f64::from(TOP_SPEED_MM_S) * 1e-3;
         config.board.speed.max_forward_mm_s = TOP_SPEED_MM_S;
         config.board.esc.max_us = MAX_ESC_US;

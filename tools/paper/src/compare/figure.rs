@@ -72,21 +72,21 @@ fn panel(lines: &[&Line], controllers: &[ControllerName], speeds: &[f64]) -> Pan
     };
     for line in lines {
         let (x, speed) = place(line);
-        let Some(errors) = &line.errors else {
+        let [Some(rms), Some(low), Some(high), ..] = line.values else {
             continue;
         };
         panel.estimates.push(Estimate {
             name: format!("{} m/s", line.row.speed_m_s),
             kind: KINDS[speed % KINDS.len()],
             x,
-            value: 1e3 * errors.rms,
-            interval: line.interval.map(|end| 1e3 * end),
+            value: 1e3 * rms,
+            interval: [1e3 * low, 1e3 * high],
         });
     }
     // Those without a value stand at the upper end of the axis.
     let values = panel.estimates.iter().map(|estimate| estimate.interval[1]);
     let top = values.fold(1.0, f64::max).log10().ceil();
-    for line in lines.iter().filter(|line| line.errors.is_none()) {
+    for line in lines.iter().filter(|line| line.values[0].is_none()) {
         panel.marks.push(Mark {
             name: "the car stops with every seed",
             point: [place(line).0, 10_f64.powf(top)],

@@ -48,18 +48,13 @@ pub(super) fn drive(
     let mut stopped = None;
     for step in 0..=steps {
         let time = f64::from(step) * STEP_S;
-        let (speed, rate) = match law.command(&car, time) {
-            Ok(Command::Rate { speed, rate }) => (speed, rate),
-            Ok(Command::Angle { speed, angle }) => {
-                car.steering = angle;
-                (speed, 0.0)
-            }
+        let rate = match law.command(&mut car, time) {
+            Ok(rate) => rate,
             Err(error) => {
                 stopped = Some(format!("singular: {error}"));
                 break;
             }
         };
-        car.speed = speed;
         if step % STEPS_PER_COUNT == 0 {
             errors.add(time, &car.truth());
         }
@@ -70,12 +65,6 @@ pub(super) fn drive(
         }
     }
     Ok(errors.result(stopped))
-}
-
-/// What a law demands of the ideal plant.
-enum Command {
-    Rate { speed: f64, rate: f64 },
-    Angle { speed: f64, angle: f64 },
 }
 
 #[expect(
@@ -151,7 +140,8 @@ impl<'a> Controller<'a> {
         })
     }
 
-    fn command(&mut self, car: &Car, time: f64) -> Result<Command, Singularity> {
+    /// Gives the car its speed, and its steering angle or, returned, the rate of that in rad/s.
+    fn command(&mut self, car: &mut Car, time: f64) -> Result<f64, Singularity> {
         let SingleTrackState {
             x,
             y,
@@ -185,10 +175,8 @@ impl<'a> Controller<'a> {
                 }
                 *left -= 1;
                 let command = law.command(&motion, car.steering, applied)?;
-                Ok(Command::Rate {
-                    speed: command.speed,
-                    rate: command.steering_rate,
-                })
+                car.speed = command.speed;
+                return Ok(command.steering_rate);
             }
             Self::Appendix {
                 law,
@@ -198,16 +186,10 @@ impl<'a> Controller<'a> {
                 let point = law.point(centre, yaw, sideslip);
                 let wanted = tracking.velocity(&table.reference().at(time), &point);
                 match law.command(&motion, &wanted) {
-                    Ok(command) => Ok(Command::Angle {
-                        speed: command.speed,
-                        angle: command.steering,
-                    }),
+                    Ok(command) => [car.steering, car.speed] = [command.steering, command.speed],
                     // The reference begins at rest: the car waits for it.
-                    Err(Singularity::Standstill { speed }) => Ok(Command::Angle {
-                        speed,
-                        angle: car.steering,
-                    }),
-                    Err(error) => Err(error),
+                    Err(Singularity::Standstill { speed }) => car.speed = speed,
+                    Err(error) => return Err(error),
                 }
             }
             Self::Foreign(foreign) => {
@@ -220,10 +202,10 @@ impl<'a> Controller<'a> {
                     speed: car.speed,
                     pose_time: Time(0),
                 };
-                let [angle, speed] = foreign.command(&estimate, time, 0.0);
-                Ok(Command::Angle { speed, angle })
+                [car.steering, car.speed] = foreign.command(&estimate, time, 0.0);
             }
         }
+        Ok(0.0)
     }
 }
 

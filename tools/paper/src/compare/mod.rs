@@ -23,7 +23,7 @@ use clap::{Args, ValueEnum};
 use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
 use singletrack_figures::output::{WriteError, make_folder, print, write};
 
-pub use condition::{Condition, Worst};
+pub use condition::Condition;
 pub use controller::ControllerName;
 pub use counted::{AddedDelay, DriveResult, Effort, Errors};
 pub use course::PathName;
@@ -130,7 +130,7 @@ fn or_all<T: ValueEnum>(given: &[T]) -> Vec<T> {
 }
 
 /// As on the command line and in the tables.
-fn name_of(value: impl ValueEnum) -> String {
+fn name_of(value: &impl ValueEnum) -> String {
     let value = value.to_possible_value();
     value.map_or_else(String::new, |value| value.get_name().to_owned())
 }

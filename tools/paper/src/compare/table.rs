@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use singletrack_statistics::Distribution;
 
 use super::{
-    condition::{Condition, Worst},
+    condition::{Condition, WORST},
     counted::{DriveResult, Effort, Errors},
     plan::{Comparison, Row},
     stops::StopReasons,
@@ -22,19 +22,18 @@ pub const HEADER: &str = "controller,path,speed_m_s,condition,seeds,rms_m,rms_lo
 pub struct Line {
     pub(super) row: Row,
     /// What it is the worst of; the condition is that of the row.
-    pub(super) worst_of: Option<Worst>,
+    pub(super) worst_of: Option<&'static str>,
     /// Whether the errors are those of the front axle, not of the controller's own point.
     pub(super) front_axle: bool,
     seeds: usize,
-    /// Means over the seeds that were driven to the end, but the largest of all in `max`.
-    pub(super) errors: Option<Errors>,
-    /// The interval of 95 % of the mean of the root mean squares.
-    pub(super) interval: [f64; 2],
-    tyre_use_max: f64,
+    /// Over the seeds that were driven to the end, in m: the mean of the root mean squares with its
+    /// interval of 95 %, the mean of what 1 % of the time exceeds, the largest error of all, and the
+    /// means along and across the path. Of all seeds the largest use of the tyres.
+    pub(super) values: [Option<f64>; 8],
+    /// Means, but the largest of all steering rates.
+    effort: [Option<f64>; 3],
     stops: usize,
     stop_reasons: StopReasons,
-    /// Means, but the largest of all in `steering_rate_max`.
-    effort: Option<Effort>,
 }
 
 /// Results by the rows they belong to, in the order of the rows. A shard has a part of the
@@ -71,14 +70,14 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
         for (row, own) in group {
             lines.extend([false, true].map(|front_axle| Line::of(*row, front_axle, own)));
         }
-        for worst in Worst::ALL {
+        for (worst, conditions) in WORST {
             for &controller in &plan.controllers {
                 for front_axle in [false, true] {
                     let of_it = |line: &&Line| {
                         line.row.controller == controller
                             && line.front_axle == front_axle
                             && line.worst_of.is_none()
-                            && worst.holds(line.row.condition)
+                            && conditions.contains(&line.row.condition)
                     };
                     let candidates = || lines.iter().skip(first).filter(of_it);
                     let found = candidates().max_by(|a, b| {
@@ -103,97 +102,71 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
 
 impl Line {
     fn of(row: Row, front_axle: bool, results: &[&DriveResult]) -> Self {
-        let driven = results.iter().filter(|result| result.stopped.is_none());
-        let errors: Vec<Errors> = driven
-            .filter_map(|result| {
-                if front_axle {
-                    result.front_axle
-                } else {
-                    result.own
-                }
-            })
-            .collect();
-        let mean =
-            |value: fn(&Errors) -> f64| errors.iter().map(value).sum::<f64>() / errors.len() as f64;
+        let driven = || results.iter().filter(|result| result.stopped.is_none());
+        let errors = driven().filter_map(|result| {
+            if front_axle {
+                result.front_axle
+            } else {
+                result.own
+            }
+        });
+        let errors: Vec<Errors> = errors.collect();
+        let efforts: Vec<Effort> = driven().filter_map(|result| result.effort).collect();
         let rms: Vec<f64> = errors.iter().map(|errors| errors.rms).collect();
-        let tyres = results.iter().map(|result| result.tyre_use_max);
-        let driven = results.iter().filter(|result| result.stopped.is_none());
-        let efforts: Vec<Effort> = driven.filter_map(|result| result.effort).collect();
-        let mean_effort = |value: fn(&Effort) -> f64| {
-            efforts.iter().map(value).sum::<f64>() / efforts.len() as f64
-        };
-        let rates = efforts.iter().map(|effort| effort.steering_rate_max);
+        let [low, high] = interval(&rms).map(|end| (!rms.is_empty()).then_some(end));
+        let along = mean(&errors, |errors| errors.along_rms);
+        let stopped = results
+            .iter()
+            .filter_map(|result| result.stopped.as_deref());
         Self {
             row,
             worst_of: None,
             front_axle,
             seeds: results.len(),
-            errors: (!errors.is_empty()).then(|| Errors {
-                rms: mean(|errors| errors.rms),
-                p99: mean(|errors| errors.p99),
-                max: errors.iter().map(|errors| errors.max).fold(0.0, f64::max),
-                along_rms: mean(|errors| errors.along_rms),
-                across_rms: mean(|errors| errors.across_rms),
-            }),
-            interval: interval(&rms),
-            tyre_use_max: tyres.fold(0.0, f64::max),
+            values: [
+                mean(&errors, |errors| errors.rms),
+                low,
+                high,
+                mean(&errors, |errors| errors.p99),
+                most(&errors, |errors| errors.max),
+                along.filter(|_| !front_axle),
+                mean(&errors, |errors| errors.across_rms),
+                most(results, |result| result.tyre_use_max),
+            ],
+            effort: [
+                mean(&efforts, |effort| effort.steering_rate_rms),
+                most(&efforts, |effort| effort.steering_rate_max),
+                mean(&efforts, |effort| effort.speed_ripple),
+            ],
             stops: results.len() - errors.len(),
-            stop_reasons: StopReasons::of(
-                results
-                    .iter()
-                    .filter_map(|result| result.stopped.as_deref()),
-            ),
-            effort: (!efforts.is_empty()).then(|| Effort {
-                steering_rate_rms: mean_effort(|effort| effort.steering_rate_rms),
-                steering_rate_max: rates.fold(0.0, f64::max),
-                speed_ripple: mean_effort(|effort| effort.speed_ripple),
-            }),
+            stop_reasons: StopReasons::of(stopped),
         }
     }
 
     /// Infinite if no drive came to the end.
     fn rms(&self) -> f64 {
-        self.errors
-            .as_ref()
-            .map_or(f64::INFINITY, |errors| errors.rms)
+        self.values[0].unwrap_or(f64::INFINITY)
     }
 
     /// The condition, or what the line is the worst of.
     fn title(&self) -> String {
-        self.worst_of.map_or_else(
-            || self.row.condition.name(),
-            |worst| worst.name().to_owned(),
-        )
+        self.worst_of
+            .map_or_else(|| self.row.condition.name(), str::to_owned)
     }
 
     fn condition(&self) -> String {
         let of = if self.front_axle { "@front-axle" } else { "" };
         format!("{}{of}", self.title())
     }
+}
 
-    fn values(&self) -> [Option<f64>; 8] {
-        let errors = self.errors.as_ref();
-        let value = |value: fn(&Errors) -> f64| errors.map(value);
-        [
-            value(|errors| errors.rms),
-            errors.map(|_| self.interval[0]),
-            errors.map(|_| self.interval[1]),
-            value(|errors| errors.p99),
-            value(|errors| errors.max),
-            value(|errors| errors.along_rms).filter(|_| !self.front_axle),
-            value(|errors| errors.across_rms),
-            Some(self.tyre_use_max),
-        ]
-    }
+fn mean<T>(all: &[T], value: fn(&T) -> f64) -> Option<f64> {
+    let sum: f64 = all.iter().map(value).sum();
+    (!all.is_empty()).then(|| sum / all.len() as f64)
+}
 
-    fn effort(&self) -> [Option<f64>; 3] {
-        let value = |value: fn(&Effort) -> f64| self.effort.as_ref().map(value);
-        [
-            value(|effort| effort.steering_rate_rms),
-            value(|effort| effort.steering_rate_max),
-            value(|effort| effort.speed_ripple),
-        ]
-    }
+fn most<T>(all: &[T], value: fn(&T) -> f64) -> Option<f64> {
+    all.iter().map(value).reduce(f64::max)
 }
 
 /// Number of samples of the bootstrap.
@@ -236,7 +209,7 @@ pub fn csv(lines: &[Line]) -> String {
             ..
         } = line.row;
         let plain = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
-        let (values, effort) = (line.values().map(plain), line.effort().map(plain));
+        let (values, effort) = (line.values.map(plain), line.effort.map(plain));
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
@@ -282,8 +255,8 @@ pub fn markdown(lines: &[Line]) -> String {
             let mine = front
                 .iter()
                 .find(|front| front.row.controller == line.row.controller);
-            let [rms, low, high, p99, max, along, across, tyres] = line.values();
-            let [rate, most_rate, ripple] = line.effort();
+            let [rms, low, high, p99, max, along, across, tyres] = line.values;
+            let [rate, most_rate, ripple] = line.effort;
             let plain = |value: Option<f64>| {
                 value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
             };
@@ -303,7 +276,7 @@ pub fn markdown(lines: &[Line]) -> String {
                 mm(max),
                 mm(along),
                 mm(across),
-                mm(mine.and_then(|front| front.values()[0])),
+                mm(mine.and_then(|front| front.values[0])),
                 tyres.unwrap_or(f64::NAN),
                 plain(rate),
                 plain(most_rate),
