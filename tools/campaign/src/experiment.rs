@@ -134,16 +134,16 @@ impl<E: Experiment> Campaign<E> {
             reason,
             expected: E::NAME,
         };
-        if file.header().campaign != E::NAME {
+        if file.header.campaign != E::NAME {
             return Err(other(format!(
                 "it has results of {:?}",
-                file.header().campaign
+                file.header.campaign
             )));
         }
-        let experiment = serde_json::from_value(file.header().options.clone());
+        let experiment = serde_json::from_value(file.header.options.clone());
         let experiment = experiment.map_err(|error| other(format!("its options: {error}")))?;
         let results = file
-            .results()
+            .parsed()
             .map_err(|error| other(format!("another version wrote it: {error}")))?;
         Ok(Self {
             experiment,

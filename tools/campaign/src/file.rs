@@ -51,9 +51,9 @@ struct Line<'a> {
 /// The results of one shard, or of a whole campaign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResultFile {
-    header: Header,
+    pub(crate) header: Header,
     /// The JSON text of each unit's result.
-    results: BTreeMap<u64, String>,
+    pub(crate) results: BTreeMap<u64, String>,
 }
 
 /// Why a file can't be read or written.
@@ -139,14 +139,6 @@ impl ResultFile {
         Ok(Self { header, results })
     }
 
-    pub(crate) const fn with(header: Header, results: BTreeMap<u64, String>) -> Self {
-        Self { header, results }
-    }
-
-    pub(crate) fn into_parts(self) -> (Header, BTreeMap<u64, String>) {
-        (self.header, self.results)
-    }
-
     /// The header.
     #[must_use]
     pub const fn header(&self) -> &Header {
@@ -154,7 +146,7 @@ impl ResultFile {
     }
 
     /// The results, of a type that another version may have had otherwise.
-    pub(crate) fn results<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>, serde_json::Error> {
+    pub(crate) fn parsed<R: DeserializeOwned>(&self) -> Result<Vec<(u64, R)>, serde_json::Error> {
         let results = self.results.iter();
         results
             .map(|(unit, text)| Ok((*unit, serde_json::from_str(text)?)))

@@ -99,7 +99,10 @@ pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile, MergeError
     // Which file has which units: a double is named with both files.
     let mut shards: Vec<(PathBuf, Shard)> = Vec::new();
     for (path, file) in files {
-        let (header, units) = file.into_parts();
+        let ResultFile {
+            header,
+            results: units,
+        } = file;
         match &merged {
             None => merged = Some((path.clone(), header.clone())),
             Some((first, other)) => same_campaign(first, other, &path, &header)?,
@@ -133,7 +136,7 @@ pub fn merge(files: Vec<(PathBuf, ResultFile)>) -> Result<ResultFile, MergeError
         shard: Shard::WHOLE,
         ..header
     };
-    Ok(ResultFile::with(header, results))
+    Ok(ResultFile { header, results })
 }
 
 fn same_campaign(

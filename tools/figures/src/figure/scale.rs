@@ -1,5 +1,7 @@
 //! From values to places on the page, and which values to write there.
 
+use super::superscript;
+
 /// How values are spread along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
@@ -89,17 +91,12 @@ impl Ruler {
 
 /// A value on an axis of decades.
 fn power_text(value: f64, power: i32, factor: f64) -> String {
-    let zeros = match power {
-        // Where zeros are hard to count.
-        4 => "\u{2074}",
-        5 => "\u{2075}",
-        6 => "\u{2076}",
-        7 => "\u{2077}",
-        _ => {
-            let decimals = usize::try_from(-power).unwrap_or(0);
-            return format!("{value:.decimals$}");
-        }
-    };
+    // Where zeros are hard to count.
+    if !(4..=7).contains(&power) {
+        let decimals = usize::try_from(-power).unwrap_or(0);
+        return format!("{value:.decimals$}");
+    }
+    let zeros = superscript(&power.to_string());
     if factor > 1.0 {
         format!("{factor}\u{b7}10{zeros}")
     } else {

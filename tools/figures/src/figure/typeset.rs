@@ -113,23 +113,12 @@ fn plain_width(text: &str) -> f64 {
 /// The digits of a power, raised.
 #[must_use]
 pub fn superscript(digits: &str) -> String {
-    digits
-        .chars()
-        .map(|digit| match digit {
-            '-' => '⁻',
-            '0' => '⁰',
-            '1' => '¹',
-            '2' => '²',
-            '3' => '³',
-            '4' => '⁴',
-            '5' => '⁵',
-            '6' => '⁶',
-            '7' => '⁷',
-            '8' => '⁸',
-            '9' => '⁹',
-            other => other,
-        })
-        .collect()
+    let raised = |digit: char| "⁰¹²³⁴⁵⁶⁷⁸⁹".chars().nth(digit.to_digit(10)? as usize);
+    let digits = digits.chars().map(|digit| match digit {
+        '-' => '⁻',
+        other => raised(other).unwrap_or(other),
+    });
+    digits.collect()
 }
 
 #[cfg(test)]

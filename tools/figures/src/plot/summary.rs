@@ -11,18 +11,14 @@ use super::{
     read::Record,
 };
 
-/// A line of the summary.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Line {
-    pub(super) name: &'static str,
-    pub(super) value: String,
-}
+/// A line of the summary: a name and a value.
+pub(super) type Line = (&'static str, String);
 
 /// The summary of a drive of a record; `number` counts from 1.
 pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> {
     let mut lines = Vec::new();
     let mut add = |name, value: Option<String>| {
-        lines.extend(value.map(|value| Line { name, value }));
+        lines.extend(value.map(|value| (name, value)));
     };
     let recording = &record.recording;
     let ticks = &drive.ticks;
@@ -211,12 +207,7 @@ fn configured(text: &str) -> Vec<(&'static str, String)> {
         ));
     }
     if let Some(kind) = word("outer_loop", "kind") {
-        let section = table.get("outer_loop");
-        let value = |key| {
-            section
-                .and_then(|section| section.get(key))
-                .map(Value::to_string)
-        };
+        let value = |key| Some(table.get("outer_loop")?.get(key)?.to_string());
         let gain =
             value("gain_per_s").map_or_else(String::new, |gain| format!(", gain {gain} 1/s"));
         let forward = match value("feed_forward").as_deref() {

@@ -1,7 +1,7 @@
 //! Where the panels of a figure lie on its page.
 
 use crate::figure::{
-    Axis, Figure, Panel, Scale,
+    Axis, Figure, Map, Panel, Scale,
     page::{
         BELOW, LEAST_HEIGHT, LINE_HEIGHT, MARGIN, NAME_ROOM, NAME_SIZE, PANEL_GAP, ROW_GAP,
         TICK_GAP, TITLE_HEIGHT,
@@ -141,54 +141,29 @@ fn range(panel: &Panel, axis: usize) -> [f64; 2] {
             ends = [ends[0].min(value), ends[1].max(value)];
         }
     };
-    if let Some(map) = &panel.map {
-        let values = if axis == 0 {
-            map.grid.x()
-        } else {
-            map.grid.y()
-        };
+    if let Some(Map { grid, .. }) = &panel.map {
+        let values = [grid.x(), grid.y()][axis];
         values.iter().copied().for_each(&mut take);
     }
     for curve in &panel.curves {
-        let column = if axis == 0 { &curve.x } else { &curve.y };
+        let column = [&curve.x, &curve.y][axis];
         column.iter().copied().for_each(&mut take);
     }
-    for mark in &panel.marks {
-        mark.point
-            .get(axis)
-            .copied()
-            .into_iter()
-            .for_each(&mut take);
-    }
-    for callout in panel.callouts.iter().flat_map(|all| &all.points) {
-        callout
-            .point
-            .get(axis)
-            .copied()
-            .into_iter()
-            .for_each(&mut take);
-    }
+    let marks = panel.marks.iter().map(|mark| mark.point);
+    let callouts = panel.callouts.iter().flat_map(|all| &all.points);
+    let points = marks.chain(callouts.map(|callout| callout.point));
+    points.for_each(|point| take(point[axis]));
     for estimate in &panel.estimates {
-        if axis == 0 {
-            take(estimate.x);
-        } else {
-            take(estimate.value);
-            estimate.interval.into_iter().for_each(&mut take);
-        }
+        let [low, high] = estimate.interval;
+        let values = [[estimate.x; 3], [estimate.value, low, high]][axis];
+        values.into_iter().for_each(&mut take);
     }
     if axis == 1 {
-        panel
-            .levels
-            .iter()
-            .map(|level| level.value)
-            .for_each(&mut take);
+        panel.levels.iter().for_each(|level| take(level.value));
     }
     for bar in &panel.bars {
-        if axis == 0 {
-            bar.span.into_iter().for_each(&mut take);
-        } else {
-            take(bar.height);
-        }
+        let values = [bar.span, [bar.height; 2]][axis];
+        values.into_iter().for_each(&mut take);
     }
     description.include.into_iter().for_each(&mut take);
     if ends[0] > ends[1] {

@@ -20,8 +20,6 @@ use crate::figure::{
 
 /// Of an area's edge nothing smaller than this can be seen, in mm.
 const TOLERANCE: f64 = 0.02;
-/// How a hatch looks.
-const HATCH_WIDTH: f64 = 0.15;
 /// A label that would read downwards more steeply than this reads upwards, in rad.
 const STEEP: f64 = 1.4;
 /// A piece of a line that is not the longest has a label of its own from this length
@@ -52,7 +50,8 @@ pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area, taken: &[Slot
 
 /// What is in an odd number of the rings, as an open element.
 fn draw_shade(svg: &mut String, shade: Shade, rings: &[Piece], taken: &[Slot]) -> fmt::Result {
-    open_shade(svg, shade)?;
+    let (class, paint) = (shade.class(), paint(shade));
+    write!(svg, r#"<path class="shade {class}" {paint} d=""#)?;
     if shade == Shade::Hatched {
         for line in hatch(rings) {
             for piece in interrupted(&line, taken) {
@@ -100,28 +99,14 @@ fn open_dotted(svg: &mut String, class: &str) -> fmt::Result {
     )
 }
 
-/// The opening of a path that is a shade, up to its data.
-fn open_shade(svg: &mut String, shade: Shade) -> fmt::Result {
-    let class = shade.class();
-    match grey(shade) {
-        Some(grey) => write!(
-            svg,
-            r#"<path class="shade {class}" fill="{grey}" fill-rule="evenodd" d=""#
-        ),
-        None => write!(
-            svg,
-            r#"<path class="shade {class}" stroke="{INK}" stroke-width="{HATCH_WIDTH}" d=""#
-        ),
-    }
-}
-
-const fn grey(shade: Shade) -> Option<&'static str> {
+/// How a shade is painted.
+const fn paint(shade: Shade) -> &'static str {
     match shade {
-        Shade::Palest => Some("#f3f3f3"),
-        Shade::Light => Some("#e0e0e0"),
-        Shade::Medium => Some("#c6c6c6"),
-        Shade::Dark => Some("#a6a6a6"),
-        Shade::Hatched => None,
+        Shade::Palest => r##"fill="#f3f3f3" fill-rule="evenodd""##,
+        Shade::Light => r##"fill="#e0e0e0" fill-rule="evenodd""##,
+        Shade::Medium => r##"fill="#c6c6c6" fill-rule="evenodd""##,
+        Shade::Dark => r##"fill="#a6a6a6" fill-rule="evenodd""##,
+        Shade::Hatched => r##"stroke="#1a1a1a" stroke-width="0.15""##,
     }
 }
 

@@ -94,9 +94,8 @@ fn rules(distribution: &Distribution, unit: &str, decimals: usize) -> Vec<Rule> 
 fn linear(values: &Distribution, low: f64, high: f64) -> (Vec<Bar>, usize) {
     let high = high.max(low + 1.0);
     let edge = |index: usize| low + (high - low) * index as f64 / BARS as f64;
-    let bars: Vec<Bar> = (0..BARS)
-        .map(|index| bar(values, [edge(index), edge(index + 1)], index + 1 == BARS))
-        .collect();
+    let edges: Vec<f64> = (0..=BARS).map(edge).collect();
+    let bars = bars(values, &edges, false);
     let beyond = values.count() - values.count_up_to(high);
     (bars, beyond)
 }
@@ -108,37 +107,31 @@ fn logarithmic(values: &Distribution) -> Vec<Bar> {
         return Vec::new();
     };
     let decades = (most.max(10.0 * LEAST_LATENESS).log10().ceil()) as i32;
-    let bars = decades * BARS_A_DECADE;
     let edge = |index: i32| 10_f64.powf(f64::from(index) / f64::from(BARS_A_DECADE));
-    (0..bars)
-        .map(|index| {
-            let from = if index == 0 {
-                f64::NEG_INFINITY
-            } else {
-                edge(index)
-            };
-            let bar = bar(values, [from, edge(index + 1)], index + 1 == bars);
-            Bar {
-                span: [edge(index), edge(index + 1)],
-                ..bar
-            }
-        })
-        .collect()
+    let edges: Vec<f64> = (0..=decades * BARS_A_DECADE).map(edge).collect();
+    bars(values, &edges, true)
 }
 
-/// The bar of the values from the first end up to the second, which the last bar
-/// includes.
-fn bar(values: &Distribution, [from, to]: [f64; 2], last: bool) -> Bar {
-    let first = values.count_below(from);
-    let end = if last {
-        values.count_up_to(to)
-    } else {
-        values.count_below(to)
-    };
-    Bar {
-        span: [from, to],
-        height: 100.0 * end.saturating_sub(first) as f64 / values.count().max(1) as f64,
-    }
+/// The bars of the values from one edge up to the next, which the last bar includes; the first
+/// bar may hold all values below it.
+fn bars(values: &Distribution, edges: &[f64], all_below: bool) -> Vec<Bar> {
+    let bars = edges.windows(2).enumerate().map(|(index, ends)| {
+        let below = if all_below && index == 0 {
+            0
+        } else {
+            values.count_below(ends[0])
+        };
+        let end = if index + 2 == edges.len() {
+            values.count_up_to(ends[1])
+        } else {
+            values.count_below(ends[1])
+        };
+        Bar {
+            span: [ends[0], ends[1]],
+            height: 100.0 * end.saturating_sub(below) as f64 / values.count().max(1) as f64,
+        }
+    });
+    bars.collect()
 }
 
 #[cfg(test)]

@@ -77,11 +77,11 @@ fn subtitle(drive: &Drive) -> String {
     )
 }
 
-fn row(line: &Line) -> String {
+fn row((name, value): &Line) -> String {
     format!(
         "<tr><th scope=\"row\">{}</th><td>{}</td></tr>\n",
-        escaped(line.name),
-        escaped(&line.value)
+        escaped(name),
+        escaped(value)
     )
 }
 
