@@ -11,9 +11,12 @@ pub struct Table {
     pub rows: Vec<Vec<f64>>,
 }
 
+/// The name of a column, and its value in a row.
+pub type Column<'a, R> = (&'a str, fn(&R) -> f64);
+
 impl Table {
     /// The columns of some rows.
-    pub fn of<R>(rows: &[R], columns: &[(&str, fn(&R) -> f64)]) -> Self {
+    pub fn of<R>(rows: &[R], columns: &[Column<'_, R>]) -> Self {
         let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
         let values = |row| columns.iter().map(|(_, value)| value(row)).collect();
         Self {

@@ -78,17 +78,12 @@ pub(super) fn taken_as_exact(report: &Report) -> impl Iterator<Item = (&'static 
         ),
     ];
     let identification = &report.identified.identification;
-    let free: Vec<bool> = given
-        .iter()
-        .map(|(_, parameter, _)| {
-            parameter.is_some_and(|parameter| identification.estimate(parameter).is_some())
-        })
-        .collect();
     given
         .into_iter()
-        .zip(free)
-        .filter(|(_, free)| !free)
-        .map(|((name, _, value), _)| (name, value))
+        .filter(|(_, parameter, _)| {
+            parameter.is_none_or(|parameter| identification.estimate(parameter).is_none())
+        })
+        .map(|(name, _, value)| (name, value))
 }
 
 fn identified(identified: &Identified) -> Value {
@@ -150,7 +145,7 @@ fn texts(warnings: &[Warning]) -> Vec<String> {
     warnings.iter().map(ToString::to_string).collect()
 }
 
-const fn frames(identification: &Identification) -> &'static str {
+pub(super) const fn frames(identification: &Identification) -> &'static str {
     match identification.frames {
         ServoFrames::Even => "even",
         ServoFrames::Odd => "odd",

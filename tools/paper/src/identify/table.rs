@@ -6,7 +6,7 @@ use singletrack_analysis::identification::{Criterion, Estimate, Parameter, Score
 
 use super::{
     Identified, Report,
-    output::{speeds, taken_as_exact},
+    output::{frames, speeds, taken_as_exact},
 };
 
 /// How a parameter is shown: its unit there, how many of them make one of its own, and
@@ -46,10 +46,9 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
         speeds[0],
         speeds[1],
         report.tyres.name(),
-        match identification.frames {
-            singletrack_analysis::identification::ServoFrames::Even => "even",
-            singletrack_analysis::identification::ServoFrames::Odd => "odd",
-            singletrack_analysis::identification::ServoFrames::Every => "all",
+        match frames(identification) {
+            "every" => "all",
+            frames => frames,
         },
         identification.criterion.name(),
     )?;

@@ -3,10 +3,9 @@
 
 use libm::{atan, atan2, cos, hypot, sin, tan};
 use nalgebra::Rotation2;
-use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop, StabilityError};
+use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop};
 use singletrack_control::{
-    FrontPointLaw, LawError, Motion, SingleTrack, SingleTrackState, Singularity, VehicleParameters,
-    Velocity, direction,
+    FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, direction,
 };
 
 use super::{
@@ -20,33 +19,38 @@ const SPEEDS: [f64; 7] = [0.1, 0.3, 0.5, 1.0, 2.0, 4.0, 8.0];
 
 /// All of them. One that fails is left out, and its claim says so.
 pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
-    let mut add = |name: &str, value: f64| {
-        measurements.add(format!("assumptions.{name}"), value);
+    let mut add = |name: &str, value: Option<f64>| {
+        measurements.add(format!("assumptions.{name}"), value.unwrap_or(f64::NAN));
     };
-    add("similitude", similitude(setup).unwrap_or(f64::NAN));
+    add("similitude", similitude(setup));
     let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
     let [model, exact] =
         [Angles::Small, Angles::Exact].map(|angles| steering_on_circle(setup, amplitude, angles));
-    add("steering.model", model);
-    add("steering.exact", exact);
-    add("steering.off", 100.0 * (model / exact - 1.0));
-    add("direction", direction_matters(setup).unwrap_or(f64::NAN));
-    add("any-p", error_of_any_p(setup).unwrap_or(f64::NAN));
-    add("measured-point", measured_point(setup).unwrap_or(f64::NAN));
+    add("steering.model", Some(model));
+    add("steering.exact", Some(exact));
+    add("steering.off", Some(100.0 * (model / exact - 1.0)));
+    add("direction", direction_matters(setup));
+    add("any-p", error_of_any_p(setup));
+    add("measured-point", measured_point(setup));
     let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let studied = |range| with_position_loop(setup, range).unwrap_or([f64::NAN; 3]);
-    let [unstable, _, _] = studied([from, to]);
-    add("unstable-with-position-loop", unstable);
-    let [_, unstable, rescued] = studied([5.0 * from, from]);
-    add("unstable-motions", unstable);
-    add("stable-only-with-position-loop", rescued);
-    add("reference-diameter", 2.0 * setup.radius_m());
-    add("path-diameter", 2.0 * amplitude);
+    let inside = with_position_loop(setup, [from, to]);
+    add(
+        "unstable-with-position-loop",
+        inside.map(|counts| counts[0]),
+    );
+    let outside = with_position_loop(setup, [5.0 * from, from]);
+    add("unstable-motions", outside.map(|counts| counts[1]));
+    add(
+        "stable-only-with-position-loop",
+        outside.map(|counts| counts[2]),
+    );
+    add("reference-diameter", Some(2.0 * setup.radius_m()));
+    add("path-diameter", Some(2.0 * amplitude));
 }
 
 /// The largest relative difference between the eigenvalues of the car and those of a car ten
 /// times as long, 850 times as heavy, on a time scale √10 times as long.
-fn similitude(setup: &Setup) -> Result<f64, StabilityError> {
+fn similitude(setup: &Setup) -> Option<f64> {
     let (length, mass, time) = (10.0, 850.0, 10.0_f64.sqrt());
     let car = setup.vehicle;
     let stiffness = mass * length / (time * time);
@@ -65,21 +69,22 @@ fn similitude(setup: &Setup) -> Result<f64, StabilityError> {
         for speed in SPEEDS.map(|speed| speed * setup.scale()) {
             for part in [-0.9, -0.3, 0.3, 0.9] {
                 let deviation = part * car.rear_axle_distance_m;
-                let one = ClosedLoop::new(car, law, p, speed, deviation)?;
+                let one = ClosedLoop::new(car, law, p, speed, deviation).ok()?;
                 let other = ClosedLoop::new(
                     large,
                     law,
                     p * length,
                     speed * length / time,
                     deviation * length,
-                )?;
+                )
+                .ok()?;
                 for (one, other) in one.eigenvalues().iter().zip(&other.eigenvalues()) {
                     largest = largest.max((other * time - one).norm() / one.norm());
                 }
             }
         }
     }
-    Ok(largest)
+    Some(largest)
 }
 
 /// How the model treats sideslip and steering.
@@ -146,15 +151,6 @@ fn steering_on_circle(setup: &Setup, amplitude: f64, angles: Angles) -> f64 {
     steady(0.5 * (low + high)).1
 }
 
-/// Why a law can't be evaluated.
-#[derive(Debug, thiserror::Error)]
-enum EvaluationError {
-    #[error(transparent)]
-    Law(#[from] LawError),
-    #[error(transparent)]
-    Singularity(#[from] Singularity),
-}
-
 /// States off the steady motion, with the yaw against the velocity of P, and the steering.
 const DISTURBED: [(Motion, f64); 4] = [
     disturbed([0.0, 0.0, 0.0, 0.0]),
@@ -173,17 +169,17 @@ const fn disturbed([yaw, yaw_rate, sideslip, steering]: [f64; 4]) -> (Motion, f6
 }
 
 /// By how much the motion differs between directions of the velocity of P, at most.
-fn direction_matters(setup: &Setup) -> Result<f64, EvaluationError> {
+fn direction_matters(setup: &Setup) -> Option<f64> {
     let law = law(setup, 0.0, setup.point_distance_m())?;
     let model = SingleTrack::new(setup.vehicle);
     let mut largest: f64 = 0.0;
     for (disturbed, steering) in DISTURBED {
-        let slope = |heading: f64| -> Result<[f64; 5], EvaluationError> {
+        let slope = |heading: f64| -> Option<[f64; 5]> {
             let motion = Motion {
                 yaw: disturbed.yaw + heading,
                 ..disturbed
             };
-            let command = law.command(&motion, steering, &direction(heading))?;
+            let command = law.command(&motion, steering, &direction(heading)).ok()?;
             let state = SingleTrackState {
                 yaw: motion.yaw,
                 yaw_rate: motion.yaw_rate,
@@ -192,7 +188,7 @@ fn direction_matters(setup: &Setup) -> Result<f64, EvaluationError> {
             };
             let rate = model.derivative(&state, command.speed, steering);
             let velocity = Rotation2::new(-heading) * Velocity::new(rate.x, rate.y);
-            Ok([
+            Some([
                 velocity.x,
                 velocity.y,
                 rate.yaw_rate,
@@ -207,16 +203,17 @@ fn direction_matters(setup: &Setup) -> Result<f64, EvaluationError> {
             }
         }
     }
-    Ok(largest)
+    Some(largest)
 }
 
 /// The law for a measured point `ahead` m ahead of the centre of mass.
-fn law(setup: &Setup, ahead: f64, point_distance: f64) -> Result<FrontPointLaw, LawError> {
+fn law(setup: &Setup, ahead: f64, point_distance: f64) -> Option<FrontPointLaw> {
     FrontPointLaw::new(
         setup.vehicle.front_axle_distance_m - ahead,
         point_distance,
         setup.vehicle.wheelbase_m(),
     )
+    .ok()
 }
 
 /// The velocity of P by equation 4.
@@ -238,25 +235,25 @@ fn velocity_of_point(
 }
 
 /// The largest error of the velocity of P under the law, over distances p, in m/s.
-fn error_of_any_p(setup: &Setup) -> Result<f64, EvaluationError> {
+fn error_of_any_p(setup: &Setup) -> Option<f64> {
     let mut largest: f64 = 0.0;
     for p in [0.01, 0.05, 0.2, 1.0, 5.0].map(|p| p * setup.scale()) {
         let law = law(setup, 0.0, p)?;
         for (motion, steering) in DISTURBED {
             let wanted = direction(0.0);
-            let command = law.command(&motion, steering, &wanted)?;
+            let command = law.command(&motion, steering, &wanted).ok()?;
             let input = [steering, command.speed, command.steering_rate, p];
             let reached = velocity_of_point(setup, &motion, input);
             largest = largest.max((reached - wanted).norm());
         }
     }
-    Ok(largest)
+    Some(largest)
 }
 
 /// The largest difference between the commands of a controller that measures the centre of
 /// mass and one that measures another point of the axis, in m/s and rad/s: the speed of the
 /// rear wheels, and the steering rate.
-fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
+fn measured_point(setup: &Setup) -> Option<f64> {
     let p = setup.point_distance_m();
     let [to_front, to_rear] = ClosedLoop::meaningful_deviations(&setup.vehicle).map(|dl| -dl);
     let mut largest: f64 = 0.0;
@@ -265,7 +262,9 @@ fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
             yaw_rate, sideslip, ..
         } = motion;
         let wanted = direction(0.0);
-        let own = law(setup, 0.0, p)?.command(&motion, steering, &wanted)?;
+        let own = law(setup, 0.0, p)?
+            .command(&motion, steering, &wanted)
+            .ok()?;
         for ahead in [0.9 * to_front, 0.3 * to_rear, to_rear] {
             // The velocity of that point at the commanded speed of the centre of mass.
             let forward = own.speed * cos(sideslip);
@@ -273,13 +272,15 @@ fn measured_point(setup: &Setup) -> Result<f64, EvaluationError> {
                 sideslip: atan2(own.speed * sin(sideslip) + ahead * yaw_rate, forward),
                 ..motion
             };
-            let other = law(setup, ahead, p)?.command(&motion, steering, &wanted)?;
+            let other = law(setup, ahead, p)?
+                .command(&motion, steering, &wanted)
+                .ok()?;
             largest = largest
                 .max((other.speed * cos(motion.sideslip) - forward).abs())
                 .max((other.steering_rate - own.steering_rate).abs());
         }
     }
-    Ok(largest)
+    Some(largest)
 }
 
 /// Steady motions over a range of dl: how many are unstable with the paper's position loop

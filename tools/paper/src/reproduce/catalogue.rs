@@ -56,16 +56,13 @@ fn numbers(setup: &Setup) -> [(&'static str, String); 20] {
         ("percent", number(WRONG * 100.0)),
         ("radius", radius.to_string()),
         ("radius_m", metres(radius)),
-        ("gain", with_digits(gain, 6)),
+        ("gain_rounded", with_digits(gain, 6)),
         ("amplitude", (gain * radius).to_string()),
         ("lag", lag.to_string()),
-        ("lag_rad", with_digits(lag, 6)),
+        ("lag_rounded", with_digits(lag, 6)),
         ("distance", distance.to_string()),
-        ("stiffness_ratio", with_digits(stiffness_ratio, 4)),
-        (
-            "front_only_threshold_mm",
-            (0.135_977_266 * stiffness_ratio).to_string(),
-        ),
+        ("stiffness_ratio", stiffness_ratio.to_string()),
+        ("stiffness_ratio_rounded", with_digits(stiffness_ratio, 4)),
     ]
 }
 

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection};
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
@@ -11,52 +12,25 @@ use super::{
     drive::{Drives, Experiment, PLANTS, Run},
     extreme::{largest, least},
     pictures,
-    progress::Progress,
     section::{Picture, Section},
     setup::{GAIN, TURN_RATE},
     text::{number, with_digits},
 };
 
-/// Where P starts.
-struct Start {
-    name: &'static str,
-    what: &'static str,
-    /// For a circle of 1 m.
-    point: [f64; 2],
-    yaw_deg: f64,
-}
-
 /// Start of P on the path behind its reference, in rad. At distance zero the position loop
 /// commands standstill, where the paper's model is singular.
 const BEHIND: f64 = 0.1;
 
-/// The paper's car starts outside.
-fn starts() -> [Start; 4] {
+/// Where P starts: a name, in words, for a circle of 1 m, and the yaw in degrees. The paper's car
+/// starts outside.
+fn starts() -> [(&'static str, &'static str, [f64; 2], f64); 4] {
+    let on_the_path = [BEHIND.cos(), -BEHIND.sin()];
+    let along = 90.0 - BEHIND.to_degrees();
     [
-        Start {
-            name: "outside",
-            what: "outside the circle",
-            point: [1.5, -0.5],
-            yaw_deg: 135.0,
-        },
-        Start {
-            name: "on-the-path",
-            what: "on the path, along it",
-            point: [BEHIND.cos(), -BEHIND.sin()],
-            yaw_deg: 90.0 - BEHIND.to_degrees(),
-        },
-        Start {
-            name: "inside",
-            what: "inside",
-            point: [0.2, 0.1],
-            yaw_deg: 0.0,
-        },
-        Start {
-            name: "far-outside",
-            what: "far outside",
-            point: [-1.6, -1.2],
-            yaw_deg: 30.0,
-        },
+        ("outside", "outside the circle", [1.5, -0.5], 135.0),
+        ("on-the-path", "on the path, along it", on_the_path, along),
+        ("inside", "inside", [0.2, 0.1], 0.0),
+        ("far-outside", "far outside", [-1.6, -1.2], 30.0),
     ]
 }
 
@@ -105,41 +79,34 @@ fn tracking(run: &Run) -> Option<Tracking> {
 /// The first start with the reference's velocity added.
 const FEED_FORWARD: &str = "feed-forward";
 
-pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut section = Section::new(3, "Tracking a circle");
-    section.intro.push(format!(
+    section.intro = format!(
         "Radius {} m, {TURN_RATE} rad/s, proportional control with unit gain around the law, from \
          several starts; and from the first again with the reference's velocity fed forward.",
         number(setup.radius_m())
-    ));
+    );
     let mut drives = Drives::default();
     let mut drive = |case, what: &str, experiment: &Experiment| {
-        progress.doing(&format!("circle, {what}"));
+        progress.set_message(format!("circle, {what}"));
         for (plant, kind, label) in PLANTS {
             let run = section.drive(setup, plant, &format!("{label}, {what}"), experiment);
             drives.add(case, kind, run);
         }
     };
-    let starts = starts();
-    for Start {
-        name,
-        what,
-        point,
-        yaw_deg,
-    } in &starts
-    {
-        let experiment = experiment(setup, *point, *yaw_deg, false);
-        drive(*name, &format!("start {what}"), &experiment);
+    for (name, what, point, yaw_deg) in starts() {
+        let experiment = experiment(setup, point, yaw_deg, false);
+        drive(name, &format!("start {what}"), &experiment);
     }
-    let [first, ..] = &starts;
-    let experiment = experiment(setup, first.point, first.yaw_deg, true);
+    let [(_, _, point, yaw_deg), ..] = starts();
+    let experiment = experiment(setup, point, yaw_deg, true);
     drive(FEED_FORWARD, "with feed-forward", &experiment);
-    measure(&drives, starts.len(), &mut section);
+    measure(&drives, &mut section);
     draw(setup, &drives, &mut section);
     section
 }
 
-fn measure(drives: &Drives, starts: usize, section: &mut Section) {
+fn measure(drives: &Drives, section: &mut Section) {
     let measurements = &mut section.measurements;
     for (_, plant, _) in PLANTS {
         let mut all = Vec::new();
@@ -167,7 +134,7 @@ fn measure(drives: &Drives, starts: usize, section: &mut Section) {
             }
             all.push(tracking);
         }
-        if all.len() == starts {
+        if all.len() == starts().len() {
             let spread = |value: fn(&Tracking) -> f64| {
                 largest(all.iter().map(value)) - least(all.iter().map(value))
             };

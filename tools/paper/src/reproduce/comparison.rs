@@ -1,6 +1,7 @@
 //! Both laws on the same experiment: the parameters that each needs, and the effect of
 //! wrong ones.
 
+use indicatif::ProgressBar;
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::{
     FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity,
@@ -14,7 +15,6 @@ use super::{
     drive::{Drives, Experiment, Run},
     extreme::largest,
     pictures,
-    progress::Progress,
     section::{Picture, Section},
     steps,
     text::{metres, mm, number, with_digits},
@@ -48,21 +48,21 @@ const LAWS: [(LawKind, &str, &str); 2] = [
 /// A parameter is believed too low or too high.
 const FACTORS: [(&str, f64); 2] = [("low", 1.0 - WRONG), ("high", 1.0 + WRONG)];
 
-pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section::new(7, "The two laws compared");
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let deviation = DEVIATION_M * setup.scale();
-    section.intro.push(format!(
+    let mut section = Section::new(7, "The two laws compared");
+    section.intro = format!(
         "The open-loop steps of section 2 on the ideal plant under both laws: with everything \
          right, with the centre of mass believed {} behind its place, and with mass and \
          cornering stiffnesses believed {} % wrong. The simulated car is not driven under the \
          appendix's law: its pilot has only the proposed one.",
         mm(deviation),
         number(WRONG * 100.0)
-    ));
+    );
     let mut drives = Drives::default();
     let mut drive = |case: &str, (law, kind, name): (_, _, &str), deviation, believed| {
         let name = format!("{name}, dl = {}", mm(deviation));
-        progress.doing(&format!("comparison, {name}"));
+        progress.set_message(format!("comparison, {name}"));
         let experiment = Experiment {
             believed,
             ..steps::experiment(setup, law, deviation)
@@ -93,7 +93,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
         let name = format!("compare.largest.{case}.{law}");
         section.measurements.add(name, largest);
         let name = format!("compare-{case}-{law}");
-        section.tables.push((name, run.table()));
+        section.table(name, run.table());
         if !["right", "deviation"].contains(&case) {
             worst.push(largest);
         }
@@ -174,9 +174,7 @@ fn stiffnesses(setup: &Setup, section: &mut Section) {
     measurements.add("compare.stiffnesses.combinations", combinations as f64);
     let header = "speed_m_s,front_stiffness_factor,rear_stiffness_factor,is_stable".to_owned();
     let table = Table { header, rows };
-    section
-        .tables
-        .push(("compare-stiffnesses".to_owned(), table));
+    section.table("compare-stiffnesses", table);
 }
 
 /// Whether the steady motion at a speed is stable under the appendix's law with the
@@ -204,10 +202,7 @@ fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
     };
     const STEP: f64 = 1e-6;
     let column = |axis: usize| {
-        let mut offset = Vector3::zeros();
-        if let Some(value) = offset.get_mut(axis) {
-            *value = STEP;
-        }
+        let offset = Vector3::ith(axis, STEP);
         Some((slope(offset)? - slope(-offset)?) / (2.0 * STEP))
     };
     let (Some(first), Some(second), Some(third)) = (column(0), column(1), column(2)) else {

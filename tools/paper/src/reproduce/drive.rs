@@ -113,14 +113,9 @@ pub(super) enum DriveError {
     Temporary(std::io::Error),
 }
 
-/// The paper's controller compensates neither clock nor actuators.
-fn paper_compensation(plant: PlantKind) -> Option<toml::Table> {
-    let off = |key: &str| (key.to_owned(), toml::Value::Boolean(false));
-    (plant == PlantKind::Car).then(|| [off("clock"), off("actuation")].into_iter().collect())
-}
-
 impl Experiment {
-    fn scenario(&self, setup: &Setup, plant: PlantKind) -> Scenario {
+    /// On the ideal plant.
+    fn scenario(&self, setup: &Setup) -> Scenario {
         Scenario {
             law: LawSection {
                 kind: self.law,
@@ -133,22 +128,16 @@ impl Experiment {
                 point_p_m: self.start_m,
                 yaw_deg: self.yaw_deg,
             },
-            control: ControlSection::new(match plant {
-                PlantKind::Ideal => 0,
-                PlantKind::Car => PERIOD_MS,
-            }),
+            control: ControlSection::new(0),
             plant: PlantSection {
-                kind: plant,
+                kind: PlantKind::Ideal,
                 board: BoardKind::Native,
             },
             run: RunSection {
                 duration_s: self.duration_s,
                 seed: 1,
             },
-            marker_loss: match plant {
-                PlantKind::Ideal => Vec::new(),
-                PlantKind::Car => self.losses.clone(),
-            },
+            marker_loss: Vec::new(),
             vehicle: setup.vehicle,
             believed_vehicle: self.believed,
             truth: None,
@@ -165,14 +154,14 @@ impl Experiment {
             board: None,
             motion_capture: None,
             actuators: None,
-            compensation: paper_compensation(plant),
+            compensation: None,
         }
     }
 
     /// Drives it on the paper's equations with continuous control, as far as they have a
     /// solution.
     pub(super) fn ideal(&self, setup: &Setup) -> Result<Run, DriveError> {
-        let mut scenario = self.scenario(setup, PlantKind::Ideal);
+        let mut scenario = self.scenario(setup);
         let mut ended = None;
         let rows = loop {
             match simulate::simulate(&scenario) {
@@ -208,7 +197,13 @@ impl Experiment {
 
     /// Drives it with the whole pilot on the simulated car, board and cameras.
     pub(super) fn car(&self, setup: &Setup) -> Result<Run, DriveError> {
-        let scenario = self.scenario(setup, PlantKind::Car);
+        // The paper's controller compensates neither clock nor actuators.
+        let off = ["clock", "actuation"].map(|key| (key.to_owned(), false.into()));
+        let mut scenario = self.scenario(setup);
+        scenario.plant.kind = PlantKind::Car;
+        scenario.control = ControlSection::new(PERIOD_MS);
+        scenario.marker_loss.clone_from(&self.losses);
+        scenario.compensation = Some(off.into_iter().collect());
         let folder = tempfile::tempdir().map_err(DriveError::Temporary)?;
         let path = folder.path().join("drive.mcap");
         let simulation = simulate::simulate_recorded(&scenario, &path)?;

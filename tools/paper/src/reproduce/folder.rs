@@ -1,9 +1,8 @@
 //! The folder of a reproduction; it holds no other files.
 
 use std::{
-    ffi::OsStr,
     fs, io,
-    path::{Component, Path, PathBuf},
+    path::{Path, PathBuf},
 };
 
 use serde::{Deserialize, Serialize};
@@ -51,21 +50,14 @@ fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
     let text = fs::read_to_string(folder.join(CLAIMS_JSON)).map_err(|_| foreign())?;
     let contents: Contents = serde_json::from_str(&text).map_err(|_| foreign())?;
     // A file may say anything; only what could be ours is removed.
-    let ours = |file: &PathBuf| {
-        let parts: Option<Vec<&OsStr>> = file
-            .components()
-            .map(|part| match part {
-                Component::Normal(name) => Some(name),
-                _ => None,
-            })
-            .collect();
-        match parts.as_deref() {
-            Some([name]) => [REPORT, CLAIMS_JSON, CLAIMS_CSV, CLAIMS_MARKDOWN]
+    let ours = |file: &PathBuf| match (file.parent(), file.file_name()) {
+        (Some(folder), Some(name)) if folder == Path::new("") => {
+            [REPORT, CLAIMS_JSON, CLAIMS_CSV, CLAIMS_MARKDOWN]
                 .iter()
-                .any(|own| name == own),
-            Some([folder, _]) => *folder == FIGURES || *folder == DATA,
-            _ => false,
+                .any(|own| name == *own)
         }
+        (Some(folder), Some(_)) => folder == Path::new(FIGURES) || folder == Path::new(DATA),
+        _ => false,
     };
     Ok(Some(contents.files.into_iter().filter(ours).collect()))
 }

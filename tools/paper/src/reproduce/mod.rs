@@ -12,7 +12,6 @@ mod extreme;
 mod folder;
 mod model;
 mod pictures;
-mod progress;
 mod report;
 mod sampled;
 mod section;
@@ -22,9 +21,10 @@ mod steps;
 mod table;
 mod text;
 
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
 
 pub use error::ReproduceError;
@@ -33,7 +33,6 @@ pub use setup::Setup;
 
 use crate::vehicle_file;
 use claims::{Claim, Measurements, judge, surprises};
-use progress::Progress;
 
 /// Options of `singletrack reproduce`.
 #[derive(Clone, Debug, Args)]
@@ -96,7 +95,7 @@ fn outcome(claims: &[Claim], report: PathBuf) -> Result<(), ReproduceError> {
 /// The catalogue of the claims can't be read.
 pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
     let claims = catalogue::claims(&setup)?;
-    let parts: [fn(&Setup, &Progress) -> Section; 8] = [
+    let parts: [fn(&Setup, &ProgressBar) -> Section; 8] = [
         model::section,
         steps::section,
         circle::section,
@@ -106,16 +105,21 @@ pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
         comparison::section,
         sampled::section,
     ];
-    let progress = Progress::new(parts.len());
+    // Hidden when standard error is no terminal.
+    let progress = ProgressBar::new(parts.len() as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len}  {wide_msg}") {
+        progress.set_style(style);
+    }
+    progress.enable_steady_tick(Duration::from_millis(200));
     let mut sections = Vec::new();
     let mut measurements = basics(&setup);
     for part in parts {
         let section = part(&setup, &progress);
         measurements.extend(section.measurements.clone());
         sections.push(section);
-        progress.done();
+        progress.inc(1);
     }
-    progress.finish();
+    progress.finish_and_clear();
     let claims = judge(claims, &measurements, setup.is_paper());
     Ok(Reproduction {
         setup,

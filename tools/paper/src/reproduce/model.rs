@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use indicatif::ProgressBar;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::VehicleParameters;
 use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
@@ -9,21 +10,17 @@ use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateErro
 
 use super::{
     Setup,
-    progress::Progress,
     section::{Picture, Section},
     text::with_digits,
 };
 use crate::{
     identify::{
         self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, StudyArgs, TyreKind,
-        study::{SCENARIO, Study, StudyPlan, VALIDATION, run_study},
+        study::{self, SCENARIO, Study, StudyPlan, VALIDATION, run_study},
     },
     table::Table,
     vehicle_file,
 };
-
-/// Factors of the start values of the fit: `C_f`, `C_r`, `I_z`.
-const START: [f64; 3] = [1.4, 0.7, 1.4];
 
 /// Why the identification failed.
 #[derive(Debug, thiserror::Error)]
@@ -63,12 +60,7 @@ fn identified(setup: &Setup) -> Result<Report, ModelError> {
         ["drive.mcap", "validation.mcap", "start.toml"].map(|name| folder.path().join(name));
     drive(setup, SCENARIO, 1, &record)?;
     drive(setup, VALIDATION, 2, &other)?;
-    let [front, rear, inertia] = START;
-    let mut vehicle = setup.vehicle;
-    vehicle.front_cornering_stiffness_n_rad *= front;
-    vehicle.rear_cornering_stiffness_n_rad *= rear;
-    vehicle.yaw_inertia_kg_m2 *= inertia;
-    std::fs::write(&start, vehicle_file::text(vehicle)?)?;
+    std::fs::write(&start, vehicle_file::text(study::start(setup.vehicle))?)?;
     Ok(identify::identify(&IdentifyArgs {
         record: vec![record],
         study: StudyArgs::default(),
@@ -88,24 +80,22 @@ fn truth(vehicle: &VehicleParameters, parameter: Parameter) -> f64 {
     singletrack_analysis::identification::Values::of(vehicle).get(parameter)
 }
 
-pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut section = Section::new(1, "The model, identified and validated");
-    section.intro.push(
+    section.intro =
         "C<sub>f</sub>, C<sub>r</sub> and I<sub>z</sub> are identified from a record of a minute \
          of weaving with the simulated car, cameras, IMU and servo, all noisy, biased or late, \
          by a fit that starts 30 to 40 % wrong; the model is then left alone on a record of \
          another drive. There is no such thing on the ideal plant, which is the model. The \
          normalised mean prediction error is the mean of |model − measured| over the standard \
          deviation of what was measured, for yaw rate, sideslip and lateral acceleration."
-            .to_owned(),
-    );
+            .to_owned();
     if !setup.fits_simulated_car() {
-        section
-            .notes
-            .push("not driven: it is another kind of car than the simulated one".to_owned());
+        let note = "not driven: it is another kind of car than the simulated one";
+        section.notes.push(note.to_owned());
         return section;
     }
-    progress.doing("identification and validation");
+    progress.set_message("identification and validation");
     if let Some(report) = section.or_note("identification", identified(setup)) {
         measure(setup, &report, &mut section);
         draw(setup, &report, &mut section);
@@ -117,7 +107,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             ..StudyPlan::default()
         };
         let study = run_study(&plan, |done| {
-            progress.doing(&format!("identification, drive {done} of {SEEDS}"));
+            progress.set_message(format!("identification, drive {done} of {SEEDS}"));
         });
         if let Some(study) = section.or_note("identification under many seeds", study) {
             many(&study, &mut section);
@@ -174,9 +164,7 @@ fn measure(setup: &Setup, report: &Report, section: &mut Section) {
     }
     let header = "truth,start,estimate,interval_low,interval_high".to_owned();
     let estimates = Table { header, rows };
-    section
-        .tables
-        .push(("model-estimates".to_owned(), estimates));
+    section.table("model-estimates", estimates);
     let points = validation(report).map(|validation| &validation.simulation.points[..]);
     let validation = Table::of(
         points.unwrap_or_default(),
@@ -200,9 +188,7 @@ fn measure(setup: &Setup, report: &Report, section: &mut Section) {
             ("y_m", |point| point.position_m[1]),
         ],
     );
-    section
-        .tables
-        .push(("model-validation".to_owned(), validation));
+    section.table("model-validation", validation);
 }
 
 fn draw(setup: &Setup, report: &Report, section: &mut Section) {

@@ -128,9 +128,7 @@ fn body(section: &Section, claims: &[Claim]) -> String {
         section.number,
         escaped(section.title)
     );
-    for paragraph in &section.intro {
-        html += &format!("<p>{paragraph}</p>\n");
-    }
+    html += &format!("<p>{}</p>\n", section.intro);
     for note in &section.notes {
         html += &format!("<p class=\"note\">{}</p>\n", escaped(note));
     }

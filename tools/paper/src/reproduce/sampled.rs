@@ -1,13 +1,13 @@
 //! The real loop, which the paper leaves out: in ticks, with delay and marker losses.
 
+use indicatif::ProgressBar;
 use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
 use super::{
     Setup,
     extreme::largest,
-    progress::Progress,
-    section::Section,
-    stability::{picture, scene, subject},
+    section::{Picture, Section},
+    stability::{scene, subject},
     text::{number, with_digits},
 };
 use crate::stability::{Grid, TimingArgs, figures, first_unstable, sampled_map, sampled_table};
@@ -26,18 +26,18 @@ const TOLD: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
 /// The largest speed of the maps, for the paper's car, in m/s.
 const FASTEST: f64 = 5.0;
 
-pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section::new(8, "The loop as it runs: what the paper leaves out");
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     // The paper's 100 Hz, and a tick from measurement to command.
     let timing = TimingArgs::default();
-    section.intro.push(format!(
+    let mut section = Section::new(8, "The loop as it runs: what the paper leaves out");
+    section.intro = format!(
         "The paper analyses the law in continuous time, and runs it at 100 Hz. Here it runs every \
          {} ms, its command acts {} ms after the measurement, and the pose may be seen at every \
          n-th tick only and held in between.",
         number(timing.period_ms),
         number(timing.delay_ms)
-    ));
-    progress.doing("the sampled loop");
+    );
+    progress.set_message("the sampled loop");
     let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
     let (columns, rows): (u32, usize) = if setup.quick { (5, 5) } else { (20, 21) };
     let fastest = FASTEST * setup.scale();
@@ -63,9 +63,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
             .measurements
             .add("sampled.servo.first_unstable", first);
     }
-    section
-        .tables
-        .push(("sampled-front-point".to_owned(), sampled_table(&map)));
+    section.table("sampled-front-point", sampled_table(&map));
     let limits = MarginLimits::default();
     let mut told = Vec::new();
     for speed in TOLD.map(|speed| speed * setup.scale()) {
@@ -85,29 +83,19 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
     }
     let mut pictures = Vec::new();
     if let Some(scene) = scene(&subject, setup, &mut section) {
-        for (name, label, figure) in [
-            (
-                "sampled-spectral-radius",
-                "spectral radius",
-                figures::spectral_radius(&scene, timing, &map),
-            ),
-            (
-                "sampled-delay-margin",
-                "delay margin",
-                figures::delay_margin(&scene, timing, &map),
-            ),
-            (
-                "sampled-marker-interval",
-                "longest survivable marker interval",
-                figures::longest_marker_interval(&scene, timing, &map),
-            ),
-        ] {
-            let mut drawn = picture(&mut section, name, figure);
-            for picture in &mut drawn {
-                picture.label = label.to_owned();
-            }
-            pictures.append(&mut drawn);
-        }
+        let labels = [
+            "spectral radius",
+            "delay margin",
+            "longest survivable marker interval",
+        ];
+        let drawn = figures::sampled(&scene, timing, &map);
+        let drawn = section.or_note("the sampled loop", drawn);
+        let drawn = drawn.into_iter().flatten().zip(labels);
+        pictures.extend(
+            drawn.map(|((name, figure), label)| {
+                Picture::new(format!("sampled-{name}"), label, figure)
+            }),
+        );
     }
     section.plate(
         "Spectral radius, delay margin and marker interval",

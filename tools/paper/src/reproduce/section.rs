@@ -18,8 +18,8 @@ pub struct Section {
     pub number: usize,
     /// Its title.
     pub title: &'static str,
-    /// Its text, by paragraphs.
-    pub intro: Vec<String>,
+    /// Its text, in HTML.
+    pub intro: String,
     /// Its figures.
     pub plates: Vec<Plate>,
     /// The data behind them, each with the name of its file, without the ending.
@@ -38,6 +38,11 @@ impl Section {
             title,
             ..Self::default()
         }
+    }
+
+    /// Adds a file of data.
+    pub(super) fn table(&mut self, name: impl Into<String>, table: Table) {
+        self.tables.push((name.into(), table));
     }
 
     /// Adds a plate. In `ours` a `{name}` stands for one of the words, and a `{name unit}` for a
@@ -103,18 +108,12 @@ impl Section {
 
     /// The drive, or a note on its failure. A drive that ended early has a note too.
     pub(super) fn keep(&mut self, what: &str, drive: Result<Run, DriveError>) -> Option<Run> {
-        match drive {
-            Ok(run) => {
-                if let Some(ended) = &run.ended {
-                    self.notes.push(format!("{what}: {ended}"));
-                }
-                Some(run)
-            }
-            Err(error) => {
-                self.notes.push(format!("{what}: not driven: {error}"));
-                None
-            }
+        let drive = drive.map_err(|error| format!("not driven: {error}"));
+        let run = self.or_note(what, drive)?;
+        if let Some(ended) = &run.ended {
+            self.notes.push(format!("{what}: {ended}"));
         }
+        Some(run)
     }
 }
 

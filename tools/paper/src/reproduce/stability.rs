@@ -1,5 +1,6 @@
 //! The bifurcation studies of both laws and their eigenvalue maps.
 
+use indicatif::ProgressBar;
 use singletrack_analysis::stability::{
     Belief, ClosedLoop, HopfPoint, Law, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
@@ -9,7 +10,6 @@ use singletrack_figures::figure::Figure;
 use super::{
     Setup,
     extreme::{largest, least},
-    progress::Progress,
     section::{Picture, Section, or_note},
     text::{metres, mm, number, with_digits},
 };
@@ -62,7 +62,7 @@ pub(super) fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> 
 }
 
 /// The picture of a figure.
-pub(super) fn picture<E: std::fmt::Display>(
+fn picture<E: std::fmt::Display>(
     section: &mut Section,
     name: &str,
     figure: Result<Figure, E>,
@@ -88,6 +88,11 @@ fn region_picture(setup: &Setup, law: Law, name: &str, section: &mut Section) ->
     picture(section, name, figures::region(&scene, &rows))
 }
 
+/// The first Lyapunov coefficient, in Kuznetsov's normalisation.
+const fn l1(point: &HopfPoint) -> f64 {
+    point.lyapunov.kuznetsov
+}
+
 /// The first Lyapunov coefficients along a curve, in a sentence.
 fn lyapunov(curve: &[HopfPoint]) -> String {
     let range = |value: fn(&HopfPoint) -> f64| {
@@ -98,31 +103,31 @@ fn lyapunov(curve: &[HopfPoint]) -> String {
             with_digits(largest(values()), 3)
         )
     };
-    let subcritical = curve.iter().all(|point| point.lyapunov.kuznetsov > 0.0);
+    let subcritical = curve.iter().all(|point| l1(point) > 0.0);
     format!(
         "The first Lyapunov coefficient is {} as MatCont counts it and as it is drawn ({} in \
          Kuznetsov's normalisation): {} of these bifurcations are subcritical.",
         range(|point| point.lyapunov.matcont),
-        range(|point| point.lyapunov.kuznetsov),
+        range(l1),
         if subcritical { "all" } else { "not all" }
     )
 }
 
 /// The bifurcation study of the proposed law.
-pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
-    progress.doing("bifurcations of the proposed law");
-    let mut section = Section::new(4, "Bifurcations under the proposed law");
-    let mut curve = curve(setup, Law::FrontPoint, &mut section);
-    curve.retain(HopfPoint::ends_stability);
+pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
+    progress.set_message("bifurcations of the proposed law");
     let [ahead, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    section.intro.push(format!(
+    let mut section = Section::new(4, "Bifurcations under the proposed law");
+    section.intro = format!(
         "The steady motion under the law with a wrong l<sub>f</sub>, over the speed and the \
          deviation dl of the centre of mass, which is physically meaningful from −l<sub>f</sub> = \
          {} to l<sub>r</sub> = {}. Hopf points are found in closed form, their first Lyapunov \
          coefficients by exact derivatives for states in rad and rad/s.",
         metres(ahead),
         metres(behind)
-    ));
+    );
+    let mut curve = curve(setup, Law::FrontPoint, &mut section);
+    curve.retain(HopfPoint::ends_stability);
     let limit = infinite_speed_limit(setup.vehicle, setup.point_distance_m())
         .map_or(f64::NAN, |limits| largest(limits.into_iter()));
     let subject = subject(setup, Law::FrontPoint);
@@ -157,19 +162,13 @@ pub(super) fn proposed(setup: &Setup, progress: &Progress) -> Section {
     let measurements = &mut section.measurements;
     measurements.add("hopf.front.points", curve.len() as f64);
     measurements.add("hopf.front.largest_dl", largest(deviations()));
-    measurements.add(
-        "hopf.front.least_l1",
-        least(curve.iter().map(|point| point.lyapunov.kuznetsov)),
-    );
+    measurements.add("hopf.front.least_l1", least(curve.iter().map(l1)));
     measurements.add("hopf.front.limit", limit);
-    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    if let Ok(Some(smallest)) = smallest_point_distance(setup.vehicle, range) {
+    if let Ok(Some(smallest)) = smallest_point_distance(setup.vehicle, [ahead, behind]) {
         measurements.add("point.smallest", smallest);
     }
     measurements.add("hopf.front.unstable_in_range", unstable as f64);
-    section
-        .tables
-        .push(("hopf-front-point".to_owned(), hopf_table(&curve)));
+    section.table("hopf-front-point", hopf_table(&curve));
     let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
     section.plate(
         "Stability over speed and deviation",
@@ -200,14 +199,13 @@ fn largest_within(map: &[EigenvalueRow], index: usize, [from, to]: [f64; 2]) -> 
 }
 
 /// The eigenvalue maps of both laws.
-pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section::new(5, "Eigenvalues under both laws");
+pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
     let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    section.intro.push(
+    let mut section = Section::new(5, "Eigenvalues under both laws");
+    section.intro =
         "The real parts of the eigenvalues of the same steady motions, numbered by ascending real \
          part at every point."
-            .to_owned(),
-    );
+            .to_owned();
     for (law, name, title, paper) in [
         (
             Law::FrontPoint,
@@ -224,7 +222,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
              a region where it is not negative.",
         ),
     ] {
-        progress.doing(&format!("eigenvalues under {title}"));
+        progress.set_message(format!("eigenvalues under {title}"));
         let subject = subject(setup, law);
         let [speeds, deviations] = map_grids(setup, &subject);
         let map = eigenvalue_map(&subject, &speeds, &deviations);
@@ -233,7 +231,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
         };
         let count = map.first().map_or(0, |row| row.eigenvalues.len());
         let file = format!("eigenvalues-{name}-point");
-        section.tables.push((file.clone(), eigenvalue_table(&map)));
+        section.table(file.clone(), eigenvalue_table(&map));
         let measurements = &mut section.measurements;
         measurements.add(format!("eigenvalues.{name}.count"), count as f64);
         let mut unstable = 0;
@@ -284,16 +282,15 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &Progress) -> Section {
 const SLOW: f64 = 0.1;
 
 /// The bifurcation study of the appendix's law.
-pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
-    progress.doing("bifurcations of the appendix's law");
+pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
+    progress.set_message("bifurcations of the appendix's law");
     let mut section = Section::new(6, "Bifurcations under the appendix's law");
-    section.intro.push(
+    section.intro =
         "The same study of the law of the appendix, which needs l<sub>r</sub>, the mass and the \
          cornering stiffnesses besides: with its centre of mass dl behind its place on a \
          wheelbase that is known, l<sub>f</sub> + dl and l<sub>r</sub> − dl, unless told \
          otherwise."
-            .to_owned(),
-    );
+            .to_owned();
     let mut curve = curve(setup, Law::VelocityPoint, &mut section);
     curve.retain(HopfPoint::ends_stability);
     let [_, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
@@ -307,10 +304,8 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
         )
         .map_or(f64::NAN, |points| {
             let ends = points.iter().filter(|point| point.ends_stability());
-            least(
-                ends.map(|point| point.deviation)
-                    .filter(|deviation| *deviation > 0.0),
-            )
+            let deviations = ends.map(|point| point.deviation);
+            least(deviations.filter(|deviation| *deviation > 0.0))
         })
     };
     let both = threshold(Belief::CentreOfMass);
@@ -323,18 +318,11 @@ pub(super) fn appendix(setup: &Setup, progress: &Progress) -> Section {
     let measurements = &mut section.measurements;
     measurements.add("hopf.velocity.threshold_mm", both * 1000.0);
     measurements.add("hopf.velocity.threshold_front_only_mm", front * 1000.0);
-    measurements.add(
-        "hopf.velocity.least_dl",
-        least(curve.iter().map(|point| point.deviation)),
-    );
-    measurements.add(
-        "hopf.velocity.least_l1",
-        least(curve.iter().map(|point| point.lyapunov.kuznetsov)),
-    );
+    let least_dl = least(curve.iter().map(|point| point.deviation));
+    measurements.add("hopf.velocity.least_dl", least_dl);
+    measurements.add("hopf.velocity.least_l1", least(curve.iter().map(l1)));
     measurements.add("hopf.velocity.leaves_range", leaves);
-    section
-        .tables
-        .push(("hopf-velocity-point".to_owned(), hopf_table(&curve)));
+    section.table("hopf-velocity-point", hopf_table(&curve));
     let pictures = region_picture(
         setup,
         Law::VelocityPoint,

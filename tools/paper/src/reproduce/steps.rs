@@ -1,5 +1,6 @@
 //! The law alone: piecewise constant velocities of P, without position control.
 
+use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, StepSection};
 use singletrack_figures::figure::{Curve, Figure, Look, Width};
 use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
@@ -10,7 +11,6 @@ use super::{
     drive::{Drives, Experiment, PLANTS, Run},
     extreme::largest,
     pictures,
-    progress::Progress,
     section::{Picture, Section},
     text::{metres, mm, number, with_digits},
 };
@@ -63,20 +63,20 @@ const CASES: [(&str, &str); 2] = [("right", "dl-0"), ("rear", "dl-rear")];
 /// The first drive of the car, without marker losses.
 const SEEN: &str = "seen";
 
-pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
-    let mut section = Section::new(2, "The law alone: open-loop steps");
+pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let deviations = [0.0, setup.rear_deviation_m()];
     let names = [
         "dl = 0".to_owned(),
         format!("dl = {}", metres(setup.rear_deviation_m())),
     ];
-    section.intro.push(format!(
+    let mut section = Section::new(2, "The law alone: open-loop steps");
+    section.intro = format!(
         "The law is fed with six constant velocities of P, {STEP_S} s each, without position \
          control: once with the right l<sub>f</sub>, once with one that puts the centre of mass at \
          the rear axle ({}). The paper's velocities are known from its picture only; ours turn P \
          through 225°. On the car the markers are lost four times for 200 ms.",
         names[1]
-    ));
+    );
     let mut drives = Drives::default();
     for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
         let seen = experiment(setup, LawKind::FrontPoint, deviation);
@@ -89,7 +89,7 @@ pub(super) fn section(setup: &Setup, progress: &Progress) -> Section {
                 .to_vec(),
             ..seen.clone()
         };
-        progress.doing(&format!("open-loop steps, {name}"));
+        progress.set_message(format!("open-loop steps, {name}"));
         for (plant, kind, label) in PLANTS {
             if plant == PlantKind::Car && case == "right" {
                 let run = section.drive(setup, plant, "car, markers always seen", &seen);

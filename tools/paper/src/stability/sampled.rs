@@ -3,7 +3,7 @@
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use singletrack_analysis::stability::MarginLimits;
+use singletrack_analysis::stability::{ClosedLoop, MarginLimits};
 
 use super::{
     arguments::{Format, LoopArgs, PointArgs, TimingArgs},
@@ -37,21 +37,30 @@ pub(super) struct SampledArgs {
 
 pub(super) fn run(args: &SampledArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let dl = args.points.deviations_or(|| {
-        let range =
-            singletrack_analysis::stability::ClosedLoop::meaningful_deviations(&subject.vehicle);
-        Grid::spanning(range, 21)
-    });
-    let total = args.points.speeds().values().len() * dl.values().len();
-    let bar = ProgressBar::new(total as u64).with_style(
-        ProgressStyle::with_template("{wide_bar} {pos}/{len} points")
-            .unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
-    let map = sampled_map(&subject, args.points.speeds(), &dl, args.timing, || {
-        bar.inc(1);
-    })?;
-    bar.finish_and_clear();
+    let dl = args
+        .points
+        .deviations_or(|| Grid::spanning(ClosedLoop::meaningful_deviations(&subject.vehicle), 21));
+    let map = shown_map(&subject, args.points.speeds(), &dl, args.timing, "points")?;
     Ok(write(args.format, &subject, &sampled_table(&map), &map)?)
+}
+
+/// [`sampled_map`] with progress on a terminal: how many of `what` are done.
+pub(super) fn shown_map(
+    subject: &Subject,
+    speeds: &Grid,
+    deviations: &Grid,
+    timing: TimingArgs,
+    what: &str,
+) -> Result<Vec<SampledRow>, StabilityCommandError> {
+    let total = speeds.values().len() * deviations.values().len();
+    let bar = ProgressBar::new(total as u64);
+    if let Ok(style) = ProgressStyle::with_template(&format!("{{wide_bar}} {{pos}}/{{len}} {what}"))
+    {
+        bar.set_style(style);
+    }
+    let map = sampled_map(subject, speeds, deviations, timing, || bar.inc(1))?;
+    bar.finish_and_clear();
+    Ok(map)
 }
 
 /// The numbers of a map; of a margin that was not found none.

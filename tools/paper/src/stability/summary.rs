@@ -4,14 +4,15 @@ use std::io::{self, Write};
 
 use clap::Args;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Criticality, Law, MarginLimits, critical_speed, hopf_points,
-    infinite_speed_limit, smallest_point_distance,
+    Belief, ClosedLoop, Law, MarginLimits, critical_speed, hopf_points, infinite_speed_limit,
+    smallest_point_distance,
 };
 
 use super::{
     arguments::{CarArgs, TimingArgs},
     error::StabilityCommandError,
     grid::Grid,
+    hopf::criticality,
     limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
     subject::Subject,
 };
@@ -114,11 +115,7 @@ fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCo
                 },
                 point.angular_frequency,
                 point.lyapunov.kuznetsov,
-                match point.criticality() {
-                    Criticality::Subcritical => "subcritical",
-                    Criticality::Supercritical => "supercritical",
-                    Criticality::Degenerate => "degenerate",
-                }
+                criticality(&point),
             )?;
         }
     }

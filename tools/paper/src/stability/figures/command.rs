@@ -7,17 +7,14 @@ use std::{
 };
 
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_figures::figure::Figure;
 
-use super::{
-    Scene, around_meaningful, delay_margin, drawn_deviations, eigenvalue, eigenvalues,
-    longest_marker_interval, region, spectral_radius,
-};
+use super::{Scene, around_meaningful, drawn_deviations, eigenvalue, eigenvalues, region, sampled};
 use crate::stability::{
     Grid, SampledRow, StabilityCommandError, Subject,
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    eigenvalue_map, hopf_curve, region as stable_region, sampled_map,
+    eigenvalue_map, hopf_curve, region as stable_region,
+    sampled::shown_map,
 };
 
 #[derive(Clone, Debug, Args)]
@@ -112,23 +109,14 @@ fn figures(
     }
     if wants(Kind::SpectralRadius) || wants(Kind::DelayMargin) || wants(Kind::MarkerInterval) {
         let rows = sampled_rows(subject, args)?;
-        for (kind, name, draw) in [
-            (
-                Kind::SpectralRadius,
-                "spectral-radius",
-                spectral_radius as fn(&Scene, TimingArgs, &[SampledRow]) -> _,
-            ),
-            (Kind::DelayMargin, "delay-margin", delay_margin),
-            (
-                Kind::MarkerInterval,
-                "marker-interval",
-                longest_marker_interval,
-            ),
-        ] {
-            if wants(kind) {
-                figures.push((name.to_owned(), draw(&scene, args.timing, &rows)?));
-            }
-        }
+        let kinds = [
+            Kind::SpectralRadius,
+            Kind::DelayMargin,
+            Kind::MarkerInterval,
+        ];
+        let drawn = kinds.into_iter().zip(sampled(&scene, args.timing, &rows)?);
+        let drawn = drawn.filter(|(kind, _)| wants(*kind));
+        figures.extend(drawn.map(|(_, (name, figure))| (name.to_owned(), figure)));
     }
     Ok(figures)
 }
@@ -147,12 +135,6 @@ fn sampled_rows(
     let deviations = args
         .points
         .deviations_or(|| around_meaningful(subject, SAMPLED_DEVIATIONS));
-    let points = speeds.values().len() * deviations.values().len();
-    let bar = ProgressBar::new(points as u64).with_style(
-        ProgressStyle::with_template("{wide_bar} {pos}/{len} points of the sampled loop")
-            .unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
-    let rows = sampled_map(subject, &speeds, &deviations, args.timing, || bar.inc(1))?;
-    bar.finish_and_clear();
-    Ok(rows)
+    let what = "points of the sampled loop";
+    shown_map(subject, &speeds, &deviations, args.timing, what)
 }

@@ -39,10 +39,7 @@ fn digits(value: f64) -> usize {
 pub(super) fn margins(grid: &Grid, [least, limit]: [f64; 2]) -> Vec<Isoline> {
     let mut candidates = sizes();
     candidates.retain(|size| *size >= least && *size < limit);
-    chosen(grid, &candidates, 0.0)
-        .into_iter()
-        .map(|value| Isoline::new(value, digits(value)))
-        .collect()
+    chosen(grid, &candidates, 0.0, digits)
 }
 
 /// 1, 2, 5, 10 and so on.
@@ -57,10 +54,7 @@ pub(super) fn one_two_five(grid: &Grid) -> Vec<Isoline> {
     let sizes = sizes();
     let below = sizes.iter().rev().map(|size| -size);
     let candidates: Vec<f64> = below.chain(sizes.iter().copied()).collect();
-    chosen(grid, &candidates, 0.0)
-        .into_iter()
-        .map(|value| Isoline::new(value, digits(value)))
-        .collect()
+    chosen(grid, &candidates, 0.0, digits)
 }
 
 /// Lines near and far from one, by their distance from it.
@@ -69,17 +63,19 @@ pub(super) fn around_one(grid: &Grid) -> Vec<Isoline> {
     let below = distances.iter().map(|distance| 1.0 - distance);
     let above = distances.iter().rev().map(|distance| 1.0 + distance);
     let candidates: Vec<f64> = below.chain(above).collect();
-    let mut isolines: Vec<Isoline> = chosen(grid, &candidates, 1.0)
-        .into_iter()
-        .map(|value| Isoline::new(value, digits((value - 1.0).abs())))
-        .collect();
+    let mut isolines = chosen(grid, &candidates, 1.0, |value| digits((value - 1.0).abs()));
     isolines.push(Isoline::new(1.0, 0));
     isolines
 }
 
 /// Of the ascending candidates, those that divide the grid best: without almost empty
-/// bands between two of them or at the boundary, and not too many.
-fn chosen(grid: &Grid, candidates: &[f64], boundary: f64) -> Vec<f64> {
+/// bands between two of them or at the boundary, and not too many; with this many decimals.
+fn chosen(
+    grid: &Grid,
+    candidates: &[f64],
+    boundary: f64,
+    decimals: fn(f64) -> usize,
+) -> Vec<Isoline> {
     let mut sorted: Vec<f64> = grid
         .values()
         .iter()
@@ -111,7 +107,10 @@ fn chosen(grid: &Grid, candidates: &[f64], boundary: f64) -> Vec<f64> {
             index % 2 == 1
         });
     }
-    chosen
+    let isolines = chosen.into_iter();
+    isolines
+        .map(|value| Isoline::new(value, decimals(value)))
+        .collect()
 }
 
 #[cfg(test)]

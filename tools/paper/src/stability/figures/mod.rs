@@ -9,5 +9,5 @@ mod scene;
 
 pub(super) use command::{FiguresArgs, run};
 pub use maps::{eigenvalue, eigenvalues, region};
-pub use sampled::{delay_margin, longest_marker_interval, spectral_radius};
+pub use sampled::sampled;
 pub use scene::{Scene, around_meaningful, drawn_deviations};

@@ -1,7 +1,7 @@
 //! The sampled loop, which the paper leaves out: ticks, delay and missing poses.
 
 use singletrack_analysis::stability::MarginLimits;
-use singletrack_figures::figure::{Figure, Grid, GridError, Map, Panel, Shade, Width};
+use singletrack_figures::figure::{Curve, Figure, Grid, GridError, Map, Panel, Shade, Width};
 
 use super::{
     super::{SampledRow, TimingArgs},
@@ -9,18 +9,28 @@ use super::{
     scene::{DEVIATION, Frame, SPEED, Scene, band, grid_of},
 };
 
-/// How fast disturbances decay from tick to tick: the spectral radius.
+/// The maps of the sampled loop with their names: how fast disturbances decay from tick to tick,
+/// and the delay and the longest time between poses that it survives.
 ///
 /// # Errors
 ///
 /// Rows that are not a grid: fewer than two speeds or deviations.
-pub fn spectral_radius(
+pub fn sampled(
     scene: &Scene,
     timing: TimingArgs,
     rows: &[SampledRow],
-) -> Result<Figure, GridError> {
-    let radius = grid_of(rows, at, |row| row.spectral_radius)?;
-    let map = Map {
+) -> Result<[(&'static str, Figure); 3], GridError> {
+    let TimingArgs {
+        period_ms,
+        delay_ms,
+        marker_interval,
+        ..
+    } = timing;
+    let limits = MarginLimits::default();
+    let grid =
+        |value: fn(&SampledRow) -> f64| grid_of(rows, |row| [row.speed_m_s, row.dl_m], value);
+    let radius = grid(|row| row.spectral_radius)?;
+    let radius = Map {
         bands: vec![
             band(0.0, 1.0, Shade::Light, "stable"),
             band(1.0, f64::INFINITY, Shade::Dark, "unstable"),
@@ -29,91 +39,60 @@ pub fn spectral_radius(
         isoline_name: "spectral radius".to_owned(),
         grid: radius,
     };
-    let TimingArgs {
-        delay_ms,
-        marker_interval,
-        ..
-    } = timing;
     let seen = match marker_interval {
         1 => "at every tick".to_owned(),
         interval => format!("every {interval} ticks"),
     };
-    Ok(figure(
+    let radius = figure(
         scene,
         timing,
-        format!("Spectral radius of a tick under {}", scene.law),
+        "Spectral radius of a tick",
         &format!(
             "Factor by which a disturbance grows or decays from tick to tick in the long run, \
              with a pose {seen} and commands that act {delay_ms} ms late: below one the motion is \
              stable."
         ),
-        map,
-    ))
-}
-
-/// The delay that the loop survives.
-///
-/// # Errors
-///
-/// Rows that are not a grid: fewer than two speeds or deviations.
-pub fn delay_margin(
-    scene: &Scene,
-    timing: TimingArgs,
-    rows: &[SampledRow],
-) -> Result<Figure, GridError> {
-    let margin = grid_of(rows, at, |row| in_ms(row.delay_margin_s))?;
-    Ok(figure(
+        radius,
+    );
+    let delay = figure(
         scene,
         timing,
-        format!("Delay margin under {}", scene.law),
+        "Delay margin",
         "Delay from measurement to command from which on the motion is unstable, in ms, with a \
          pose at every tick: the darker, the less.",
         margin_map(
-            margin,
+            grid(|row| in_ms(row.delay_margin_s))?,
             Steps {
                 step: 0.0,
-                limit: 1000.0 * MarginLimits::default().delay,
+                limit: 1000.0 * limits.delay,
             },
             "delay margin (ms)",
             "unstable without delay",
         ),
-    ))
-}
-
-/// The longest time between poses that the loop survives.
-///
-/// # Errors
-///
-/// Rows that are not a grid: fewer than two speeds or deviations.
-pub fn longest_marker_interval(
-    scene: &Scene,
-    timing: TimingArgs,
-    rows: &[SampledRow],
-) -> Result<Figure, GridError> {
-    let interval = grid_of(rows, at, |row| in_ms(row.longest_marker_interval_s))?;
-    Ok(figure(
+    );
+    let interval = figure(
         scene,
         timing,
-        format!("Longest survivable marker interval under {}", scene.law),
+        "Longest survivable marker interval",
         &format!(
             "Time from one pose to the next, again and again, up to which the motion is stable, \
-             in ms, with commands that act {} ms late: the darker, the less.",
-            timing.delay_ms
+             in ms, with commands that act {delay_ms} ms late: the darker, the less."
         ),
         margin_map(
-            interval,
+            grid(|row| in_ms(row.longest_marker_interval_s))?,
             Steps {
-                step: timing.period_ms,
-                limit: timing.period_ms * f64::from(MarginLimits::default().marker_interval),
+                step: period_ms,
+                limit: period_ms * f64::from(limits.marker_interval),
             },
             "longest marker interval (ms)",
             "unstable with a pose at every tick",
         ),
-    ))
-}
-
-const fn at(row: &SampledRow) -> [f64; 2] {
-    [row.speed_m_s, row.dl_m]
+    );
+    Ok([
+        ("spectral-radius", radius),
+        ("delay-margin", delay),
+        ("marker-interval", interval),
+    ])
 }
 
 /// A margin that was not found lies beyond the searched range.
@@ -121,13 +100,10 @@ fn in_ms(margin: Option<f64>) -> f64 {
     margin.map_or(f64::INFINITY, |margin| 1000.0 * margin)
 }
 
-fn figure(scene: &Scene, timing: TimingArgs, title: String, caption: &str, map: Map) -> Figure {
+fn figure(scene: &Scene, timing: TimingArgs, what: &str, caption: &str, map: Map) -> Figure {
     let frame = Frame::of(&map.grid);
     let curves: Vec<_> = scene.hopf_curves(&frame).collect();
-    let hopf = if curves
-        .iter()
-        .all(singletrack_figures::figure::Curve::is_empty)
-    {
+    let hopf = if curves.iter().all(Curve::is_empty) {
         ""
     } else {
         " The thick line is where stability ends without sampling and delay."
@@ -149,7 +125,7 @@ fn figure(scene: &Scene, timing: TimingArgs, title: String, caption: &str, map: 
         }
     }
     Figure {
-        title,
+        title: format!("{what} under {}", scene.law),
         caption: format!("{caption}{loop_text}.{hopf}"),
         width: Width::Column,
         panels: vec![Panel {
