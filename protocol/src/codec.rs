@@ -203,20 +203,21 @@ macro_rules! structure {
 }
 
 /// Declares an enumeration of the wire: its variants once, numbered from zero, each
-/// with its word.
+/// with its word. The documentation of a variant is data: what a cause to stop or to refuse means
+/// to an operator is there, before `Effect:` and `Remedy:`.
 macro_rules! enumeration {
     (
         $(#[$about:meta])*
         pub enum $name:ident {
-            $(#[$first_about:meta])* $first:ident = $first_word:literal,
-            $( $(#[$variant_about:meta])* $variant:ident = $word:literal, )*
+            $(#[doc = $first_documentation:literal])+ $first:ident = $first_word:literal,
+            $( $(#[doc = $documentation:literal])+ $variant:ident = $word:literal, )*
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         pub enum $name {
-            $(#[$first_about])* $first,
-            $( $(#[$variant_about])* $variant, )*
+            $(#[doc = $first_documentation])+ $first,
+            $( $(#[doc = $documentation])+ $variant, )*
         }
 
         impl $name {
@@ -230,6 +231,15 @@ macro_rules! enumeration {
                 match self {
                     Self::$first => $first_word,
                     $(Self::$variant => $word,)*
+                }
+            }
+
+            /// The documentation of this value, in Markdown.
+            #[must_use]
+            pub const fn documentation(self) -> &'static str {
+                match self {
+                    Self::$first => concat!($($first_documentation, "\n"),+),
+                    $(Self::$variant => concat!($($documentation, "\n"),+),)*
                 }
             }
         }

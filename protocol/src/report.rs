@@ -33,30 +33,77 @@ enumeration! {
 enumeration! {
     /// Why the board last went to neutral.
     pub enum StopCause {
-        /// It has not, since it started.
+        /// The board has not gone to neutral since it started.
+        ///
+        /// Effect: Nothing.
+        ///
+        /// Remedy: Nothing.
         None = "none",
-        /// The host asked by [`crate::Disarm`].
+        /// The host requested it.
+        ///
+        /// Remedy: Nothing.
         Disarmed = "disarmed",
-        /// No command in force: the last one outlived its time to live.
+        /// The last command is older than 95 ms, or none came for 1 s after arming (or
+        /// `powering-up`).
+        ///
+        /// Effect: Neutral within 120 ms of the last command; kill output off at once.
+        ///
+        /// Remedy: The host died, hung or lost the line: read its log.
         CommandTimeout = "command-timeout",
-        /// The pose behind the commands outlived the configured limit.
+        /// The pose behind the commands is older than `board.max_pose_age_ms`.
+        ///
+        /// Remedy: The host should have stopped first: compare `supervisor.hold_ms` and the ramp.
         PoseTooOld = "pose-too-old",
-        /// Driven above the deadband and no motor pulse came.
+        /// No motor pulse came while the motor was driven above the deadband: for 600 ms, or (not
+        /// jogging) for 150 ms and a commanded way of 15 mm and 2.5 pulse distances.
+        ///
+        /// Effect: A car that starts at 0.4 m/s goes 0.06 m with a pulse every 3 mm, 0.18 m with 25
+        /// mm.
+        ///
+        /// Remedy: Check the pulse sensor and `board.speed.pulse_distance_um`. A blocked wheel, or
+        /// a car slower than a pulse in 0.6 s, looks the same.
         MotorSensor = "motor-sensor",
         /// The stop switch opened.
+        ///
+        /// Effect: 1500 us for 200 ms, then no pulse; latched. Kill output off at once.
+        ///
+        /// Remedy: Close the switch, reset the board.
         StopInput = "stop-input",
-        /// The host asked by [`crate::EmergencyStop`].
+        /// The host requested an emergency stop.
+        ///
+        /// Effect: As `stop-input`.
+        ///
+        /// Remedy: Reset the board.
         EmergencyStop = "emergency-stop",
-        /// The host restarted (a [`crate::Hello`] while armed).
+        /// Another session greeted the armed board.
+        ///
+        /// Remedy: The daemon restarted, or a second program uses the port.
         HostRestarted = "host-restarted",
-        /// The wheels went on turning although the ESC was not driven: latched, as
-        /// an emergency stop is.
+        /// The wheels turn undriven: for 3 s and over 0.5 m (unconfigured: 50 pulses), or over 1 m;
+        /// after a drive, for longer than the longest roll-out or without slowing down.
+        ///
+        /// Effect: No pulse; latched. Kill output off.
+        ///
+        /// Remedy: Check the ESC and `board.esc.neutral_us`; then reset the board. Pushing latches
+        /// it too: let the car stand for a second every half metre, or lift it.
         RunsAtNeutral = "runs-at-neutral",
-        /// No [`crate::Jog`] in force: the last one outlived its time to live.
+        /// The last pulses of jogging are older than 95 ms.
+        ///
+        /// Effect: Neutral within 120 ms of them; kill output off at once.
+        ///
+        /// Remedy: The host died, hung or lost the line: read its log.
         JogTimeout = "jog-timeout",
-        /// The wheels turned faster than [`crate::JOG_SPEED_MM_S`] while jogging.
+        /// The wheels turned faster than 1 m/s while jogging.
+        ///
+        /// Effect: No brake.
+        ///
+        /// Remedy: Give pulses nearer to neutral.
         JogTooFast = "jog-too-fast",
-        /// The motor was jogged for [`crate::JOG_DRIVE_US`] without a rest.
+        /// The motor was jogged for 10 s without a rest at neutral.
+        ///
+        /// Effect: No brake.
+        ///
+        /// Remedy: Let the wheels rest in between.
         JogTooLong = "jog-too-long",
     }
 }
@@ -65,36 +112,74 @@ enumeration! {
     /// Why the board does not do what it was asked.
     pub enum RefusalReason {
         /// Nothing has been refused.
+        ///
+        /// Remedy: Nothing.
         None = "none",
         /// The board has no configuration.
+        ///
+        /// Remedy: Nothing: the host configures it again.
         NotConfigured = "not-configured",
-        /// The configuration on the board is not the one that the host named.
+        /// The board has another configuration than the host named.
+        ///
+        /// Remedy: Nothing: the host configures it again. If it stays, a second program uses the
+        /// port.
         ConfigurationDiffers = "configuration-differs",
-        /// A value of the configuration is outside what the board can do.
+        /// A value of the configuration is out of range.
+        ///
+        /// Remedy: Correct `[board]`; flash the firmware of the host's release.
         InvalidConfiguration = "invalid-configuration",
-        /// Not while armed, driving or jogging.
+        /// An armed board takes no configuration and no second arm; driving, no pulses; jogging, no
+        /// drive.
+        ///
+        /// Effect: Continues.
+        ///
+        /// Remedy: Disarm first.
         Busy = "busy",
-        /// The ESC has not been held at neutral for long enough.
+        /// The ESC has not been at neutral for 2 s (with a kill output: since its supply came on).
+        ///
+        /// Remedy: Wait.
         NotYetNeutral = "not-yet-neutral",
         /// The wheels are turning.
+        ///
+        /// Remedy: Let the car stand.
         Moving = "moving",
         /// The stop switch is open.
+        ///
+        /// Remedy: Close it.
         StopInputOpen = "stop-input-open",
-        /// An emergency stop is latched until reset.
+        /// An emergency stop is latched.
+        ///
+        /// Remedy: Reset the board.
         EmergencyStopLatched = "emergency-stop-latched",
-        /// The command is older than its time to live, or from the future.
+        /// The request rests on telemetry over 95 ms old, or from the future.
+        ///
+        /// Remedy: A single one is harmless; many mean a slow host or a stuck adapter.
         Stale = "stale",
-        /// The sequence number is not newer than the last one accepted.
+        /// The frame's number is not newer than the last one: it came late or twice.
+        ///
+        /// Remedy: A single one is harmless.
         OutOfSequence = "out-of-sequence",
-        /// The pose behind the command is older than configured.
+        /// The pose behind the command is older than `board.max_pose_age_ms`.
+        ///
+        /// Effect: Neutral 95 ms after the last good command.
+        ///
+        /// Remedy: As for the host's `pose-too-old`.
         PoseTooOld = "pose-too-old",
-        /// The board is not armed.
+        /// A command came while the board was not armed.
+        ///
+        /// Remedy: Nothing: a command may be on its way at a stop.
         NotArmed = "not-armed",
-        /// Reverse is not enabled.
+        /// Reverse is disabled.
+        ///
+        /// Remedy: If the car may reverse, set `board.speed.max_reverse_mm_s`.
         ReverseDisabled = "reverse-disabled",
-        /// The last [`crate::Hello`] named another [`crate::VERSION`].
+        /// The host greeted with another version.
+        ///
+        /// Remedy: As for the host's `version-differs`.
         VersionDiffers = "version-differs",
-        /// The configuration is another car's.
+        /// The configuration's `board.car_id` is not that of the image.
+        ///
+        /// Remedy: Take this car's file, or flash with `cargo uno --car-id 7`.
         OtherCar = "other-car",
     }
 }

@@ -1,39 +1,46 @@
-//! The table of reasons in `docs/reasons.md`, for programs that show them in words.
+//! What the words for reasons mean, and what to do, from the declarations of the words.
 
-const TABLE: &str = include_str!("../../../docs/reasons.md");
+use singletrack_mocap::RejectReason;
+use singletrack_pilot::Reason;
+use singletrack_protocol::{RefusalReason, StopCause};
 
-/// A row of the table. The texts are Markdown.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A word with its explanation. The texts are Markdown on one line.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Explanation {
     /// Who decides: `host`, `board stop`, `board refusal` or `cameras`.
     pub who: &'static str,
     /// The word in status, log and record.
     pub word: &'static str,
     /// What it means.
-    pub meaning: &'static str,
-    /// What the car does, and within which time.
-    pub effect: &'static str,
+    pub meaning: String,
+    /// What the car does, and within which time; empty if that is what it does for most words of
+    /// the same source.
+    pub effect: String,
     /// What to do about it.
-    pub remedy: &'static str,
+    pub remedy: String,
 }
 
-/// The rows of the table, in order. A row that has not five columns is left out.
+/// All words, by who decides, in the order of their declarations.
 pub fn explanations() -> impl Iterator<Item = Explanation> {
-    TABLE.lines().filter_map(row)
-}
-
-fn row(line: &'static str) -> Option<Explanation> {
-    let mut fields = line.strip_prefix("| ")?.strip_suffix(" |")?.split(" | ");
-    let mut next = || fields.next();
-    let (who, word) = (next()?, next()?);
-    let (meaning, effect, remedy) = (next()?, next()?, next()?);
-    // The head of the table has no word in code.
-    let word = word.strip_prefix('`')?.strip_suffix('`')?;
-    next().is_none().then_some(Explanation {
-        who,
-        word,
-        meaning,
-        effect,
-        remedy,
+    let host = Reason::ALL.map(|word| ("host", word.name(), word.documentation()));
+    let stops = StopCause::ALL.map(|word| ("board stop", word.name(), word.documentation()));
+    let refusals =
+        RefusalReason::ALL.map(|word| ("board refusal", word.name(), word.documentation()));
+    let cameras = RejectReason::ALL.map(|word| ("cameras", word.name(), word.documentation()));
+    let words = host.into_iter().chain(stops).chain(refusals).chain(cameras);
+    words.map(|(who, word, documentation)| {
+        let part = |label: &str| {
+            let mut paragraphs = documentation.split("\n\n").map(str::trim_start);
+            let text = paragraphs.find_map(|paragraph| paragraph.strip_prefix(label));
+            let words: Vec<_> = text.unwrap_or_default().split_whitespace().collect();
+            words.join(" ")
+        };
+        Explanation {
+            who,
+            word,
+            meaning: part(""),
+            effect: part("Effect: "),
+            remedy: part("Remedy: "),
+        }
     })
 }

@@ -154,7 +154,8 @@ fn bound(section: &Section, text: &str) -> i32 {
         })
 }
 
-fn compare(path: &str, expected: &str) {
+/// Compares a page with the one that is generated, or writes it.
+pub(crate) fn compare(path: &str, expected: &str) {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../..")
         .join(path);
@@ -166,7 +167,7 @@ fn compare(path: &str, expected: &str) {
     assert!(
         found == expected,
         "{path} differs from the declarations, first at {differs:?}; renew it with \
-         SINGLETRACK_RENEW=1 cargo test -p singletrack-core --test tests config_documents"
+         SINGLETRACK_RENEW=1 cargo test -p singletrack-core --test tests"
     );
 }
 

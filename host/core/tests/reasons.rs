@@ -1,23 +1,73 @@
-//! The table of reasons in the documentation, held to the code in both
-//! directions.
+//! The list of reasons in the documentation is that of the declarations, and so are the words in
+//! records.
 
 use std::collections::BTreeSet;
 
-use singletrack_core::reasons::explanations;
-use singletrack_mocap::RejectReason;
-use singletrack_pilot::Reason;
-use singletrack_protocol::{RefusalReason, StopCause};
+use singletrack_core::reasons::{Explanation, explanations};
 use singletrack_record::Topic;
 
-const TABLE: &str = include_str!("../../../docs/reasons.md");
+use crate::config_documents::compare;
 
-/// The words of the rows of one who decides, in order.
-fn documented(who: &str) -> Vec<&'static str> {
-    explanations()
-        .filter(|row| row.who == who)
-        .map(|row| row.word)
-        .collect()
-}
+/// By who decides: the topic and the prefix of the record's constants, and the section's text.
+const SECTIONS: [(&str, Topic, &str, &str); 4] = [
+    (
+        "host",
+        Topic::Tick,
+        "REASON_",
+        "The supervisor. Status: `reason`. Log: `mode MODE: REASON`. Record: `reason` in
+`/singletrack/tick`. Where no effect is named, the car *refuses*, and *stops* if it drives.",
+    ),
+    (
+        "board stop",
+        Topic::Telemetry,
+        "STOP_CAUSE_",
+        "Why the board last went to neutral. Status: `board.stop_cause`. Record: `stop_cause` in
+`/singletrack/telemetry`. The host says `board-failsafe` or `emergency-stop`. Where no effect is
+named: neutral. *Latched*: until the board is reset.",
+    ),
+    (
+        "board refusal",
+        Topic::Status,
+        "REFUSAL_",
+        "Why the board refused a request, which has no effect. Log: with the request. Record, for drive
+commands: `last_refusal` in `/singletrack/status`. The host says `board-refused` or
+`configuration-refused`.",
+    ),
+    (
+        "cameras",
+        Topic::Pose,
+        "REJECTED_",
+        "Why a pose is left out; a single one stops nothing. Status: counted in `figures.mocap`. Record:
+`rejected` in `/singletrack/pose`.",
+    ),
+];
+
+const HEADER: &str = "\
+# Reasons for refusing and stopping
+
+Every refusal and every stop has one reason, named by one word in `singletrack status`, log and record.
+Times are those of the default configuration. Without a word, start from the
+[symptom](troubleshooting.md). Two refusals of `arm` are sentences: a procedure [has not
+passed](troubleshooting.md#the-car-does-not-arm) on this car, or the car can't drive its reference
+[from where it stands](control-socket.md#arm).
+
+Each line has the meaning, what the car does, and what to do. The car
+
+- *refuses*: does not arm; the answer names the reason.
+- *slows*: from the next tick (10 ms) the wheels are held and the speed ramps down with
+  `control.stop_deceleration_m_s2`. It drives on if the input comes back.
+- *stops*: the speed ramps down (from 1.5 m/s in 0.63 s); then, at the latest after
+  `supervisor.stop_timeout_ms` (1.5 s), the board is disarmed. A motor at neutral does not brake: the
+  simulated car rolls for 1.1 s from 1.5 m/s.
+- *needs a disarm*: stops; arming is refused until a disarm acknowledges the reason.
+- goes to *neutral*: within 21 ms of the cause the ESC is at neutral, or brakes if so configured. A
+  board that is disarmed while the car rolls brakes where the ESC can, for half a second at most, until
+  the wheels stand or speed up again.
+
+After a stop or neutral, only an explicit arm makes the car drive.
+
+This page is generated from the declarations of the words; see `host/core/tests/reasons.rs`.
+";
 
 /// The words of the constants that the record's schema has for a field.
 fn recorded(topic: Topic, prefix: &str) -> BTreeSet<String> {
@@ -33,57 +83,52 @@ fn recorded(topic: Topic, prefix: &str) -> BTreeSet<String> {
         .collect()
 }
 
-fn assert_same(who: &str, code: &[&str], recorded: &BTreeSet<String>) {
-    let documented = documented(who);
-    let unique: BTreeSet<String> = documented.iter().map(|&word| word.to_owned()).collect();
-    assert_eq!(unique.len(), documented.len(), "{who}: a word twice");
-    let code: BTreeSet<String> = code.iter().map(|&word| word.to_owned()).collect();
-    assert_eq!(unique, code, "{who}: the table and the code differ");
-    assert_eq!(*recorded, code, "{who}: the record and the code differ");
+#[test]
+fn the_record_has_every_word_once() {
+    for (who, topic, prefix, _) in SECTIONS {
+        let words: Vec<_> = explanations()
+            .filter(|row| row.who == who)
+            .map(|row| row.word.to_owned())
+            .collect();
+        let unique: BTreeSet<_> = words.iter().cloned().collect();
+        assert_eq!(unique.len(), words.len(), "{who}: a word twice");
+        assert_eq!(unique, recorded(topic, prefix), "{who}");
+    }
 }
 
 #[test]
-fn the_table_has_every_reason_of_the_host_in_the_words_of_status_log_and_record() {
-    let code = Reason::ALL.map(Reason::name);
-    assert_same("host", &code, &recorded(Topic::Tick, "REASON_"));
-}
-
-#[test]
-fn the_table_has_every_cause_of_the_board_to_stop() {
-    let code = StopCause::ALL.map(StopCause::name);
-    assert_same(
-        "board stop",
-        &code,
-        &recorded(Topic::Telemetry, "STOP_CAUSE_"),
-    );
-}
-
-#[test]
-fn the_table_has_every_reason_of_the_board_to_refuse() {
-    let code = RefusalReason::ALL.map(RefusalReason::name);
-    assert_same("board refusal", &code, &recorded(Topic::Status, "REFUSAL_"));
-}
-
-#[test]
-fn the_table_has_every_reason_not_to_believe_a_pose() {
-    let code = RejectReason::ALL.map(RejectReason::name);
-    assert_same("cameras", &code, &recorded(Topic::Pose, "REJECTED_"));
-}
-
-#[test]
-fn every_row_has_a_source_a_meaning_an_effect_and_a_remedy() {
-    let known = ["host", "board stop", "board refusal", "cameras"];
+fn every_word_has_a_meaning_and_a_remedy() {
     for row in explanations() {
-        assert!(known.contains(&row.who), "{row:?}");
-        for text in [row.meaning, row.effect, row.remedy] {
-            assert!(text.ends_with('.') && text.len() >= 5, "{row:?}: {text:?}");
+        for text in [&row.meaning, &row.remedy] {
+            assert!(text.ends_with('.') && text.len() >= 5, "{row:?}");
+        }
+        assert!(
+            row.effect.is_empty() || row.effect.ends_with('.'),
+            "{row:?}"
+        );
+    }
+}
+
+#[test]
+fn the_page_is_that_of_the_declarations() {
+    let mut page = HEADER.to_owned();
+    for (who, _, _, text) in SECTIONS {
+        page += &format!("\n## `{who}`\n\n{text}\n\n");
+        for row in explanations().filter(|row| row.who == who) {
+            page += &line(&row);
         }
     }
-    // The head of the table and the line below it are no rows.
-    let lines = TABLE.lines().filter(|line| line.starts_with('|')).count();
-    assert_eq!(
-        explanations().count(),
-        lines - 2,
-        "a row has not five columns"
-    );
+    compare("docs/reasons.md", &page);
+}
+
+fn line(row: &Explanation) -> String {
+    let effect = match row.effect.as_str() {
+        "" => String::new(),
+        effect => format!(" *{effect}*"),
+    };
+    let remedy = match row.remedy.as_str() {
+        "Nothing." => String::new(),
+        remedy => format!(" {remedy}"),
+    };
+    format!("- `{}`: {}{effect}{remedy}\n", row.word, row.meaning)
 }

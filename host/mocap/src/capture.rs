@@ -1,5 +1,7 @@
 //! When a frame was captured, in local time.
 
+use crate::words::words;
+
 /// The capture time of a frame on the local clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -13,37 +15,19 @@ pub struct CaptureTime {
     pub source: CaptureTimeSource,
 }
 
-/// How a capture time was found, best first.
-///
-/// This enum is exhaustive: a new source is a breaking change, because every user
-/// must decide whether it trusts it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CaptureTimeSource {
-    /// Mid-exposure time, mapped by echo exchanges. The uncertainty is a bound.
-    MidExposureEcho,
-    /// Mid-exposure time, mapped by the least delay observed between sending and
-    /// receiving. The uncertainty rests on an assumed network delay.
-    MidExposureMinDelay,
-    /// The frame's timestamp, mapped by the least delay observed: the server does
-    /// not send mid-exposure time. The uncertainty rests on an assumed latency.
-    FrameTimestamp,
-}
-
-impl CaptureTimeSource {
-    /// All values.
-    pub const ALL: [Self; 3] = [
-        Self::MidExposureEcho,
-        Self::MidExposureMinDelay,
-        Self::FrameTimestamp,
-    ];
-
-    /// The word for this value in status, log, record and documentation.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::MidExposureEcho => "mid-exposure-echo",
-            Self::MidExposureMinDelay => "mid-exposure-min-delay",
-            Self::FrameTimestamp => "frame-timestamp",
-        }
+words! {
+    /// How a capture time was found, best first.
+    ///
+    /// This enum is exhaustive: a new source is a breaking change, because every user
+    /// must decide whether it trusts it.
+    pub enum CaptureTimeSource {
+        /// Mid-exposure time, mapped by echo exchanges. The uncertainty is a bound.
+        MidExposureEcho = "mid-exposure-echo",
+        /// Mid-exposure time, mapped by the least delay observed between sending and
+        /// receiving. The uncertainty rests on an assumed network delay.
+        MidExposureMinDelay = "mid-exposure-min-delay",
+        /// The frame's timestamp, mapped by the least delay observed: the server does
+        /// not send mid-exposure time. The uncertainty rests on an assumed latency.
+        FrameTimestamp = "frame-timestamp",
     }
 }

@@ -128,16 +128,16 @@ words! {
     /// Why a frame brought no pose.
     pub enum PoseMissing {
         /// The frame has the rigid body, marked as not tracked.
-        Untracked = "untracked",
+        Untracked = 1 "untracked",
         /// The frame does not have the rigid body.
-        Absent = "absent",
+        Absent = 2 "absent",
         /// No frames arrive any more.
-        Stale = "stale",
+        Stale = 3 "stale",
         /// The pose was not plausible.
-        Rejected = "rejected",
+        Rejected = 4 "rejected",
         /// Too many poses in a row were not plausible: the rigid body is locked out until
         /// an accepted pose comes.
-        Untrustworthy = "untrustworthy",
+        Untrustworthy = 5 "untrustworthy",
     }
 }
 
@@ -158,24 +158,24 @@ words! {
     /// The states of the board's safety machine that the pilot distinguishes.
     pub enum BoardState {
         /// The board is starting up.
-        Booting = "booting",
+        Booting = 1 "booting",
         /// The ESC is at neutral; the board can be armed.
-        Neutral = "neutral",
+        Neutral = 2 "neutral",
         /// Armed; no drive command has come yet.
-        Armed = "armed",
+        Armed = 3 "armed",
         /// The board follows drive commands.
-        Driving = "driving",
+        Driving = 4 "driving",
         /// The board stopped the car by itself; it can be armed again.
-        Failsafe = "failsafe",
+        Failsafe = 5 "failsafe",
         /// Stopped until the board is reset.
-        EmergencyStopped = "emergency-stopped",
+        EmergencyStopped = 6 "emergency-stopped",
         /// Armed; the supply of the ESC has just been switched on, and the board does not
         /// follow drive commands yet.
-        PoweringUp = "powering-up",
+        PoweringUp = 7 "powering-up",
         /// Stopped until the board is reset: the motor ran while the board did not drive it.
-        RunsAtNeutral = "runs-at-neutral",
+        RunsAtNeutral = 8 "runs-at-neutral",
         /// The board follows bare pulses.
-        Jogging = "jogging",
+        Jogging = 9 "jogging",
     }
 }
 
@@ -183,16 +183,16 @@ words! {
     /// The link to the board.
     pub enum LinkState {
         /// No board answers, or the board has no configuration yet.
-        Down = "down",
+        Down = 1 "down",
         /// The board speaks another version of the protocol.
-        VersionDiffers = "version-differs",
+        VersionDiffers = 3 "version-differs",
         /// The board refuses its configuration.
-        ConfigurationRefused = "configuration-refused",
+        ConfigurationRefused = 4 "configuration-refused",
         /// The board refuses its configuration because an emergency stop is latched until
         /// it is reset.
-        EmergencyStopped = "emergency-stopped",
+        EmergencyStopped = 5 "emergency-stopped",
         /// The board answers, has its configuration and sends telemetry.
-        Ready = "ready",
+        Ready = 2 "ready",
     }
 }
 
@@ -211,30 +211,30 @@ words! {
     /// What a person or a program asks of the pilot.
     pub enum PilotRequest {
         /// Start to follow the reference. It is refused unless every arming check passes.
-        Arm = "arm",
+        Arm = 1 "arm",
         /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
-        Disarm = "disarm",
+        Disarm = 2 "disarm",
         /// Put the motor to neutral now, until the board is reset.
-        EmergencyStop = "emergency-stop",
+        EmergencyStop = 3 "emergency-stop",
         /// As [`Arm`](Self::Arm), with a dead-man switch: the drive ends unless
         /// [`Hold`](Self::Hold) renews it at least every 0.5 s.
-        ArmHeld = "arm-held",
+        ArmHeld = 4 "arm-held",
         /// Renews a drive that was armed with [`ArmHeld`](Self::ArmHeld); without effect
         /// on any other.
-        Hold = "hold",
+        Hold = 5 "hold",
         /// The operator who holds the drive has let go of it: slow down, stop and disarm.
-        OperatorGone = "operator-gone",
+        OperatorGone = 6 "operator-gone",
         /// The time of the drive is over: slow down, stop and disarm.
-        TimeUp = "time-up",
+        TimeUp = 7 "time-up",
         /// Arm to jog: bare pulses to servo and ESC, for as long as [`Event::Jog`] renews
         /// them at least every 0.25 s. It needs neither poses nor the IMU.
-        ArmJog = "arm-jog",
+        ArmJog = 8 "arm-jog",
         /// The operator's dead-man switch is lost: disarm at once, without the ramp of
         /// [`OperatorGone`](Self::OperatorGone).
-        Halt = "halt",
+        Halt = 9 "halt",
         /// [`Disarm`](Self::Disarm), and the operator's word that the body which the cameras show is
         /// the car: it was carried out of their sight. Without effect on an estimate that has not
         /// lost the car, and while the board is commanded. No program says it by itself.
-        Carried = "carried",
+        Carried = 10 "carried",
     }
 }

@@ -8,19 +8,19 @@ words! {
     /// Why the pilot does not obey a set-point that reached it.
     pub enum SetpointRefusal {
         /// A value is infinite or not a number.
-        NotFinite = "not-finite",
+        NotFinite = 1 "not-finite",
         /// A value is beyond that of any car, or a trajectory is not one.
-        OutOfRange = "out-of-range",
+        OutOfRange = 2 "out-of-range",
         /// It was decided later than the tick.
-        Future = "future",
+        Future = 3 "future",
         /// It is older than the time-out, or its trajectory is over.
-        Old = "old",
+        Old = 4 "old",
         /// One that was decided later is in force.
-        Superseded = "superseded",
+        Superseded = 5 "superseded",
         /// Points of the trajectory are missing.
-        Incomplete = "incomplete",
+        Incomplete = 6 "incomplete",
         /// The reference in force takes no set-points.
-        NotExternal = "not-external",
+        NotExternal = 7 "not-external",
     }
 }
 

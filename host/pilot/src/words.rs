@@ -1,17 +1,21 @@
 //! Enumerations whose values have one word each.
 
-/// Declares an enumeration: each value once, with its word.
+/// Declares an enumeration: each value once, with its number in records, which never changes its
+/// meaning, and its word. The documentation of a value is data: what a reason means to an operator
+/// is there, before `Effect:` and `Remedy:`.
+#[macro_export]
+#[doc(hidden)]
 macro_rules! words {
     (
         $(#[$about:meta])*
         pub enum $name:ident {
-            $( $(#[$value_about:meta])* $value:ident = $word:literal, )*
+            $( $(#[doc = $documentation:literal])+ $value:ident = $number:literal $word:literal, )*
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $name {
-            $( $(#[$value_about])* $value, )*
+            $( $(#[doc = $documentation])+ $value = $number, )*
         }
 
         impl $name {
@@ -23,6 +27,14 @@ macro_rules! words {
             pub const fn name(self) -> &'static str {
                 match self {
                     $(Self::$value => $word,)*
+                }
+            }
+
+            /// The documentation of this value, in Markdown.
+            #[must_use]
+            pub const fn documentation(self) -> &'static str {
+                match self {
+                    $(Self::$value => concat!($($documentation, "\n"),+),)*
                 }
             }
         }

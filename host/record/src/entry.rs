@@ -110,29 +110,18 @@ pub struct ConfigurationRecord {
     pub toml: String,
 }
 
-/// The severity of a line of the log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Level {
-    /// Details for fault finding.
-    Debug,
-    /// Normal operation.
-    Info,
-    /// A fault that the car can drive with.
-    Warning,
-    /// A failure.
-    Error,
-}
-
-impl Level {
-    /// The word for this value in status, log, record and documentation.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Debug => "debug",
-            Self::Info => "info",
-            Self::Warning => "warning",
-            Self::Error => "error",
-        }
+singletrack_pilot::words! {
+    /// The severity of a line of the log, with the numbers of ROS's own levels.
+    #[derive(PartialOrd, Ord)]
+    pub enum Level {
+        /// Details for fault finding.
+        Debug = 10 "debug",
+        /// Normal operation.
+        Info = 20 "info",
+        /// A fault that the car can drive with.
+        Warning = 30 "warning",
+        /// A failure.
+        Error = 40 "error",
     }
 }
 

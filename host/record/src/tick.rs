@@ -96,35 +96,21 @@ pub struct DriveWrite {
     pub time_ns: u64,
 }
 
-/// The phase of the session with the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LinkPhase {
-    /// The port is closed.
-    Disconnected,
-    /// The host waits for the greeting of the board.
-    Greeting,
-    /// The board speaks another version of the protocol.
-    VersionMismatch,
-    /// The host has sent the configuration and waits for the answer.
-    Configuring,
-    /// The board refused its configuration.
-    ConfigurationRefused,
-    /// The board has its configuration.
-    Ready,
-}
-
-impl LinkPhase {
-    /// The word for this value in status, log, record and documentation.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Disconnected => "disconnected",
-            Self::Greeting => "greeting",
-            Self::VersionMismatch => "version-mismatch",
-            Self::Configuring => "configuring",
-            Self::ConfigurationRefused => "configuration-refused",
-            Self::Ready => "ready",
-        }
+singletrack_pilot::words! {
+    /// The phase of the session with the board.
+    pub enum LinkPhase {
+        /// The port is closed.
+        Disconnected = 1 "disconnected",
+        /// The host waits for the greeting of the board.
+        Greeting = 2 "greeting",
+        /// The board speaks another version of the protocol.
+        VersionMismatch = 3 "version-mismatch",
+        /// The host has sent the configuration and waits for the answer.
+        Configuring = 4 "configuring",
+        /// The board refused its configuration.
+        ConfigurationRefused = 5 "configuration-refused",
+        /// The board has its configuration.
+        Ready = 6 "ready",
     }
 }
 

@@ -48,6 +48,16 @@ pub enum SlowedBy {
 }
 
 impl SlowedBy {
+    /// All values.
+    pub const ALL: [Self; 6] = [
+        Self::Tyres,
+        Self::Steering,
+        Self::SteeringRate,
+        Self::Speed,
+        Self::Behind,
+        Self::Geofence,
+    ];
+
     /// The word for it.
     #[must_use]
     pub const fn name(self) -> &'static str {

@@ -4,6 +4,7 @@ use crate::{
     binding::Binding,
     body::BodyPose,
     capture::{CaptureTime, CaptureTimeSource},
+    words::words,
 };
 
 /// What one frame says of the body.
@@ -77,51 +78,41 @@ pub struct PlanarPose {
     pub reacquired: bool,
 }
 
-/// Why a pose is not accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum RejectReason {
-    /// A number is not finite.
-    NotFinite,
-    /// The quaternion's norm is not one.
-    NotUnitQuaternion,
-    /// Two bodies of the frame have the body's id.
-    DuplicateId,
-    /// The mean marker error is above the limit.
-    MeanError,
-    /// The frame has no usable time, one after its arrival, or one before the last
-    /// pose's.
-    CaptureTime,
-    /// The body would have moved faster than it can.
-    Jump,
-    /// The body would have turned faster than it can, or its up axis is too far
-    /// from the world's.
-    Flip,
-}
-
-impl RejectReason {
-    /// All values.
-    pub const ALL: [Self; 7] = [
-        Self::NotFinite,
-        Self::NotUnitQuaternion,
-        Self::DuplicateId,
-        Self::MeanError,
-        Self::CaptureTime,
-        Self::Jump,
-        Self::Flip,
-    ];
-
-    /// The word for this value in status, log, record and documentation.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::NotFinite => "not-finite",
-            Self::NotUnitQuaternion => "not-unit-quaternion",
-            Self::DuplicateId => "duplicate-id",
-            Self::MeanError => "mean-error",
-            Self::CaptureTime => "capture-time",
-            Self::Jump => "jump",
-            Self::Flip => "flip",
-        }
+words! {
+    /// Why a pose is not accepted.
+    pub enum RejectReason {
+        /// A number is not finite.
+        ///
+        /// Remedy: Report it to the cameras' vendor.
+        NotFinite = "not-finite",
+        /// The quaternion's norm is not one.
+        ///
+        /// Remedy: Stop other programs that send to this port; check `motion_capture.bitstream`.
+        NotUnitQuaternion = "not-unit-quaternion",
+        /// Two bodies of the frame have the car's id.
+        ///
+        /// Remedy: Give each rigid body an id of its own.
+        DuplicateId = "duplicate-id",
+        /// The markers fit the model badly.
+        ///
+        /// Remedy: Define the rigid body again; a marker has moved.
+        MeanError = "mean-error",
+        /// The frame has no usable time, or one after its arrival or before the last pose.
+        ///
+        /// Remedy: Restart the server; look at the clock's figures in status.
+        CaptureTime = "capture-time",
+        /// The body would have moved faster than `motion_capture.pose.max_speed_m_s`.
+        ///
+        /// Effect: Ten in a row lock the body out: `pose-implausible`.
+        ///
+        /// Remedy: Look for reflections and bodies with the same markers.
+        Jump = "jump",
+        /// The body would have turned too fast, or lies on its side.
+        ///
+        /// Effect: As `jump`.
+        ///
+        /// Remedy: Make the marker pattern less symmetric.
+        Flip = "flip",
     }
 }
 

@@ -16,13 +16,13 @@ words! {
     /// What the safety filter did in a tick.
     pub enum Filtering {
         /// Nothing, or there is no filter.
-        None = "none",
+        None = 1 "none",
         /// It gave the law the nearest velocity of P within its bounds.
-        Limited = "limited",
+        Limited = 2 "limited",
         /// It gave the law a part of what was wanted.
-        Scaled = "scaled",
+        Scaled = 3 "scaled",
         /// It slowed the car down, with the steering held.
-        Stopped = "stopped",
+        Stopped = 4 "stopped",
     }
 }
 

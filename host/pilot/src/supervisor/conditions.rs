@@ -9,11 +9,11 @@ words! {
     /// What the supervisor asks of the board.
     pub enum BoardRequest {
         /// Take drive commands from now on.
-        Arm = "arm",
+        Arm = 1 "arm",
         /// Put the motor to neutral; an arm request may follow.
-        Disarm = "disarm",
+        Disarm = 2 "disarm",
         /// Put the motor to neutral until the board is reset.
-        EmergencyStop = "emergency-stop",
+        EmergencyStop = 3 "emergency-stop",
     }
 }
 

@@ -1,5 +1,5 @@
 //! Enumerations in messages: `uint8` on the wire, constants in the schema, words in
-//! JSON.
+//! JSON. Their declarations give each value its number and its word.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_control::SlowedBy;
@@ -23,9 +23,10 @@ use crate::{
 pub(crate) trait Coded: Copy + PartialEq + 'static {
     /// The prefix of the constants in the schema.
     const PREFIX: &'static str;
-    /// All values, in the order of the schema; the first stands where a message is
-    /// absent.
+    /// All values.
     const CODED: &'static [Self];
+    /// What stands where a message is absent: the value with the lowest number.
+    const FIRST: Self;
 
     /// The number, from 1: 0 stands for none. It never changes its meaning.
     fn code(self) -> u8;
@@ -38,7 +39,9 @@ fn declare<C: Coded>(optional: bool, name: &str, definition: &mut Definition) {
     if optional {
         definition.plain("uint8", &format!("{}_NONE=0", C::PREFIX));
     }
-    for value in C::CODED {
+    let mut values = C::CODED.to_vec();
+    values.sort_by_key(|value| value.code());
+    for value in values {
         let word = value.word().to_uppercase().replace('-', "_");
         definition.plain("uint8", &format!("{}_{word}={}", C::PREFIX, value.code()));
     }
@@ -88,6 +91,20 @@ impl<'de, C: Coded> Deserialize<'de> for OptionalCode<C> {
     }
 }
 
+impl<C: Coded> Field for Code<C> {
+    fn declare(name: &'static str, definition: &mut Definition) {
+        declare::<C>(false, name, definition);
+    }
+
+    fn absent() -> Self {
+        Self(C::FIRST)
+    }
+
+    fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
+        visitor.value(name, Value::Text(self.0.word().into()));
+    }
+}
+
 impl<C: Coded> Field for OptionalCode<C> {
     fn declare(name: &'static str, definition: &mut Definition) {
         declare::<C>(true, name, definition);
@@ -126,39 +143,22 @@ impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
     }
 }
 
-/// Gives each value of an enumeration its number; the enumeration has the word. The
-/// match makes sure that no value is left out.
+/// Gives an enumeration the prefix of its constants. The number of a value is its discriminant,
+/// plus one where that counts from zero.
 macro_rules! codes {
-    ($($type:ident as $prefix:literal { $first:ident = $first_code:literal,
-        $($value:ident = $code:literal,)* })*) => {
+    ($($type:ident $(+ $one:literal)? as $prefix:literal,)*) => {
         $(
             impl Coded for $type {
                 const PREFIX: &'static str = $prefix;
-                const CODED: &'static [Self] = &[Self::$first, $(Self::$value,)*];
+                const CODED: &'static [Self] = &Self::ALL;
+                const FIRST: Self = Self::ALL[0];
 
                 fn code(self) -> u8 {
-                    match self {
-                        Self::$first => $first_code,
-                        $(Self::$value => $code,)*
-                    }
+                    self as u8 $(+ $one)?
                 }
 
                 fn word(self) -> &'static str {
                     self.name()
-                }
-            }
-
-            impl Field for Code<$type> {
-                fn declare(name: &'static str, definition: &mut Definition) {
-                    declare::<$type>(false, name, definition);
-                }
-
-                fn absent() -> Self {
-                    Self($type::$first)
-                }
-
-                fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
-                    visitor.value(name, Value::Text(self.0.name().into()));
                 }
             }
         )*
@@ -175,10 +175,12 @@ macro_rules! kinds {
         $(#[doc = $about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub(crate) enum $type {
-            $($value,)*
+            $($value = $code,)*
         }
 
         impl $type {
+            const ALL: [Self; [$(Self::$value,)*].len()] = [$(Self::$value,)*];
+
             const fn name(self) -> &'static str {
                 match self {
                     $(Self::$value => $word,)*
@@ -186,7 +188,7 @@ macro_rules! kinds {
             }
         }
 
-        codes! { $type as $prefix { $($value = $code,)* } }
+        codes! { $type as $prefix, }
     };
 }
 
@@ -237,218 +239,23 @@ kinds! {
 }
 
 codes! {
-    Filtering as "FILTERING" {
-        None = 1,
-        Limited = 2,
-        Scaled = 3,
-        Stopped = 4,
-    }
-    Mode as "MODE" {
-        Disconnected = 1,
-        Idle = 2,
-        Ready = 3,
-        Arming = 4,
-        Driving = 5,
-        Stopping = 6,
-        Fault = 7,
-        Slowing = 8,
-        Jogging = 9,
-    }
-    Reason as "REASON" {
-        LinkDown = 1,
-        BoardBooting = 2,
-        BoardFailsafe = 3,
-        EmergencyStop = 4,
-        BoardRefused = 5,
-        BoardTimeout = 6,
-        ImuSilent = 7,
-        NoPose = 8,
-        PoseTooOld = 9,
-        PoseImplausible = 10,
-        EstimateUnsettled = 11,
-        Moving = 12,
-        ReferenceFinished = 13,
-        Requested = 14,
-        LawSingular = 15,
-        BoardArmed = 16,
-        VersionDiffers = 17,
-        ConfigurationRefused = 18,
-        StopInputOpen = 19,
-        LineNoisy = 20,
-        BatteryUnknown = 21,
-        BatteryLow = 22,
-        RealTimeUnknown = 23,
-        RealTimeRefused = 24,
-        DeadlineMissed = 25,
-        ImuImplausible = 26,
-        ImuStuck = 27,
-        ImuNotStill = 28,
-        BlindTooFar = 29,
-        OutsideFence = 30,
-        MotorSpeedMismatch = 31,
-        Overspeed = 32,
-        SetpointStale = 33,
-        OperatorGone = 34,
-        TimeUp = 35,
-        StopNotObeyed = 36,
-        BrakesLessThanConfigured = 37,
-        SteeringReversed = 38,
-        SteeringDiffers = 39,
-        GyroDiffers = 40,
-        BodyYawWrong = 41,
-        AccelerometerDiffers = 42,
-        PoseFrozen = 43,
-        PoseHeight = 44,
-        ImuTilted = 45,
-        TiltDiffers = 46,
-        SideslipImplausible = 47,
-        EstimateInconsistent = 48,
-        CaptureTimeUncertain = 49,
-        RunsAtNeutral = 50,
-        BatteryOpen = 51,
-        ImuFault = 52,
-        PosesTooRare = 53,
-    }
-    BoardRequest as "BOARD_REQUEST" {
-        Arm = 1,
-        Disarm = 2,
-        EmergencyStop = 3,
-    }
-    LinkPhase as "LINK" {
-        Disconnected = 1,
-        Greeting = 2,
-        VersionMismatch = 3,
-        Configuring = 4,
-        ConfigurationRefused = 5,
-        Ready = 6,
-    }
-    SetpointRefusal as "SETPOINT_REFUSED" {
-        NotFinite = 1,
-        OutOfRange = 2,
-        Future = 3,
-        Old = 4,
-        Superseded = 5,
-        Incomplete = 6,
-        NotExternal = 7,
-    }
-    SlowedBy as "SLOWED_BY" {
-        Tyres = 1,
-        Steering = 2,
-        SteeringRate = 3,
-        Speed = 4,
-        Behind = 5,
-        Geofence = 6,
-    }
-    PoseMissing as "POSE_MISSING" {
-        Untracked = 1,
-        Absent = 2,
-        Stale = 3,
-        Rejected = 4,
-        Untrustworthy = 5,
-    }
-    BoardState as "STATE" {
-        Booting = 1,
-        Neutral = 2,
-        Armed = 3,
-        Driving = 4,
-        Failsafe = 5,
-        EmergencyStopped = 6,
-        PoweringUp = 7,
-        RunsAtNeutral = 8,
-        Jogging = 9,
-    }
-    LinkState as "LINK" {
-        Down = 1,
-        Ready = 2,
-        VersionDiffers = 3,
-        ConfigurationRefused = 4,
-        EmergencyStopped = 5,
-    }
-    PilotRequest as "REQUEST" {
-        Arm = 1,
-        Disarm = 2,
-        EmergencyStop = 3,
-        ArmHeld = 4,
-        Hold = 5,
-        OperatorGone = 6,
-        TimeUp = 7,
-        ArmJog = 8,
-        Halt = 9,
-        Carried = 10,
-    }
-    BoardMode as "MODE" {
-        Boot = 1,
-        Neutral = 2,
-        Armed = 3,
-        Driving = 4,
-        Failsafe = 5,
-        EmergencyStopped = 6,
-        PoweringUp = 7,
-        Jogging = 8,
-    }
-    StopCause as "STOP_CAUSE" {
-        None = 1,
-        Disarmed = 2,
-        CommandTimeout = 3,
-        PoseTooOld = 4,
-        MotorSensor = 5,
-        StopInput = 6,
-        EmergencyStop = 7,
-        HostRestarted = 8,
-        RunsAtNeutral = 9,
-        JogTimeout = 10,
-        JogTooFast = 11,
-        JogTooLong = 12,
-    }
-    ImuState as "IMU" {
-        Silent = 1,
-        Fresh = 2,
-        Repeated = 3,
-    }
-    ResetCause as "RESET_CAUSE" {
-        PowerOn = 1,
-        External = 2,
-        BrownOut = 3,
-        Watchdog = 4,
-        Unknown = 5,
-    }
-    RefusalReason as "REFUSAL" {
-        None = 1,
-        NotConfigured = 2,
-        ConfigurationDiffers = 3,
-        InvalidConfiguration = 4,
-        Busy = 5,
-        NotYetNeutral = 6,
-        Moving = 7,
-        StopInputOpen = 8,
-        EmergencyStopLatched = 9,
-        Stale = 10,
-        OutOfSequence = 11,
-        PoseTooOld = 12,
-        NotArmed = 13,
-        ReverseDisabled = 14,
-        VersionDiffers = 15,
-        OtherCar = 16,
-    }
-    RejectReason as "REJECTED" {
-        NotFinite = 1,
-        NotUnitQuaternion = 2,
-        DuplicateId = 3,
-        MeanError = 4,
-        CaptureTime = 5,
-        Jump = 6,
-        Flip = 7,
-    }
-    CaptureTimeSource as "SOURCE" {
-        MidExposureEcho = 1,
-        MidExposureMinDelay = 2,
-        FrameTimestamp = 3,
-    }
-    // The numbers of ROS's own log levels.
-    Level as "LEVEL" {
-        Debug = 10,
-        Info = 20,
-        Warning = 30,
-        Error = 40,
-    }
+    Filtering as "FILTERING",
+    Mode as "MODE",
+    Reason as "REASON",
+    BoardRequest as "BOARD_REQUEST",
+    LinkPhase as "LINK",
+    SetpointRefusal as "SETPOINT_REFUSED",
+    SlowedBy + 1 as "SLOWED_BY",
+    PoseMissing as "POSE_MISSING",
+    BoardState as "STATE",
+    LinkState as "LINK",
+    PilotRequest as "REQUEST",
+    BoardMode + 1 as "MODE",
+    StopCause + 1 as "STOP_CAUSE",
+    ImuState + 1 as "IMU",
+    ResetCause + 1 as "RESET_CAUSE",
+    RefusalReason + 1 as "REFUSAL",
+    RejectReason + 1 as "REJECTED",
+    CaptureTimeSource + 1 as "SOURCE",
+    Level as "LEVEL",
 }

@@ -2,7 +2,7 @@
 
 use singletrack_api::{State, Status, Word};
 
-use super::reasons::{Entry, Source};
+use super::reasons::Entry;
 use crate::tune;
 
 /// Columns of the names in the view.
@@ -186,7 +186,7 @@ impl Summary {
         let stands = matches!(&*self.mode, "idle" | "ready");
         let preflight = self.preflight.as_ref().filter(|_| stands);
         let word = preflight.or(self.reason.as_ref())?;
-        let Some(entry) = Entry::find(Source::Host, word) else {
+        let Some(entry) = Entry::find("host", word) else {
             return Some(Why {
                 text: word.to_string(),
                 advice: None,
@@ -201,7 +201,7 @@ impl Summary {
             .stop_cause
             .as_ref()
             .filter(|_| word == "board-failsafe")
-            .and_then(|cause| Some((cause, Entry::find(Source::BoardStop, cause)?)))
+            .and_then(|cause| Some((cause, Entry::find("board stop", cause)?)))
         {
             text += &format!(": {} ({cause})", stop.brief());
             advice = stop.advice;
