@@ -148,7 +148,7 @@ impl<C: Coded> Represents<Option<C>> for OptionalCode<C> {
 macro_rules! codes {
     ($($type:ident $(+ $one:literal)? as $prefix:literal,)*) => {
         $(
-            impl Coded for $type {
+            impl $crate::message::code::Coded for $type {
                 const PREFIX: &'static str = $prefix;
                 const CODED: &'static [Self] = &Self::ALL;
                 const FIRST: Self = Self::ALL[0];
@@ -188,30 +188,8 @@ macro_rules! kinds {
             }
         }
 
-        codes! { $type as $prefix, }
+        $crate::message::code::codes! { $type as $prefix, }
     };
-}
-
-kinds! {
-    /// Which kind of event it is.
-    EventKind as "KIND" {
-        Pose = 1 "pose",
-        PoseMissing = 2 "pose-missing",
-        Board = 3 "board",
-        Link = 4 "link",
-        Request = 5 "request",
-        ArmRefused = 6 "arm-refused",
-        Health = 7 "health",
-        Line = 8 "line",
-        RealTime = 9 "real-time",
-        Setpoint = 10 "setpoint",
-        Reconfigured = 11 "reconfigured",
-        Attitude = 12 "attitude",
-        Proved = 13 "proved",
-        Jog = 14 "jog",
-        TrajectoryPiece = 15 "trajectory-piece",
-        Tuning = 16 "tuning",
-    }
 }
 
 kinds! {
@@ -259,3 +237,5 @@ codes! {
     CaptureTimeSource + 1 as "SOURCE",
     Level as "LEVEL",
 }
+
+pub(super) use {codes, kinds};

@@ -211,4 +211,54 @@ macro_rules! message {
     };
 }
 
-pub(super) use {array, fields, message};
+/// Declares a message for the values of an enumeration: the field for the kind, with the number and
+/// the word of each, and the field for what that variant of the enumeration holds, with what an
+/// error calls it.
+macro_rules! choice {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident as $name:literal of $source:ident, $what:literal {
+            $kind:ident as $prefix:literal,
+            $(
+                $number:literal $word:literal
+                $variant:ident $(($(#[doc = $comment:literal])* $field:ident: $form:ty, $part:literal))?,
+            )*
+        }
+    ) => {
+        $crate::message::code::kinds! {
+            $kind as $prefix { $($variant = $number $word,)* }
+        }
+
+        message! {
+            $(#[doc = $about])*
+            $type as $name {
+                kind: $crate::message::code::Code<$kind>,
+                $($($(#[doc = $comment])* $field: $form,)?)*
+            }
+        }
+
+        impl $crate::message::field::Represents<$source> for $type {
+            fn of(source: &$source) -> Self {
+                let of = |kind| Self {
+                    kind: $crate::message::code::Code(kind),
+                    ..$crate::message::declare::Fields::absent()
+                };
+                match source {
+                    $($source::$variant $(($field))? => Self {
+                        $($field: $crate::message::field::Represents::of(&Some(*$field)),)?
+                        ..of($kind::$variant)
+                    },)*
+                }
+            }
+
+            fn value(self) -> Result<$source, $crate::message::field::InvalidMessage> {
+                let part = $crate::message::field::Part($what);
+                Ok(match self.kind.0 {
+                    $($kind::$variant => $source::$variant $((part.take(self.$field, $part)?))?,)*
+                })
+            }
+        }
+    };
+}
+
+pub(super) use {array, choice, fields, message};

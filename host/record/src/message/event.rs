@@ -10,35 +10,44 @@ use singletrack_pilot::{
 };
 
 use super::{
-    code::{Code, EventKind, OptionalCode},
-    declare::{Fields, fields, message},
+    code::{Code, OptionalCode},
+    declare::{Fields, choice, fields, message},
     field::{Group, InvalidMessage, Maybe, Part, Represents},
     floor::{GainMessage, PointMessage, VelocityMessage},
 };
 
-message! {
+choice! {
     /// Something that happened between two ticks. Which of the fields are present
     /// follows from the kind.
-    EventMessage as "Event" {
-        kind: Code<EventKind>,
-        pose: Maybe<PoseSampleMessage>,
-        /// Why a frame brought no pose.
-        pose_missing: OptionalCode<PoseMissing>,
-        board: Maybe<BoardSampleMessage>,
-        link: OptionalCode<LinkState>,
-        request: OptionalCode<PilotRequest>,
-        health: Maybe<BoardHealthMessage>,
-        line: Maybe<LineHealthMessage>,
-        real_time: Maybe<RealTimeMessage>,
-        setpoint: Maybe<SetpointMessage>,
-        /// Number of the configuration that is in force from here on.
-        reconfigured: Maybe<u32>,
-        attitude: Maybe<AttitudeMessage>,
-        /// Whether the configuration has been proved on this car.
-        proved: Maybe<bool>,
-        jog: Maybe<JogMessage>,
-        trajectory_piece: Maybe<TrajectoryPieceMessage>,
-        tuning: Maybe<TuningMessage>,
+    EventMessage as "Event" of Event, "an event" {
+        EventKind as "KIND",
+        1 "pose" Pose(pose: Maybe<PoseSampleMessage>, "its pose"),
+        2 "pose-missing" PoseMissing(
+            /// Why a frame brought no pose.
+            pose_missing: OptionalCode<PoseMissing>, "why the pose is missing"
+        ),
+        3 "board" Board(board: Maybe<BoardSampleMessage>, "the board's sample"),
+        4 "link" Link(link: OptionalCode<LinkState>, "the link"),
+        5 "request" Request(request: OptionalCode<PilotRequest>, "the request"),
+        6 "arm-refused" ArmRefused,
+        7 "health" Health(health: Maybe<BoardHealthMessage>, "the board's health"),
+        8 "line" Line(line: Maybe<LineHealthMessage>, "the line's health"),
+        9 "real-time" RealTime(real_time: Maybe<RealTimeMessage>, "what was granted"),
+        10 "setpoint" Setpoint(setpoint: Maybe<SetpointMessage>, "the set-point"),
+        11 "reconfigured" Reconfigured(
+            /// Number of the configuration that is in force from here on.
+            reconfigured: Maybe<u32>, "the configuration's number"
+        ),
+        12 "attitude" Attitude(attitude: Maybe<AttitudeMessage>, "the attitude"),
+        13 "proved" Proved(
+            /// Whether the configuration has been proved on this car.
+            proved: Maybe<bool>, "whether it is proved"
+        ),
+        14 "jog" Jog(jog: Maybe<JogMessage>, "the pulses"),
+        15 "trajectory-piece" TrajectoryPiece(
+            trajectory_piece: Maybe<TrajectoryPieceMessage>, "the trajectory's point"
+        ),
+        16 "tuning" Tuning(tuning: Maybe<TuningMessage>, "the values"),
     }
 }
 
@@ -146,7 +155,7 @@ message! {
     /// A set-point from outside: a velocity of P, with a position or without; or a steering
     /// angle or rate with a speed or an acceleration.
     SetpointMessage as "Setpoint" {
-        stamp: Group<StampFields>,
+        stamp: Group<StampMessage>,
         /// Of P; absent for a velocity alone.
         position: Maybe<PointMessage>,
         /// Of P.
@@ -168,20 +177,10 @@ message! {
     }
 }
 
-fields! {
-    /// When a set-point was decided, and its number.
-    StampFields of SetpointStamp {
-        /// When it was decided, in ns of the host's monotonic clock.
-        time_ns: u64 = time,
-        /// Number that its sender gave to it.
-        sequence: Maybe<u32>,
-    }
-}
-
 message! {
     /// A point of a trajectory from outside; the last one puts it in force.
     TrajectoryPieceMessage as "TrajectoryPiece" of TrajectoryPiece {
-        stamp: Group<StampFields>,
+        stamp: Group<StampMessage>,
         /// Its place, from 0.
         index: u8,
         /// The number of points.
@@ -282,106 +281,6 @@ message! {
         gain: Maybe<GainMessage>,
         /// The distance p of P from the front axle, in m.
         point_distance_m: Maybe<f64> = point_distance,
-    }
-}
-
-impl Represents<Event> for EventMessage {
-    fn of(event: &Event) -> Self {
-        let of = |kind| Self {
-            kind: Code(kind),
-            ..Fields::absent()
-        };
-        match event {
-            Event::Pose(pose) => Self {
-                pose: Maybe(Some(Represents::of(pose))),
-                ..of(EventKind::Pose)
-            },
-            Event::PoseMissing(missing) => Self {
-                pose_missing: OptionalCode(Some(*missing)),
-                ..of(EventKind::PoseMissing)
-            },
-            Event::Board(sample) => Self {
-                board: Maybe(Some(Represents::of(sample))),
-                ..of(EventKind::Board)
-            },
-            Event::Link(link) => Self {
-                link: OptionalCode(Some(*link)),
-                ..of(EventKind::Link)
-            },
-            Event::Request(request) => Self {
-                request: OptionalCode(Some(*request)),
-                ..of(EventKind::Request)
-            },
-            Event::ArmRefused => of(EventKind::ArmRefused),
-            Event::Health(health) => Self {
-                health: Maybe(Some(Represents::of(health))),
-                ..of(EventKind::Health)
-            },
-            Event::Line(line) => Self {
-                line: Maybe(Some(Represents::of(line))),
-                ..of(EventKind::Line)
-            },
-            Event::RealTime(state) => Self {
-                real_time: Maybe(Some(Represents::of(state))),
-                ..of(EventKind::RealTime)
-            },
-            Event::Setpoint(setpoint) => Self {
-                setpoint: Maybe(Some(Represents::of(setpoint))),
-                ..of(EventKind::Setpoint)
-            },
-            Event::Reconfigured(number) => Self {
-                reconfigured: Maybe(Some(*number)),
-                ..of(EventKind::Reconfigured)
-            },
-            Event::Attitude(sample) => Self {
-                attitude: Maybe(Some(Represents::of(sample))),
-                ..of(EventKind::Attitude)
-            },
-            Event::Proved(proved) => Self {
-                proved: Maybe(Some(*proved)),
-                ..of(EventKind::Proved)
-            },
-            Event::Jog(jog) => Self {
-                jog: Maybe(Some(Represents::of(jog))),
-                ..of(EventKind::Jog)
-            },
-            Event::TrajectoryPiece(piece) => Self {
-                trajectory_piece: Maybe(Some(Represents::of(piece))),
-                ..of(EventKind::TrajectoryPiece)
-            },
-            Event::Tuning(tuning) => Self {
-                tuning: Maybe(Some(Represents::of(tuning))),
-                ..of(EventKind::Tuning)
-            },
-        }
-    }
-
-    fn value(self) -> Result<Event, InvalidMessage> {
-        let part = Part("an event");
-        Ok(match self.kind.0 {
-            EventKind::Pose => Event::Pose(part.take(self.pose, "its pose")?),
-            EventKind::PoseMissing => {
-                Event::PoseMissing(part.take(self.pose_missing, "why the pose is missing")?)
-            }
-            EventKind::Board => Event::Board(part.take(self.board, "the board's sample")?),
-            EventKind::Link => Event::Link(part.take(self.link, "the link")?),
-            EventKind::Request => Event::Request(part.take(self.request, "the request")?),
-            EventKind::ArmRefused => Event::ArmRefused,
-            EventKind::Health => Event::Health(part.take(self.health, "the board's health")?),
-            EventKind::Line => Event::Line(part.take(self.line, "the line's health")?),
-            EventKind::RealTime => Event::RealTime(part.take(self.real_time, "what was granted")?),
-            EventKind::Setpoint => Event::Setpoint(part.take(self.setpoint, "the set-point")?),
-            EventKind::Reconfigured => {
-                Event::Reconfigured(part.take(self.reconfigured, "the configuration's number")?)
-            }
-            EventKind::Attitude => Event::Attitude(part.take(self.attitude, "the attitude")?),
-            EventKind::Proved => Event::Proved(part.take(self.proved, "whether it is proved")?),
-            EventKind::Jog => Event::Jog(part.take(self.jog, "the pulses")?),
-            EventKind::Tuning => Event::Tuning(part.take(self.tuning, "the values")?),
-            EventKind::TrajectoryPiece => {
-                Event::TrajectoryPiece(part.take(self.trajectory_piece, "the trajectory's point")?)
-            }
-        })
     }
 }
 

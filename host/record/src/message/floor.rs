@@ -7,65 +7,37 @@ use super::{
     field::{InvalidMessage, Represents},
 };
 
-message! {
+/// Declares a message that has the two parts of a vector.
+macro_rules! vector {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident as $name:literal of $vector:ident { $x:ident, $y:ident }
+    ) => {
+        message! { $(#[doc = $about])* $type as $name { $x: f64, $y: f64, } }
+
+        impl Represents<$vector> for $type {
+            fn of(vector: &$vector) -> Self {
+                Self { $x: vector.x, $y: vector.y }
+            }
+
+            fn value(self) -> Result<$vector, InvalidMessage> {
+                Ok($vector::new(self.$x, self.$y))
+            }
+        }
+    };
+}
+
+vector! {
     /// A position on the floor, world frame.
-    PointMessage as "Point" {
-        x_m: f64,
-        y_m: f64,
-    }
+    PointMessage as "Point" of Position { x_m, y_m }
 }
 
-message! {
+vector! {
     /// A velocity on the floor, world frame.
-    VelocityMessage as "Velocity" {
-        x_m_s: f64,
-        y_m_s: f64,
-    }
+    VelocityMessage as "Velocity" of Velocity { x_m_s, y_m_s }
 }
 
-impl Represents<Position> for PointMessage {
-    fn of(position: &Position) -> Self {
-        Self {
-            x_m: position.x,
-            y_m: position.y,
-        }
-    }
-
-    fn value(self) -> Result<Position, InvalidMessage> {
-        Ok(Position::new(self.x_m, self.y_m))
-    }
-}
-
-impl Represents<Velocity> for VelocityMessage {
-    fn of(velocity: &Velocity) -> Self {
-        Self {
-            x_m_s: velocity.x,
-            y_m_s: velocity.y,
-        }
-    }
-
-    fn value(self) -> Result<Velocity, InvalidMessage> {
-        Ok(Velocity::new(self.x_m_s, self.y_m_s))
-    }
-}
-
-message! {
+vector! {
     /// Gains of the position loop, world frame.
-    GainMessage as "Gain" {
-        x_per_s: f64,
-        y_per_s: f64,
-    }
-}
-
-impl Represents<Velocity> for GainMessage {
-    fn of(gain: &Velocity) -> Self {
-        Self {
-            x_per_s: gain.x,
-            y_per_s: gain.y,
-        }
-    }
-
-    fn value(self) -> Result<Velocity, InvalidMessage> {
-        Ok(Velocity::new(self.x_per_s, self.y_per_s))
-    }
+    GainMessage as "Gain" of Velocity { x_per_s, y_per_s }
 }
