@@ -1,12 +1,12 @@
 //! The body of the control thread: reads its rings, runs one tick, fills its rings.
 //!
-//! It never waits, allocates or locks.
+//! It never waits or allocates; a lock it only tries, see [`slot`](crate::slot).
 
 use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Mode, PilotRequest, RealTimeState};
+use singletrack_pilot::{Jog, Mode, PilotRequest, RealTimeState, Tuning};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
@@ -14,13 +14,12 @@ use crate::{
     alignment::Alignment,
     controller::Controller,
     grid::{Grid, Slot},
-    jog_slot::JogReceiver,
     line::{Line, Sent, drive_number},
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
     setpoint_slot::{SetpointReceiver, Taken},
-    tuning_slot::TuningReceiver,
+    slot::SlotReceiver,
 };
 
 /// The rings of the control thread.
@@ -37,9 +36,9 @@ pub struct Rings<L> {
     /// Set-points from outside.
     pub setpoints: SetpointReceiver,
     /// Pulses of the operator who jogs.
-    pub jogs: JogReceiver,
+    pub jogs: SlotReceiver<Jog>,
     /// Values to tune.
-    pub tunings: TuningReceiver,
+    pub tunings: SlotReceiver<Tuning>,
     /// Configurations with their outcome, returned to be freed by their maker.
     pub reconfigured: Producer<Box<Reconfiguration>>,
     /// The record of every tick.

@@ -15,7 +15,7 @@ use std::sync::{Arc, atomic::AtomicI64};
 use rtrb::{Consumer, RingBuffer};
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::planar::PlanarSession;
-use singletrack_pilot::Pilot;
+use singletrack_pilot::{Jog, Pilot, Tuning};
 use singletrack_record::{TickOutput, tick_feed};
 
 use crate::{
@@ -23,7 +23,6 @@ use crate::{
     config::{Config, ConfigError},
     control_loop::{ControlLoop, Rings},
     controller::Controller,
-    jog_slot::{JogSender, jog_slot},
     line::Line,
     proof::{Proofs, configuration_hash},
     reconfigure::Configurations,
@@ -31,7 +30,7 @@ use crate::{
     requests::Requests,
     serial::SerialReader,
     setpoint_slot::{SetpointSender, setpoint_slot},
-    tuning_slot::{TuningSender, tuning_slot},
+    slot::{SlotSender, slot},
 };
 
 /// Capacities of the rings. A stall of the control loop loses nothing up to half a second,
@@ -76,9 +75,9 @@ pub struct Host<L> {
     /// Sends set-points to the control loop.
     pub setpoints: SetpointSender,
     /// Sends the pulses of the operator who jogs to the control loop.
-    pub jogs: JogSender,
+    pub jogs: SlotSender<Jog>,
     /// Sends values to tune to the control loop.
-    pub tunings: TuningSender,
+    pub tunings: SlotSender<Tuning>,
     /// The configuration in force.
     pub configurations: Configurations,
     /// The record of every tick.
@@ -121,8 +120,8 @@ impl<L: Line> Host<L> {
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
-        let (jogs_in, jogs) = jog_slot();
-        let (tunings_in, tunings) = tuning_slot();
+        let (jogs_in, jogs) = slot();
+        let (tunings_in, tunings) = slot();
         let (reconfigured, reconfigured_out) = RingBuffer::new(RECONFIGURATIONS);
         let (ticks, ticks_out) = tick_feed(TICKS);
         let (reports, reports_out) = RingBuffer::new(REPORTS);

@@ -14,13 +14,12 @@ pub mod diagnosis;
 pub mod feasibility;
 pub mod grid;
 pub mod host;
-pub mod jog_slot;
 pub mod line;
 pub mod reasons;
 pub mod reconfigure;
 pub mod serial;
 pub mod setpoint_slot;
-pub mod tuning_slot;
+pub mod slot;
 pub mod virtual_host;
 
 mod alignment;

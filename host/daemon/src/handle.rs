@@ -2,9 +2,8 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use singletrack_core::{
-    Requests, jog_slot::JogSender, setpoint_slot::SetpointSender, tuning_slot::TuningSender,
-};
+use singletrack_core::{Requests, setpoint_slot::SetpointSender, slot::SlotSender};
+use singletrack_pilot::{Jog, Tuning};
 
 use crate::{
     commissioned_file::CommissionedFile,
@@ -25,8 +24,8 @@ pub(crate) struct DaemonHandle {
     pub(crate) setpoints: SetpointSender,
     /// Which client gives the set-points.
     pub(crate) source: SetpointSource,
-    pub(crate) jogs: JogSender,
-    pub(crate) tunings: TuningSender,
+    pub(crate) jogs: SlotSender<Jog>,
+    pub(crate) tunings: SlotSender<Tuning>,
     /// The file of the configuration, for a reload.
     pub(crate) config_path: Option<PathBuf>,
     pub(crate) reconfigurer: Reconfigurer,
