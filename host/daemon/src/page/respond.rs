@@ -3,6 +3,7 @@
 use core::fmt::Write as _;
 use std::{io, sync::Arc, time::Duration};
 
+use singletrack_access::linger;
 use socket2::SockRef;
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -22,7 +23,7 @@ use super::{
     server::Shared,
     setup::setup,
 };
-use crate::{socket::linger, state_stream::STATE_BUFFER};
+use crate::state_stream::STATE_BUFFER;
 
 /// The longest time that a viewer may read nothing at all.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);

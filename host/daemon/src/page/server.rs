@@ -11,6 +11,7 @@ use std::{
     time::Duration,
 };
 
+use singletrack_access::{Token, TokenFile};
 use singletrack_core::config::PageSection;
 use tokio::{
     net::TcpListener,
@@ -19,11 +20,7 @@ use tokio::{
 };
 
 use super::{feed::Feed, respond::serve, status::PageError};
-use crate::{
-    handle::DaemonHandle,
-    live::LiveView,
-    socket::{Token, TokenFile},
-};
+use crate::{handle::DaemonHandle, live::LiveView};
 
 /// The largest numbers of connections, and of viewers of the events among them, at a time.
 const CONNECTIONS: usize = 96;

@@ -23,7 +23,6 @@ mod tests;
 mod thread;
 mod token;
 mod tune;
-mod waiting;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
@@ -32,8 +31,3 @@ pub(crate) use drives::Drives;
 pub use setpoint::{Rejection, SetpointCommand, SetpointFigures};
 pub(crate) use setpoint::{SetpointCounters, SetpointSource};
 pub(crate) use thread::SocketThread;
-#[cfg(feature = "page")]
-pub(crate) use {
-    stream::linger,
-    token::{Token, TokenFile},
-};

@@ -3,6 +3,7 @@
 use std::{io, time::Duration};
 
 use serde::Serialize;
+use singletrack_access::Place;
 use singletrack_api::{Answer, Clocks, Reply, SOCKET_VERSION};
 use singletrack_core::{
     ControlRequest,
@@ -26,7 +27,6 @@ use super::{
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     tune::tune,
-    waiting::Place,
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,

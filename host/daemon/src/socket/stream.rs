@@ -1,21 +1,16 @@
 //! A client's connection: over the Unix socket or TCP. Everything behind it is the same.
 
-use std::{io, time::Duration};
+use std::io;
 
 use socket2::SockRef;
 use tokio::{
-    io::{AsyncRead, AsyncReadExt as _, BufReader, copy, sink},
+    io::BufReader,
     net::{TcpStream, UnixStream, tcp, unix},
-    time::timeout,
 };
 use tokio_util::either::Either;
 
 pub(super) type ReadHalf = Either<unix::OwnedReadHalf, tcp::OwnedReadHalf>;
 pub(super) type WriteHalf = Either<unix::OwnedWriteHalf, tcp::OwnedWriteHalf>;
-
-/// The longest time, and the most bytes, for which what still comes is read and discarded.
-const LINGER: Duration = Duration::from_millis(200);
-const LINGER_BYTES: u64 = 65_536;
 
 /// Both directions of a connection.
 #[derive(Debug)]
@@ -50,11 +45,4 @@ pub(super) fn limit_send_buffer(write: &WriteHalf, bytes: usize) -> io::Result<(
         Either::Left(unix) => SockRef::from(unix.as_ref()).set_send_buffer_size(bytes),
         Either::Right(tcp) => SockRef::from(tcp.as_ref()).set_send_buffer_size(bytes),
     }
-}
-
-/// Reads and discards what a client still sends after its answer: a connection that is closed with
-/// something unread is reset, and the answer is lost.
-pub(crate) async fn linger(read: impl AsyncRead + Unpin) {
-    let mut rest = read.take(LINGER_BYTES);
-    let _ = timeout(LINGER, copy(&mut rest, &mut sink())).await;
 }

@@ -14,6 +14,7 @@ use std::{
     time::Duration,
 };
 
+use singletrack_access::{Token, TokenFile, WaitingRoom, linger};
 use singletrack_api::{Answer, SOCKET_VERSION};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
@@ -23,9 +24,8 @@ use tokio::{
 
 use super::{
     serve::send,
-    stream::{Connection, linger},
-    token::{Token, TokenFile},
-    waiting::WaitingRoom,
+    stream::Connection,
+    token::{is_given_by, token_path},
 };
 
 /// The largest number of connections at a time that have not given the token. They take no place
@@ -66,7 +66,7 @@ impl BoundPort {
             .map_err(during("make it non-blocking"))?;
         let address = listener.local_addr().map_err(during("read its port"))?;
         let token = Token::random().map_err(during("make a token"))?;
-        let token_path = TokenFile::path(beside);
+        let token_path = token_path(beside);
         let file = TokenFile::create(token_path.clone(), address, &token)
             .map_err(during("write the file of the token"))?;
         tracing::info!(%address, token = %token_path.display(), "control socket on TCP");
@@ -105,7 +105,7 @@ impl Gate {
             return Ok(None);
         };
         let count = first_line.unwrap_or(Ok(0))?;
-        if count > 0 && self.token.is_given_by(&line) {
+        if count > 0 && is_given_by(&self.token, &line) {
             send(write, &Answer::done()).await?;
             return Ok(Some(connection));
         }

@@ -7,6 +7,7 @@ use std::{
     time::Duration,
 };
 
+use singletrack_access::WaitingRoom;
 use tokio::{
     net::{TcpListener, UnixListener},
     runtime,
@@ -19,7 +20,6 @@ use super::{
     serve::{CLIENTS, WAITING, refuse, serve},
     stream::Connection,
     tcp::{BoundPort, Gate},
-    waiting::WaitingRoom,
 };
 use crate::handle::DaemonHandle;
 

@@ -1,39 +1,11 @@
-//! The token of the control socket on TCP and of the page, and the file in which clients find it.
+//! The token of the control socket on TCP: as the first line of a client, and its file.
 
-use core::fmt;
-use std::{
-    fs,
-    io::{self, Write as _},
-    net::{IpAddr, SocketAddr},
-    os::unix::fs::{OpenOptionsExt, PermissionsExt},
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
-use constant_time_eq::constant_time_eq;
-use rustix::rand::{GetRandomFlags, getrandom};
 use serde::Deserialize;
-use serde_json::json;
+use singletrack_access::Token;
 
 use singletrack_api::SOCKET_VERSION;
-
-/// Random bytes of a token.
-const BYTES: usize = 32;
-
-/// More than the bytes of a file of a token.
-const LONGEST_FILE: u64 = 512;
-
-/// The owner may write, the group read: those who may connect to the Unix socket.
-const PERMISSIONS: u32 = 0o640;
-
-/// A random word that a client has to give, new at every start of the daemon.
-pub(crate) struct Token(String);
-
-// It must not get into a log.
-impl fmt::Debug for Token {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Token(..)")
-    }
-}
 
 /// The first line of a client.
 #[derive(Deserialize)]
@@ -44,173 +16,59 @@ struct FirstLine {
     token: String,
 }
 
-impl Token {
-    pub(crate) fn random() -> io::Result<Self> {
-        let mut bytes = [0_u8; BYTES];
-        // The system gives so few bytes at once or not at all.
-        let count = getrandom(&mut bytes, GetRandomFlags::empty())?;
-        if count != BYTES {
-            return Err(io::Error::other("too few random bytes"));
-        }
-        Ok(Self(
-            bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
-        ))
-    }
-
-    /// Whether a line gives this token. How long it takes does not depend on how much of a wrong
-    /// token is right.
-    pub(super) fn is_given_by(&self, line: &[u8]) -> bool {
-        serde_json::from_slice::<FirstLine>(line).is_ok_and(|line| {
-            line.version == SOCKET_VERSION && line.command == "token" && self.is(&line.token)
-        })
-    }
-
-    /// Whether `text` is this token; the same holds for the time.
-    pub(crate) fn is(&self, text: &str) -> bool {
-        constant_time_eq(text.as_bytes(), self.0.as_bytes())
-    }
+/// Whether a line gives this token.
+pub(super) fn is_given_by(token: &Token, line: &[u8]) -> bool {
+    serde_json::from_slice::<FirstLine>(line).is_ok_and(|line| {
+        line.version == SOCKET_VERSION && line.command == "token" && token.is(&line.token)
+    })
 }
 
-/// The file with the address and the token, removed when this value is dropped.
-#[derive(Debug)]
-pub(crate) struct TokenFile(PathBuf);
-
-/// What is in it.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-#[allow(dead_code, reason = "a file with these keys is one of ours")]
-struct Content {
-    address: IpAddr,
-    port: u16,
-    token: String,
-}
-
-impl Drop for TokenFile {
-    fn drop(&mut self) {
-        // An error means that the file is gone already, or another one is there.
-        let _ = remove_token_file(&self.0);
-    }
-}
-
-/// Removes a file of a token, and no other file: a mistaken path costs nobody a file.
-fn remove_token_file(path: &Path) -> io::Result<()> {
-    let metadata = match fs::symlink_metadata(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        metadata => metadata?,
-    };
-    // Nothing is in one whose writer was killed.
-    let is_ours = metadata.is_file()
-        && metadata.len() <= LONGEST_FILE
-        && (metadata.len() == 0 || serde_json::from_slice::<Content>(&fs::read(path)?).is_ok());
-    if !is_ours {
-        return Err(io::Error::other(
-            "this file was there before and has no token in it; move it away, or choose another path",
-        ));
-    }
-    fs::remove_file(path)
-}
-
-impl TokenFile {
-    /// The place of the token of the daemon that listens on `socket`.
-    pub(super) fn path(socket: &Path) -> PathBuf {
-        let mut path = socket.as_os_str().to_owned();
-        path.push(".token");
-        path.into()
-    }
-
-    /// Writes the file. Replaces the one that a killed daemon left.
-    pub(crate) fn create(path: PathBuf, address: SocketAddr, token: &Token) -> io::Result<Self> {
-        remove_token_file(&path)?;
-        // A new file and no link: it is the daemon's own from its first byte.
-        let mut file = fs::OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .mode(0o600)
-            .open(&path)?;
-        let made = Self(path);
-        let content = json!({
-            "address": address.ip(),
-            "port": address.port(),
-            "token": token.0,
-        });
-        if let Err(error) = file.write_all(format!("{content}\n").as_bytes()) {
-            // It is new: what is in it is ours.
-            let _ = fs::remove_file(&made.0);
-            return Err(error);
-        }
-        file.set_permissions(fs::Permissions::from_mode(PERMISSIONS))?;
-        Ok(made)
-    }
+/// The place of the token of the daemon that listens on `socket`.
+pub(super) fn token_path(socket: &Path) -> PathBuf {
+    let mut path = socket.as_os_str().to_owned();
+    path.push(".token");
+    path.into()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, net::SocketAddr};
+
     use serde_json::Value;
+    use singletrack_access::TokenFile;
 
     use super::*;
 
     #[test]
-    fn a_token_is_random_and_not_shown() {
-        let [one, other] = [(); 2].map(|()| Token::random().unwrap());
-        assert_ne!(one.0, other.0);
-        assert_eq!(one.0.len(), 2 * BYTES);
-        assert_eq!(format!("{one:?}"), "Token(..)");
-    }
-
-    #[test]
     fn only_the_whole_token_in_its_own_command_is_right() {
-        let token = Token("0123456789abcdef".to_owned());
-        let given = |line: &str| token.is_given_by(line.as_bytes());
-        let right = r#"{"version":2,"command":"token","token":"0123456789abcdef"}"#;
-        assert!(given(right));
+        let folder = tempfile::tempdir().unwrap();
+        let path = token_path(&folder.path().join("control.sock"));
+        let address = SocketAddr::from(([127, 0, 0, 1], 8_766));
+        let token = Token::random().unwrap();
+        let _file = TokenFile::create(path.clone(), address, &token).unwrap();
+        let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        let right = content["token"].as_str().unwrap();
+        let given = |line: &str| is_given_by(&token, line.replace("RIGHT", right).as_bytes());
+        assert!(given(r#"{"version":2,"command":"token","token":"RIGHT"}"#));
         for line in [
             "",
-            "0123456789abcdef",
+            "RIGHT",
             r#"{"version":2,"command":"token"}"#,
             r#"{"version":2,"command":"token","token":""}"#,
-            r#"{"version":2,"command":"token","token":"0123456789abcde"}"#,
-            r#"{"version":2,"command":"token","token":"0123456789abcdeff"}"#,
-            r#"{"version":2,"command":"token","token":"0123456789ABCDEF"}"#,
+            r#"{"version":2,"command":"token","token":"RIGHTf"}"#,
+            r#"{"version":2,"command":"token","token":" RIGHT"}"#,
             r#"{"version":2,"command":"token","token":null}"#,
-            r#"{"version":1,"command":"token","token":"0123456789abcdef"}"#,
-            r#"{"version":2,"command":"stop","token":"0123456789abcdef"}"#,
-            r#"{"version":2,"command":"token","token":"","token":"0123456789abcdef"}"#,
-            r#"POST / {"version":2,"command":"token","token":"0123456789abcdef"}"#,
+            r#"{"version":1,"command":"token","token":"RIGHT"}"#,
+            r#"{"version":2,"command":"stop","token":"RIGHT"}"#,
+            r#"{"version":2,"command":"token","token":"","token":"RIGHT"}"#,
+            r#"POST / {"version":2,"command":"token","token":"RIGHT"}"#,
         ] {
             assert!(!given(line), "{line}");
         }
-    }
-
-    #[test]
-    fn the_file_of_a_dead_daemon_is_replaced_and_any_other_file_stays() {
-        let folder = tempfile::tempdir().unwrap();
-        let precious = folder.path().join("precious");
-        fs::write(&precious, "precious").unwrap();
-        let path = TokenFile::path(&folder.path().join("control.sock"));
-        let token = Token::random().unwrap();
-        let address = SocketAddr::from(([127, 0, 0, 1], 8_766));
-        let create = |path: &Path| TokenFile::create(path.to_owned(), address, &token);
-        let error = create(&precious).unwrap_err().to_string();
-        assert!(error.contains("has no token in it"), "{error}");
-        assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
-        // Nor is a link followed, to whatever it leads.
-        std::os::unix::fs::symlink(&precious, &path).unwrap();
-        create(&path).unwrap_err();
-        fs::remove_file(&path).unwrap();
-        std::mem::forget(create(&path).unwrap());
-        let file = create(&path).unwrap();
-        let mode = fs::symlink_metadata(&path).unwrap().permissions().mode();
-        assert_eq!(mode & 0o777, PERMISSIONS);
-        let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-        assert_eq!(
-            content,
-            json!({"address": "127.0.0.1", "port": 8766, "token": token.0})
-        );
-        drop(file);
-        assert!(!path.exists());
-        let file = create(&path).unwrap();
-        fs::write(&path, "precious").unwrap();
-        drop(file);
-        assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+        let cut = r#"{"version":2,"command":"token","token":"CUT"}"#.replace("CUT", &right[1..]);
+        assert!(!given(&cut));
+        let upper = right.to_ascii_uppercase();
+        let upper = format!(r#"{{"version":2,"command":"token","token":"{upper}"}}"#);
+        assert!(!given(&upper));
     }
 }

@@ -12,17 +12,19 @@ use tokio::sync::oneshot::{Receiver, Sender, channel};
 
 /// The places, oldest first.
 #[derive(Debug)]
-pub(super) struct WaitingRoom {
+pub struct WaitingRoom {
     places: usize,
     taken: Mutex<VecDeque<Sender<()>>>,
 }
 
 /// A place. It ends when this value is dropped.
 #[derive(Debug)]
-pub(super) struct Place(Receiver<()>);
+pub struct Place(Receiver<()>);
 
 impl WaitingRoom {
-    pub(super) const fn new(places: usize) -> Self {
+    /// A room with this number of places.
+    #[must_use]
+    pub const fn new(places: usize) -> Self {
         Self {
             places,
             taken: Mutex::new(VecDeque::new()),
@@ -30,7 +32,7 @@ impl WaitingRoom {
     }
 
     /// Takes a place, that of the oldest if there is no other.
-    pub(super) fn enter(&self) -> Place {
+    pub fn enter(&self) -> Place {
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
         taken.retain(|place| !place.is_closed());
         while taken.len() >= self.places {
@@ -44,7 +46,7 @@ impl WaitingRoom {
 
 impl Place {
     /// What `first` gives; `None` if the place is lost before. What has arrived by then counts.
-    pub(super) async fn until_lost<T>(&mut self, first: impl Future<Output = T>) -> Option<T> {
+    pub async fn until_lost<T>(&mut self, first: impl Future<Output = T>) -> Option<T> {
         tokio::select! {
             biased;
             result = first => Some(result),
@@ -54,6 +56,7 @@ impl Place {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use std::future::{pending, ready};
 
