@@ -64,6 +64,9 @@ pub struct Answer {
     /// The status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub status: Option<Status>,
+    /// The configuration in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub toml: Option<String>,
     /// The tuned values in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tuning: Option<Tuning>,
@@ -138,6 +141,7 @@ impl Answer {
             ok: true,
             rejected: None,
             status: None,
+            toml: None,
             tuning: None,
             version: SOCKET_VERSION,
             warnings: Vec::new(),

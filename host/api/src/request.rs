@@ -40,6 +40,8 @@ pub enum Request {
     },
     /// Read the configuration's file again.
     Reload {},
+    /// The configuration in force.
+    Configuration {},
     /// Other values of what can be tuned.
     Tune(Tune),
     /// A set-point, answered only if it is rejected.
@@ -241,7 +243,7 @@ fn other_version(version: u32) -> RequestError {
 }
 
 /// A line of every command, and what the daemon answers: the table of the documentation.
-pub const EXAMPLES: [(&str, &str); 17] = [
+pub const EXAMPLES: [(&str, &str); 18] = [
     (
         r#"{"version":2,"command":"status"}"#,
         r#"`{"version":2,"ok":true,"status":{...}}`"#,
@@ -265,6 +267,10 @@ pub const EXAMPLES: [(&str, &str); 17] = [
     (
         r#"{"version":2,"command":"reload"}"#,
         r#"reads the configuration file again, as SIGHUP does: `{"version":2,"ok":true,"configuration":2}` once it is in force"#,
+    ),
+    (
+        r#"{"version":2,"command":"configuration"}"#,
+        r#"`{"version":2,"ok":true,"configuration":2,"toml":"..."}`: number and text of the configuration in force, with every key and the points of the reference"#,
     ),
     (
         r#"{"version":2,"command":"disarm"}"#,

@@ -52,6 +52,8 @@ struct Published {
     estimator: EstimatorSection,
     subject: Option<Subject>,
     tuning: TuningRule,
+    /// All of it; none if a path is not UTF-8.
+    toml: Option<Arc<str>>,
 }
 
 #[derive(Debug)]
@@ -80,6 +82,7 @@ impl Reconfigurer {
                 estimator: configurations.in_force().estimator,
                 subject: subject(configurations.in_force()).ok(),
                 tuning: configurations.in_force().tuning_rule(),
+                toml: configurations.in_force().to_toml().ok().map(Arc::from),
             }),
             state: Mutex::new(State {
                 configurations,
@@ -136,6 +139,12 @@ impl Reconfigurer {
     /// The rule for requests to tune, of the configuration in force.
     pub(crate) fn tuning_rule(&self) -> TuningRule {
         self.published().tuning
+    }
+
+    /// The number and the text of the configuration in force; it waits for nothing.
+    pub(crate) fn text(&self) -> (u32, Option<Arc<str>>) {
+        let published = self.published();
+        (published.view.number, published.toml.clone())
     }
 
     /// The car of the configuration in force.
@@ -220,7 +229,9 @@ impl Reconfigurer {
         let number = configurations.number();
         info!("{by}: configuration {number} is in force");
         let time_ns = monotonic_ns();
-        let (level, text) = match configurations.in_force().to_toml() {
+        let toml = configurations.in_force().to_toml();
+        let published_toml = toml.as_deref().ok().map(Arc::from);
+        let (level, text) = match toml {
             Ok(toml) => {
                 // An error means that the collector, and with it the record, has ended.
                 let _ = self
@@ -250,6 +261,7 @@ impl Reconfigurer {
         let mut published = self.published();
         published.subject = subject;
         published.tuning = configurations.in_force().tuning_rule();
+        published.toml = published_toml;
         published.view.number = number;
         published.view.last_change = Some(Change {
             by: by.into(),

@@ -170,6 +170,33 @@ fn watchers_that_disconnect_free_their_slots() {
 }
 
 #[test]
+fn the_configuration_in_force_is_given_as_text() {
+    let (_daemon, path, folder) = start();
+    let mut client = Client::connect(&path);
+    let answer = client.ask(r#"{"version":2,"command":"configuration"}"#);
+    assert_eq!(
+        (&answer["ok"], &answer["configuration"]),
+        (&json!(true), &json!(1))
+    );
+    let text = answer["toml"].as_str().unwrap();
+    assert_eq!(
+        Config::from_toml(text).unwrap(),
+        config(folder.path(), &path)
+    );
+    let reference = json!({"kind": "circle", "radius_m": 0.7, "angular_velocity_rad_s": 0.4});
+    let line = json!({"version": 2, "command": "set-reference", "reference": reference});
+    assert_eq!(client.ask(&line.to_string())["configuration"], 2);
+    let answer = client.ask(r#"{"version":2,"command":"configuration"}"#);
+    assert_eq!(answer["configuration"], 2);
+    assert!(
+        answer["toml"]
+            .as_str()
+            .unwrap()
+            .contains("radius_m = 0.7\n")
+    );
+}
+
+#[test]
 fn a_stop_is_obeyed_when_every_slot_is_taken() {
     let (daemon, path, _folder) = start();
     let watchers: Vec<_> = (0..32)

@@ -145,6 +145,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
         Command::Commissioned { .. } => "commissioned",
         Command::Arm(_) | Command::ArmJog => "arm",
         Command::Jog(_) => "jog",
+        Command::Configuration => "configuration",
         Command::Reload => "reload",
         Command::Hold => "hold",
         Command::Tune(_) => "tune",

@@ -157,6 +157,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Ask(question)) => {
                 send(&mut write, &answer(question, daemon).await).await?;
             }
+            Ok(Command::Configuration) => send(&mut write, &configuration(daemon)).await?,
             Ok(Command::SetReference(reference)) => {
                 send(&mut write, &set_reference(reference, daemon).await).await?;
             }
@@ -252,6 +253,18 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
     let stopped = matches!(snapshot.mode(), Mode::Fault | Mode::Disconnected)
         && snapshot.reason() == Some(Reason::EmergencyStop);
     stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
+}
+
+/// The configuration in force.
+fn configuration(daemon: &DaemonHandle) -> Answer {
+    match daemon.reconfigurer.text() {
+        (number, Some(toml)) => Answer {
+            configuration: Some(number),
+            toml: Some(toml.to_string()),
+            ..Answer::done()
+        },
+        (_, None) => Answer::failure("the configuration has a path that is not UTF-8"),
+    }
 }
 
 /// Reads the configuration's file again, as SIGHUP does.

@@ -21,6 +21,8 @@ use super::setpoint::{self, Rejected, SetpointCommand, unreadable};
 pub enum Command {
     /// A question or request, answered by one line.
     Ask(Question),
+    /// The configuration in force, answered by one line.
+    Configuration,
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
     Arm(Arm),
     /// Arm to jog, held by this connection; answered when the board takes pulses or can't be
@@ -170,6 +172,7 @@ impl Command {
             Request::Hold {} => Self::Hold,
             Request::Jog { servo_us, esc_us } => Self::Jog(Jog { servo_us, esc_us }),
             Request::Reload {} => Self::Reload,
+            Request::Configuration {} => Self::Configuration,
             Request::Disarm { at_once, carried } => Self::Ask(match (at_once, carried) {
                 (true, true) => {
                     return Err("disarm takes at_once or carried, not both".into());
