@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, Topic};
-use tokio::sync::broadcast;
+use tokio::sync::{Semaphore, broadcast};
 
 use crate::{
     messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES,
@@ -14,6 +14,10 @@ use crate::{
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
+
+/// The largest number of control clients that watch at a time. It is less than their largest number:
+/// however many viewers watch, others may command.
+pub(crate) const WATCHERS: usize = 24;
 
 /// The latest value of everything that the threads report.
 #[derive(Debug, Default)]
@@ -41,6 +45,8 @@ pub(crate) struct SharedStatus {
     pub(crate) messages: MessageFeed,
     /// The state of every tick as a line of JSON, with its end.
     pub(crate) states: broadcast::Sender<Arc<str>>,
+    /// For each client that watches, one of [`WATCHERS`].
+    pub(crate) watch_places: Semaphore,
     /// The set-points of all clients.
     pub(crate) setpoints: SetpointCounters,
 }
@@ -52,6 +58,7 @@ impl SharedStatus {
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
             messages: MessageFeed::new(clocks),
             states: broadcast::Sender::new(STATE_LINES),
+            watch_places: Semaphore::new(WATCHERS),
             setpoints: SetpointCounters::default(),
         }
     }

@@ -229,7 +229,7 @@ fn both_kinds_of_clients_share_their_places_and_a_stop_needs_none() {
         assert_eq!(client.ask(WATCH)["ok"], true);
     }
     for client in &mut unix {
-        assert_eq!(client.ask(WATCH)["ok"], true);
+        assert_eq!(client.ask(STATUS)["ok"], true);
     }
     let refused = [bench.client().ask(STATUS), bench.unix_client().ask(STATUS)];
     for refused in refused {

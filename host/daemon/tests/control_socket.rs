@@ -197,12 +197,51 @@ fn the_configuration_in_force_is_given_as_text() {
 }
 
 #[test]
+fn watchers_leave_places_for_those_who_command() {
+    let (_daemon, path, _folder) = start();
+    let streams = [
+        r#"{"version":2,"command":"watch","topics":["drops"]}"#,
+        r#"{"version":2,"command":"watch","topics":["state"]}"#,
+        r#"{"version":2,"command":"messages","topics":["/odom"]}"#,
+    ];
+    let mut watchers: Vec<_> = (0..24)
+        .map(|index| {
+            let mut client = Client::connect(&path);
+            assert_eq!(client.ask(streams[index % 3])["ok"], true);
+            client
+        })
+        .collect();
+    for stream in streams {
+        let refused = Client::connect(&path).ask(stream);
+        assert_eq!(refused["ok"], false, "{refused}");
+        let why = refused["error"].as_str().unwrap();
+        assert!(why.contains("24 clients watch"), "{why}");
+    }
+    let mut operators = Vec::new();
+    common::wait_for(
+        "eight places, after those who were refused have left",
+        || {
+            let mut client = Client::connect(&path);
+            if client.ask(r#"{"version":2,"command":"status"}"#)["ok"] == true {
+                operators.push(client);
+            }
+            operators.len() == 8
+        },
+    );
+    drop(operators);
+    watchers.pop();
+    common::wait_for("the place of the watcher that left", || {
+        Client::connect(&path).ask(streams[0])["ok"] == true
+    });
+}
+
+#[test]
 fn a_stop_is_obeyed_when_every_slot_is_taken() {
     let (daemon, path, _folder) = start();
-    let watchers: Vec<_> = (0..32)
+    let clients: Vec<_> = (0..32)
         .map(|_| {
             let mut client = Client::connect(&path);
-            client.ask(r#"{"version":2,"command":"watch","topics":["drops"]}"#);
+            client.ask(r#"{"version":2,"command":"status"}"#);
             client
         })
         .collect();
@@ -218,7 +257,7 @@ fn a_stop_is_obeyed_when_every_slot_is_taken() {
     while daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
     }
-    drop(watchers);
+    drop(clients);
 }
 
 #[test]

@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
-    snapshot::Snapshot, state_stream::STATE_BUFFER,
+    shared_status::WATCHERS, snapshot::Snapshot, state_stream::STATE_BUFFER,
 };
 
 /// The largest number of clients at a time.
@@ -98,7 +98,18 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             send(&mut write, &answer).await?;
             continue;
         }
-        match Command::parse(&line, monotonic_ns()) {
+        let command = Command::parse(&line, monotonic_ns());
+        let watches = matches!(
+            command,
+            Ok(Command::Watch { .. } | Command::Messages { .. } | Command::WatchState)
+        );
+        let place = watches.then(|| daemon.status.watch_places.try_acquire());
+        if let Some(Err(_)) = place {
+            let error = format!("{WATCHERS} clients watch; close one: the others may command");
+            send(&mut write, &Answer::failure(error)).await?;
+            continue;
+        }
+        match command {
             Ok(Command::Watch { topics }) => {
                 let mut rest = [0];
                 // A watcher sends no more lines. Reading detects that it has disconnected, also
