@@ -3,12 +3,12 @@
 use heapless::Deque;
 use libm::fabs;
 use singletrack_control::{
-    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, OuterLoop, Predicted,
+    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, Limits, OuterLoop, Predicted,
     Predictor, Singularity, Time, TrackingInput, TrackingLoop, VehicleParameters, Velocity,
     front_point_velocity,
 };
 
-use super::drive::PathAhead;
+use super::act::PathAhead;
 
 /// What the pilot compensates, and by which model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,9 +78,7 @@ pub(super) struct Compensator {
 pub(super) struct Course<'a> {
     pub(super) law: &'a FrontPointLaw,
     pub(super) path: PathAhead<'a>,
-    pub(super) max_speed: f64,
-    pub(super) max_steering_rate: f64,
-    pub(super) max_acceleration: f64,
+    pub(super) limits: &'a Limits,
     pub(super) now: Time,
     pub(super) period: f64,
 }
@@ -106,8 +104,8 @@ impl Course<'_> {
             period: self.period,
         });
         let pace = wanted.norm();
-        let limited = if pace > self.max_speed {
-            wanted * (self.max_speed / pace)
+        let limited = if pace > self.limits.max_speed {
+            wanted * (self.limits.max_speed / pace)
         } else {
             wanted
         };
@@ -117,9 +115,9 @@ impl Course<'_> {
 
     /// The state after a period with this command, and the velocity that P is given in it.
     fn next(&self, state: &Predicted, command: &FrontPointCommand) -> (Predicted, Velocity) {
-        let most = self.max_steering_rate;
+        let most = self.limits.max_steering_rate;
         let rate = command.steering_rate.clamp(-most, most);
-        let change = self.max_acceleration * self.period;
+        let change = self.limits.max_acceleration * self.period;
         let speed = command
             .speed
             .clamp(state.speed - change, state.speed + change);
@@ -201,7 +199,7 @@ impl Compensator {
         }
         let (after, given) = course.next(&later, &command);
         let (_, next) = course.at(&after, &mut imagined, given)?;
-        let most = course.max_acceleration;
+        let most = course.limits.max_acceleration;
         let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
         let correction = self.correction(course, estimate.speed);
         self.plan(course.now.after(later.ahead), command.speed);

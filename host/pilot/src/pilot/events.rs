@@ -6,7 +6,6 @@ use super::Pilot;
 use crate::{
     event::{BoardSample, Event, PilotRequest},
     refusal::SetpointRefusal,
-    supervisor::Mode,
 };
 
 impl Pilot {
@@ -32,7 +31,7 @@ impl Pilot {
                 self.supervisor.handle_jog();
                 self.jog = Some(*jog);
             }
-            Event::Attitude(sample) => self.attitude.handle(sample, &self.config.watch),
+            Event::Attitude(sample) => self.watches.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
             Event::Tuning(tuning) => self.tune(tuning),
             // The caller has called `reconfigure` before this tick.
@@ -61,42 +60,14 @@ impl Pilot {
     }
 
     fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
-        self.frozen.pose(pose, &self.config.watch);
+        self.watches.observe_pose(pose, &self.config);
         let verdict = self.estimator.handle_pose(pose);
         if verdict == PoseVerdict::Accepted {
-            self.innovations
-                .pose(self.estimator.innovation(), &self.config.watch);
             self.pose_time = Some(pose.capture);
             self.supervisor.handle_pose();
-            self.blind.seen(pose.capture);
-            let centre = self.estimator.centre_of_mass(pose);
-            self.speeds.pose(
-                pose.capture,
-                centre.position,
-                centre.yaw,
-                &self.config.watch,
-            );
-            let config = &self.config;
-            let rear_axle = config.estimator.rear_axle_distance;
-            let step = self
-                .steps
-                .pose(pose.capture, centre.position, centre.yaw, rear_axle);
-            if let Some(step) = step {
-                if matches!(self.supervisor.mode(), Mode::Driving | Mode::Slowing) {
-                    let wheelbase = config.estimator.wheelbase;
-                    let pace = step.rear.norm() / step.time;
-                    let variance = config.estimator.acceleration_variance(pace * pace);
-                    self.start.step(&step, variance);
-                    self.gyro.step(&step);
-                    self.sideslip.step(&step, &config.watch);
-                    self.steering.step(&step, wheelbase, &config.watch);
-                    if let Some(proving) = &mut self.proving {
-                        proving.step(&step, wheelbase, config.watch.pulse_distance);
-                    }
-                } else if self.supervisor.mode() != Mode::Jogging {
-                    self.push.step(&step);
-                }
-            }
+            let mode = self.supervisor.mode();
+            self.watches
+                .observe_accepted(pose, &self.estimator, mode, &self.config);
         }
         verdict
     }
@@ -105,19 +76,10 @@ impl Pilot {
         self.supervisor.handle_board(sample.state);
         self.motor_speed = sample.motor_speed;
         self.board_time = Some(sample.time);
-        self.steps.motor(sample.time, sample.motor_speed);
-        if let Some(inertial) = &sample.inertial {
-            self.imu_time = Some(inertial.time);
-            let supervisor = &self.config.supervisor;
-            let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
-            self.imu.handle(inertial, &self.config.watch, still);
-            let rests = self.imu.is_still()
-                && sample.motor_speed == 0.0
-                && !self.supervisor.mode().commands();
-            self.steps.inertial(inertial, rests);
-        }
-        self.speeds.motor(sample.motor_speed);
+        let mode = self.supervisor.mode();
+        self.watches.observe_board(sample, mode, &self.config);
         if let Some(inertial) = sample.inertial {
+            self.imu_time = Some(inertial.time);
             self.estimator.handle_inertial(inertial, sample.motor_speed);
         }
     }

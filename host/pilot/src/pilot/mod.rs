@@ -1,35 +1,29 @@
 //! The whole controller as one value: events of a tick in, one command out.
 
+mod act;
 mod compensation;
-mod drive;
 mod events;
 mod interface;
+mod judge;
 mod observe;
 mod safety;
 mod sense;
 mod tune;
-mod verdicts;
+mod watches;
 
-use libm::rint;
 use singletrack_control::{
-    Estimate, Estimator, Governor, LimitedLaw, OuterLoop, Reference, Time, TrackingLoop, Velocity,
+    Estimator, Governor, LimitedLaw, Reference, Time, TrackingLoop, Velocity,
 };
 
 use crate::{
     event::{Event, Jog},
     refusal::SetpointRefusal,
     supervisor::{Mode, Reason, Supervisor},
-    watch::{
-        AttitudeWatch, BlindWatch, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
-        PROVING_SPEED, Proving, PushWatch, SideslipWatch, SlideWatch, SpeedWatch, StartWatch,
-        SteeringWatch, Steps, StopWatch, TickWatch,
-    },
 };
 
 use compensation::Compensator;
-use drive::command;
 use safety::Safety;
-use sense::Sensed;
+use watches::Watches;
 
 pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, Underway};
@@ -57,31 +51,15 @@ pub struct Pilot {
     wanted_point_distance: f64,
     estimator: Estimator,
     supervisor: Supervisor,
-    imu: ImuWatch,
-    speeds: SpeedWatch,
-    ticks: TickWatch,
-    blind: BlindWatch,
-    stops: StopWatch,
-    steps: Steps,
-    sideslip: SideslipWatch,
-    slide: SlideWatch,
-    steering: SteeringWatch,
-    gyro: GyroWatch,
-    start: StartWatch,
+    watches: Watches,
     /// The operator's last pulses, in [`Mode::Jogging`].
     jog: Option<Jog>,
     /// Why a set-point of this tick is not obeyed.
     setpoint_refused: Option<SetpointRefusal>,
     /// The steering of the last command, rad: with the wave of the proving run.
     commanded_steering: f64,
-    innovations: InnovationWatch,
-    frozen: FrozenWatch,
-    attitude: AttitudeWatch,
-    push: PushWatch,
     /// Whether the configuration has been proved on this car.
     proved: bool,
-    /// The comparison of the sensors; only in a drive of an unproved configuration.
-    proving: Option<Proving>,
     /// When the board made its last record.
     board_time: Option<Time>,
     imu_time: Option<Time>,
@@ -105,26 +83,11 @@ impl Pilot {
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
-            imu: ImuWatch::default(),
-            speeds: SpeedWatch::default(),
-            ticks: TickWatch::default(),
-            blind: BlindWatch::default(),
-            stops: StopWatch::default(),
-            steps: Steps::default(),
-            sideslip: SideslipWatch::default(),
-            slide: SlideWatch::default(),
-            steering: SteeringWatch::default(),
-            gyro: GyroWatch::default(),
-            start: StartWatch::default(),
+            watches: Watches::default(),
             jog: None,
             setpoint_refused: None,
             commanded_steering: 0.0,
-            innovations: InnovationWatch::default(),
-            frozen: FrozenWatch::default(),
-            attitude: AttitudeWatch::default(),
-            push: PushWatch::default(),
             proved: false,
-            proving: None,
             board_time: None,
             imu_time: None,
             pose_time: None,
@@ -158,8 +121,7 @@ impl Pilot {
         self.safety = Safety::new(config.safety.as_ref());
         self.estimator.reconfigure(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
-        self.speeds.reset();
-        self.steps.reset();
+        self.watches.reset();
         self.pose_time = None;
         Ok(())
     }
@@ -169,7 +131,7 @@ impl Pilot {
     /// compensated, and in the first metre of an unproved configuration.
     #[must_use]
     pub fn speed_for_board(&self, speed: f64, rate: f64) -> f64 {
-        if !self.config.compensation.clock || self.proving.is_some() {
+        if !self.config.compensation.clock || self.watches.proving.is_some() {
             return speed;
         }
         let limits = &self.config.limits;
@@ -202,176 +164,47 @@ impl Pilot {
     /// returns the command until the next one.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let sensed = self.sense(now, events, None, |_, _, _| {});
-        let Sensed {
-            estimate,
-            speeds,
-            held,
-            last_tick,
-            ..
-        } = sensed;
-        let period = self.config.period;
-        let was = self.supervisor.mode();
-        let mut request = self.supervisor.step(&self.conditions(now, &sensed));
-        let mode = self.supervisor.mode();
-        if mode == Mode::Driving && was == Mode::Arming {
-            self.drive_start = Some(now);
-            self.law.reset();
-            self.tracking.reset();
-            self.applied = Velocity::zeros();
-            if let Some(governor) = &mut self.governor {
-                governor.reset();
-            }
-            if let Some(compensator) = &mut self.compensator {
-                compensator.begin(self.law.actuation().steering);
-            }
-            self.safety.begin(self.commanded_steering);
-            self.begin_watches();
-            let unproved = self.config.supervisor.prove && !self.proved;
-            self.proving = unproved.then(Proving::default);
+        let verdict = self.judge(&sensed);
+        let (action, singular) = self.act(&sensed);
+        let fault = singular.map(|reason| self.fault(reason, &sensed));
+        self.commanded_steering = action
+            .command
+            .map_or(action.actuation.steering, |command| command.steering);
+        if let Some(compensator) = &mut self.compensator {
+            compensator.commanded(now, self.commanded_steering);
         }
-        if mode != Mode::Jogging || was != Mode::Jogging {
-            // Pulses from before the board was armed do not count.
-            self.jog = None;
-        }
-        let follows = |mode| matches!(mode, Mode::Driving | Mode::Slowing);
-        if follows(mode) || mode == Mode::Jogging {
-            self.stops.end();
-        } else if was == Mode::Jogging {
-            self.stops.begin_after_jogging(now, &speeds);
-        } else if follows(was) {
-            let commanded = if mode == Mode::Stopping {
-                self.law.actuation().speed
-            } else {
-                0.0
-            };
-            let share = self.speeds.motor_share();
-            self.stops.begin(now, &speeds, commanded, share);
-            if self.supervisor.reason().is_some_and(Reason::doubts_cameras) {
-                self.stops.doubt_cameras();
-            }
-        }
-        if !mode.commands() {
-            self.proving = None;
-        }
-        let stop = self.stops.tick(now, &speeds, &self.stop_limits());
-        if stop.disobeyed {
-            request = Some(self.supervisor.stop_not_obeyed(now));
-        }
-        let mode = self.supervisor.mode();
-        if matches!(mode, Mode::Idle | Mode::Disconnected | Mode::Fault) {
-            self.stand_by();
-        }
-
-        let mut output = Output {
-            mode,
+        let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);
+        let disproved = self.proved && (self.supervisor.is_contradicted() || is_too_weak);
+        self.proved &= !disproved;
+        Output {
+            mode: self.supervisor.mode(),
             reason: self.supervisor.reason(),
-            estimate,
-            held,
-            drive_time: None,
-            reference: None,
-            point: None,
-            point_velocity: None,
-            actuation: self.law.actuation(),
-            turning_round: false,
-            looked_ahead: None,
-            path: None,
-            slowed_by: None,
-            command: None,
+            estimate: sensed.estimate,
+            held: sensed.held,
+            drive_time: action.drive_time,
+            reference: action.reference,
+            point: action.point,
+            point_velocity: action.point_velocity,
+            actuation: action.actuation,
+            turning_round: action.turning_round,
+            looked_ahead: action.looked_ahead,
+            path: action.path,
+            slowed_by: action.slowed_by,
+            command: action.command,
             jog: self.jog,
-            request,
-            proved: false,
-            disproved: false,
-            braking_measured: stop.measured,
+            request: fault.or(verdict.request),
+            proved: action.proved,
+            disproved,
+            braking_measured: action.coasted.or(verdict.braking_measured),
             preflight: self.supervisor.preflight(),
             setpoint: match &self.config.reference {
                 Reference::External(external) => external.in_force(),
                 _ => None,
             },
             setpoint_refused: self.setpoint_refused,
-            filtering: Filtering::None,
-            filtered_ticks: self.safety.ticks,
+            filtering: action.filtering,
+            filtered_ticks: action.filtered_ticks,
             tuned: self.tuned(),
-        };
-        if let Some(estimate) = &estimate {
-            let law = self.law.law();
-            let wheels = self.wheels();
-            output.point = Some(law.point(estimate.position, estimate.yaw, wheels));
-            // A sideslip that the car can't have is not acted on.
-            let believed = Estimate {
-                sideslip: if self.slide.is_beyond() {
-                    0.0
-                } else {
-                    estimate.sideslip
-                },
-                ..*estimate
-            };
-            let estimate = &believed;
-            match mode {
-                Mode::Driving => {
-                    if let Err(reason) = self.drive(now, estimate, &mut output) {
-                        request = Some(self.supervisor.fault(reason, now));
-                        let share = self.speeds.motor_share();
-                        self.stops.begin(now, &speeds, 0.0, share);
-                        self.proving = None;
-                        self.stand_by();
-                        output.mode = self.supervisor.mode();
-                        output.reason = self.supervisor.reason();
-                        output.preflight = self.supervisor.preflight();
-                        output.command = None;
-                        output.request = request;
-                    }
-                }
-                Mode::Slowing | Mode::Stopping => {
-                    // Ticks that are late or left out must not make the stop longer.
-                    let elapsed = last_tick.map_or(period, |last| now.seconds_since(last));
-                    let periods = rint(elapsed / period).max(1.0);
-                    let actuation = self
-                        .law
-                        .slow_down(self.config.stop_deceleration, periods * period);
-                    // P leaves its reference here; a drive that goes on begins to follow anew.
-                    self.tracking.reset();
-                    self.applied = self.given_by(estimate, &actuation);
-                    output.drive_time = self.drive_start.map(|start| now.seconds_since(start));
-                    output.actuation = actuation;
-                    output.command = Some(command(estimate, &actuation, true));
-                }
-                Mode::Disconnected
-                | Mode::Idle
-                | Mode::Ready
-                | Mode::Arming
-                | Mode::Fault
-                | Mode::Jogging => {}
-            }
         }
-        self.commanded_steering = output
-            .command
-            .map_or(output.actuation.steering, |command| command.steering);
-        if let Some(compensator) = &mut self.compensator {
-            compensator.commanded(now, self.commanded_steering);
-        }
-        let contradicted =
-            self.supervisor.is_contradicted() || self.stops.is_too_weak(self.config.braking);
-        if self.proved && contradicted {
-            self.proved = false;
-            output.disproved = true;
-        }
-        output
-    }
-
-    /// A drive begins: what its watches saw of the last one is forgotten.
-    fn begin_watches(&mut self) {
-        self.speeds.reset();
-        self.sideslip.reset();
-        self.slide = SlideWatch::default();
-        self.steering.reset();
-        self.gyro.reset();
-        self.start.reset();
-        self.innovations.reset();
-    }
-
-    /// Ends the drive: clears its start and the state of the law, and keeps the reason.
-    fn stand_by(&mut self) {
-        self.drive_start = None;
-        self.law.reset();
     }
 }

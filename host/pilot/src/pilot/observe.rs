@@ -47,15 +47,15 @@ impl Pilot {
             }
         });
         if self.supervisor.observe(commanded.drives, now) {
-            self.begin_watches();
+            self.watches.begin(false);
             // A drive of ours is armed only where they are not too rare.
-            self.steps.begin(now);
+            self.watches.steps.begin(now);
             // Not so a drive of ours, which begins with a car at rest.
             if self.motor_speed.abs() >= self.config.supervisor.standing_speed {
-                self.start.skip();
+                self.watches.drive.start.skip();
             }
         }
-        let conditions = self.conditions(now, &sensed);
+        let conditions = self.conditions(&sensed);
         Observed {
             estimate: sensed.estimate,
             stop: self.supervisor.observed(&conditions),

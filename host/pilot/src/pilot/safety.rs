@@ -5,12 +5,8 @@ use singletrack_control::{
     SafetyInput, Singularity, SpeedDemand, SteeringDemand, Velocity,
 };
 
-use super::{Output, Pilot};
-use crate::{
-    supervisor::Reason,
-    watch::{PROVING_SPEED, WAVE},
-    words::words,
-};
+use super::{Pilot, act::Action};
+use crate::{supervisor::Reason, watch::WAVE, words::words};
 
 words! {
     /// What the safety filter did in a tick.
@@ -85,19 +81,14 @@ impl Pilot {
             estimate,
             law: &self.law,
             wheels,
-            wave: if self.proving.is_some() { WAVE } else { 0.0 },
-            blind: self.blind.distance(),
-            braking: self.braking(),
+            wave: if self.watches.proving.is_some() {
+                WAVE
+            } else {
+                0.0
+            },
+            blind: self.watches.blind.distance(),
+            braking: self.watches.braking(&self.config),
             period: self.config.period,
-        }
-    }
-
-    /// The most that the first metre leaves of a speed, m/s.
-    const fn speed_cap(&self) -> f64 {
-        if self.proving.is_some() {
-            PROVING_SPEED
-        } else {
-            f64::INFINITY
         }
     }
 
@@ -112,10 +103,10 @@ impl Pilot {
         estimate: &Estimate,
         step: &LawStep,
         wanted: &Velocity,
-        output: &mut Output,
+        action: &mut Action,
     ) -> Result<Actuation, Singularity> {
-        output.point_velocity = Some(*wanted);
-        let (period, cap) = (self.config.period, self.speed_cap());
+        action.point_velocity = Some(*wanted);
+        let (period, cap) = (self.config.period, self.watches.speed_cap());
         let advance = |law: &mut LimitedLaw, velocity: &Velocity| {
             law.step_ahead(&step.motion, estimate.speed, velocity, &step.ahead, period)
         };
@@ -133,12 +124,12 @@ impl Pilot {
             Filtered::Limited(velocity) => (Filtering::Limited, velocity),
             Filtered::Scaled(velocity) => (Filtering::Scaled, velocity),
             Filtered::Stop => {
-                output.point_velocity = None;
+                action.point_velocity = None;
                 return Ok(self.stop_by_filter(wanted.norm().is_finite()));
             }
         };
         self.safety.note(filtering);
-        output.point_velocity = Some(velocity);
+        action.point_velocity = Some(velocity);
         advance(&mut self.law, &velocity)
     }
 
@@ -154,7 +145,7 @@ impl Pilot {
         steering: SteeringDemand,
         speed: SpeedDemand,
     ) -> Result<Actuation, Singularity> {
-        let (period, cap) = (self.config.period, self.speed_cap());
+        let (period, cap) = (self.config.period, self.watches.speed_cap());
         let Some(filter) = &self.safety.filter else {
             return self.law.follow(steering, speed, period);
         };

@@ -1,17 +1,17 @@
-//! What a tick senses: events to estimate and speeds, and the conditions that they make.
+//! What a tick senses: events to estimate and speeds.
 
 use libm::fabs;
-use singletrack_control::{Estimate, PoseVerdict, Reference, Time};
+use singletrack_control::{Estimate, PoseVerdict, Time};
 
 use super::Pilot;
-use crate::{
-    event::Event,
-    supervisor::Conditions,
-    watch::{PROVING_SPEED, Speeds},
-};
+use crate::{event::Event, watch::Speeds};
+
+/// The longest age of telemetry whose motor speed counts, s.
+const MOTOR_RECENT: f64 = 0.2;
 
 /// What a tick senses.
 pub(super) struct Sensed {
+    pub(super) now: Time,
     pub(super) estimate: Option<Estimate>,
     pub(super) speeds: Speeds,
     /// The largest of all speeds: estimated, measured and commanded, m/s.
@@ -20,7 +20,7 @@ pub(super) struct Sensed {
     pub(super) held: bool,
     pub(super) last_tick: Option<Time>,
     /// Speed of the last command, m/s.
-    commanded_speed: f64,
+    pub(super) commanded_speed: f64,
 }
 
 impl Pilot {
@@ -57,73 +57,26 @@ impl Pilot {
         let pace = fabs(speed)
             .max(fabs(self.motor_speed))
             .max(fabs(commanded_speed));
-        self.steps.tick(now, self.commanded_steering);
-        self.attitude.tick(now);
-        let speeds = self.speeds_at(now, estimate.as_ref());
-        let (period, watch) = (self.config.period, &self.config.watch);
-        self.blind.advance(now, pace);
-        let (sent, braking) = (self.commanded_steering, self.braking());
-        self.safety.observe(pace, sent, braking, period);
-        self.ticks.tick(now, period, watch);
-        let max_speed = self.config.limits.max_speed;
-        let most = match &self.proving {
-            Some(_) => max_speed.min(PROVING_SPEED),
-            None => max_speed,
-        };
-        self.speeds.tick(speed, most, watch);
-        let (car, limits) = (&self.config.estimator, &self.config.limits);
-        self.slide.tick(estimate.as_ref(), car, limits);
+        let (steering, config) = (self.commanded_steering, &self.config);
+        self.watches
+            .observe_tick(now, estimate.as_ref(), pace, steering, config);
+        let braking = self.watches.braking(config);
+        self.safety.observe(pace, steering, braking, config.period);
+        let heard = self
+            .board_time
+            .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);
         Sensed {
+            now,
             estimate,
-            speeds,
+            speeds: Speeds {
+                motor: heard.then_some(self.motor_speed),
+                cameras: self.watches.steps.camera_speed(now),
+                estimate: estimate.map(|estimate| estimate.speed),
+            },
             pace,
             held,
             last_tick,
             commanded_speed,
-        }
-    }
-
-    /// What the supervisor judges by.
-    pub(super) fn conditions(&self, now: Time, sensed: &Sensed) -> Conditions {
-        let watch = &self.config.watch;
-        let drive_time = self.drive_start.map(|start| now.seconds_since(start));
-        let (estimate, speeds) = (sensed.estimate.as_ref(), &sensed.speeds);
-        Conditions {
-            now,
-            pose_time: self.pose_time,
-            blind_distance: self.blind.distance(),
-            poses: self.estimator.poses(),
-            implausible: self.estimator.implausible_in_a_row(),
-            imu_time: self.imu_time,
-            imu: self.imu.verdict(self.estimator.gyro_bias(), watch),
-            imu_still: self.imu.is_still(),
-            speed: estimate.map_or(0.0, |estimate| estimate.speed),
-            motor_speed: self.motor_speed,
-            camera_speed: speeds.cameras,
-            stands: speeds
-                .worst()
-                .is_some_and(|speed| speed < self.config.supervisor.standing_speed),
-            preflight: self.preflight(),
-            doubt: self.doubt(now),
-            implausible_motion: self.implausible_motion(),
-            contradiction: self.contradiction(),
-            speed_mismatch: self.speeds.is_mismatched(),
-            overspeed: self.speeds.is_overspeed(),
-            commanded_speed: sensed.commanded_speed,
-            filter: self.safety.ends,
-            inside_fence: estimate.is_none_or(|estimate| self.stops_inside(estimate, sensed.pace)),
-            late: self.ticks.is_late(watch),
-            setpoint_stale: match &self.config.reference {
-                Reference::External(external) => external.is_stale(now),
-                _ => false,
-            },
-            reference_finished: match (drive_time, self.config.reference.duration()) {
-                (Some(time), Some(duration)) => {
-                    let governor = self.governor.as_ref();
-                    governor.map_or(time, |governor| governor.path_at(time)) >= duration
-                }
-                _ => false,
-            },
         }
     }
 }

@@ -8,7 +8,7 @@ use singletrack_control::Time;
 
 use super::{conditions::Conditions, config::SupervisorConfig, reason::Reason};
 use crate::{
-    event::{BoardHealth, BoardState, LineHealth, LinkState, PoseMissing, RealTimeState},
+    event::{BoardHealth, BoardState, LineHealth, LinkState, RealTimeState},
     watch::ImuVerdict,
 };
 
@@ -33,7 +33,8 @@ fn volts(health: &BoardHealth) -> f64 {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LatestState {
     link: LinkState,
-    board: Option<BoardState>,
+    /// The state of the board's safety machine; `None` before the first telemetry.
+    pub(super) board: Option<BoardState>,
     health: Option<BoardHealth>,
     /// Whether a status message has come since the last tick.
     health_heard: bool,
@@ -41,10 +42,10 @@ pub(super) struct LatestState {
     health_time: Time,
     /// Reports in a row of a battery too low to drive with.
     battery_low: u32,
-    line: Option<LineHealth>,
-    real_time: Option<RealTimeState>,
+    pub(super) line: Option<LineHealth>,
+    pub(super) real_time: Option<RealTimeState>,
     /// Whether the cameras' session has locked the rigid body out.
-    untrustworthy: bool,
+    pub(super) untrustworthy: bool,
 }
 
 impl LatestState {
@@ -82,38 +83,11 @@ impl LatestState {
         };
     }
 
-    pub(super) const fn set_line(&mut self, line: LineHealth) {
-        self.line = Some(line);
-    }
-
-    pub(super) const fn set_real_time(&mut self, state: RealTimeState) {
-        self.real_time = Some(state);
-    }
-
-    pub(super) const fn set_board(&mut self, board: BoardState) {
-        self.board = Some(board);
-    }
-
-    pub(super) const fn set_pose_missing(&mut self, missing: PoseMissing) {
-        if matches!(missing, PoseMissing::Untrustworthy) {
-            self.untrustworthy = true;
-        }
-    }
-
-    pub(super) const fn set_pose_accepted(&mut self) {
-        self.untrustworthy = false;
-    }
-
     /// Dates a status message that has come since the last tick.
     pub(super) fn begin_tick(&mut self, now: Time) {
         if core::mem::take(&mut self.health_heard) {
             self.health_time = now;
         }
-    }
-
-    /// The state of the board's safety machine; `None` before the first telemetry.
-    pub(super) const fn board(&self) -> Option<BoardState> {
-        self.board
     }
 
     /// The reason of a stop that the board has latched until it is reset.
@@ -139,20 +113,10 @@ impl LatestState {
     /// Whether the board can be asked to arm.
     const fn check_board(&self) -> Option<Reason> {
         match self.board {
-            None | Some(BoardState::Booting) => return Some(Reason::BoardBooting),
-            Some(BoardState::EmergencyStopped) => return Some(Reason::EmergencyStop),
-            Some(BoardState::RunsAtNeutral) => return Some(Reason::RunsAtNeutral),
-            Some(
-                BoardState::Armed
-                | BoardState::Driving
-                | BoardState::PoweringUp
-                | BoardState::Jogging,
-            ) => {
-                return Some(Reason::BoardArmed);
-            }
-            Some(BoardState::Neutral | BoardState::Failsafe) => {}
+            None | Some(BoardState::Booting) => Some(Reason::BoardBooting),
+            Some(board) if board.is_armed() => Some(Reason::BoardArmed),
+            Some(_) => self.latched(),
         }
-        None
     }
 
     /// The arming check: everything that must hold before the board is asked to arm.

@@ -94,20 +94,27 @@ pub struct Supervisor {
     poses_before: u32,
     /// Whether the board has reported a latched emergency stop since the fault began.
     latched: bool,
-    arm_requested: Option<Arming>,
-    stop_requested: Option<Reason>,
-    emergency_requested: bool,
-    /// Whether the stop is to be at neutral at once.
-    halt_requested: bool,
-    arm_refused: bool,
-    /// Whether the operator has renewed the drive since the last tick.
-    hold_heard: bool,
-    /// Whether the operator has given pulses since the last tick.
-    jog_heard: bool,
+    heard: Heard,
     /// Whether the board is armed to jog, and not to drive.
     jogs: bool,
     /// The tick that saw the last renewal; `None` unless the drive is held.
     held: Option<Time>,
+}
+
+/// What was asked and answered since the last step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Heard {
+    arm: Option<Arming>,
+    stop: Option<Reason>,
+    emergency: bool,
+    /// Whether the stop is to be at neutral at once.
+    halt: bool,
+    /// Whether the board refused to arm.
+    refused: bool,
+    /// Whether the operator has renewed the drive.
+    hold: bool,
+    /// Whether the operator has given pulses.
+    jog: bool,
 }
 
 /// How a drive is armed.
@@ -124,7 +131,7 @@ enum Arming {
 impl Supervisor {
     /// A supervisor in [`Mode::Disconnected`], before any event.
     #[must_use]
-    pub const fn new(config: SupervisorConfig) -> Self {
+    pub fn new(config: SupervisorConfig) -> Self {
         Self {
             config,
             mode: Mode::Disconnected,
@@ -137,13 +144,7 @@ impl Supervisor {
             latest: LatestState::new(),
             poses_before: 0,
             latched: false,
-            arm_requested: None,
-            stop_requested: None,
-            emergency_requested: false,
-            halt_requested: false,
-            arm_refused: false,
-            hold_heard: false,
-            jog_heard: false,
+            heard: Heard::default(),
             jogs: false,
             held: None,
         }
@@ -200,81 +201,76 @@ impl Supervisor {
 
     /// The share of damaged frames was measured.
     pub const fn handle_line(&mut self, line: LineHealth) {
-        self.latest.set_line(line);
+        self.latest.line = Some(line);
     }
 
     /// The system granted or refused real-time scheduling and locked memory.
     pub const fn handle_real_time(&mut self, state: RealTimeState) {
-        self.latest.set_real_time(state);
+        self.latest.real_time = Some(state);
     }
 
     /// Telemetry shows the state of the board's safety machine.
     pub const fn handle_board(&mut self, board: BoardState) {
-        self.latest.set_board(board);
+        self.latest.board = Some(board);
     }
 
     /// The board refused to arm. It counts only in [`Mode::Arming`].
     pub const fn handle_arm_refused(&mut self) {
-        self.arm_refused = true;
+        self.heard.refused = true;
     }
 
     /// A frame of the cameras brought no pose. [`PoseMissing::Untrustworthy`] holds until
     /// the next accepted pose.
     pub const fn handle_pose_missing(&mut self, missing: PoseMissing) {
-        self.latest.set_pose_missing(missing);
+        self.latest.untrustworthy |= matches!(missing, PoseMissing::Untrustworthy);
     }
 
     /// The estimator accepted a pose.
     pub const fn handle_pose(&mut self) {
-        self.latest.set_pose_accepted();
+        self.latest.untrustworthy = false;
     }
 
     /// A request from a person or a program, judged in the next step.
     pub const fn handle_request(&mut self, request: PilotRequest) {
         match request {
-            PilotRequest::Arm => self.arm_requested = Some(Arming::Unattended),
-            PilotRequest::ArmHeld => self.arm_requested = Some(Arming::Held),
-            PilotRequest::ArmJog => self.arm_requested = Some(Arming::Jog),
-            PilotRequest::Hold => self.hold_heard = true,
+            PilotRequest::Arm => self.heard.arm = Some(Arming::Unattended),
+            PilotRequest::ArmHeld => self.heard.arm = Some(Arming::Held),
+            PilotRequest::ArmJog => self.heard.arm = Some(Arming::Jog),
+            PilotRequest::Hold => self.heard.hold = true,
             PilotRequest::Disarm | PilotRequest::Carried => self.request_stop(Reason::Requested),
             PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),
             PilotRequest::TimeUp => self.request_stop(Reason::TimeUp),
             PilotRequest::Halt => {
                 self.request_stop(Reason::OperatorGone);
-                self.halt_requested = true;
+                self.heard.halt = true;
             }
-            PilotRequest::EmergencyStop => self.emergency_requested = true,
+            PilotRequest::EmergencyStop => self.heard.emergency = true,
         }
     }
 
     /// The operator gave pulses.
     pub const fn handle_jog(&mut self) {
-        self.jog_heard = true;
+        self.heard.jog = true;
     }
 
     const fn request_stop(&mut self, reason: Reason) {
         // Of several, an explicit disarm counts: only that acknowledges a fault.
-        if !matches!(self.stop_requested, Some(Reason::Requested)) {
-            self.stop_requested = Some(reason);
+        if !matches!(self.heard.stop, Some(Reason::Requested)) {
+            self.heard.stop = Some(reason);
         }
         // A stop revokes an arm before it.
-        self.arm_requested = None;
+        self.heard.arm = None;
     }
 
     /// Runs the checks, changes the mode by the table of the module, and returns what to
     /// ask of the board.
     pub fn step(&mut self, conditions: &Conditions) -> Option<BoardRequest> {
-        let arm = self.arm_requested.take();
-        let mut stop = self.stop_requested.take();
-        let emergency = core::mem::take(&mut self.emergency_requested);
-        let halt = core::mem::take(&mut self.halt_requested);
-        let refused = core::mem::take(&mut self.arm_refused);
+        let heard = core::mem::take(&mut self.heard);
+        let mut stop = heard.stop;
         let now = conditions.now;
         self.latest.begin_tick(now);
         let jogging = self.mode == Mode::Jogging;
-        let hold_heard = core::mem::take(&mut self.hold_heard);
-        let jog_heard = core::mem::take(&mut self.jog_heard);
-        if self.held.is_some() && (jog_heard || (hold_heard && !jogging)) {
+        if self.held.is_some() && (heard.jog || (heard.hold && !jogging)) {
             self.held = Some(now);
         }
         let longest = if jogging { JOG_TIMEOUT } else { HOLD_TIMEOUT };
@@ -284,16 +280,14 @@ impl Supervisor {
             stop = stop.or(Some(Reason::OperatorGone));
         }
 
-        if emergency {
+        if heard.emergency {
             // Also without a link: the session repeats it until the board confirms it.
             self.latched = false;
-            let worse = self.mode == Mode::Fault && self.reason == Some(Reason::StopNotObeyed);
-            let reason = if worse {
-                Reason::StopNotObeyed
-            } else {
-                Reason::EmergencyStop
-            };
-            self.enter(Mode::Fault, Some(reason), now);
+            // A stop that was not obeyed is worse.
+            let worse = self
+                .reason
+                .filter(|&reason| self.mode == Mode::Fault && reason == Reason::StopNotObeyed);
+            self.enter(Mode::Fault, worse.or(Some(Reason::EmergencyStop)), now);
             return Some(BoardRequest::EmergencyStop);
         }
         if self.mode == Mode::Fault {
@@ -304,7 +298,7 @@ impl Supervisor {
             self.enter(Mode::Disconnected, unlinked, now);
             return None;
         }
-        if halt && self.mode.commands() {
+        if heard.halt && self.mode.commands() {
             if self.follow_stopped_board(now) {
                 return None;
             }
@@ -313,9 +307,9 @@ impl Supervisor {
         }
         match self.mode {
             Mode::Disconnected | Mode::Idle | Mode::Ready => {
-                self.standing_step(arm, stop, conditions)
+                self.standing_step(heard.arm, stop, conditions)
             }
-            Mode::Arming => self.arming_step(stop, refused, conditions),
+            Mode::Arming => self.arming_step(stop, heard.refused, conditions),
             Mode::Driving | Mode::Slowing => self.driving_step(stop, conditions),
             Mode::Stopping => self.stopping_step(conditions),
             Mode::Jogging => self.jogging_step(stop, conditions),
@@ -367,7 +361,7 @@ impl Supervisor {
             }
             return cleared.then_some(BoardRequest::Disarm);
         }
-        let board = self.latest.board();
+        let board = self.latest.board;
         let latched = self.latest.latched().is_some();
         self.latched |= latched;
         let board_was_reset =
@@ -387,7 +381,7 @@ impl Supervisor {
         conditions: &Conditions,
     ) -> Option<BoardRequest> {
         let now = conditions.now;
-        let board = self.latest.board();
+        let board = self.latest.board;
         if stop == Some(Reason::Requested) {
             self.unacknowledged = None;
         }
@@ -467,7 +461,7 @@ impl Supervisor {
         if let Some(reason) = failed {
             return self.abort_arming(reason, now);
         }
-        if self.latest.board() == Some(BoardState::Armed) {
+        if self.latest.board == Some(BoardState::Armed) {
             if self.jogs {
                 self.held = Some(now);
                 self.enter(Mode::Jogging, None, now);
@@ -482,7 +476,7 @@ impl Supervisor {
 
     /// The longest time that the board may take, s: longer once it switches the supply on.
     fn arm_timeout(&self) -> f64 {
-        let powering_up = self.latest.board() == Some(BoardState::PoweringUp);
+        let powering_up = self.latest.board == Some(BoardState::PoweringUp);
         self.config.arm_timeout + if powering_up { POWER_UP } else { 0.0 }
     }
 
@@ -603,32 +597,24 @@ impl Supervisor {
     /// Leaves the drive if the board is no longer armed; true if so. There is nothing to
     /// ask of the board then.
     fn follow_stopped_board(&mut self, now: Time) -> bool {
-        let (mode, reason) = match self.latest.board() {
-            Some(BoardState::Armed | BoardState::Driving | BoardState::Jogging) => return false,
-            Some(BoardState::EmergencyStopped) => (Mode::Fault, Reason::EmergencyStop),
-            Some(BoardState::RunsAtNeutral) => (Mode::Fault, Reason::RunsAtNeutral),
-            None
-            | Some(
-                BoardState::Booting
-                | BoardState::Neutral
-                | BoardState::Failsafe
-                | BoardState::PoweringUp,
-            ) => (Mode::Idle, Reason::BoardFailsafe),
+        let follows = [BoardState::Armed, BoardState::Driving, BoardState::Jogging];
+        if self
+            .latest
+            .board
+            .is_some_and(|board| follows.contains(&board))
+        {
+            return false;
+        }
+        let (mode, reason) = match self.latest.latched() {
+            Some(reason) => (Mode::Fault, reason),
+            None => (Mode::Idle, Reason::BoardFailsafe),
         };
         self.enter(mode, Some(reason), now);
         true
     }
 
     fn enter(&mut self, mode: Mode, reason: Option<Reason>, now: Time) {
-        let was_underway = matches!(
-            self.mode,
-            Mode::Arming
-                | Mode::Driving
-                | Mode::Slowing
-                | Mode::Stopping
-                | Mode::Jogging
-                | Mode::Fault
-        );
+        let was_underway = self.mode.is_underway() || self.mode == Mode::Fault;
         let goes_on = matches!(mode, Mode::Driving | Mode::Slowing | Mode::Jogging);
         if (was_underway && !goes_on) || mode == Mode::Fault {
             self.ended = reason.or(self.ended);
@@ -642,15 +628,7 @@ impl Supervisor {
             self.held = None;
         }
         // The arming check of the next tick says what is left of it.
-        self.preflight = match mode {
-            Mode::Ready
-            | Mode::Arming
-            | Mode::Driving
-            | Mode::Slowing
-            | Mode::Stopping
-            | Mode::Jogging => None,
-            Mode::Disconnected | Mode::Idle | Mode::Fault => reason,
-        };
+        self.preflight = reason.filter(|_| !mode.is_underway() && mode != Mode::Ready);
         self.reason = reason;
     }
 }

@@ -3,7 +3,7 @@
 use libm::{atan2, fabs, hypot, sincos};
 use singletrack_control::Time;
 
-use super::{config::WatchConfig, steps::Step};
+use super::{config::WatchConfig, count, steps::Step};
 use crate::{
     event::{AttitudeSample, Tilt},
     supervisor::Reason,
@@ -40,11 +40,9 @@ impl AttitudeWatch {
             self.height = Some((height, None));
         }
         if let Some(uncertainty) = sample.capture_uncertainty {
-            self.uncertain = if uncertainty <= config.max_capture_uncertainty {
-                0
-            } else {
-                self.uncertain.saturating_add(1)
-            };
+            // A NaN is uncertain.
+            let is_certain = uncertainty <= config.max_capture_uncertainty;
+            count(&mut self.uncertain, !is_certain);
         }
     }
 

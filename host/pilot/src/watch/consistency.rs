@@ -3,7 +3,7 @@
 use libm::{atan2, copysign, fabs, tan};
 use singletrack_control::{PoseSample, Time};
 
-use super::{config::WatchConfig, steps::Step};
+use super::{config::WatchConfig, count, steps::Step};
 
 /// Poses that repeat to the last bit.
 #[derive(Clone, Copy, Debug, Default)]
@@ -74,12 +74,9 @@ impl SideslipWatch {
         }
         let angle = fabs(atan2(self.across, self.along));
         let fits = angle <= self.allowed / self.way;
+        count(&mut self.exceeded, !fits);
         *self = Self {
-            exceeded: if fits {
-                0
-            } else {
-                self.exceeded.saturating_add(1)
-            },
+            exceeded: self.exceeded,
             ..Self::default()
         };
     }
@@ -87,11 +84,6 @@ impl SideslipWatch {
     /// Whether the sideslip is implausible.
     pub(crate) const fn is_exceeded(&self) -> bool {
         self.exceeded >= MEANS
-    }
-
-    /// Forgets the last drive.
-    pub(crate) fn reset(&mut self) {
-        *self = Self::default();
     }
 }
 
@@ -124,12 +116,9 @@ impl SteeringWatch {
         }
         let allowed = STEERED_MARGIN + config.steering_ratio * fabs(self.wanted);
         let fits = fabs(self.made - self.wanted) <= allowed;
+        count(&mut self.exceeded, !fits);
         *self = Self {
-            exceeded: if fits {
-                0
-            } else {
-                self.exceeded.saturating_add(1)
-            },
+            exceeded: self.exceeded,
             ..Self::default()
         };
     }
@@ -137,11 +126,6 @@ impl SteeringWatch {
     /// Whether the car turns otherwise than it is steered.
     pub(crate) const fn is_exceeded(&self) -> bool {
         self.exceeded >= STEERED_TIMES
-    }
-
-    /// Forgets the last drive.
-    pub(crate) fn reset(&mut self) {
-        *self = Self::default();
     }
 }
 
@@ -169,21 +153,13 @@ impl InnovationWatch {
         let innovation = if innovation > most { most } else { innovation };
         self.mean += SHARE * (innovation - self.mean);
         // A NaN exceeds it.
-        self.exceeded = if self.mean <= config.max_innovation {
-            0
-        } else {
-            self.exceeded.saturating_add(1)
-        };
+        let fits = self.mean <= config.max_innovation;
+        count(&mut self.exceeded, !fits);
     }
 
     /// Whether the innovations exceed their limit.
     pub(crate) const fn is_inconsistent(&self) -> bool {
         self.exceeded >= POSES
-    }
-
-    /// Forgets the last drive.
-    pub(crate) fn reset(&mut self) {
-        *self = Self::default();
     }
 }
 
@@ -349,7 +325,7 @@ mod tests {
         let mut watch = SideslipWatch::default();
         let mut slide = |angle: f64, reset: bool| {
             if reset {
-                watch.reset();
+                watch = SideslipWatch::default();
             }
             // One long step makes a mean.
             let step = Step {
@@ -430,7 +406,7 @@ mod tests {
         let mut watch = SteeringWatch::default();
         let mut steer = |turn: f64, reset: bool| {
             if reset {
-                watch.reset();
+                watch = SteeringWatch::default();
             }
             for _ in 0..4 {
                 watch.step(&steered(turn), WHEELBASE, &WatchConfig::paper());
@@ -492,10 +468,10 @@ mod tests {
             watch.pose(0.0, &config);
         }
         assert!(!watch.is_inconsistent());
-        watch.reset();
+        watch = InnovationWatch::default();
         assert_eq!(innovations(&mut watch, 400.0), Some(84));
         assert!(watch.is_inconsistent());
-        watch.reset();
+        watch = InnovationWatch::default();
         assert!(!watch.is_inconsistent());
         assert_eq!(innovations(&mut watch, 400.0), Some(84));
     }

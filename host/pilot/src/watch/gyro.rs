@@ -78,11 +78,6 @@ impl GyroWatch {
     pub(crate) const fn is_opposite(&self) -> bool {
         self.opposite
     }
-
-    /// Forgets the last drive.
-    pub(crate) fn reset(&mut self) {
-        *self = Self::default();
-    }
 }
 
 #[cfg(test)]
@@ -194,7 +189,7 @@ mod tests {
         while !watch.is_opposite() {
             watch.step(&step(0.1, 0.05, -0.05));
         }
-        watch.reset();
+        watch = GyroWatch::default();
         assert!(!watch.is_opposite());
     }
 }

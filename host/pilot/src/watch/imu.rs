@@ -3,7 +3,7 @@
 use libm::{fabs, hypot};
 use singletrack_control::InertialSample;
 
-use super::config::WatchConfig;
+use super::{config::WatchConfig, count};
 
 /// Whether the inertial samples are plausible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,11 +71,6 @@ impl ImuWatch {
     pub(crate) const fn is_still(&self) -> bool {
         self.still >= STILL_SAMPLES
     }
-}
-
-/// Counts repetitions; restarts from zero.
-const fn count(counter: &mut u32, again: bool) {
-    *counter = if again { counter.saturating_add(1) } else { 0 };
 }
 
 #[cfg(test)]

@@ -32,3 +32,8 @@ pub(crate) use start::StartWatch;
 pub(crate) use steps::Steps;
 pub(crate) use stop::{Speeds, StopLimits, StopWatch};
 pub(crate) use ticks::TickWatch;
+
+/// Counts repetitions; restarts from zero.
+const fn count(counter: &mut u32, again: bool) {
+    *counter = if again { counter.saturating_add(1) } else { 0 };
+}

@@ -3,7 +3,7 @@
 use libm::fabs;
 use singletrack_control::{Position, Time, direction};
 
-use super::config::WatchConfig;
+use super::{config::WatchConfig, count};
 
 /// Compares the two speeds over spans of [`SPAN`].
 ///
@@ -84,12 +84,11 @@ impl SpeedWatch {
                 + config.pulse_distance / SPAN
                 + config.speed_ratio * f64::max(fabs(seen), fabs(measured));
             // A NaN counts as a mismatch: the comparison is false.
-            self.mismatches = if fabs(seen - measured) <= allowed {
-                0
-            } else {
+            let fits = fabs(seen - measured) <= allowed;
+            count(&mut self.mismatches, !fits);
+            if !fits {
                 self.ratio = fabs(measured) / fabs(seen);
-                self.mismatches.saturating_add(1)
-            };
+            }
         }
         self.span = Some(fresh);
     }
@@ -97,18 +96,8 @@ impl SpeedWatch {
     /// A tick with the estimated speed and the speed limit, in m/s.
     pub(crate) fn tick(&mut self, speed: f64, max_speed: f64, config: &WatchConfig) {
         // A NaN is too fast: the comparison is false.
-        self.too_fast = if fabs(speed) <= max_speed + config.overspeed_margin {
-            0
-        } else {
-            self.too_fast.saturating_add(1)
-        };
-    }
-
-    /// Forgets the samples of the last drive.
-    pub(crate) const fn reset(&mut self) {
-        self.span = None;
-        self.mismatches = 0;
-        self.too_fast = 0;
+        let fits = fabs(speed) <= max_speed + config.overspeed_margin;
+        count(&mut self.too_fast, !fits);
     }
 
     /// Whether the speeds differ.
@@ -244,7 +233,7 @@ mod tests {
             watch.tick(2.0, 1.5, &WatchConfig::paper());
         }
         assert!(watch.is_mismatched() && watch.is_overspeed());
-        watch.reset();
+        watch = SpeedWatch::default();
         assert!(!watch.is_mismatched() && !watch.is_overspeed());
     }
 
@@ -312,8 +301,5 @@ mod tests {
             let found = after_a_second(seen, counted).motor_share();
             assert!((found - share).abs() < 1e-9, "{seen} {counted}: {found}");
         }
-        let mut watch = after_a_second(1.0, 0.6);
-        watch.reset();
-        assert_eq!(watch.motor_share(), 1.0, "the next drive");
     }
 }

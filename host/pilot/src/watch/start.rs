@@ -63,11 +63,6 @@ impl StartWatch {
     pub(crate) const fn differs(&self) -> bool {
         self.differs
     }
-
-    /// The next drive begins.
-    pub(crate) fn reset(&mut self) {
-        *self = Self::default();
-    }
 }
 
 #[cfg(test)]
@@ -143,7 +138,7 @@ mod tests {
         let bad = step(0.1, 0.3, -0.6, 0.0);
         let mut watch = after(&[bad, good, good]);
         assert!(watch.differs());
-        watch.reset();
+        watch = StartWatch::default();
         assert!(!watch.is_judged() && !watch.differs());
         watch.step(&good, 0.0);
         watch.step(&bad, 0.0);

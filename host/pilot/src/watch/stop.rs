@@ -3,7 +3,10 @@
 use libm::fabs;
 use singletrack_control::Time;
 
-use super::roll_out::{BEYOND, FreePart, REACTION, RollOut};
+use super::{
+    count,
+    roll_out::{BEYOND, FreePart, REACTION, RollOut},
+};
 
 /// Watches every end of a drive: the speed must fall, and the way to standstill gives the
 /// deceleration.
@@ -68,7 +71,7 @@ impl Fall {
         let allowed = from - least * now.seconds_since(since) + TOLERANCE;
         // A speed that is no number has not fallen.
         let too_fast = speed.is_nan() || speed > allowed.max(floor);
-        self.too_fast = if too_fast { self.too_fast + 1 } else { 0 };
+        count(&mut self.too_fast, too_fast);
     }
 }
 

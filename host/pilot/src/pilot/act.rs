@@ -1,0 +1,319 @@
+//! What a tick commands: reference, outer loop, safety filter, law and limits.
+
+use libm::{cos, fabs, rint};
+use singletrack_control::{
+    Actuation, Ahead, Demand, Estimate, Governor, OuterLoop, Position, Reference, ReferencePoint,
+    Singularity, SlowedBy, Time, TrackingInput, Velocity, front_point_velocity,
+};
+
+use super::{
+    Compensator, DriveCommand, Filtering, Pilot, compensation::Course, safety::LawStep,
+    sense::Sensed,
+};
+use crate::{
+    supervisor::{Mode, Reason},
+    watch::PROVING_SPEED,
+};
+
+/// What a tick commands, and what led there; see [`Output`](super::Output).
+pub(super) struct Action {
+    pub(super) drive_time: Option<f64>,
+    pub(super) reference: Option<ReferencePoint>,
+    pub(super) point: Option<Position>,
+    pub(super) point_velocity: Option<Velocity>,
+    pub(super) actuation: Actuation,
+    pub(super) turning_round: bool,
+    pub(super) looked_ahead: Option<f64>,
+    pub(super) path: Option<f64>,
+    pub(super) slowed_by: Option<SlowedBy>,
+    pub(super) command: Option<DriveCommand>,
+    pub(super) proved: bool,
+    /// The deceleration of the proving run's roll, m/s².
+    pub(super) coasted: Option<f64>,
+    pub(super) filtering: Filtering,
+    pub(super) filtered_ticks: u32,
+}
+
+/// The reference from now on.
+#[derive(Clone, Copy)]
+pub(super) struct PathAhead<'a> {
+    reference: &'a Reference,
+    governor: Option<&'a Governor>,
+    now: Time,
+    /// Time since the start of the drive, s.
+    time: f64,
+}
+
+impl PathAhead<'_> {
+    /// The point that is demanded `ahead` seconds from now; none where steering and speed are.
+    pub(super) fn at(&self, ahead: f64) -> Option<ReferencePoint> {
+        match self.governor {
+            Some(governor) => Some(governor.at(self.reference, ahead)),
+            None => self.reference.point_ahead(self.now, self.time, ahead),
+        }
+    }
+}
+
+impl Pilot {
+    /// The command of the mode, and why there is none if the law is singular.
+    pub(super) fn act(&mut self, sensed: &Sensed) -> (Action, Option<Reason>) {
+        let mut action = Action {
+            drive_time: None,
+            reference: None,
+            point: None,
+            point_velocity: None,
+            actuation: self.law.actuation(),
+            turning_round: false,
+            looked_ahead: None,
+            path: None,
+            slowed_by: None,
+            command: None,
+            proved: false,
+            coasted: None,
+            filtering: Filtering::None,
+            filtered_ticks: self.safety.ticks,
+        };
+        let Some(estimate) = &sensed.estimate else {
+            return (action, None);
+        };
+        let law = self.law.law();
+        action.point = Some(law.point(estimate.position, estimate.yaw, self.wheels()));
+        // A sideslip that the car can't have is not acted on.
+        let believed = Estimate {
+            sideslip: if self.watches.drive.slide.is_beyond() {
+                0.0
+            } else {
+                estimate.sideslip
+            },
+            ..*estimate
+        };
+        let singular = match self.supervisor.mode() {
+            Mode::Driving => self.drive(sensed.now, &believed, &mut action).err(),
+            Mode::Slowing | Mode::Stopping => {
+                self.slow_down(sensed, &believed, &mut action);
+                None
+            }
+            Mode::Disconnected
+            | Mode::Idle
+            | Mode::Ready
+            | Mode::Arming
+            | Mode::Fault
+            | Mode::Jogging => None,
+        };
+        (action, singular)
+    }
+
+    /// A drive begins.
+    pub(super) fn begin_drive(&mut self, now: Time) {
+        self.drive_start = Some(now);
+        self.law.reset();
+        self.tracking.reset();
+        self.applied = Velocity::zeros();
+        if let Some(governor) = &mut self.governor {
+            governor.reset();
+        }
+        if let Some(compensator) = &mut self.compensator {
+            compensator.begin(self.law.actuation().steering);
+        }
+        self.safety.begin(self.commanded_steering);
+        let unproved = self.config.supervisor.prove && !self.proved;
+        self.watches.begin(unproved);
+    }
+
+    /// A tick in [`Mode::Slowing`] or [`Mode::Stopping`].
+    fn slow_down(&mut self, sensed: &Sensed, estimate: &Estimate, action: &mut Action) {
+        let (now, period) = (sensed.now, self.config.period);
+        // Ticks that are late or left out must not make the stop longer.
+        let elapsed = sensed
+            .last_tick
+            .map_or(period, |last| now.seconds_since(last));
+        let periods = rint(elapsed / period).max(1.0);
+        let actuation = self
+            .law
+            .slow_down(self.config.stop_deceleration, periods * period);
+        // P leaves its reference here; a drive that goes on begins to follow anew.
+        self.tracking.reset();
+        self.applied = self.given_by(estimate, &actuation);
+        action.drive_time = self.drive_start.map(|start| now.seconds_since(start));
+        action.actuation = actuation;
+        action.command = Some(command(estimate, &actuation, true));
+    }
+
+    /// A tick in [`Mode::Driving`]: reference, position loop and law, or the actuation that a
+    /// controller outside demands. Fails where the law is singular.
+    fn drive(&mut self, now: Time, estimate: &Estimate, action: &mut Action) -> Result<(), Reason> {
+        let time = self
+            .drive_start
+            .map_or(0.0, |start| now.seconds_since(start));
+        let before = self.law.actuation().speed;
+        let wanted = &self.config.reference;
+        action.path = Some(match (&mut self.governor, action.point) {
+            (Some(governor), Some(point)) => governor.advance(time, wanted, &point),
+            _ => time,
+        });
+        let governor = self.governor.as_ref();
+        action.slowed_by = governor.and_then(Governor::slowed_by);
+        let demand = match governor {
+            Some(governor) => Demand::Point(governor.at(wanted, 0.0)),
+            None => wanted.demand(now, time),
+        };
+        match demand {
+            _ if self.watches.drive.slide.is_beyond() => {
+                self.tracking.reset();
+                Ok(self.law.actuation())
+            }
+            Demand::Point(reference) => {
+                action.reference = Some(reference);
+                self.follow(now, time, &reference, estimate, action)
+            }
+            Demand::Actuation { steering, speed } => {
+                self.tracking.reset();
+                self.step_demand(estimate, steering, speed)
+            }
+        }
+        .map_err(|_| self.watches.across().unwrap_or(Reason::LawSingular))?;
+        // Without a fresh pose the car must not accelerate.
+        if estimate.pose_age() > self.config.supervisor.fresh {
+            self.law.cap_speed(fabs(before));
+        }
+        let (coast, wave) = self.prove(now, estimate, action);
+        let actuation = self.law.actuation();
+        self.applied = match action.reference {
+            Some(_) => self.law.point_velocity(),
+            None => self.given_by(estimate, &actuation),
+        };
+        if let Some(compensator) = &mut self.compensator {
+            compensator.sent(actuation.speed);
+        }
+        action.drive_time = Some(time);
+        action.actuation = actuation;
+        action.turning_round = self.law.is_turning_round();
+        (action.filtering, action.filtered_ticks) = (self.safety.filtering, self.safety.ticks);
+        let mut command = command(estimate, &actuation, false);
+        if coast {
+            command.rear_speed = 0.0;
+        }
+        if wave != 0.0 {
+            let most = self.config.limits.max_steering;
+            command.steering = (command.steering + wave).clamp(-most, most);
+        }
+        action.command = Some(command);
+        Ok(())
+    }
+
+    /// The velocity (m/s) that a command gives P which the law has not computed.
+    fn given_by(&self, estimate: &Estimate, actuation: &Actuation) -> Velocity {
+        front_point_velocity(
+            self.law.law(),
+            &estimate.motion(),
+            self.wheels(),
+            actuation.speed,
+            actuation.steering_rate,
+        )
+    }
+
+    /// The angle of the front wheels, as far as is known, in rad.
+    fn wheels(&self) -> f64 {
+        let commanded = self.law.actuation().steering;
+        self.compensator
+            .as_ref()
+            .filter(|_| self.watches.proving.is_none())
+            .map_or(commanded, Compensator::wheels)
+    }
+
+    /// The actuation with which P follows its reference.
+    fn follow(
+        &mut self,
+        now: Time,
+        time: f64,
+        reference: &ReferencePoint,
+        estimate: &Estimate,
+        action: &mut Action,
+    ) -> Result<Actuation, Singularity> {
+        let config = &self.config;
+        let path = PathAhead {
+            reference: &config.reference,
+            governor: self.governor.as_ref(),
+            now,
+            time,
+        };
+        let (law, period) = (*self.law.law(), config.period);
+        let (tracking, applied) = (&mut self.tracking, self.applied);
+        // What the first metre proves does not rest on a model; and the law would take the wave
+        // of its steering for its own.
+        let proves = self.watches.proving.is_some();
+        let (motion, wheels, point, velocity, lead) = match &mut self.compensator {
+            Some(compensator) if !proves => {
+                let course = Course {
+                    law: &law,
+                    path,
+                    limits: &config.limits,
+                    now,
+                    period,
+                };
+                let (state, velocity, lead) =
+                    compensator.look_ahead(estimate, self.imu_time, &course, tracking, applied)?;
+                action.looked_ahead = Some(state.ahead);
+                let point = law.point(state.position, state.motion.yaw, state.wheels);
+                (state.motion, state.wheels, point, velocity, Some(lead))
+            }
+            _ => {
+                let wheels = self.law.actuation().steering;
+                let point = law.point(estimate.position, estimate.yaw, wheels);
+                let velocity = tracking.step(&TrackingInput {
+                    point,
+                    reference: &|ahead| path.at(ahead).unwrap_or(*reference),
+                    applied,
+                    period,
+                });
+                (estimate.motion(), wheels, point, velocity, None)
+            }
+        };
+        let step = LawStep {
+            motion,
+            wheels,
+            ahead: Ahead {
+                overtaken: reference.overtaken_by(&point),
+                lead,
+            },
+        };
+        self.step_law(estimate, &step, &velocity, action)
+    }
+
+    /// A tick of the proving run: limits the speed, and returns whether the car is to roll at
+    /// neutral and what to add to the steering. Without one, nothing changes.
+    fn prove(&mut self, now: Time, estimate: &Estimate, action: &mut Action) -> (bool, f64) {
+        let watches = &mut self.watches;
+        let Some(proving) = &mut watches.proving else {
+            return (false, 0.0);
+        };
+        let start_judged = watches.drive.start.is_judged();
+        let tick = proving.tick(now, estimate.speed, self.config.braking, start_judged);
+        if tick.coast {
+            // The drive goes on from the speed to which the car has rolled.
+            self.law.cap_speed(fabs(estimate.speed));
+        }
+        self.law.cap_speed(PROVING_SPEED);
+        if let Some(measured) = tick.coasted {
+            watches.stops.coasted(measured);
+            action.coasted = Some(measured);
+        }
+        if tick.passed {
+            self.proved = true;
+            watches.proving = None;
+            action.proved = true;
+        }
+        (tick.coast, tick.steering)
+    }
+}
+
+/// The command for the board. The motor drives the rear axle, whose speed is the forward
+/// component of G's: v cos β.
+fn command(estimate: &Estimate, actuation: &Actuation, brake: bool) -> DriveCommand {
+    DriveCommand {
+        rear_speed: actuation.speed * cos(estimate.sideslip),
+        steering: actuation.steering,
+        pose_time: estimate.pose_time,
+        brake,
+    }
+}
