@@ -120,11 +120,26 @@ impl Invariant for Fence {
 /// time and 0.4 s: a lie of the cameras is found or makes no difference.
 ///
 /// A lie from before the drive can't be found until it ends, so that only the growth since
-/// the car was armed counts; a pause in [`Mode::Slowing`] is not a new drive.
+/// the car was armed counts; a pause in [`Mode::Slowing`] is not a new drive. A pivot that is
+/// wrong on the body turns with the car, and does not grow: the error is seen from the world and
+/// from the car, and the lesser growth counts.
 #[derive(Default)]
 pub(super) struct EstimateError {
-    offset: Option<[f64; 2]>,
+    /// Of the arming: from the world, and from the car.
+    offset: Option<[[f64; 2]; 2]>,
     since_us: Option<u64>,
+}
+
+impl EstimateError {
+    /// How far the error has grown since the arming, with the car at this yaw.
+    fn grown(&mut self, error: [f64; 2], yaw: f64) -> f64 {
+        let [x, y] = error;
+        let (sin, cos) = libm::sincos(yaw);
+        let errors = [error, [cos * x + sin * y, cos * y - sin * x]];
+        let [world, car] = *self.offset.get_or_insert(errors);
+        let growth = |[x, y]: [f64; 2], [was_x, was_y]: [f64; 2]| libm::hypot(x - was_x, y - was_y);
+        growth(errors[0], world).min(growth(errors[1], car))
+    }
 }
 
 const WRONG_M: f64 = 0.15;
@@ -150,8 +165,7 @@ impl Invariant for EstimateError {
         };
         let truth = &observation.truth;
         let error = [estimate.position.x - truth.x, estimate.position.y - truth.y];
-        let [x, y] = *self.offset.get_or_insert(error);
-        let grown = libm::hypot(error[0] - x, error[1] - y);
+        let grown = self.grown(error, truth.yaw);
         let spec = observation.spec;
         if grown <= spec.blind_m + WRONG_M {
             self.since_us = None;
@@ -193,5 +207,20 @@ mod tests {
         scene.truth.x = side + 0.23;
         let found = judge(&scene);
         assert!(found.is_err_and(|details| details.starts_with("0.230 m beyond the fence, 0.220")));
+    }
+
+    /// The growth for a car that turns half round, and of which the estimate is off by an offset of
+    /// the pivot to the left and by a lie that begins, in m.
+    fn grown(pivot: f64, lie: f64) -> f64 {
+        let mut invariant = EstimateError::default();
+        invariant.grown([0.0, pivot], 0.0);
+        invariant.grown([lie, -pivot], core::f64::consts::PI)
+    }
+
+    #[test]
+    fn a_pivot_turns_with_the_car_and_a_lie_grows() {
+        assert!(grown(0.5, 0.0) < 1e-12);
+        assert!((grown(0.0, 0.7) - 0.7).abs() < 1e-12);
+        assert!((grown(0.5, 0.7) - 0.7).abs() < 1e-12);
     }
 }
