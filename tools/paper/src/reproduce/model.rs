@@ -136,7 +136,6 @@ fn validation(report: &Report) -> Option<&Identification> {
 fn measure(setup: &Setup, report: &Report, section: &mut Section) {
     let found = &report.identified.identification;
     let measurements = &mut section.measurements;
-    measurements.add("model.nmpe.identification", found.score.nmpe);
     let score = validation(report).map(|validation| &validation.score);
     if let Some(score) = score {
         measurements.add("model.nmpe.validation", score.nmpe);

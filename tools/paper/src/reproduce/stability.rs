@@ -2,7 +2,7 @@
 
 use indicatif::ProgressBar;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, HopfPoint, Law, critical_speed, hopf_points, infinite_speed_limit,
+    Belief, ClosedLoop, HopfPoint, Law, critical_speed, infinite_speed_limit,
     smallest_point_distance,
 };
 use singletrack_figures::figure::Figure;
@@ -160,7 +160,6 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
     };
     let deviations = || curve.iter().map(|point| point.deviation);
     let measurements = &mut section.measurements;
-    measurements.add("hopf.front.points", curve.len() as f64);
     measurements.add("hopf.front.largest_dl", largest(deviations()));
     measurements.add("hopf.front.least_l1", least(curve.iter().map(l1)));
     measurements.add("hopf.front.limit", limit);
@@ -295,14 +294,12 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
     curve.retain(HopfPoint::ends_stability);
     let [_, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
     let threshold = |belief| {
-        hopf_points(
-            setup.vehicle,
-            Law::VelocityPoint,
+        let subject = Subject {
             belief,
-            setup.point_distance_m(),
-            SLOW * setup.scale(),
-        )
-        .map_or(f64::NAN, |points| {
+            ..subject(setup, Law::VelocityPoint)
+        };
+        let points = subject.hopf_points(SLOW * setup.scale());
+        points.map_or(f64::NAN, |points| {
             let ends = points.iter().filter(|point| point.ends_stability());
             let deviations = ends.map(|point| point.deviation);
             least(deviations.filter(|deviation| *deviation > 0.0))

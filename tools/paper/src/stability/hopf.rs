@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError, hopf_points};
+use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError};
 use singletrack_figures::output::print;
 
 use super::{
@@ -67,13 +67,7 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
 pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, StabilityError> {
     let mut curve = Vec::with_capacity(speeds.values().len());
     for speed in speeds.values() {
-        curve.extend(hopf_points(
-            subject.vehicle,
-            subject.law,
-            subject.belief,
-            subject.point_distance,
-            *speed,
-        )?);
+        curve.extend(subject.hopf_points(*speed)?);
     }
     Ok(curve)
 }

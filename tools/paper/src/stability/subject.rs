@@ -1,6 +1,8 @@
 //! The car and the law that are studied.
 
-use singletrack_analysis::stability::{Belief, ClosedLoop, Law, StabilityError};
+use singletrack_analysis::stability::{
+    Belief, ClosedLoop, HopfPoint, Law, StabilityError, hopf_points,
+};
 use singletrack_control::VehicleParameters;
 
 use super::grid::Grid;
@@ -34,6 +36,21 @@ impl Subject {
             deviation,
         )?
         .believing(self.belief))
+    }
+
+    /// Its Hopf points at a speed (m/s), over all deviations.
+    ///
+    /// # Errors
+    ///
+    /// Parameters without a steady motion.
+    pub fn hopf_points(&self, speed: f64) -> Result<Vec<HopfPoint>, StabilityError> {
+        hopf_points(
+            self.vehicle,
+            self.law,
+            self.belief,
+            self.point_distance,
+            speed,
+        )
     }
 
     /// The deviations of the paper: all meaningful ones, and for the

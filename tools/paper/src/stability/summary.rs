@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use clap::Args;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, Law, MarginLimits, critical_speed, hopf_points, infinite_speed_limit,
+    Belief, ClosedLoop, Law, MarginLimits, critical_speed, infinite_speed_limit,
     smallest_point_distance,
 };
 
@@ -96,14 +96,7 @@ fn appendix(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityComm
 fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCommandError> {
     let [from, to] = ClosedLoop::meaningful_deviations(&subject.vehicle);
     for speed in SPEEDS {
-        let points = hopf_points(
-            subject.vehicle,
-            subject.law,
-            subject.belief,
-            subject.point_distance,
-            speed,
-        )?;
-        for point in points {
+        for point in subject.hopf_points(speed)? {
             writeln!(
                 out,
                 "  {speed} m/s: Hopf at dl = {:.6} m{}, {:.3} rad/s, l1 = {:.4e} ({})",
