@@ -11,8 +11,6 @@ pub(crate) struct Body {
     pub(crate) ahead: f64,
     /// Position of the pivot to the left of the middle, m.
     pub(crate) left: f64,
-    /// True speed over that of the motor pulses.
-    pub(crate) motor_scale: f64,
 }
 
 /// The duration of the windows, s.
@@ -51,11 +49,10 @@ pub(crate) fn body(motion: &Motion, way: &Signal, body_yaw: f64, rear_slip: f64)
             .iter()
             .map(|&[turn, along, _, _, motor]| ([motor, -turn], along)),
     )?;
-    let [motor_scale, left] = forward.parameters;
+    let [_, left] = forward.parameters;
     Some(Body {
         yaw: body_yaw + turned,
         ahead,
         left,
-        motor_scale,
     })
 }

@@ -12,8 +12,6 @@ pub(crate) struct Delay {
     pub(crate) late: Interval,
     /// Angle of the cameras over angle of the gyro.
     pub(crate) scale: Interval,
-    /// Root mean square of what is left, in rad.
-    pub(crate) residual: f64,
 }
 
 /// The largest delay that is looked for, in s.
@@ -58,7 +56,6 @@ pub(crate) fn stamp_delay(
     let solve = |blocks: &[&&[(f64, f64)]]| {
         let mut late = first;
         let mut scale = 1.0;
-        let mut residual = 0.0;
         for _ in 0..STEPS {
             let rows = blocks.iter().flat_map(|block| block.iter());
             let fit = least_squares(rows.map(|(time, angle)| {
@@ -67,20 +64,12 @@ pub(crate) fn stamp_delay(
             }))?;
             scale = fit.parameters[2];
             late = (late + fit.parameters[3] / scale).clamp(-2.0 * RANGE, 2.0 * RANGE);
-            residual = fit.residual;
         }
-        Some(([late, scale], residual))
+        Some([late, scale])
     };
     let blocks: Vec<&[(f64, f64)]> = usable.chunks_exact(usable.len() / BLOCKS).collect();
-    let (_, residual) = solve(&blocks.iter().collect::<Vec<_>>())?;
-    let [late, scale] = jackknife(&blocks, [systematic, 0.0], |chosen| {
-        solve(chosen).map(|(parameters, _)| parameters)
-    })?;
-    Some(Delay {
-        late,
-        scale,
-        residual,
-    })
+    let [late, scale] = jackknife(&blocks, [systematic, 0.0], solve)?;
+    Some(Delay { late, scale })
 }
 
 /// The integral of angular velocities.
