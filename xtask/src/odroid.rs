@@ -22,7 +22,7 @@ const INSTALLED: &[&str] = &[
     "singletrack",
     "--no-default-features",
     "--features",
-    "singletrack/desk,singletrack/live,singletrack/page,singletrackd/live,singletrackd/page",
+    "singletrack/desk,singletrack/live,singletrack/page",
 ];
 
 /// The daemon, and what simulates the compared bits; this combination of features is linted only here.

@@ -28,7 +28,7 @@ pub(crate) enum Part {
     Ros,
     /// Octave, for MATLAB's language.
     Octave,
-    /// The daemon's page in a browser.
+    /// The page in a browser.
     Browser,
     /// Campaigns on a cluster.
     Slurm,

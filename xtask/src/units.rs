@@ -1,4 +1,4 @@
-//! Checks the service in `packaging/` with systemd.
+//! Checks the services in `packaging/` with systemd.
 
 use std::{fs, io, path::Path, process::Command};
 
@@ -8,45 +8,51 @@ use crate::{
     workspace::root,
 };
 
-const UNIT: &str = "singletrackd.service";
-
-/// Only for the Odroid.
-const DROP_IN: &str = "singletrackd.service.d/xu4.conf";
+/// The units, one of them also with its drop-in for the Odroid.
+const UNITS: [(&str, Option<&str>); 4] = [
+    ("singletrackd.service", None),
+    (
+        "singletrackd.service",
+        Some("singletrackd.service.d/xu4.conf"),
+    ),
+    ("singletrack-page.service", None),
+    ("singletrack-live.service", None),
+];
 
 /// Limit for systemd's exposure level, 0 to 10. gpsd has 9.6, chrony 3.7.
 const MAX_EXPOSURE: f64 = 1.6;
 
-/// Verifies the unit and its exposure, with and without the Odroid's drop-in.
+/// Verifies the units and their exposure.
 pub(crate) fn check() -> Result<(), Failure> {
     let folder = target::folder()?.join("units");
-    for drop_in in [None, Some(DROP_IN)] {
+    for (name, drop_in) in UNITS {
         let folder = folder.join(drop_in.map_or("plain", |_| "xu4"));
-        let unit = lay_out(&folder, drop_in)
+        let unit = lay_out(&folder, name, drop_in)
             .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
         verify(&unit)?;
         let exposure = exposure(&unit)?;
         if exposure > MAX_EXPOSURE {
             return Err(Failure::new(format!(
-                "{UNIT} has an exposure level of {exposure}, above {MAX_EXPOSURE}; \
-                 `systemd-analyze security --offline=yes packaging/{UNIT}` lists the reasons"
+                "{name} has an exposure level of {exposure}, above {MAX_EXPOSURE}; \
+                 `systemd-analyze security --offline=yes packaging/{name}` lists the reasons"
             )));
         }
-        println!("{}: verified, exposure {exposure}", drop_in.unwrap_or(UNIT));
+        println!("{}: verified, exposure {exposure}", drop_in.unwrap_or(name));
     }
     Ok(())
 }
 
 /// Places the unit where systemd finds it with its drop-in. The program is replaced
 /// by an existing one, because the package need not be installed.
-fn lay_out(folder: &Path, drop_in: Option<&str>) -> io::Result<std::path::PathBuf> {
+fn lay_out(folder: &Path, name: &str, drop_in: Option<&str>) -> io::Result<std::path::PathBuf> {
     let packaging = root().join("packaging");
-    let unit = folder.join(UNIT);
+    let unit = folder.join(name);
     fs::create_dir_all(folder)?;
-    let text = fs::read_to_string(packaging.join(UNIT))?;
-    fs::write(
-        &unit,
-        text.replace("=/usr/bin/singletrackd ", "=/bin/true "),
-    )?;
+    let mut text = fs::read_to_string(packaging.join(name))?;
+    for program in ["singletrackd", "singletrack"] {
+        text = text.replace(&format!("=/usr/bin/{program} "), "=/bin/true ");
+    }
+    fs::write(&unit, text)?;
     if let Some(drop_in) = drop_in {
         let to = folder.join(drop_in);
         if let Some(folder) = to.parent() {

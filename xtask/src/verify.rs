@@ -178,7 +178,7 @@ const STEPS: [Step; 26] = [
     row("packages", 100, All, "packages build alone, and those for others can be packed",
         |_| packages::check_alone().and_then(|()| packages::check_published())),
     row("units", 5, Of(Part::Units),
-        "systemd accepts the service's unit without warnings and rates its exposure as low",
+        "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| units::check()),
     // Checks of the programs in virtual time.
     row("tests", 1230, Always, "unit, property and virtual-time tests",
@@ -234,7 +234,7 @@ const STEPS: [Step; 26] = [
     row("octave", 10, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
     row("browser", 15, Of(Part::Browser),
-        "the daemon's page shows a drive in Chromium, at a desk and on a telephone",
+        "the page shows a drive in Chromium, at a desk and on a telephone",
         |packages| check(suite(packages, "native")?.args(["--browser", "in_a_browser"]))),
     row("ros", 60, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
 ];

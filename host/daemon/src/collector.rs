@@ -1,5 +1,5 @@
 //! The collector's thread: distributes the output of the real-time threads to the log,
-//! the record, the figures, the live view and the watchers.
+//! the record, the figures and the watchers.
 
 use std::{
     sync::{
@@ -48,8 +48,6 @@ pub(crate) struct Collector {
     /// Knows what is configured.
     pub(crate) reconfigurer: Reconfigurer,
     pub(crate) record: Option<FeedInput>,
-    /// The live view gets the same entries as the record.
-    pub(crate) live: Option<FeedInput>,
     /// Encodes for the clients of the control socket.
     pub(crate) messages: Encoder,
     /// Entries that found no room in the record's ring.
@@ -256,10 +254,6 @@ impl Collector {
             let _ = self.status.watchers.send((entry.topic(), Arc::from(line)));
         }
         self.status.messages.publish(&mut self.messages, &entry);
-        if let Some(live) = &mut self.live {
-            // Viewers may miss entries; the record has them.
-            let _ = live.push(entry.clone());
-        }
         if let Some(record) = &mut self.record
             && !record.push(entry)
         {

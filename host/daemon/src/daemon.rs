@@ -32,10 +32,8 @@ use crate::{
     control_thread::{self, ControlThreadState, SetOnDrop},
     drive_noise::DriveNoise,
     handle::DaemonHandle,
-    live::{LiveError, LiveThread},
     mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},
-    page::{BoundPage, PageError, PageThread},
     realtime::{self, RealTimeStatus},
     reconfigure::Reconfigurer,
     recording::{self, RecordingError, RunningRecord},
@@ -82,12 +80,6 @@ pub enum StartError {
     /// The control socket can't be created.
     #[error(transparent)]
     Socket(#[from] SocketError),
-    /// The live view can't listen.
-    #[error(transparent)]
-    Live(#[from] LiveError),
-    /// The page can't be served.
-    #[error(transparent)]
-    Page(#[from] PageError),
     /// A thread can't be started.
     #[error("can't start the {name} thread: {source}")]
     Thread {
@@ -124,8 +116,6 @@ pub struct Daemon {
     /// The path of a record whose recorder failed.
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
-    live: Option<LiveThread>,
-    page: Option<PageThread>,
     /// Keeps the processors from idling deeply while it is open.
     _idle_bound: Option<File>,
 }
@@ -156,6 +146,13 @@ impl Daemon {
             },
         )?;
         let config = host.configurations.in_force().clone();
+        for (is_enabled, name) in [(config.page.enabled, "page"), (config.live.enabled, "live")] {
+            if is_enabled {
+                info!(
+                    "{name}.enabled: `singletrack {name} --config FILE` serves it, not the daemon"
+                );
+            }
+        }
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
             && realtime::lock_memory()
@@ -170,10 +167,6 @@ impl Daemon {
             true => Some(BoundSocket::open(&config.socket)?),
             false => None,
         };
-        let page = match config.page.enabled {
-            true => Some(BoundPage::open(&config.page)?),
-            false => None,
-        };
         let stop = StopFlag::new().map_err(|source| StartError::Thread {
             name: "control",
             source,
@@ -181,13 +174,6 @@ impl Daemon {
         let begin = ClockMapping {
             monotonic_ns: monotonic_ns(),
             wall_ns: wall_ns(),
-        };
-        let (live_thread, live) = match config.live.enabled {
-            true => {
-                let (thread, input) = LiveThread::start(config.live, begin)?;
-                (Some(thread), Some(input))
-            }
-            false => (None, None),
         };
         let started = recording::start(&config, options.record, options.seed, begin)?;
         let (running_record, record) = match started {
@@ -221,8 +207,6 @@ impl Daemon {
                 },
                 commissioned,
                 drives: Drives::default(),
-                live: live_thread.as_ref().map(|thread| thread.view.clone()),
-                page: page.as_ref().map(BoundPage::view),
             },
             control: None,
             control_state: ControlThreadState::default(),
@@ -234,8 +218,6 @@ impl Daemon {
             record: running_record,
             broken_record: None,
             socket: None,
-            live: live_thread,
-            page: None,
             _idle_bound: idle_bound,
         };
 
@@ -248,7 +230,6 @@ impl Daemon {
             status,
             reconfigurer: daemon.handle.reconfigurer.clone(),
             record,
-            live,
             messages: Encoder::new(begin),
             record_dropped: 0,
             logged_mode: None,
@@ -279,9 +260,6 @@ impl Daemon {
                 name: "socket",
                 source,
             })?);
-        }
-        if let Some(page) = page {
-            daemon.page = Some(PageThread::start(page, daemon.handle.clone())?);
         }
         Ok(daemon)
     }
@@ -441,7 +419,6 @@ impl Daemon {
         if let Some(socket) = self.socket.take() {
             socket.stop();
         }
-        self.page = None;
         let mut counts = EndCounts::default();
         if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
             counts.serial_bytes = counters.bytes_dropped;
@@ -457,7 +434,6 @@ impl Daemon {
                 warn!("the collector's thread has panicked");
             }
         }
-        drop(self.live.take());
         let (record, record_error) = self.end_record();
         let counters = control.inspect_err(|_| {
             // An error returns no summary that could report it.

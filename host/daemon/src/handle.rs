@@ -7,7 +7,6 @@ use singletrack_pilot::{Jog, Tuning};
 
 use crate::{
     commissioned_file::CommissionedFile,
-    live::LiveView,
     realtime::RealTimeStatus,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
@@ -34,8 +33,6 @@ pub(crate) struct DaemonHandle {
     pub(crate) commissioned: CommissionedFile,
     /// Numbers the drives that clients arm.
     pub(crate) drives: Drives,
-    pub(crate) live: Option<LiveView>,
-    pub(crate) page: Option<LiveView>,
 }
 
 impl DaemonHandle {
@@ -59,8 +56,6 @@ impl DaemonHandle {
                 .reconfigurer
                 .subject()
                 .map(|subject| self.commissioned.view(subject)),
-            live: self.live.as_ref().map(LiveView::status),
-            page: self.page.as_ref().map(LiveView::status),
             record_error: latest.record_error.clone(),
         }
     }

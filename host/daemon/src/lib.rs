@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
-//! motion capture --ring----> control thread --<                   \--> recorder, live view
+//! motion capture --ring----> control thread --<                   \--> recorder
 //! socket, owner ---ring--/     |               \--> the port's write half
 //! set-points ------slot--/
 //! ```
@@ -27,11 +27,9 @@ mod drive_noise;
 mod handle;
 mod json_file;
 mod judgement;
-mod live;
 mod messages;
 mod mocap_receiver;
 mod mocap_socket;
-mod page;
 mod recording;
 mod serial_reader;
 mod shared_status;
@@ -47,11 +45,7 @@ pub use arguments::{Arguments, LogFormat, StandArgument};
 pub use clock::monotonic_ns;
 pub use commissioned_file::not_commissioned;
 pub use daemon::{Daemon, StartError, StartOptions, StopError};
-pub use live::{LiveError, LiveStatus};
 pub use mocap_socket::MocapSocketError;
-pub use page::PageError;
-#[cfg(feature = "page")]
-pub use page::{BadRequest, Request as PageRequest};
 pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;

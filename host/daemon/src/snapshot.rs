@@ -8,7 +8,7 @@ use singletrack_pilot::{Filtering, Mode, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{LinkPhase, TickRecord};
 
-use crate::{live::LiveStatus, realtime::RealTimeStatus, summary::Figures};
+use crate::{realtime::RealTimeStatus, summary::Figures};
 
 /// The status of the daemon: the last tick, the last messages of the board, and the
 /// figures so far.
@@ -35,10 +35,6 @@ pub struct Snapshot {
     pub tuning: TuningRule,
     /// What the car of this configuration has passed.
     pub commissioned: Option<Value>,
-    /// The live view; `None` if it is disabled.
-    pub live: Option<LiveStatus>,
-    /// The page for a browser; `None` if it is disabled.
-    pub page: Option<LiveStatus>,
     /// Why the record ended before the daemon, such as a full disk.
     pub record_error: Option<String>,
 }
@@ -164,10 +160,11 @@ impl Snapshot {
             filtering: tick.map(|tick| tick.filtering.name().into()),
             held: tick.map(|tick| tick.held),
             link: tick.map(|tick| tick.link.name().into()),
-            live: self.live.map(LiveStatus::server),
+            // Of daemons that served them.
+            live: None,
             looked_ahead_s: tick.and_then(|tick| tick.looked_ahead_s),
             mode: self.mode().name().into(),
-            page: self.page.map(LiveStatus::server),
+            page: None,
             path_s: tick.and_then(|tick| tick.path_s),
             point_m: tick.and_then(|tick| tick.point).map(place),
             preflight: word(tick.and_then(|tick| tick.preflight)),
@@ -303,8 +300,6 @@ mod tests {
             },
             tuning: config.tuning_rule(),
             commissioned: Some(json!({ "missing": "doctor" })),
-            live: None,
-            page: None,
             record_error: Some("disk full".to_owned()),
         }
     }

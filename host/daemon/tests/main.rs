@@ -13,9 +13,7 @@ mod control_port;
 mod control_socket;
 mod documentation;
 mod hazards;
-mod live_view;
 mod packaging;
-mod page;
 mod serial_line;
 mod service;
 #[path = "common/terminal.rs"]

@@ -14,6 +14,8 @@ use std::{
 use singletrack_core::Config;
 
 const UNIT: &str = include_str!("../../../packaging/singletrackd.service");
+const PAGE: &str = include_str!("../../../packaging/singletrack-page.service");
+const LIVE: &str = include_str!("../../../packaging/singletrack-live.service");
 const XU4: &str = include_str!("../../../packaging/singletrackd.service.d/xu4.conf");
 const RULES: &str = include_str!("../../../packaging/99-singletrack.rules");
 const SYSUSERS: &str = include_str!("../../../packaging/sysusers.d/singletrack.conf");
@@ -154,6 +156,46 @@ fn the_socket_has_a_group_of_its_own_which_sysusers_makes() {
     ] {
         assert!(page.contains("the group `singletrack`"));
     }
+}
+
+#[test]
+fn a_viewer_is_sandboxed_as_the_daemon_is_and_has_no_devices_and_no_priority() {
+    // What the daemon needs for the car.
+    let of_the_car = [
+        "DeviceAllow",
+        "RestrictRealtime",
+        "SystemCallFilter",
+        "ProtectSystem",
+    ];
+    for (viewer, name) in [(PAGE, "page"), (LIVE, "live")] {
+        let (_, sandbox) = UNIT.split_once("LimitCORE=0").unwrap();
+        let (sandbox, _) = sandbox.split_once("[Install]").unwrap();
+        for line in lines(sandbox) {
+            let (key, _) = line.split_once('=').unwrap();
+            if !of_the_car.contains(&key) {
+                assert!(lines(viewer).any(|other| other == line), "{name}: {line}");
+            }
+        }
+        assert_eq!(value(viewer, "PrivateDevices"), "yes");
+        assert_eq!(value(viewer, "RestrictRealtime"), "yes");
+        assert_eq!(value(viewer, "ProtectSystem"), "strict");
+        assert_eq!(
+            values(viewer, "SystemCallFilter"),
+            ["@system-service", "~@privileged @resources"]
+        );
+        assert!(value(viewer, "Nice").parse::<i32>().unwrap() > 0);
+        // Of the daemon it takes the group of the socket, and the configuration.
+        assert_eq!(value(viewer, "Group"), value(UNIT, "Group"));
+        assert_ne!(value(viewer, "User"), value(UNIT, "User"));
+        assert!(values(viewer, "SupplementaryGroups").is_empty());
+        let command = value(viewer, "ExecStart");
+        assert!(command.starts_with(&format!("/usr/bin/singletrack {name} --config ")));
+        let config = "/etc/singletrackd/singletrackd.toml";
+        assert!(command.ends_with(config) && value(UNIT, "ExecStart").ends_with(config));
+    }
+    // The example's token is where the unit may write.
+    let folder = format!("/run/{}/", value(PAGE, "RuntimeDirectory"));
+    assert!(EXAMPLE.contains(&format!("# token_file = \"{folder}")));
 }
 
 /// A rule for any UNO would bind another car's board.

@@ -324,66 +324,37 @@ fn a_full_disk_ends_the_record_and_not_the_daemon_and_is_reported() {
 }
 
 #[test]
-fn the_live_view_accepts_viewers_again_after_the_process_was_out_of_files() {
-    // The daemon has about 30 of its own.
-    const FILES: libc::rlim_t = 64;
+fn a_configuration_of_a_daemon_with_page_and_live_view_starts_without_them_and_names_their_commands()
+ {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log");
+    let ports = [(); 2].map(|()| {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        free.local_addr().unwrap()
+    });
     let manager = Manager::start_configured(
         |command| {
-            let limit = || {
-                let limit = libc::rlimit {
-                    rlim_cur: FILES,
-                    rlim_max: FILES,
-                };
-                // SAFETY: the call is allowed between fork and exec, and the limit outlives it.
-                unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
-                Ok(())
-            };
-            // SAFETY: see the call.
-            unsafe { command.pre_exec(limit) };
+            command.stderr(fs::File::create(&log).unwrap());
         },
-        |text| text.replace("[live]", "[live]\nenabled = true\nport = 0"),
+        |text| {
+            let [live, page] = ports.map(|address| address.port());
+            text.replace("[live]", &format!("[live]\nenabled = true\nport = {live}"))
+                .replace("[page]", &format!("[page]\nenabled = true\nport = {page}"))
+        },
     );
     manager.wait_for("READY=1");
-    let files = || {
-        let folder = format!("/proc/{}/fd", manager.daemon.id());
-        fs::read_dir(folder).unwrap().count() as libc::rlim_t
-    };
-    let address: std::net::SocketAddr = manager.status()["live"]["address"]
-        .as_str()
-        .unwrap()
-        .parse()
-        .unwrap();
-    let greet = |address| -> std::io::Result<String> {
-        let mut viewer = std::net::TcpStream::connect(address)?;
-        viewer.set_read_timeout(Some(Duration::from_secs(2)))?;
-        write!(
-            viewer,
-            "GET / HTTP/1.1\r\nHost: a\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
-             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
-             Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
-        )?;
-        let mut line = String::new();
-        BufReader::new(viewer).read_line(&mut line)?;
-        Ok(line)
-    };
-    assert!(greet(address).unwrap().contains("101"), "before");
-    // Control clients take the files, up to the last one.
-    let path = manager.folder.path().join("control.sock");
-    let mut clients = Vec::new();
-    wait_for("the limit", || {
-        clients.extend((0..8).filter_map(|_| UnixStream::connect(&path).ok()));
-        let viewers: Vec<_> = (0..8).map(|_| greet(address)).collect();
-        files() >= FILES || viewers.iter().any(Result::is_err)
-    });
-    for _ in 0..16 {
-        let _ = greet(address);
+    let status = manager.status();
+    for (key, port) in ["live", "page"].into_iter().zip(ports) {
+        assert_eq!(status.get(key), Some(&serde_json::Value::Null));
+        assert!(std::net::TcpStream::connect(port).is_err());
+        let log = fs::read_to_string(&log).unwrap();
+        assert_eq!(
+            log.matches(&format!("`singletrack {key} --config FILE`"))
+                .count(),
+            1,
+            "{log}"
+        );
     }
-    drop(clients);
-    let mut greeted = false;
-    wait_for("a viewer", || {
-        greeted |= greet(address).is_ok_and(|line| line.contains("101"));
-        greeted
-    });
 }
 
 #[test]

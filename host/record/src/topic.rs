@@ -155,6 +155,13 @@ impl Topic {
             .find(|topic| topic.channel() == channel)
     }
 
+    /// The time of [`Entry::time_ns`] in one of its messages; none if it is no message of this topic.
+    #[must_use]
+    pub fn time_ns(self, message: &[u8]) -> Option<u64> {
+        let entry = Entry::decode(self, message).ok()?;
+        Some(entry.time_ns())
+    }
+
     /// The name of its message, such as `singletrack_msgs/msg/Tick`.
     #[must_use]
     pub fn schema_name(self) -> String {

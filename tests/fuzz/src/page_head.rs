@@ -1,6 +1,6 @@
-//! Fuzz target: heads of HTTP requests to the daemon's page.
+//! Fuzz target: heads of HTTP requests to the page.
 
-use singletrackd::PageRequest;
+use singletrack_viewers::page::Request;
 
 use crate::choices::Choices;
 
@@ -66,19 +66,19 @@ fn head(choices: &mut Choices<'_>) -> Vec<u8> {
 }
 
 fn check(head: &[u8]) {
-    let Ok(Some(request)) = PageRequest::parse(head) else {
+    let Ok(Some(request)) = Request::parse(head) else {
         return;
     };
     // The end of the head: the first blank line after the first line.
     let end = (0..=head.len())
-        .find(|end| !matches!(PageRequest::parse(&head[..*end]), Ok(None)))
+        .find(|end| !matches!(Request::parse(&head[..*end]), Ok(None)))
         .unwrap_or(head.len());
     assert!(
         head[..end].ends_with(b"\n\n") || head[..end].ends_with(b"\r\n\r\n"),
         "a request from the {end} bytes of {head:?}"
     );
     assert_eq!(
-        PageRequest::parse(&head[..end]),
+        Request::parse(&head[..end]),
         Ok(Some(request.clone())),
         "what follows the head changes it"
     );
@@ -103,9 +103,9 @@ fn check(head: &[u8]) {
 mod tests {
     use super::*;
 
-    fn request(data: &[u8]) -> PageRequest {
+    fn request(data: &[u8]) -> Request {
         let head = head(&mut Choices::new(data));
-        PageRequest::parse(&head).unwrap().unwrap()
+        Request::parse(&head).unwrap().unwrap()
     }
 
     #[test]

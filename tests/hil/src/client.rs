@@ -2,7 +2,6 @@
 
 use std::{
     io::{BufRead, BufReader, Write},
-    net::SocketAddr,
     os::unix::net::UnixStream,
     path::Path,
     time::Duration,
@@ -342,34 +341,6 @@ impl Status {
             .pointer(&format!("/figures{pointer}"))
             .and_then(Value::as_f64)
             .ok_or_else(|| Failure::new(format!("no figure {pointer} in {}", self.0)))
-    }
-
-    /// Address of the live view, and its number of viewers.
-    ///
-    /// # Errors
-    ///
-    /// Fails if there is none.
-    pub fn live(&self) -> Outcome<(SocketAddr, u64)> {
-        self.server("live")
-    }
-
-    /// Address of the page, and its number of viewers.
-    ///
-    /// # Errors
-    ///
-    /// Fails if there is none.
-    pub fn page(&self) -> Outcome<(SocketAddr, u64)> {
-        self.server("page")
-    }
-
-    fn server(&self, name: &str) -> Outcome<(SocketAddr, u64)> {
-        let server = &self.0[name];
-        let address = server["address"]
-            .as_str()
-            .and_then(|text| text.parse().ok());
-        address
-            .zip(server["viewers"].as_u64())
-            .ok_or_else(|| Failure::new(format!("no {name} in {}", self.0)))
     }
 
     /// Distance from the reference of P to its estimate, in m.

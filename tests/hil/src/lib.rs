@@ -54,6 +54,7 @@ pub mod program;
 pub mod rig;
 pub mod settings;
 mod trace;
+pub mod viewer;
 pub mod wait;
 
 pub use failure::{Failure, Outcome};

@@ -1,9 +1,41 @@
 //! What all options of the command line have in common.
 
-use std::{any::TypeId, path::PathBuf, time::Duration};
+use std::{any::TypeId, ffi::OsString, path::PathBuf, time::Duration};
 
-use clap::{Arg, Command};
+use clap::{
+    Arg, Args, Command,
+    builder::{OsStringValueParser, TypedValueParser},
+};
+use singletrack_core::config::SocketSection;
 use singletrack_sim::parse_duration_us;
+
+/// The variable of the environment that stands for --socket.
+pub(crate) const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
+
+/// Where the daemon listens.
+#[derive(Clone, Debug, Args)]
+pub struct ControlArgs {
+    /// The daemon's control socket
+    #[arg(
+        long,
+        value_name = "PATH",
+        env = SOCKET_VARIABLE,
+        hide_env_values = true,
+        value_parser = socket_parser(),
+        default_value_os_t = SocketSection::default().path
+    )]
+    pub(crate) socket: PathBuf,
+}
+
+/// Takes a path from the command line or the environment.
+pub(crate) fn socket_parser() -> impl TypedValueParser<Value = PathBuf> {
+    OsStringValueParser::new().try_map(|path: OsString| {
+        if path.is_empty() {
+            return Err(format!("give a path, or unset {SOCKET_VARIABLE}"));
+        }
+        Ok(path.into())
+    })
+}
 
 /// Lets the options that take numbers, durations or times take negative ones, in all
 /// subcommands: their own check then refuses it by the name of the option and with the value,

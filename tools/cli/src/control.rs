@@ -1,36 +1,15 @@
 //! `singletrack disarm|stop`: requests to the running daemon.
 
 use std::{
-    ffi::OsString,
     io::{self, Write},
     os::unix::net::UnixStream,
-    path::{Path, PathBuf},
+    path::Path,
 };
 
-use clap::{
-    Args,
-    builder::{OsStringValueParser, TypedValueParser as _},
-};
+use clap::Args;
 use singletrack_api::{Answer, ClientError, Request};
-use singletrack_core::config::SocketSection;
 
-/// The variable of the environment that stands for --socket.
-const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
-
-/// Where the daemon listens.
-#[derive(Clone, Debug, Args)]
-pub struct ControlArgs {
-    /// The daemon's control socket
-    #[arg(
-        long,
-        value_name = "PATH",
-        env = SOCKET_VARIABLE,
-        hide_env_values = true,
-        value_parser = OsStringValueParser::new().try_map(socket),
-        default_value_os_t = SocketSection::default().path
-    )]
-    pub(crate) socket: PathBuf,
-}
+pub use crate::arguments::ControlArgs;
 
 /// Options of `singletrack disarm`.
 #[derive(Clone, Debug, Args)]
@@ -42,14 +21,6 @@ pub struct DisarmArgs {
 
     #[command(flatten)]
     control: ControlArgs,
-}
-
-/// A path from the command line or the environment.
-fn socket(path: OsString) -> Result<PathBuf, String> {
-    if path.is_empty() {
-        return Err(format!("give a path, or unset {SOCKET_VARIABLE}"));
-    }
-    Ok(path.into())
 }
 
 /// A request to the daemon.

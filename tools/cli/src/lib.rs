@@ -40,8 +40,15 @@ pub mod status;
 pub mod teach;
 #[cfg(feature = "operator")]
 pub mod tune;
+#[cfg(any(feature = "live", feature = "page"))]
+pub mod viewers;
 
-#[cfg(any(feature = "demo", feature = "operator"))]
+#[cfg(any(
+    feature = "demo",
+    feature = "live",
+    feature = "operator",
+    feature = "page"
+))]
 mod interrupt;
 #[cfg(feature = "operator")]
 mod terminal;

@@ -12,6 +12,8 @@ use clap::{
 };
 #[cfg(feature = "demo")]
 use singletrack::demo;
+#[cfg(any(feature = "live", feature = "page"))]
+use singletrack::viewers;
 use singletrack::{arguments::take_negative_numbers, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
@@ -75,6 +77,12 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
+    #[cfg(feature = "page")]
+    /// Serve a page that shows in a browser what the daemon does, until Ctrl-C.
+    Page(viewers::PageArgs),
+    #[cfg(feature = "live")]
+    /// Serve the messages of the record to Foxglove, Lichtblick and PlotJuggler, until Ctrl-C.
+    Live(viewers::LiveArgs),
     #[cfg(feature = "operator")]
     /// Print or count the messages of a record, of the running daemon, or of the serial line.
     Dump(dump::DumpArgs),
@@ -185,8 +193,10 @@ fn main() -> ExitCode {
 }
 
 /// The commands that only a feature of the package brings, as the shell knows them.
-const OPTIONAL: [(&str, &[&str]); 3] = [
+const OPTIONAL: [(&str, &[&str]); 5] = [
     ("demo", &["demo"]),
+    ("live", &["live"]),
+    ("page", &["page"]),
     (
         "operator",
         &[
@@ -253,6 +263,10 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Calibrate(args) => return Ok(calibrate::run(args)?),
         #[cfg(feature = "paper")]
         Command::Compare(args) => Ok(compare::run(args)?),
+        #[cfg(feature = "page")]
+        Command::Page(args) => viewers::page(args),
+        #[cfg(feature = "live")]
+        Command::Live(args) => viewers::live(args),
         #[cfg(feature = "operator")]
         Command::Dump(args) => Ok(dump::run(args)?),
         #[cfg(feature = "operator")]
@@ -344,6 +358,8 @@ mod tests {
         for (feature, names) in OPTIONAL {
             let built = match feature {
                 "demo" => cfg!(feature = "demo"),
+                "live" => cfg!(feature = "live"),
+                "page" => cfg!(feature = "page"),
                 "operator" => cfg!(feature = "operator"),
                 _ => cfg!(feature = "paper"),
             };

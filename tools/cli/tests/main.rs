@@ -10,6 +10,8 @@
 mod arm_command;
 mod command_line;
 mod control_command;
+#[path = "../../../host/daemon/tests/common/mod.rs"]
+mod daemon;
 mod demo_command;
 mod identify_command;
 mod import_command;
@@ -27,3 +29,4 @@ mod simulate_command;
 mod stability_command;
 mod stability_figures;
 mod status_command;
+mod viewers_command;

@@ -1,4 +1,5 @@
-//! `[record]`, `[state]`, `[socket]`, `[live]` and `[page]`: where the daemon writes and listens.
+//! `[record]`, `[state]`, `[socket]`: where the daemon writes and listens; `[live]` and `[page]`: where
+//! its viewers listen.
 
 use std::{
     net::{IpAddr, Ipv4Addr},
@@ -47,37 +48,39 @@ section! {
 }
 
 section! {
-    /// The live view over WebSocket: Foxglove, Lichtblick and PlotJuggler connect to
-    /// `ws://127.0.0.1:8765` and show the messages of the record as they are made. It accepts
-    /// no commands.
-    "live", restart => pub LiveSection: Copy, Eq;
+    /// The live view over WebSocket, which `singletrack live --config FILE` serves beside the daemon:
+    /// Foxglove, Lichtblick and PlotJuggler connect to `ws://127.0.0.1:8765` and show the messages of
+    /// the record as they are made. It accepts no commands.
+    "live" => pub LiveSection: Copy, Eq;
     [default];
 
-    /// Whether the daemon serves it.
+    /// Of a daemon that served it itself. With `true` the log of the daemon names the command that
+    /// does; the command serves in either case.
     enabled: bool = false;
     /// Address on which it listens. There is no authentication; bind it to loopback only
     /// (`ssh -L 8765:127.0.0.1:8765` forwards it to a desk).
     address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-    /// Port on which it listens; 0 takes any free port, which the log states.
+    /// Port on which it listens; 0 takes any free port, which the command prints.
     port: u16 = 8_765;
 }
 
 section! {
-    /// The daemon's own page for a browser: the car from above, mode and reason in words, ages,
-    /// battery and charts, at `http://127.0.0.1:8767`. It accepts no commands.
-    "page", restart => pub PageSection: Eq;
+    /// The page for a browser, which `singletrack page --config FILE` serves beside the daemon: the car
+    /// from above, mode and reason in words, ages, battery and charts, at `http://127.0.0.1:8767`. It
+    /// accepts no commands.
+    "page" => pub PageSection: Eq;
     [default];
 
-    /// Whether the daemon serves it.
+    /// Of a daemon that served it itself, as `live.enabled`.
     enabled: bool = false;
     /// Address on which it listens. Beyond loopback it needs `token_file`.
     address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-    /// Port on which it listens; 0 takes any free port, which the log states.
+    /// Port on which it listens; 0 takes any free port, which the command prints.
     port: u16 = 8_767;
-    /// File to which the daemon writes a new token at every start, open to the group. Browsers
+    /// File to which the command writes a new token at every start, open to the group. Browsers
     /// then give it in the address: `http://ADDRESS:PORT/?token=TOKEN`. Left out, no token is
     /// asked for.
-    token_file: Option<PathBuf> = None, example PathBuf::from("/run/singletrackd/page.token");
+    token_file: Option<PathBuf> = None, example PathBuf::from("/run/singletrack-page/token");
 }
 
 /// Capacity of the address of a Unix-domain socket, without the closing zero.
@@ -127,9 +130,19 @@ impl SocketSection {
 
 impl PageSection {
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        if !self.enabled {
-            return Ok(());
+        // What is off may have been left as it was.
+        if self.enabled {
+            self.check_served()?;
         }
+        Ok(())
+    }
+
+    /// Refuses a page that everyone could see.
+    ///
+    /// # Errors
+    ///
+    /// It listens beyond loopback without a token, or the file of the token has no name.
+    pub fn check_served(&self) -> Result<(), ConfigError> {
         match &self.token_file {
             None if !self.address.is_loopback() => Err(ConfigError::value(
                 "page.address",

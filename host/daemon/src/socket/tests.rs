@@ -78,8 +78,6 @@ impl Bench {
             },
             commissioned,
             drives: Drives::default(),
-            live: None,
-            page: None,
         };
         let bench = Self {
             daemon,

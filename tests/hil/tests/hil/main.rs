@@ -67,7 +67,7 @@ struct Options {
     #[arg(long)]
     octave: bool,
 
-    /// Also look at the daemon's page in Chromium
+    /// Also look at the page in Chromium
     #[arg(long)]
     browser: bool,
 

@@ -1,13 +1,13 @@
-//! Many viewers of the live view and of the page.
+//! Many viewers of the live view and of the page, and what becomes of their processes.
 
 use std::{
-    io::Write as _,
+    io::{BufRead as _, BufReader, Write as _},
     net::{SocketAddr, TcpStream},
     time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
-use singletrack_hil::{Failure, Outcome, bench::Bench, client::Status, ensure};
+use singletrack_hil::{Failure, Outcome, bench::Bench, ensure, viewer::Viewer};
 use singletrack_statistics::Distribution;
 use socket2::{Domain, Socket, Type};
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
@@ -25,13 +25,26 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         with_browsers,
     )
     .alone(),
+    Scenario::new(
+        "a_page_and_a_live_view_that_hang_or_are_killed_do_not_affect_driving",
+        with_servers_that_hang_and_die,
+    )
+    .alone(),
+    Scenario::new(
+        "fifty_pages_and_live_views_leave_the_socket_to_the_operator",
+        with_fifty_servers,
+    )
+    .alone(),
 ];
 
-/// As many as the daemon takes of the live view.
+/// As many as the live view takes.
 const VIEWERS: usize = 8;
 
 /// Browsers on the page.
 const BROWSERS: usize = 20;
+
+/// Processes that show a drive.
+const SERVERS: usize = 50;
 
 /// Receive buffer of a viewer, in bytes: a few messages.
 const RECEIVE_BUFFER: usize = 4_096;
@@ -46,43 +59,91 @@ const LATENESS_LIMIT_US: f64 = 5_000.0;
 /// Limit for the growth of the median lateness.
 const MEDIAN_LIMIT: f64 = 2.0;
 
+/// Limit from a stop to neutral, as without viewers and for a machine that is busy with them.
+const STOP_LIMIT_MS: f64 = 150.0;
+
 fn with_viewers(bench: &mut Bench) -> Outcome {
-    let live = &mut bench.config_mut().live;
-    live.enabled = true;
-    live.port = 0;
-    bench.start_driving()?;
-    bench.keep_driving(Duration::from_secs(1))?;
-    disturb(bench, VIEWERS, Status::live, idle_viewer)
+    disturb(bench, "live", VIEWERS, idle_viewer)
 }
 
 fn with_browsers(bench: &mut Bench) -> Outcome {
-    let page = &mut bench.config_mut().page;
-    page.enabled = true;
-    page.port = 0;
-    bench.start_driving()?;
-    bench.keep_driving(Duration::from_secs(1))?;
-    disturb(bench, BROWSERS, Status::page, idle_browser)
+    disturb(bench, "page", BROWSERS, idle_browser)
 }
 
 /// Compares the lateness of a drive with that with `count` viewers of a server.
 fn disturb<V>(
     bench: &mut Bench,
+    server: &str,
     count: usize,
-    server: fn(&Status) -> Outcome<(SocketAddr, u64)>,
     viewer: fn(SocketAddr) -> Outcome<V>,
 ) -> Outcome {
-    let (address, _) = server(&bench.status()?)?;
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    let server = Viewer::start(server, bench)?;
     let (mut alone, mut watched) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
         lateness(bench, &mut alone)?;
-        let viewers: Outcome<Vec<_>> = (0..count).map(|_| viewer(address)).collect();
+        let viewers: Outcome<Vec<_>> = (0..count).map(|_| viewer(server.address())).collect();
         let viewers = viewers?;
         lateness(bench, &mut watched)?;
-        let (_, connected) = server(&bench.status()?)?;
-        ensure!(connected == count as u64, "{connected} viewers");
         drop(viewers);
     }
     compare(bench, alone, watched)
+}
+
+fn with_servers_that_hang_and_die(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    let (mut alone, mut watched) = (Vec::new(), Vec::new());
+    lateness(bench, &mut alone)?;
+    let (page, live) = (Viewer::start("page", bench)?, Viewer::start("live", bench)?);
+    let _watching = (idle_browser(page.address())?, idle_viewer(live.address())?);
+    page.pause()?;
+    live.pause()?;
+    // Longer than what the kernel keeps for them.
+    for _ in 0..ROUNDS {
+        lateness(bench, &mut watched)?;
+    }
+    drop((page, live));
+    lateness(bench, &mut watched)?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    compare(bench, alone, watched)
+}
+
+fn with_fifty_servers(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_secs(1))?;
+    let servers: Outcome<Vec<_>> = (0..SERVERS)
+        .map(|index| Viewer::start(["page", "live"][index % 2], bench))
+        .collect();
+    let servers = servers?;
+    let (mut browsers, mut viewers) = (Vec::new(), Vec::new());
+    for pair in servers.chunks_exact(2) {
+        browsers.push(idle_browser(pair[0].address())?);
+        viewers.push(idle_viewer(pair[1].address())?);
+    }
+    // Others are answered as without them.
+    let begin = Instant::now();
+    while begin.elapsed() < ROUND {
+        bench.status()?;
+    }
+    let status = bench.status()?;
+    ensure!(status.mode() == "driving", "{}", status.text());
+    bench.at_most(
+        "99th percentile of the ticks' lateness",
+        status.figure("/lateness_us/p99")?,
+        LATENESS_LIMIT_US,
+        "us",
+    )?;
+    let stopped_us = bench.board_time_us()?;
+    bench.client()?.stop()?.accepted()?;
+    bench.neutral_within(
+        "after a stop beside fifty viewers",
+        stopped_us,
+        STOP_LIMIT_MS,
+    )?;
+    drop((browsers, viewers, servers));
+    bench.was_within_limits(&bench.rig().trace()?)
 }
 
 /// Compares the lateness of a drive with that with viewers, in us.
@@ -146,6 +207,12 @@ fn idle_browser(address: SocketAddr) -> Outcome<TcpStream> {
     stream
         .write_all(request.as_bytes())
         .map_err(Failure::system("no page"))?;
+    let mut line = String::new();
+    // One byte at a time: the rest stays unread.
+    BufReader::with_capacity(1, &stream)
+        .read_line(&mut line)
+        .map_err(Failure::system("no answer of the page"))?;
+    ensure!(line.starts_with("HTTP/1.1 200 "), "the page: {line}");
     Ok(stream)
 }
 

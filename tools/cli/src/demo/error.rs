@@ -64,6 +64,14 @@ pub enum DemoError {
     /// The daemon did not end well.
     #[error("the daemon: {0}")]
     Stop(#[from] StopError),
+    /// The page can't be served.
+    #[cfg(feature = "page")]
+    #[error(transparent)]
+    Page(#[from] singletrack_viewers::page::PageError),
+    /// The live view can't be served.
+    #[cfg(feature = "live")]
+    #[error(transparent)]
+    Live(#[from] singletrack_viewers::live::LiveError),
     /// There are no figures of the drive.
     #[error(transparent)]
     Plot(#[from] PlotError),

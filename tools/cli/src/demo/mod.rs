@@ -12,6 +12,8 @@ mod outcome;
 mod progress;
 mod report;
 mod settings;
+#[cfg(any(feature = "live", feature = "page"))]
+mod viewers;
 
 use std::{
     thread,
@@ -76,6 +78,8 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
 
+    #[cfg(any(feature = "live", feature = "page"))]
+    let socket = config.socket.path.clone();
     let daemon = Daemon::start(
         config,
         StartOptions {
@@ -84,16 +88,8 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             ..StartOptions::default()
         },
     )?;
-    if let Some(page) = daemon.snapshot().page {
-        eprintln!("Watch the drive in a browser: http://{}", page.address);
-    }
-    if let Some(live) = daemon.snapshot().live {
-        eprintln!(
-            "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
-             PlotJuggler)",
-            live.address
-        );
-    }
+    #[cfg(any(feature = "live", feature = "page"))]
+    let _viewers = viewers::Viewers::start(args, &socket)?;
     let expected = settings::expected(args.feed_forward);
     let mut progress = Progress::new(args.duration, expected.error_m);
     let start_ns = start(&daemon, &simulator, &progress, &interrupt)?;

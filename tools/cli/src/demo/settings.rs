@@ -119,14 +119,6 @@ pub(super) fn daemon(
     config.record.directory.clone_from(&args.out);
     config.state.directory = private.join("state");
     config.socket.path = private.join("control.sock");
-    if let Some(port) = args.live {
-        config.live.enabled = true;
-        config.live.port = port;
-    }
-    if let Some(port) = args.watch {
-        config.page.enabled = true;
-        config.page.port = port;
-    }
     Ok(config)
 }
 

@@ -1,4 +1,4 @@
-// The page: connects to the daemon, and shows what it sends.
+// The page: shows what its server sends of the daemon.
 
 import { Chart, SPAN_S } from "./chart.js";
 import { View, degrees } from "./view.js";
@@ -27,6 +27,8 @@ const charts = {
 
 let [setup, state, status] = [null, null, null];
 let heardAt = -Infinity;
+// Whether the daemon was lost: another one may have another setup.
+let isLost = false;
 // Why there is no connection: a sentence and what to do.
 let trouble = ["", ""];
 let isDirty = false;
@@ -49,9 +51,12 @@ async function connect() {
   });
   events.addEventListener("status", (event) => {
     status = JSON.parse(event.data);
-    if (setup.configuration !== status.configuration.number) {
+    if (isLost || setup.configuration !== status.configuration.number) {
       load().catch(() => {});
     }
+  });
+  events.addEventListener("lost", (event) => {
+    lost(`No daemon: ${JSON.parse(event.data)}`);
   });
   events.addEventListener("error", () => {
     events.close();
@@ -66,16 +71,23 @@ async function load() {
     throw new Error(await answer.text());
   }
   setup = await answer.json();
+  isLost = false;
   view.setup = setup;
   isDirty = true;
 }
 
 function lost(why) {
   heardAt = -Infinity;
-  const isRefused = why.includes("token");
-  trouble = isRefused ? ["The daemon asks for its token.", why]
-    : ["The daemon does not answer; what is shown is old.",
-      "Check that singletrackd runs. The page connects again by itself."];
+  isLost = true;
+  const again = "The page connects again by itself.";
+  if (why.includes("?token=")) {
+    trouble = ["The page asks for its token.", why];
+  } else if (why.startsWith("No daemon")) {
+    trouble = ["There is no daemon; what is shown is old.", `${why} ${again}`];
+  } else {
+    trouble = ["The server of the page does not answer; what is shown is old.",
+      `Check that \`singletrack page\` runs. ${again}`];
+  }
 }
 
 // What a state shows.

@@ -1,23 +1,22 @@
-//! The page of a daemon without board and cameras, over TCP.
-
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
+//! The page, over TCP.
 
 use std::{
     fs,
     io::{BufRead, BufReader, Read, Write},
     net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
-    os::unix::fs::PermissionsExt,
+    os::unix::{
+        fs::PermissionsExt,
+        net::{UnixListener, UnixStream},
+    },
+    path::Path,
     thread,
     time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
 use singletrack_core::{Config, config::PageSection};
-use singletrackd::{Daemon, StartError, StartOptions};
+use singletrack_viewers::page::{Page, PageError};
+use singletrackd::{Daemon, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 
@@ -26,20 +25,53 @@ use crate::common;
 fn config(folder: &TempDir) -> Config {
     let mut config = common::config(folder.path());
     config.record.enabled = false;
-    config.page = PageSection {
-        enabled: true,
-        port: 0,
-        ..PageSection::default()
-    };
     config
 }
 
-fn start() -> (Daemon, SocketAddr, TempDir) {
+fn section() -> PageSection {
+    PageSection {
+        port: 0,
+        ..PageSection::default()
+    }
+}
+
+/// A page for the daemon of this folder.
+fn page(folder: &TempDir) -> (Page, SocketAddr) {
+    let page = Page::start(folder.path().join("control.sock"), &section()).unwrap();
+    let address = page.address();
+    assert!(address.ip().is_loopback());
+    (page, address)
+}
+
+/// A daemon and its page.
+struct Beside {
+    page: Page,
+    daemon: Daemon,
+    _folder: TempDir,
+}
+
+fn start() -> (Beside, SocketAddr) {
     let folder = tempfile::tempdir().unwrap();
     let daemon = Daemon::start(config(&folder), StartOptions::default()).unwrap();
-    let address = daemon.snapshot().page.unwrap().address;
-    assert!(address.ip().is_loopback());
-    (daemon, address, folder)
+    let (page, address) = page(&folder);
+    let beside = Beside {
+        page,
+        daemon,
+        _folder: folder,
+    };
+    (beside, address)
+}
+
+/// Something that listens in place of a daemon.
+fn listen(folder: &TempDir) -> UnixListener {
+    UnixListener::bind(folder.path().join("control.sock")).unwrap()
+}
+
+/// The line of a client.
+fn line_of(client: &UnixStream) -> String {
+    let mut line = String::new();
+    BufReader::new(client).read_line(&mut line).unwrap();
+    line
 }
 
 fn connect(address: SocketAddr) -> TcpStream {
@@ -65,6 +97,11 @@ fn get(address: SocketAddr, path: &str) -> (String, String) {
         address,
         &format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n"),
     )
+}
+
+/// The first line of the answer.
+fn get_head(address: SocketAddr, path: &str) -> String {
+    Viewer::on(connect(address), path).line()
 }
 
 /// A browser that watches.
@@ -113,7 +150,7 @@ impl Viewer {
 
 #[test]
 fn the_page_is_whole_and_loads_nothing_from_elsewhere() {
-    let (daemon, address, _folder) = start();
+    let (beside, address) = start();
     let (head, page) = get(address, "/");
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
     assert!(head.contains("Content-Type: text/html"), "{head}");
@@ -140,13 +177,13 @@ fn the_page_is_whole_and_loads_nothing_from_elsewhere() {
         bytes += body.len();
     }
     assert!(bytes < 50_000, "{bytes} bytes");
-    daemon.stop().unwrap();
+    drop(beside.page);
     assert!(TcpStream::connect(address).is_err(), "it still listens");
 }
 
 #[test]
 fn it_only_shows() {
-    let (daemon, address, _folder) = start();
+    let (_beside, address) = start();
     for method in ["POST", "PUT", "DELETE", "OPTIONS"] {
         for path in ["/", "/events", "/setup.json", "/nothing"] {
             let (head, _) = ask(
@@ -169,12 +206,11 @@ fn it_only_shows() {
     assert!(head.starts_with("HTTP/1.1 400 "), "{head}");
     let (head, _) = ask(address, &format!("GET /{} ", "a".repeat(9_000)));
     assert!(head.starts_with("HTTP/1.1 431 "), "{head}");
-    daemon.stop().unwrap();
 }
 
 #[test]
 fn another_name_of_this_computer_is_refused() {
-    let (_daemon, address, _folder) = start();
+    let (_beside, address) = start();
     for path in ["/", "/setup.json", "/events"] {
         let (head, _) = ask(
             address,
@@ -189,7 +225,7 @@ fn another_name_of_this_computer_is_refused() {
 
 #[test]
 fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
-    let (daemon, address, _folder) = start();
+    let (_beside, address) = start();
     let (head, setup) = get(address, "/setup.json");
     assert!(head.contains("Content-Type: application/json"), "{head}");
     let setup: Value = serde_json::from_str(&setup).unwrap();
@@ -202,7 +238,8 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
     let mut viewer = Viewer::connect(address);
     let status = viewer.event("status");
     assert_eq!(status["mode"], "disconnected");
-    assert_eq!(status["page"]["viewers"], 1);
+    // Of an old client that asks.
+    assert!(status["page"].is_null() && status["live"].is_null());
     assert_eq!(status["configuration"]["number"], setup["configuration"]);
     let begin = Instant::now();
     let states: Vec<_> = (0..50).map(|_| viewer.event("state")).collect();
@@ -229,18 +266,11 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
             assert!(state.get(key).is_some(), "{key}");
         }
     }
-    // A place is free again when its viewer has left.
-    drop(viewer);
-    let begin = Instant::now();
-    while daemon.snapshot().page.unwrap().viewers > 0 {
-        assert!(begin.elapsed() < Duration::from_secs(20));
-        thread::sleep(Duration::from_millis(5));
-    }
 }
 
 #[test]
 fn viewers_that_do_not_read_delay_no_other_and_then_see_the_newest() {
-    let (daemon, address, _folder) = start();
+    let (beside, address) = start();
     let mut slow: Vec<_> = (0..20).map(|_| Viewer::connect_slowly(address)).collect();
     let mut viewer = Viewer::connect(address);
     let first = viewer.event("state")["tick"].as_u64().unwrap();
@@ -255,9 +285,9 @@ fn viewers_that_do_not_read_delay_no_other_and_then_see_the_newest() {
         );
         last = tick;
     }
-    let behind = daemon.ticks() - last;
+    let behind = beside.daemon.ticks() - last;
     assert!(behind < 100, "{behind} ticks behind");
-    let summary = daemon.snapshot().figures;
+    let summary = beside.daemon.snapshot().figures;
     assert_eq!(summary.dropped.reports, 0);
     // What the kernel kept for a slow one is old, and after that comes the present.
     for viewer in &mut slow {
@@ -274,7 +304,7 @@ fn viewers_that_do_not_read_delay_no_other_and_then_see_the_newest() {
 
 #[test]
 fn thirty_two_viewers_watch_and_one_more_is_turned_away() {
-    let (_daemon, address, _folder) = start();
+    let (_beside, address) = start();
     let mut viewers: Vec<_> = (0..32).map(|_| Viewer::connect(address)).collect();
     let (head, why) = get(address, "/events");
     assert!(head.starts_with("HTTP/1.1 503 "), "{head}");
@@ -284,18 +314,26 @@ fn thirty_two_viewers_watch_and_one_more_is_turned_away() {
     }
     // The page itself comes all the same.
     assert!(get(address, "/").0.starts_with("HTTP/1.1 200 "));
+    // A place is free again when its viewer has left.
+    viewers.pop();
+    common::wait_for("a free place", || {
+        get_head(address, "/events").starts_with("HTTP/1.1 200 ")
+    });
 }
 
 #[test]
 fn what_is_secret_takes_the_token_of_the_file() {
     let folder = tempfile::tempdir().unwrap();
+    let _daemon = Daemon::start(config(&folder), StartOptions::default()).unwrap();
     let file = folder.path().join("page.token");
-    let mut config = config(&folder);
-    config.page.token_file = Some(file.clone());
-    // Everywhere: that takes a token file.
-    config.page.address = Ipv4Addr::UNSPECIFIED.into();
-    let daemon = Daemon::start(config, StartOptions::default()).unwrap();
-    let address = daemon.snapshot().page.unwrap().address;
+    let section = PageSection {
+        token_file: Some(file.clone()),
+        // Everywhere: that takes a token file.
+        address: Ipv4Addr::UNSPECIFIED.into(),
+        ..section()
+    };
+    let page = Page::start(folder.path().join("control.sock"), &section).unwrap();
+    let address = page.address();
     let mode = fs::metadata(&file).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o640);
     let key: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
@@ -335,7 +373,7 @@ fn what_is_secret_takes_the_token_of_the_file() {
     let mut viewer = Viewer::on(connect(local), &format!("/events?token={token}"));
     assert_eq!(viewer.event("status")["mode"], "disconnected");
     viewer.event("state");
-    daemon.stop().unwrap();
+    drop(page);
     assert!(!file.exists());
 }
 
@@ -343,10 +381,8 @@ fn what_is_secret_takes_the_token_of_the_file() {
 fn a_page_that_cannot_be_served_is_refused_with_what_to_change() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let refused = |change: &dyn Fn(&mut PageSection), parts: &[&str]| {
-        let mut config = config(&folder);
-        change(&mut config.page);
-        let error = Daemon::start(config, StartOptions::default()).unwrap_err();
+    let refused = |section: PageSection, parts: &[&str]| {
+        let error = Page::start(folder.path().join("control.sock"), &section).unwrap_err();
         let text = error.to_string();
         for part in parts {
             assert!(text.contains(part), "{text}");
@@ -354,19 +390,177 @@ fn a_page_that_cannot_be_served_is_refused_with_what_to_change() {
         error
     };
     let address = taken.local_addr().unwrap();
-    let error = refused(
-        &|page| page.port = address.port(),
-        &[&address.to_string(), "page.port", "page.enabled = false"],
+    let port = address.port();
+    refused(
+        PageSection { port, ..section() },
+        &[&address.to_string(), "page.port"],
     );
-    assert!(matches!(error, StartError::Page(_)));
-    let error = refused(
-        &|page| page.token_file = Some(folder.path().join("missing/token")),
+    let token_file = Some(folder.path().join("missing/token"));
+    refused(
+        PageSection {
+            token_file,
+            ..section()
+        },
         &["missing/token", "page.token_file"],
     );
-    assert!(matches!(error, StartError::Page(_)));
+    let address = Ipv4Addr::UNSPECIFIED.into();
     let error = refused(
-        &|page| page.address = Ipv4Addr::UNSPECIFIED.into(),
+        PageSection {
+            address,
+            ..section()
+        },
         &["page.address", "0.0.0.0", "page.token_file"],
     );
-    assert!(matches!(error, StartError::Config(_)));
+    assert!(matches!(error, PageError::Config(_)));
+}
+
+#[test]
+fn a_daemon_that_restarts_is_found_again_and_its_end_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_page, address) = page(&folder);
+    // Without a daemon, the page itself is there, and says so.
+    assert!(get(address, "/").0.starts_with("HTTP/1.1 200 "));
+    let (head, why) = get(address, "/setup.json");
+    assert!(head.starts_with("HTTP/1.1 503 "), "{head}");
+    assert!(
+        why.starts_with("No daemon: ") && why.contains("control.sock"),
+        "{why}"
+    );
+    let mut viewer = Viewer::connect(address);
+    let lost = viewer.event("lost");
+    assert!(lost.as_str().unwrap().contains("can't reach the daemon"));
+    for radius in ["radius_m = 1.0", "radius_m = 0.9"] {
+        let mut config = config(&folder);
+        let text = config.to_toml().unwrap();
+        assert!(text.contains("radius_m = 0.85"), "{text}");
+        let changed = Config::from_toml(&text.replace("radius_m = 0.85", radius)).unwrap();
+        config.reference = changed.reference;
+        let daemon = Daemon::start(config, StartOptions::default()).unwrap();
+        assert_eq!(viewer.event("status")["mode"], "disconnected");
+        viewer.event("state");
+        common::wait_for("the setup of this daemon", || {
+            let (_, setup) = get(address, "/setup.json");
+            let setup: Value = serde_json::from_str(&setup).unwrap_or_default();
+            let [x, _]: [f64; 2] =
+                serde_json::from_value(setup["reference"]["points_m"][0].clone())
+                    .unwrap_or_default();
+            (x - radius[11..].parse::<f64>().unwrap()).abs() < 1e-9
+        });
+        daemon.stop().unwrap();
+        viewer.event("lost");
+    }
+}
+
+/// Files of this process, and so of the page in it, are the limit of this number.
+const LEAKED: usize = 300;
+
+#[test]
+fn connections_that_send_one_byte_keep_nobody_out() {
+    let (_beside, address) = start();
+    let leaked: Vec<_> = (0..LEAKED)
+        .map(|_| {
+            let mut stream = connect(address);
+            stream.write_all(b"G").unwrap();
+            stream
+        })
+        .collect();
+    let begin = Instant::now();
+    assert!(get(address, "/").0.starts_with("HTTP/1.1 200 "));
+    assert!(get(address, "/setup.json").0.starts_with("HTTP/1.1 200 "));
+    Viewer::connect(address).event("state");
+    // Not by waiting until they have had their time.
+    assert!(begin.elapsed() < Duration::from_secs(4));
+    // The oldest ones have lost their places.
+    for mut stream in leaked.into_iter().take(LEAKED - 96) {
+        assert_eq!(stream.read(&mut [0]).unwrap_or(0), 0);
+    }
+}
+
+/// The answer to `configuration`.
+fn configuration(folder: &Path) -> String {
+    let toml = common::config(folder).to_toml().unwrap();
+    json!({ "version": 2, "ok": true, "configuration": 1, "toml": toml }).to_string()
+}
+
+#[test]
+fn a_setup_that_96_browsers_ask_for_together_is_made_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = listen(&folder);
+    let (_page, address) = page(&folder);
+    let mut asking: Vec<_> = (0..96).map(|_| connect(address)).collect();
+    for stream in &mut asking {
+        let request = "GET /setup.json HTTP/1.1\r\nHost: localhost\r\n\r\n";
+        stream.write_all(request.as_bytes()).unwrap();
+    }
+    let (mut client, _) = listener.accept().unwrap();
+    assert!(line_of(&client).contains("configuration"));
+    writeln!(client, "{}", configuration(folder.path())).unwrap();
+    let mut bodies: Vec<_> = asking
+        .into_iter()
+        .map(|mut stream| {
+            let mut answer = String::new();
+            stream.read_to_string(&mut answer).unwrap();
+            assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+            answer.split_once("\r\n\r\n").unwrap().1.to_owned()
+        })
+        .collect();
+    bodies.dedup();
+    assert_eq!(bodies.len(), 1);
+    listener.set_nonblocking(true).unwrap();
+    assert!(listener.accept().is_err(), "it was asked again");
+}
+
+#[test]
+fn a_daemon_that_hangs_holds_up_no_request_for_long() {
+    let folder = tempfile::tempdir().unwrap();
+    // It never accepts.
+    let _listener = listen(&folder);
+    let (_page, address) = page(&folder);
+    let mut viewer = Viewer::connect(address);
+    let asking: Vec<_> = (0..20)
+        .map(|_| thread::spawn(move || get(address, "/setup.json")))
+        .collect();
+    assert!(get(address, "/").0.starts_with("HTTP/1.1 200 "));
+    for asked in asking {
+        let (head, why) = asked.join().unwrap();
+        assert!(head.starts_with("HTTP/1.1 503 "), "{head}");
+        assert!(why.contains("no answer from the daemon"), "{why}");
+    }
+    let lost = viewer.event("lost");
+    assert!(lost.as_str().unwrap().contains("no answer"), "{lost}");
+}
+
+#[test]
+fn the_daemon_is_watched_only_while_a_browser_watches() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = listen(&folder);
+    let (_page, address) = page(&folder);
+    let viewer = Viewer::connect(address);
+    let (mut watched, _) = listener.accept().unwrap();
+    assert!(line_of(&watched).contains("watch"));
+    watched.write_all(b"{\"version\":2,\"ok\":true}\n").unwrap();
+    let (mut asked, _) = listener.accept().unwrap();
+    assert!(line_of(&asked).contains("status"));
+    asked
+        .write_all(b"{\"version\":2,\"ok\":true,\"status\":{}}\n")
+        .unwrap();
+    drop(viewer);
+    assert_eq!(watched.read(&mut [0]).unwrap(), 0, "it hangs up");
+}
+
+#[test]
+fn a_refusal_is_shown_and_not_repeated_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = listen(&folder);
+    let (_page, address) = page(&folder);
+    let mut viewer = Viewer::connect(address);
+    let (mut refused, _) = listener.accept().unwrap();
+    line_of(&refused);
+    refused
+        .write_all(b"{\"version\":2,\"ok\":false,\"error\":\"24 clients watch\"}\n")
+        .unwrap();
+    assert_eq!(viewer.event("lost"), "24 clients watch");
+    let begin = Instant::now();
+    listener.accept().unwrap();
+    assert!(begin.elapsed() > Duration::from_secs(5));
 }

@@ -1,18 +1,13 @@
 //! Reads the head of a request.
 
-use std::{io, net::IpAddr, time::Duration};
+use std::{io, net::IpAddr};
 
-use tokio::{
-    io::{AsyncRead, AsyncReadExt as _},
-    time::timeout,
-};
+use tokio::io::AsyncRead;
 
-/// The longest head, in bytes, and the most headers.
-const LONGEST_HEAD: usize = 8_192;
+use crate::head::{LONGEST_HEAD, read_head};
+
+/// The largest number of headers.
 const HEADERS: usize = 64;
-
-/// The longest wait for the whole head.
-const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// What a browser asks the page for: the head of a request of HTTP/1.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,26 +33,13 @@ pub enum BadRequest {
 impl Request {
     /// Reads a head. `None` if the client leaves or is silent before its end.
     pub(super) async fn read(
-        mut stream: impl AsyncRead + Unpin,
+        stream: impl AsyncRead + Unpin,
     ) -> io::Result<Option<Result<Self, BadRequest>>> {
-        let mut head = Vec::new();
-        let read = async {
-            loop {
-                match Self::parse(&head) {
-                    Ok(None) if head.len() >= LONGEST_HEAD => {
-                        return Ok(Some(Err(BadRequest::TooLong)));
-                    }
-                    Ok(None) => {}
-                    Ok(Some(request)) => return Ok(Some(Ok(request))),
-                    Err(error) => return Ok(Some(Err(error))),
-                }
-                let room = LONGEST_HEAD - head.len();
-                if (&mut stream).take(room as u64).read_buf(&mut head).await? == 0 {
-                    return Ok(None);
-                }
-            }
+        let parse = |head: &[u8]| match Self::parse(head) {
+            Ok(None) if head.len() >= LONGEST_HEAD => Some(Err(BadRequest::TooLong)),
+            parsed => parsed.transpose(),
         };
-        timeout(HEAD_TIMEOUT, read).await.unwrap_or(Ok(None))
+        Ok(read_head(stream, parse).await?.map(|(request, _)| request))
     }
 
     /// The request, as soon as its head is complete; `None` before.
@@ -113,6 +95,7 @@ impl Request {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use super::*;
 

@@ -1,45 +1,44 @@
-//! The live view of a daemon without board and cameras, through a client of the protocol
-//! that Foxglove publishes.
-
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
+//! The live view, through a client of the protocol that Foxglove publishes.
 
 use std::{
     collections::BTreeMap,
-    io::Read as _,
+    io::{Read as _, Write as _},
     net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
     time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
-use singletrack_core::{Config, config::LiveSection};
+use singletrack_core::config::LiveSection;
 use singletrack_pilot::Mode;
-use singletrackd::{Daemon, StartError, StartOptions};
+use singletrack_viewers::live::{Live, LiveError};
+use singletrackd::{Daemon, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
 use tungstenite::{Message, WebSocket, client::IntoClientRequest};
 
 use crate::common;
 
-fn config(folder: &TempDir) -> Config {
-    let mut config = common::config(folder.path());
-    config.live = LiveSection {
-        enabled: true,
+/// A live view for the daemon of this folder.
+fn live(folder: &TempDir) -> Live {
+    let section = LiveSection {
         port: 0,
         ..LiveSection::default()
     };
-    config
+    let live = Live::start(folder.path().join("control.sock"), section).unwrap();
+    assert!(live.address().ip().is_loopback());
+    live
 }
 
-fn start() -> (Daemon, SocketAddr, TempDir) {
+fn daemon(folder: &TempDir) -> Daemon {
+    Daemon::start(common::config(folder.path()), StartOptions::default()).unwrap()
+}
+
+/// A daemon and its live view.
+fn start() -> (Daemon, Live, TempDir) {
     let folder = tempfile::tempdir().unwrap();
-    let daemon = Daemon::start(config(&folder), StartOptions::default()).unwrap();
-    let address = daemon.snapshot().live.unwrap().address;
-    assert!(address.ip().is_loopback());
-    (daemon, address, folder)
+    let daemon = daemon(&folder);
+    let live = live(&folder);
+    (daemon, live, folder)
 }
 
 struct Viewer {
@@ -144,11 +143,11 @@ impl Viewer {
 #[test]
 fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
     const TOPICS: [&str; 2] = ["/singletrack/tick", "/singletrack/log"];
-    let (daemon, address, _folder) = start();
+    let (daemon, live, _folder) = start();
+    let address = live.address();
     let mut viewer = Viewer::connect(address);
     viewer.subscribe(&TOPICS);
     let seen: Vec<_> = (0..30).map(|_| viewer.message()).collect();
-    assert_eq!(daemon.snapshot().live.unwrap().viewers, 1);
 
     let record = daemon.stop().unwrap().record.unwrap();
     let file = std::fs::read(record).unwrap();
@@ -183,7 +182,8 @@ fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
 
 #[test]
 fn a_viewer_can_only_subscribe() {
-    let (daemon, address, _folder) = start();
+    let (daemon, live, _folder) = start();
+    let address = live.address();
     let mut viewer = Viewer::connect(address);
     assert_eq!(viewer.info["capabilities"], json!([]));
     viewer.send(&json!({"op": "advertise", "channels": [
@@ -202,7 +202,8 @@ fn a_viewer_can_only_subscribe() {
 
 #[test]
 fn viewers_that_never_read_delay_no_other() {
-    let (daemon, address, _folder) = start();
+    let (daemon, live, _folder) = start();
+    let address = live.address();
     let _idle: Vec<_> = (0..7)
         .map(|_| {
             let mut viewer = Viewer::connect_slowly(address);
@@ -221,38 +222,39 @@ fn viewers_that_never_read_delay_no_other() {
 }
 
 #[test]
-fn a_port_in_use_is_named_and_leaves_no_record() {
+fn a_port_in_use_is_named() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let mut config = config(&folder);
-    config.live.port = taken.local_addr().unwrap().port();
-    let error = Daemon::start(config.clone(), StartOptions::default()).unwrap_err();
-    assert!(matches!(error, StartError::Live(_)), "{error}");
+    let section = LiveSection {
+        port: taken.local_addr().unwrap().port(),
+        ..LiveSection::default()
+    };
+    let error = Live::start("/nowhere.sock".into(), section).unwrap_err();
+    assert!(matches!(error, LiveError::Listen { .. }), "{error}");
     let text = error.to_string();
-    for part in [
-        &taken.local_addr().unwrap().to_string(),
-        "live.port",
-        "live.enabled = false",
-    ] {
+    for part in [&taken.local_addr().unwrap().to_string(), "live.port"] {
         assert!(text.contains(part), "{text}");
     }
-    assert!(!config.record.directory.exists());
 }
 
 #[test]
 fn eight_viewers_are_served_a_ninth_is_turned_away_and_a_free_place_is_taken() {
-    let (daemon, address, _folder) = start();
+    let (_daemon, live, _folder) = start();
+    let address = live.address();
     let mut viewers: Vec<_> = (0..8).map(|_| Viewer::connect(address)).collect();
     let mut ninth = TcpStream::connect(address).unwrap();
     ninth
         .set_read_timeout(Some(Duration::from_secs(20)))
         .unwrap();
-    assert_eq!(ninth.read(&mut [0]).unwrap_or(0), 0, "closed");
+    let request = "GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n";
+    ninth.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    ninth.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 503 "), "{answer}");
+    assert!(answer.contains("Too many viewers"), "{answer}");
     for viewer in &mut viewers {
         viewer.subscribe(&["/singletrack/tick"]);
         viewer.message();
     }
-    assert_eq!(daemon.snapshot().live.unwrap().viewers, 8);
     viewers.pop();
     // The relay needs a moment to see that the place is free.
     let begin = Instant::now();
@@ -266,16 +268,63 @@ fn eight_viewers_are_served_a_ninth_is_turned_away_and_a_free_place_is_taken() {
 }
 
 #[test]
-fn a_client_that_says_nothing_does_not_keep_its_place() {
-    let (_daemon, address, _folder) = start();
-    let silent: Vec<_> = (0..8)
-        .map(|_| TcpStream::connect(address).unwrap())
+fn clients_that_send_one_byte_keep_nobody_out() {
+    let (_daemon, live, _folder) = start();
+    let address = live.address();
+    let silent: Vec<_> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(b"G").unwrap();
+            stream
+        })
         .collect();
+    let begin = Instant::now();
+    let mut viewer = Viewer::connect(address);
+    viewer.subscribe(&["/singletrack/tick"]);
+    viewer.message();
+    // Not by waiting until they have had their time.
+    assert!(begin.elapsed() < Duration::from_secs(4));
     for mut client in silent {
         client
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
-        assert_eq!(client.read(&mut [0]).unwrap(), 0, "closed");
+        assert_eq!(client.read(&mut [0]).unwrap_or(0), 0, "closed");
     }
-    Viewer::connect(address).subscribe(&["/singletrack/tick"]);
+}
+
+#[test]
+fn a_daemon_that_restarts_is_found_again_and_its_end_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    let live = live(&folder);
+    let mut viewer = Viewer::connect(live.address());
+    viewer.subscribe(&["/singletrack/tick"]);
+    let mut last = 0;
+    for _ in 0..2 {
+        let lost = viewer.text("status");
+        assert_eq!((&lost["level"], &lost["id"]), (&json!(1), &json!("daemon")));
+        let why = lost["message"].as_str().unwrap();
+        assert!(why.starts_with("no daemon: "), "{why}");
+        let daemon = daemon(&folder);
+        assert_eq!(viewer.text("removeStatus")["statusIds"], json!(["daemon"]));
+        let (_, time, _) = viewer.message();
+        assert!(time > last);
+        last = time;
+        daemon.stop().unwrap();
+    }
+}
+
+#[test]
+fn a_viewer_that_sends_without_end_is_disconnected() {
+    let (_daemon, live, _folder) = start();
+    let mut viewer = Viewer::connect(live.address());
+    // A message that is never whole, of 2^40 bytes.
+    let mut head = vec![0x82, 0xff];
+    head.extend((1_u64 << 40).to_be_bytes());
+    head.extend([0; 4]);
+    let stream = viewer.socket.get_mut();
+    stream.write_all(&head).unwrap();
+    let part = [0; 65_536];
+    let sent = (0..1_000).take_while(|_| stream.write_all(&part).is_ok());
+    let sent = sent.count() * part.len();
+    assert!(sent < 16 << 20, "{sent} bytes were taken");
 }

@@ -2,6 +2,11 @@
 //! the reasons mean.
 
 use core::f64::consts::TAU;
+use std::{
+    path::Path,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use serde_json::{Map, Value, json};
 use singletrack_control::Reference;
@@ -9,12 +14,91 @@ use singletrack_core::{
     config::{Config, ReferenceSection},
     reasons::explanations,
 };
+use tokio::{
+    sync::{Notify, watch},
+    task::spawn_blocking,
+};
+
+use super::feed::ask;
 
 /// Points of the reference's path.
 const POINTS: u32 = 400;
 
+/// For this long an answer is given again.
+const FRESH: Duration = Duration::from_secs(1);
+
+/// The answer to `/setup.json`: made once for all that ask for it together.
+#[derive(Debug)]
+pub(super) struct Setup {
+    wanted: Notify,
+    newest: watch::Sender<Option<(Instant, Answer)>>,
+}
+
+/// The answer, or why there is none.
+type Answer = Result<Arc<str>, Arc<str>>;
+
+impl Default for Setup {
+    fn default() -> Self {
+        Self {
+            wanted: Notify::new(),
+            newest: watch::Sender::new(None),
+        }
+    }
+}
+
+impl Setup {
+    /// An answer that is at most [`FRESH`] old.
+    pub(super) async fn get(&self) -> Answer {
+        let mut newest = self.newest.subscribe();
+        loop {
+            if let Some(answer) = fresh(newest.borrow_and_update().as_ref()) {
+                return answer;
+            }
+            self.wanted.notify_one();
+            if newest.changed().await.is_err() {
+                return Err(Arc::from("the page ends"));
+            }
+        }
+    }
+
+    /// Asks the daemon at `socket`, one question at a time, for as long as it is polled.
+    pub(super) async fn run(&self, socket: &Path) {
+        loop {
+            self.wanted.notified().await;
+            if fresh(self.newest.borrow().as_ref()).is_some() {
+                continue;
+            }
+            let socket = socket.to_owned();
+            let asked = spawn_blocking(move || asked(&socket)).await;
+            let answer = asked.unwrap_or_else(|error| Err(error.to_string()));
+            let answer = answer.map(Arc::from).map_err(Arc::from);
+            self.newest.send_replace(Some((Instant::now(), answer)));
+        }
+    }
+}
+
+fn fresh(newest: Option<&(Instant, Answer)>) -> Option<Answer> {
+    let (made, answer) = newest?;
+    (made.elapsed() < FRESH).then(|| answer.clone())
+}
+
+/// The setup by the configuration of the daemon at `socket`.
+fn asked(socket: &Path) -> Result<String, String> {
+    let answer = ask("configuration", socket).map_err(|error| error.to_string())?;
+    let number = answer.get("configuration").and_then(Value::as_u64);
+    let text = answer.get("toml").and_then(Value::as_str);
+    let (Some(number), Some(text)) = (number, text) else {
+        return Err("the daemon's configuration has no number or no text".to_owned());
+    };
+    // It is in force: the daemon has judged it.
+    let config: Config = toml::from_str(text).map_err(|error| {
+        format!("can't read the daemon's configuration: {error}; is it the same version?")
+    })?;
+    Ok(setup(number, &config).to_string())
+}
+
 /// The answer to `/setup.json`. `number` is that of the configuration.
-pub(super) fn setup(number: u32, config: &Config) -> Value {
+fn setup(number: u64, config: &Config) -> Value {
     let (vehicle, law) = (&config.vehicle, &config.law);
     let (points_m, is_closed) = reference_path(config);
     json!({
@@ -85,13 +169,17 @@ fn reasons() -> Value {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use singletrack_pilot::Reason;
 
     use super::*;
 
     fn example() -> Config {
-        Config::from_toml(include_str!("../../singletrackd.example.toml")).unwrap()
+        Config::from_toml(include_str!(
+            "../../../../host/daemon/singletrackd.example.toml"
+        ))
+        .unwrap()
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use core::fmt::Write as _;
 use std::{io, sync::Arc, time::Duration};
 
-use singletrack_access::linger;
+use singletrack_access::{Place, linger};
 use socket2::SockRef;
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -12,18 +12,21 @@ use tokio::{
         tcp::{OwnedReadHalf, OwnedWriteHalf},
     },
     sync::watch,
-    task::spawn_blocking,
     time::timeout,
 };
 
 use super::{
     assets::asset,
-    feed::status,
     request::{BadRequest, Request},
-    server::Shared,
-    setup::setup,
+    server::{Shared, Viewer},
 };
-use crate::state_stream::STATE_BUFFER;
+
+/// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow
+/// viewer is late by.
+const STATE_BUFFER: usize = 4_096;
+
+/// The longest time from a connection to the end of its answer.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The longest time that a viewer may read nothing at all.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
@@ -68,25 +71,49 @@ impl Code {
     }
 }
 
-/// Reads a request, answers it and closes the connection.
-pub(super) async fn serve(stream: TcpStream, shared: &Shared) -> io::Result<()> {
+/// Reads a request, answers it and closes the connection. An answer that takes too long, and one
+/// whose place is taken, is cut off; events have places of their own.
+pub(super) async fn serve(stream: TcpStream, shared: &Shared, mut place: Place) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (mut read, mut write) = stream.into_split();
-    let Some(request) = Request::read(&mut read).await? else {
+    let brief = timeout(REQUEST_TIMEOUT, brief(&mut read, &mut write, shared));
+    let Some(Ok(answered)) = place.until_lost(brief).await else {
         return Ok(());
     };
-    answer(&mut read, &mut write, request, shared).await?;
-    write.shutdown().await?;
-    linger(&mut read).await;
-    Ok(())
+    let Some(_viewer) = answered? else {
+        return Ok(());
+    };
+    drop(place);
+    // A viewer sends no more. Reading detects that it has left.
+    let mut rest = [0];
+    tokio::select! {
+        result = stream_events(&mut write, shared) => result,
+        closed = read.read(&mut rest) => closed.map(drop),
+    }
 }
 
-async fn answer(
+/// Serves all of a request, but for the events. Returns the viewer that they are for.
+async fn brief<'a>(
     read: &mut OwnedReadHalf,
     write: &mut OwnedWriteHalf,
+    shared: &'a Shared,
+) -> io::Result<Option<Viewer<'a>>> {
+    let Some(request) = Request::read(&mut *read).await? else {
+        return Ok(None);
+    };
+    let viewer = answer(write, request, shared).await?;
+    if viewer.is_none() {
+        write.shutdown().await?;
+        linger(read).await;
+    }
+    Ok(viewer)
+}
+
+async fn answer<'a>(
+    write: &mut OwnedWriteHalf,
     request: Result<Request, BadRequest>,
-    shared: &Shared,
-) -> io::Result<()> {
+    shared: &'a Shared,
+) -> io::Result<Option<Viewer<'a>>> {
     let request = match request {
         Ok(request) => request,
         Err(BadRequest::Malformed) => {
@@ -114,55 +141,44 @@ async fn answer(
     if !matches!(request.path.as_str(), "/setup.json" | "/events") {
         return refuse(write, Code::NotFound, "There is nothing at this path.").await;
     }
-    if let Some(key) = &shared.token
-        && !request.token.is_some_and(|token| key.token.is(&token))
+    if let Some(expected) = &shared.token
+        && !request.token.is_some_and(|token| expected.is(&token))
     {
         let why =
             "The address of the page must end with ?token= and the token from page.token_file.";
         return refuse(write, Code::Forbidden, why).await;
     }
     if request.path == "/setup.json" {
-        let reconfigurer = shared.daemon.reconfigurer.clone();
-        let made = spawn_blocking(move || {
-            let (number, config) = reconfigurer.in_force();
-            setup(number, &config).to_string()
-        });
-        let body = made.await.map_err(io::Error::other)?;
-        return send(write, Code::Ok, JSON, body.as_bytes(), with_body).await;
+        return match shared.setup.get().await {
+            Ok(setup) => send(write, Code::Ok, JSON, setup.as_bytes(), with_body).await,
+            Err(why) => refuse(write, Code::Busy, &format!("No daemon: {why}")).await,
+        };
     }
-    let Ok(_viewer) = shared.viewer() else {
+    let Ok(viewer) = shared.viewer() else {
         let why = "Too many viewers watch; close one.";
         return refuse(write, Code::Busy, why).await;
     };
     write_all(write, head(Code::Ok, EVENTS, None).as_bytes()).await?;
-    if !with_body {
-        return Ok(());
-    }
-    // A viewer sends no more. Reading detects that it has left.
-    let mut rest = [0];
-    tokio::select! {
-        result = stream_events(write, shared) => result,
-        closed = read.read(&mut rest) => closed.map(drop),
-    }
+    Ok(with_body.then_some(viewer))
 }
 
 /// Sends the newest events for as long as the viewer stays.
 async fn stream_events(write: &mut OwnedWriteHalf, shared: &Shared) -> io::Result<()> {
-    // What the kernel keeps is what a slow viewer is late by.
     SockRef::from(write.as_ref()).set_send_buffer_size(STATE_BUFFER)?;
     let mut states = shared.feed.states.subscribe();
     let mut statuses = shared.feed.statuses.subscribe();
-    write_all(write, status(&shared.daemon).as_bytes()).await?;
+    let mut event = newest(&mut statuses);
     loop {
+        write_all(write, event.as_bytes()).await?;
         let changed = tokio::select! {
             changed = statuses.changed() => changed.map(|()| newest(&mut statuses)),
             changed = states.changed() => changed.map(|()| newest(&mut states)),
         };
         // The feed lives as long as its viewers.
-        let Ok(event) = changed else {
+        let Ok(changed) = changed else {
             return Ok(());
         };
-        write_all(write, event.as_bytes()).await?;
+        event = changed;
     }
 }
 
@@ -170,22 +186,27 @@ fn newest(events: &mut watch::Receiver<Arc<str>>) -> Arc<str> {
     Arc::clone(&events.borrow_and_update())
 }
 
-async fn refuse(write: &mut OwnedWriteHalf, code: Code, why: &str) -> io::Result<()> {
+async fn refuse<'a>(
+    write: &mut OwnedWriteHalf,
+    code: Code,
+    why: &str,
+) -> io::Result<Option<Viewer<'a>>> {
     send(write, code, TEXT, format!("{why}\n").as_bytes(), true).await
 }
 
-async fn send(
+/// Sends a whole answer: nobody watches.
+async fn send<'a>(
     write: &mut OwnedWriteHalf,
     code: Code,
     content_type: &str,
     body: &[u8],
     with_body: bool,
-) -> io::Result<()> {
+) -> io::Result<Option<Viewer<'a>>> {
     write_all(write, head(code, content_type, Some(body.len())).as_bytes()).await?;
     if with_body {
         write_all(write, body).await?;
     }
-    Ok(())
+    Ok(None)
 }
 
 fn head(code: Code, content_type: &str, length: Option<usize>) -> String {

@@ -1,0 +1,55 @@
+//! What shows the drive while it goes on, as a client of the daemon's socket.
+
+use std::path::Path;
+
+#[cfg(feature = "live")]
+use singletrack_core::config::LiveSection;
+#[cfg(feature = "page")]
+use singletrack_core::config::PageSection;
+#[cfg(feature = "live")]
+use singletrack_viewers::live::Live;
+#[cfg(feature = "page")]
+use singletrack_viewers::page::Page;
+
+use super::{arguments::DemoArgs, error::DemoError};
+
+/// The servers that the options ask for. They end when this value is dropped.
+#[derive(Default)]
+pub(super) struct Viewers {
+    #[cfg(feature = "page")]
+    _page: Option<Page>,
+    #[cfg(feature = "live")]
+    _live: Option<Live>,
+}
+
+impl Viewers {
+    /// Starts them and prints their addresses.
+    pub(super) fn start(args: &DemoArgs, socket: &Path) -> Result<Self, DemoError> {
+        let mut viewers = Self::default();
+        #[cfg(feature = "page")]
+        if let Some(port) = args.watch {
+            let section = PageSection {
+                port,
+                ..PageSection::default()
+            };
+            let page = Page::start(socket.to_owned(), &section)?;
+            eprintln!("Watch the drive in a browser: http://{}", page.address());
+            viewers._page = Some(page);
+        }
+        #[cfg(feature = "live")]
+        if let Some(port) = args.live {
+            let section = LiveSection {
+                port,
+                ..LiveSection::default()
+            };
+            let live = Live::start(socket.to_owned(), section)?;
+            eprintln!(
+                "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
+                 PlotJuggler)",
+                live.address()
+            );
+            viewers._live = Some(live);
+        }
+        Ok(viewers)
+    }
+}

@@ -1,0 +1,165 @@
+//! `singletrack page|live`: what shows a drive, in processes of their own beside any daemon.
+
+use std::{
+    error::Error,
+    io::{self, IsTerminal as _, Write as _},
+    net::IpAddr,
+    path::PathBuf,
+    thread,
+    time::Duration,
+};
+
+use clap::Args;
+use singletrack_core::{Config, config::SocketSection};
+use tracing_subscriber::{
+    filter::{LevelFilter, Targets},
+    layer::SubscriberExt as _,
+    util::SubscriberInitExt as _,
+};
+
+use crate::{
+    arguments::{SOCKET_VARIABLE, socket_parser},
+    interrupt::Interrupt,
+};
+
+/// How often Ctrl-C is looked for.
+const POLL: Duration = Duration::from_millis(50);
+
+/// The options of both.
+#[derive(Clone, Debug, Args)]
+struct ViewerArgs {
+    /// The daemon's control socket [default: socket.path of --config]
+    #[arg(
+        long,
+        value_name = "PATH",
+        env = SOCKET_VARIABLE,
+        hide_env_values = true,
+        value_parser = socket_parser()
+    )]
+    socket: Option<PathBuf>,
+
+    /// The daemon's configuration, for the socket and for what the other options leave out
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
+    /// Address to listen on [default: that of --config, or 127.0.0.1]
+    #[arg(long, value_name = "ADDRESS")]
+    address: Option<IpAddr>,
+}
+
+impl ViewerArgs {
+    /// The path of the socket, and a section of the configuration.
+    fn settings<T: Default>(
+        &self,
+        section: impl Fn(Config) -> T,
+    ) -> Result<(PathBuf, T), Box<dyn Error>> {
+        let (socket, section) = match &self.config {
+            Some(path) => {
+                let config = Config::read(path)?;
+                (config.socket.path.clone(), section(config))
+            }
+            None => (SocketSection::default().path, T::default()),
+        };
+        Ok((self.socket.clone().unwrap_or(socket), section))
+    }
+}
+
+/// Options of `singletrack page`.
+#[cfg(feature = "page")]
+#[derive(Clone, Debug, Args)]
+pub struct PageArgs {
+    #[command(flatten)]
+    viewer: ViewerArgs,
+
+    /// Port to listen on; 0 takes any free port [default: that of --config, or 8767]
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+
+    /// File for a new token, which browsers then give; needed for an address beyond loopback
+    /// [default: page.token_file of --config]
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+}
+
+/// Options of `singletrack live`.
+#[cfg(feature = "live")]
+#[derive(Clone, Debug, Args)]
+pub struct LiveArgs {
+    #[command(flatten)]
+    viewer: ViewerArgs,
+
+    /// Port to listen on; 0 takes any free port [default: that of --config, or 8765]
+    #[arg(long, value_name = "PORT")]
+    port: Option<u16>,
+}
+
+/// Serves the page until Ctrl-C.
+///
+/// # Errors
+///
+/// The configuration is invalid, or the page can't be served.
+#[cfg(feature = "page")]
+pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
+    let interrupt = Interrupt::listen()?;
+    let (socket, mut section) = args.viewer.settings(|config| config.page)?;
+    section.address = args.viewer.address.unwrap_or(section.address);
+    section.port = args.port.unwrap_or(section.port);
+    section.token_file = args.token_file.clone().or(section.token_file);
+    start_log();
+    let page = singletrack_viewers::page::Page::start(socket, &section)?;
+    let token = section.token_file.map_or_else(String::new, |path| {
+        format!("/?token=TOKEN with the token from {}", path.display())
+    });
+    print(&format!("Page: http://{}{token}", page.address()))?;
+    wait(&interrupt);
+    Ok(())
+}
+
+/// Serves the live view until Ctrl-C.
+///
+/// # Errors
+///
+/// The configuration is invalid, or the live view can't be served.
+#[cfg(feature = "live")]
+pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
+    let interrupt = Interrupt::listen()?;
+    let (socket, mut section) = args.viewer.settings(|config| config.live)?;
+    section.address = args.viewer.address.unwrap_or(section.address);
+    section.port = args.port.unwrap_or(section.port);
+    start_log();
+    let live = singletrack_viewers::live::Live::start(socket, section)?;
+    print(&format!("Live view: ws://{}", live.address()))?;
+    wait(&interrupt);
+    Ok(())
+}
+
+/// The log on standard error: the daemon lost and found again.
+fn start_log() {
+    let no_colour = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let filter = Targets::new()
+        .with_default(LevelFilter::WARN)
+        .with_target("singletrack_viewers", LevelFilter::INFO);
+    tracing_subscriber::fmt()
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal() && !no_colour)
+        .without_time()
+        .with_target(false)
+        .finish()
+        .with(filter)
+        .init();
+}
+
+/// Prints where to look. A closed pipe is no error.
+fn print(text: &str) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error),
+        _ => Ok(()),
+    }
+}
+
+fn wait(interrupt: &Interrupt) {
+    while !interrupt.is_raised() {
+        thread::sleep(POLL);
+    }
+}

@@ -1,0 +1,91 @@
+//! The daemon as a viewer sees it: every wait is bounded, and a lost daemon is found again.
+
+use std::{
+    io,
+    path::Path,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::Duration,
+};
+
+use singletrack_client::ClientError;
+
+/// The longest wait for an answer, and for the next line of a stream.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Interval at which a thread without viewers looks for one.
+const IDLE: Duration = Duration::from_millis(50);
+
+/// From a lost daemon to the next attempt.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// From a refusal to the next attempt. The daemon has no place: others may need the next one more.
+const RETRY_REFUSED: Duration = Duration::from_secs(10);
+
+/// The thread that watches the daemon. It ends soon after this value is dropped.
+#[derive(Debug)]
+pub(crate) struct Follower(Arc<AtomicBool>);
+
+impl Drop for Follower {
+    fn drop(&mut self) {
+        // It is not waited for: a daemon that hangs may hold it up.
+        self.0.store(true, Ordering::Release);
+    }
+}
+
+impl Follower {
+    /// Starts the thread. While `is_watched`, it runs `follow`, which returns when nobody watches
+    /// any more or the daemon is lost. `lost` is given the reason.
+    pub(crate) fn start(
+        is_watched: impl Fn() -> bool + Send + 'static,
+        mut follow: impl FnMut() -> Result<(), ClientError> + Send + 'static,
+        lost: impl Fn(String) + Send + 'static,
+    ) -> io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let has_stopped = move || stopped.load(Ordering::Acquire);
+        let body = move || {
+            let mut said = String::new();
+            while !has_stopped() {
+                if !is_watched() {
+                    thread::sleep(IDLE);
+                    continue;
+                }
+                let Err(error) = follow() else {
+                    continue;
+                };
+                let why = error.to_string();
+                if why != said {
+                    tracing::warn!("no daemon: {why}");
+                    said.clone_from(&why);
+                }
+                lost(why);
+                let pause = match error {
+                    ClientError::Refused(_) => RETRY_REFUSED,
+                    _ => RETRY,
+                };
+                for _ in 0..pause.as_millis() / IDLE.as_millis() {
+                    if has_stopped() {
+                        break;
+                    }
+                    thread::sleep(IDLE);
+                }
+            }
+        };
+        thread::Builder::new()
+            .name("daemon".to_owned())
+            .spawn(body)?;
+        Ok(Self(stop))
+    }
+}
+
+/// The daemon at `socket` has not answered in time.
+pub(crate) fn silent(socket: &Path) -> ClientError {
+    ClientError::Silent {
+        path: socket.to_owned(),
+        patience: PATIENCE,
+    }
+}

@@ -1,0 +1,14 @@
+//! What shows a drive to people, beside the daemon: the page for a browser (`page`), and the live
+//! view for Foxglove, Lichtblick and PlotJuggler (`live`).
+//!
+//! Each is a client of the daemon's control socket and a server of its own, which takes no
+//! commands. It watches the daemon only while somebody watches it, connects again when the daemon
+//! restarts, and is bounded in connections, memory and time. A viewer that hangs or is killed costs
+//! the daemon one place among its watchers, and nothing else.
+
+mod daemon;
+mod head;
+#[cfg(feature = "live")]
+pub mod live;
+#[cfg(feature = "page")]
+pub mod page;

@@ -1,0 +1,307 @@
+//! The WebSocket server of the live view, and the thread that fills it.
+
+use std::{
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    path::{Path, PathBuf},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use foxglove::{
+    ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer,
+    WebSocketServerHandle, websocket::Status,
+};
+use singletrack_client::{ClientError, Message, MessageStream, Received};
+use singletrack_core::config::LiveSection;
+use singletrack_record::{Channel, ClockMapping};
+use tokio::{
+    net::TcpListener,
+    runtime::{self, Runtime},
+    sync::Notify,
+    time::{sleep, timeout},
+};
+
+use super::relay::{Inner, relay};
+use crate::daemon::{Follower, PATIENCE, silent};
+
+/// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
+/// date.
+const BACKLOG: usize = 400;
+
+/// Interval at which viewers are counted and told about the daemon.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+/// The longest wait for viewers when the server closes.
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(50);
+
+/// The name of the message about a lost daemon.
+const LOST: &str = "daemon";
+
+/// Why the live view does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// Another program listens on the address, or listening is not permitted.
+    #[error(
+        "can't listen on {address} for the live view: {source}; choose another live.address or \
+         live.port"
+    )]
+    Listen {
+        /// The configured address.
+        address: SocketAddr,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The server or a thread does not start.
+    #[error("the live view does not start: {0}")]
+    Server(String),
+}
+
+impl From<io::Error> for LiveError {
+    fn from(error: io::Error) -> Self {
+        Self::Server(error.to_string())
+    }
+}
+
+impl From<FoxgloveError> for LiveError {
+    fn from(error: FoxgloveError) -> Self {
+        Self::Server(error.to_string())
+    }
+}
+
+/// A live view. It ends when this value is dropped.
+#[derive(Debug)]
+pub struct Live {
+    address: SocketAddr,
+    stop: Arc<Notify>,
+    thread: Option<JoinHandle<()>>,
+    _follower: Follower,
+}
+
+/// What the threads share.
+#[derive(Debug, Default)]
+struct Shared {
+    is_watched: AtomicBool,
+    /// Why there is no daemon.
+    lost: Mutex<Option<String>>,
+}
+
+impl Live {
+    /// Starts to listen, for the daemon at `socket`, which need not run.
+    ///
+    /// # Errors
+    ///
+    /// The address can't be listened on, or a thread does not start.
+    pub fn start(socket: PathBuf, section: LiveSection) -> Result<Self, LiveError> {
+        let address = SocketAddr::new(section.address, section.port);
+        let listen = |source| LiveError::Listen { address, source };
+        let runtime = runtime::Builder::new_current_thread()
+            .enable_io()
+            .enable_time()
+            .build()?;
+        let listener = runtime
+            .block_on(TcpListener::bind(address))
+            .map_err(listen)?;
+        let address = listener.local_addr().map_err(listen)?;
+        let publisher = Publisher::new()?;
+        let context = Arc::clone(&publisher.context);
+        let handle = runtime.block_on(listen_inside(&context))?;
+        let shared = Arc::new(Shared::default());
+        let stop = Arc::new(Notify::new());
+        let thread = thread::Builder::new().name("live".to_owned()).spawn({
+            let (shared, stop) = (Arc::clone(&shared), Arc::clone(&stop));
+            move || serve(&runtime, listener, &context, handle, &shared, &stop)
+        })?;
+        let (watched, followed, lost) = (Arc::clone(&shared), Arc::clone(&shared), shared);
+        let follower = Follower::start(
+            move || watched.is_watched.load(Ordering::Relaxed),
+            move || follow(&socket, &publisher, &followed),
+            move |why| lost.set_lost(Some(why)),
+        )?;
+        if !address.ip().is_loopback() {
+            tracing::warn!(%address, "the live view listens beyond loopback and has no authentication");
+        }
+        Ok(Self {
+            address,
+            stop,
+            thread: Some(thread),
+            _follower: follower,
+        })
+    }
+
+    /// The address that it listens on, with the port in use.
+    #[must_use]
+    pub const fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.stop.notify_one();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the live view's thread has panicked");
+        }
+    }
+}
+
+impl Shared {
+    fn lost(&self) -> Option<String> {
+        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
+        lost.clone()
+    }
+
+    fn set_lost(&self, why: Option<String>) {
+        *self.lost.lock().unwrap_or_else(PoisonError::into_inner) = why;
+    }
+}
+
+/// The channels of the record.
+struct Publisher {
+    /// The channels and the server hold it weakly.
+    context: Arc<Context>,
+    channels: Vec<(Channel, Arc<RawChannel>)>,
+}
+
+impl Publisher {
+    fn new() -> Result<Self, FoxgloveError> {
+        let context = Context::new();
+        let channels = Channel::all()
+            .map(|channel| {
+                let schema = Schema::new(
+                    channel.schema_name(),
+                    Channel::SCHEMA_ENCODING,
+                    channel.schema_text().into_bytes(),
+                );
+                let raw = ChannelBuilder::new(channel.topic())
+                    .message_encoding(Channel::MESSAGE_ENCODING)
+                    .schema(schema)
+                    .context(&context)
+                    .build_raw()?;
+                Ok::<_, FoxgloveError>((channel, raw))
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Self { context, channels })
+    }
+
+    /// Publishes a message. `log_time_ns` is that of the messages about one entry, of which its own
+    /// is the first.
+    fn publish(&self, message: Message<'_>, clocks: ClockMapping, log_time_ns: &mut u64) {
+        let is_of = |(channel, _): &&(Channel, _)| channel.topic() == message.topic;
+        // A newer daemon may have others.
+        let Some((channel, raw)) = self.channels.iter().find(is_of) else {
+            return;
+        };
+        if let Channel::Entry(topic) = channel
+            && let Some(time_ns) = topic.time_ns(message.bytes)
+        {
+            *log_time_ns = clocks.wall_ns_at(time_ns);
+        }
+        let metadata = PartialMetadata {
+            log_time: Some(*log_time_ns),
+        };
+        raw.log_with_meta(message.bytes, metadata);
+    }
+}
+
+/// Passes the daemon's messages on for as long as there are viewers.
+fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), ClientError> {
+    let in_time = |error| match error {
+        ClientError::BrokeOff(error) if error.kind() == io::ErrorKind::WouldBlock => silent(socket),
+        error => error,
+    };
+    let mut stream = MessageStream::open(socket, &[], PATIENCE).map_err(in_time)?;
+    shared.set_lost(None);
+    let clocks = stream.clocks();
+    let clocks = ClockMapping {
+        monotonic_ns: clocks.monotonic_ns,
+        wall_ns: clocks.wall_ns,
+    };
+    let mut log_time_ns = clocks.wall_ns;
+    while shared.is_watched.load(Ordering::Relaxed) {
+        // What was missed is not shown.
+        if let Received::Message(message) = stream.receive().map_err(in_time)? {
+            publisher.publish(message, clocks, &mut log_time_ns);
+        }
+    }
+    Ok(())
+}
+
+/// Serves viewers until `stop`.
+fn serve(
+    runtime: &Runtime,
+    listener: TcpListener,
+    context: &Arc<Context>,
+    mut handle: WebSocketServerHandle,
+    shared: &Shared,
+    stop: &Notify,
+) {
+    let inner = Inner::default();
+    inner.listens(handle.port());
+    runtime.spawn(relay(listener, inner.clone()));
+    runtime.block_on(async {
+        let mut told = Told::default();
+        let mut stopped = core::pin::pin!(stop.notified());
+        while timeout(POLL_INTERVAL, &mut stopped).await.is_err() {
+            if inner.take_ended() {
+                match listen_inside(context).await {
+                    Ok(new) => {
+                        inner.listens(new.port());
+                        // Its viewers connect again.
+                        drop(core::mem::replace(&mut handle, new).stop());
+                    }
+                    Err(error) => {
+                        tracing::warn!(%error, "the live view does not listen");
+                        sleep(POLL_INTERVAL).await;
+                    }
+                }
+            }
+            let viewers = handle.client_count();
+            shared.is_watched.store(viewers > 0, Ordering::Relaxed);
+            told.tell(&handle, viewers, shared.lost());
+        }
+        // A viewer that does not close its connection is not waited for.
+        let _ = timeout(CLOSE_TIMEOUT, handle.stop().wait()).await;
+    });
+}
+
+/// What the viewers know of the daemon.
+#[derive(Default)]
+struct Told {
+    viewers: usize,
+    lost: Option<String>,
+}
+
+impl Told {
+    /// Tells the viewers why there is no daemon, or that there is one again.
+    fn tell(&mut self, handle: &WebSocketServerHandle, viewers: usize, lost: Option<String>) {
+        let is_news = lost != self.lost || viewers > self.viewers;
+        match &lost {
+            Some(why) if is_news => {
+                handle.publish_status(Status::warning(format!("no daemon: {why}")).with_id(LOST));
+            }
+            None if is_news && self.lost.is_some() => handle.remove_status(vec![LOST.to_owned()]),
+            _ => {}
+        }
+        *self = Self { viewers, lost };
+    }
+}
+
+/// Starts a WebSocket server on loopback, for the relay.
+async fn listen_inside(context: &Arc<Context>) -> Result<WebSocketServerHandle, FoxgloveError> {
+    WebSocketServer::new()
+        .name(concat!("singletrack ", env!("CARGO_PKG_VERSION")))
+        .context(context)
+        // Viewers can only subscribe.
+        .capabilities([])
+        .message_backlog_size(BACKLOG)
+        .bind(Ipv4Addr::LOCALHOST.to_string(), 0)
+        .start()
+        .await
+}

@@ -1,0 +1,105 @@
+//! The newest state and status, for all browsers at once.
+
+use std::{
+    path::Path,
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde_json::{Value, json};
+use singletrack_client::{ClientError, Connection, SOCKET_VERSION, agreed};
+use tokio::sync::watch;
+
+use crate::daemon::{PATIENCE, silent};
+
+/// Interval of the states, and of the statuses.
+const STATE_INTERVAL: Duration = Duration::from_millis(40);
+const STATUS_INTERVAL: Duration = Duration::from_secs(1);
+
+/// The newest events, ready to be sent. Empty before the first.
+#[derive(Debug)]
+pub(super) struct Feed {
+    pub(super) states: watch::Sender<Arc<str>>,
+    /// The status, or why there is no daemon.
+    pub(super) statuses: watch::Sender<Arc<str>>,
+}
+
+impl Default for Feed {
+    fn default() -> Self {
+        Self {
+            states: watch::Sender::new(Arc::from("")),
+            statuses: watch::Sender::new(Arc::from("")),
+        }
+    }
+}
+
+impl Feed {
+    pub(super) fn is_watched(&self) -> bool {
+        self.states.receiver_count() > 0
+    }
+
+    /// Publishes why there is no daemon.
+    pub(super) fn lost(&self, why: &str) {
+        self.statuses.send_replace(event("lost", &json!(why)));
+    }
+
+    /// Publishes what the daemon at `socket` does for as long as a browser watches.
+    pub(super) fn follow(&self, socket: &Path) -> Result<(), ClientError> {
+        let mut states = Connection::open(socket, PATIENCE)?;
+        let watch = json!({ "version": SOCKET_VERSION, "command": "watch", "topics": ["state"] });
+        states.send(&watch)?;
+        answer(&mut states, socket)?;
+        let mut asked: Option<Instant> = None;
+        while self.is_watched() {
+            if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
+                asked = Some(Instant::now());
+                let answer = ask("status", socket)?;
+                let status = answer.get("status").unwrap_or(&Value::Null);
+                self.statuses.send_replace(event("status", status));
+            }
+            let mut newest = None;
+            while let Some(line) = states.receive()? {
+                // Other lines are about states that were missed.
+                newest = Some(line)
+                    .filter(|line| line.get("topic").is_some())
+                    .or(newest);
+            }
+            if let Some(state) = newest {
+                self.states.send_replace(event("state", &state));
+            }
+            thread::sleep(STATE_INTERVAL);
+        }
+        // Nothing old is shown to the next one.
+        self.statuses.send_replace(Arc::from(""));
+        Ok(())
+    }
+}
+
+/// The answer of the daemon at `socket` to a command without arguments.
+pub(super) fn ask(command: &str, socket: &Path) -> Result<Value, ClientError> {
+    let mut connection = Connection::open(socket, PATIENCE)?;
+    connection.send(&json!({ "version": SOCKET_VERSION, "command": command }))?;
+    answer(&mut connection, socket)
+}
+
+fn answer(connection: &mut Connection, socket: &Path) -> Result<Value, ClientError> {
+    let answer = connection.receive_within(PATIENCE)?;
+    agreed(answer.ok_or_else(|| silent(socket))?)
+}
+
+/// An event.
+fn event(name: &str, data: &Value) -> Arc<str> {
+    Arc::from(format!("event: {name}\ndata: {data}\n\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_is_one_line_of_data() {
+        let text = event("lost", &json!("no\nline"));
+        assert_eq!(&*text, "event: lost\ndata: \"no\\nline\"\n\n");
+    }
+}

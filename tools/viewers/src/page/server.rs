@@ -1,0 +1,220 @@
+//! The server of the page: accepts browsers.
+
+use std::{
+    io,
+    net::{SocketAddr, TcpListener as StdListener},
+    path::{Path, PathBuf},
+    sync::Arc,
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use singletrack_access::{Token, TokenFile, WaitingRoom};
+use singletrack_core::{ConfigError, config::PageSection};
+use tokio::{
+    net::TcpListener,
+    runtime::{self, Runtime},
+    sync::{Notify, Semaphore, SemaphorePermit, TryAcquireError},
+    task::yield_now,
+};
+
+use super::{feed::Feed, respond::serve, setup::Setup};
+use crate::daemon::Follower;
+
+/// The largest number of connections at a time that wait for an answer, or for a request. A newer
+/// one takes the place of the oldest.
+const CONNECTIONS: usize = 96;
+
+/// The largest number of viewers of the events at a time.
+const VIEWERS: usize = 32;
+
+/// The pause after a connection that could not be accepted: files may be closed soon.
+const ERROR_PAUSE: Duration = Duration::from_millis(100);
+
+/// Why the page is not served.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// The configuration is invalid.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// Another program listens on the address, or listening is not permitted.
+    #[error(
+        "can't listen on {address} for the page: {source}; choose another page.address or \
+         page.port"
+    )]
+    Listen {
+        /// The configured address.
+        address: SocketAddr,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The file of the token can't be written.
+    #[error(
+        "can't write the token of the page to {}: {source}; choose a page.token_file in a folder \
+         that you may write to",
+        path.display()
+    )]
+    Token {
+        /// The configured path.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The server or a thread does not start.
+    #[error("the page's server does not start: {0}")]
+    Server(#[from] io::Error),
+}
+
+/// A page. It ends when this value is dropped.
+#[derive(Debug)]
+pub struct Page {
+    address: SocketAddr,
+    stop: Arc<Notify>,
+    thread: Option<JoinHandle<()>>,
+    _follower: Follower,
+    _token_file: Option<TokenFile>,
+}
+
+/// What all connections share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) feed: Feed,
+    pub(super) setup: Setup,
+    pub(super) token: Option<Token>,
+    places: Semaphore,
+}
+
+/// The place of a viewer of the events.
+pub(super) type Viewer<'a> = SemaphorePermit<'a>;
+
+impl Page {
+    /// Starts to listen, for the daemon at `socket`, which need not run; and writes the file of the
+    /// token.
+    ///
+    /// # Errors
+    ///
+    /// The address can't be listened on, or must not be without a token; the token can't be
+    /// written; a thread does not start.
+    pub fn start(socket: PathBuf, section: &PageSection) -> Result<Self, PageError> {
+        section.check_served()?;
+        let address = SocketAddr::new(section.address, section.port);
+        let failed = |source| PageError::Listen { address, source };
+        let listener = StdListener::bind(address).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let key = section.token_file.as_ref().map(|path| {
+            let failed = |source| PageError::Token {
+                path: path.clone(),
+                source,
+            };
+            let token = Token::random().map_err(failed)?;
+            let file = TokenFile::create(path.clone(), address, &token).map_err(failed)?;
+            Ok::<_, PageError>((token, file))
+        });
+        let (token, token_file) = key.transpose()?.unzip();
+        let shared = Arc::new(Shared {
+            feed: Feed::default(),
+            setup: Setup::default(),
+            token,
+            places: Semaphore::new(VIEWERS),
+        });
+        let runtime = runtime::Builder::new_current_thread()
+            .enable_io()
+            .enable_time()
+            // For one question at a time.
+            .max_blocking_threads(1)
+            .build()?;
+        let stop = Arc::new(Notify::new());
+        let follower = {
+            let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
+            let (lost, socket) = (Arc::clone(&shared), socket.clone());
+            Follower::start(
+                move || watched.feed.is_watched(),
+                move || followed.feed.follow(&socket),
+                move |why| lost.feed.lost(&why),
+            )?
+        };
+        let thread = thread::Builder::new().name("page".to_owned()).spawn({
+            let stop = Arc::clone(&stop);
+            move || run(runtime, listener, &socket, &shared, &stop)
+        })?;
+        Ok(Self {
+            address,
+            stop,
+            thread: Some(thread),
+            _follower: follower,
+            _token_file: token_file,
+        })
+    }
+
+    /// The address that it listens on, with the port in use.
+    #[must_use]
+    pub const fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        self.stop.notify_one();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the page's thread has panicked");
+        }
+    }
+}
+
+impl Shared {
+    /// A place for a viewer of the events, if one is free.
+    pub(super) fn viewer(&self) -> Result<Viewer<'_>, TryAcquireError> {
+        self.places.try_acquire()
+    }
+}
+
+fn run(
+    runtime: Runtime,
+    listener: StdListener,
+    socket: &Path,
+    shared: &Arc<Shared>,
+    stop: &Notify,
+) {
+    runtime.block_on(async {
+        tokio::select! {
+            result = accept(listener, shared) => {
+                if let Err(error) = result {
+                    tracing::error!(%error, "can't serve the page");
+                }
+            }
+            () = shared.setup.run(socket) => {}
+            () = stop.notified() => {}
+        }
+    });
+    // Viewers are disconnected. A daemon that does not answer is not waited for.
+    runtime.shutdown_background();
+}
+
+/// Accepts browsers for as long as it is polled.
+async fn accept(listener: StdListener, shared: &Arc<Shared>) -> io::Result<()> {
+    let listener = TcpListener::from_std(listener)?;
+    let room = WaitingRoom::new(CONNECTIONS);
+    loop {
+        match listener.accept().await {
+            Ok((stream, address)) => {
+                let (shared, place) = (Arc::clone(shared), room.enter());
+                tokio::spawn(async move {
+                    // A browser may leave at any time.
+                    if let Err(error) = serve(stream, &shared, place).await {
+                        tracing::debug!(%address, %error, "browser disconnected");
+                    }
+                });
+                // Connections that lose their place are closed before there are more.
+                yield_now().await;
+            }
+            Err(error) => {
+                tracing::warn!(%error, "browser not accepted");
+                tokio::time::sleep(ERROR_PAUSE).await;
+            }
+        }
+    }
+}
