@@ -63,20 +63,21 @@ pub fn ask_within(
     path: &Path,
     patience: Duration,
 ) -> Result<Answer, ClientError> {
-    let line = line_within(request, path, patience)?;
+    let line = ask_for_line(request, path, patience)?;
     serde_json::from_str::<Answer>(&line)?.agreed()
 }
 
-/// The daemon's answer as it wrote it, which may have keys that this client does not know.
+/// The daemon's answer as it wrote it, which may have keys that this client does not know; also if
+/// it refuses.
 ///
 /// # Errors
 ///
 /// The daemon can't be asked.
-pub fn ask_for_line(request: &Request, path: &Path) -> Result<String, ClientError> {
-    line_within(request, path, ANSWER_TIMEOUT)
-}
-
-fn line_within(request: &Request, path: &Path, patience: Duration) -> Result<String, ClientError> {
+pub fn ask_for_line(
+    request: &Request,
+    path: &Path,
+    patience: Duration,
+) -> Result<String, ClientError> {
     let mut stream = connect(path)?;
     stream.set_read_timeout(Some(patience))?;
     stream.set_write_timeout(Some(patience.min(CONNECT_TIMEOUT)))?;

@@ -24,7 +24,10 @@ impl Viewer {
     ///
     /// Fails if it does not listen.
     pub fn start(command: &str, bench: &Bench) -> Outcome<Self> {
-        let mut child = Command::new(bench.program().with_file_name("singletrack"))
+        // As its unit does: the rig shares the processors with it.
+        let mut child = Command::new("nice")
+            .args(["-n", "10"])
+            .arg(bench.program().with_file_name("singletrack"))
             .args([command, "--port", "0", "--socket"])
             .arg(settings::socket(bench.folder()))
             .stdin(Stdio::null())

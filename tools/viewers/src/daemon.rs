@@ -11,7 +11,7 @@ use std::{
     time::Duration,
 };
 
-use singletrack_client::ClientError;
+use singletrack_api::ClientError;
 
 /// The longest wait for an answer, and for the next line of a stream.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(2);

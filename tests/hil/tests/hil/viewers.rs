@@ -1,6 +1,7 @@
 //! Many viewers of the live view and of the page, and what becomes of their processes.
 
 use std::{
+    fmt::Display,
     io::{BufRead as _, BufReader, Write as _},
     net::{SocketAddr, TcpStream},
     time::{Duration, Instant},
@@ -120,7 +121,7 @@ fn with_fifty_servers(bench: &mut Bench) -> Outcome {
     let (mut browsers, mut viewers) = (Vec::new(), Vec::new());
     for pair in servers.chunks_exact(2) {
         browsers.push(idle_browser(pair[0].address())?);
-        viewers.push(idle_viewer(pair[1].address())?);
+        viewers.push(mere_viewer(pair[1].address())?);
     }
     // Others are answered as without them.
     let begin = Instant::now();
@@ -216,10 +217,13 @@ fn idle_browser(address: SocketAddr) -> Outcome<TcpStream> {
     Ok(stream)
 }
 
-/// Subscribes to everything and reads nothing.
-fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
+fn refused(error: impl Display) -> Failure {
+    Failure::new(format!("live view: {error}"))
+}
+
+/// A viewer without subscriptions: what its server gets of the daemon goes no further.
+fn mere_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
     let stream = small_connection(address)?;
-    let refused = |error: tungstenite::Error| Failure::new(format!("live view: {error}"));
     let mut request = format!("ws://{address}")
         .into_client_request()
         .map_err(refused)?;
@@ -227,15 +231,19 @@ fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
         "Sec-WebSocket-Protocol",
         tungstenite::http::HeaderValue::from_static("foxglove.sdk.v1"),
     );
-    let (mut socket, _) = tungstenite::client(request, stream)
-        .map_err(|error| Failure::new(format!("live view: {error}")))?;
+    let (socket, _) = tungstenite::client(request, stream).map_err(refused)?;
+    Ok(socket)
+}
+
+/// Subscribes to everything and reads nothing.
+fn idle_viewer(address: SocketAddr) -> Outcome<WebSocket<TcpStream>> {
+    let mut socket = mere_viewer(address)?;
     loop {
         let message = socket.read().map_err(refused)?;
         let Message::Text(text) = message else {
             continue;
         };
-        let message: Value = serde_json::from_str(&text)
-            .map_err(|error| Failure::new(format!("live view: {error}: {text}")))?;
+        let message: Value = serde_json::from_str(&text).map_err(refused)?;
         let Some(channels) = message["channels"].as_array() else {
             continue;
         };

@@ -4,6 +4,8 @@ mod reasons;
 mod summary;
 mod watch;
 
+use std::time::Duration;
+
 use clap::Args;
 use serde_json::Value;
 use singletrack_api::Request;
@@ -25,6 +27,9 @@ pub struct StatusArgs {
     watch: bool,
 }
 
+/// The longest wait for the answer.
+const PATIENCE: Duration = Duration::from_secs(5);
+
 /// Prints the status. A closed pipe is no error.
 ///
 /// # Errors
@@ -37,7 +42,7 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
     }
     if args.json {
         // As the daemon wrote it, which may be newer than this program.
-        let line = singletrack_api::ask_for_line(&Request::Status {}, socket)?;
+        let line = singletrack_api::ask_for_line(&Request::Status {}, socket, PATIENCE)?;
         let mut answer: Value = serde_json::from_str(&line)?;
         let status = answer.get_mut("status").map(Value::take);
         return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);

@@ -16,7 +16,7 @@ use foxglove::{
     ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServer,
     WebSocketServerHandle, websocket::Status,
 };
-use singletrack_client::{ClientError, Message, MessageStream, Received};
+use singletrack_api::{ClientError, Message, MessageStream, Received};
 use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping};
 use tokio::{
@@ -48,7 +48,7 @@ pub enum LiveError {
     /// Another program listens on the address, or listening is not permitted.
     #[error(
         "can't listen on {address} for the live view: {source}; choose another live.address or \
-         live.port"
+         live.port, or give --port"
     )]
     Listen {
         /// The configured address.

@@ -8,7 +8,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use singletrack_client::{ClientError, Connection, SOCKET_VERSION, agreed};
+use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
 use crate::daemon::{PATIENCE, silent};
@@ -47,19 +47,23 @@ impl Feed {
     /// Publishes what the daemon at `socket` does for as long as a browser watches.
     pub(super) fn follow(&self, socket: &Path) -> Result<(), ClientError> {
         let mut states = Connection::open(socket, PATIENCE)?;
-        let watch = json!({ "version": SOCKET_VERSION, "command": "watch", "topics": ["state"] });
-        states.send(&watch)?;
-        answer(&mut states, socket)?;
+        states.send(&Request::Watch {
+            topics: vec!["state".to_owned()],
+        })?;
+        let answer: Option<Answer> = states.receive_within(PATIENCE)?;
+        answer.ok_or_else(|| silent(socket))?.agreed()?;
         let mut asked: Option<Instant> = None;
         while self.is_watched() {
             if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
                 asked = Some(Instant::now());
-                let answer = ask("status", socket)?;
+                // As the daemon wrote it, which may be newer than this program.
+                let line = ask_for_line(&Request::Status {}, socket, PATIENCE)?;
+                let answer: Value = serde_json::from_str(&line)?;
                 let status = answer.get("status").unwrap_or(&Value::Null);
                 self.statuses.send_replace(event("status", status));
             }
             let mut newest = None;
-            while let Some(line) = states.receive()? {
+            while let Some(line) = states.receive::<Value>()? {
                 // Other lines are about states that were missed.
                 newest = Some(line)
                     .filter(|line| line.get("topic").is_some())
@@ -74,18 +78,6 @@ impl Feed {
         self.statuses.send_replace(Arc::from(""));
         Ok(())
     }
-}
-
-/// The answer of the daemon at `socket` to a command without arguments.
-pub(super) fn ask(command: &str, socket: &Path) -> Result<Value, ClientError> {
-    let mut connection = Connection::open(socket, PATIENCE)?;
-    connection.send(&json!({ "version": SOCKET_VERSION, "command": command }))?;
-    answer(&mut connection, socket)
-}
-
-fn answer(connection: &mut Connection, socket: &Path) -> Result<Value, ClientError> {
-    let answer = connection.receive_within(PATIENCE)?;
-    agreed(answer.ok_or_else(|| silent(socket))?)
 }
 
 /// An event.

@@ -40,7 +40,7 @@ pub enum PageError {
     /// Another program listens on the address, or listening is not permitted.
     #[error(
         "can't listen on {address} for the page: {source}; choose another page.address or \
-         page.port"
+         page.port, or give --port"
     )]
     Listen {
         /// The configured address.

@@ -9,6 +9,7 @@ use std::{
 };
 
 use serde_json::{Map, Value, json};
+use singletrack_api::Request;
 use singletrack_control::Reference;
 use singletrack_core::{
     config::{Config, ReferenceSection},
@@ -19,7 +20,7 @@ use tokio::{
     task::spawn_blocking,
 };
 
-use super::feed::ask;
+use crate::daemon::PATIENCE;
 
 /// Points of the reference's path.
 const POINTS: u32 = 400;
@@ -84,21 +85,20 @@ fn fresh(newest: Option<&(Instant, Answer)>) -> Option<Answer> {
 
 /// The setup by the configuration of the daemon at `socket`.
 fn asked(socket: &Path) -> Result<String, String> {
-    let answer = ask("configuration", socket).map_err(|error| error.to_string())?;
-    let number = answer.get("configuration").and_then(Value::as_u64);
-    let text = answer.get("toml").and_then(Value::as_str);
-    let (Some(number), Some(text)) = (number, text) else {
+    let answer = singletrack_api::ask_within(&Request::Configuration {}, socket, PATIENCE);
+    let answer = answer.map_err(|error| error.to_string())?;
+    let (Some(number), Some(text)) = (answer.configuration, answer.toml) else {
         return Err("the daemon's configuration has no number or no text".to_owned());
     };
     // It is in force: the daemon has judged it.
-    let config: Config = toml::from_str(text).map_err(|error| {
+    let config: Config = toml::from_str(&text).map_err(|error| {
         format!("can't read the daemon's configuration: {error}; is it the same version?")
     })?;
     Ok(setup(number, &config).to_string())
 }
 
 /// The answer to `/setup.json`. `number` is that of the configuration.
-fn setup(number: u64, config: &Config) -> Value {
+fn setup(number: u32, config: &Config) -> Value {
     let (vehicle, law) = (&config.vehicle, &config.law);
     let (points_m, is_closed) = reference_path(config);
     json!({
