@@ -28,6 +28,12 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     .needing(&[Need::Browser])
     .alone(),
     Scenario::new(
+        "the_page_outlives_the_daemon_and_finds_the_next_one_in_a_browser",
+        survives_the_daemon,
+    )
+    .needing(&[Need::Browser])
+    .alone(),
+    Scenario::new(
         "twenty_people_with_slow_lines_do_not_affect_driving_in_chromium",
         with_slow_people,
     )
@@ -117,13 +123,24 @@ fn shows_a_drive(bench: &mut Bench) -> Outcome {
     tab.is_clean(&origin)?;
     bench.daemon()?.terminate(Duration::from_secs(6))?;
     tab.wait_for(STATUS, "no connection")?;
-    tab.wait_for(STATUS, "no daemon")?;
-    tab.screenshot("no-connection")?;
-    // The page finds the next one by itself.
-    bench.start_daemon()?;
-    tab.wait_for("document.getElementById('link').innerText", "live")?;
+    tab.screenshot("no-connection")
+}
+
+fn survives_the_daemon(bench: &mut Bench) -> Outcome {
+    const LINK: &str = "document.getElementById('link').innerText";
+    let page = Viewer::start("page", bench)?;
+    let mut browser = Browser::start()?;
+    let mut tab = browser.open(&format!("http://{}", page.address()))?;
+    for _ in 0..2 {
+        tab.wait_for(STATUS, "no connection")?;
+        tab.wait_for(STATUS, "there is no daemon")?;
+        bench.start_daemon()?;
+        tab.wait_for(LINK, "live")?;
+        bench.daemon()?.terminate(Duration::from_secs(6))?;
+    }
+    tab.wait_for(STATUS, "there is no daemon")?;
     drop(page);
-    tab.wait_for(STATUS, "singletrack page")
+    tab.wait_for(STATUS, "check that singletrack page runs")
 }
 
 fn with_slow_people(bench: &mut Bench) -> Outcome {
