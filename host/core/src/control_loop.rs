@@ -6,7 +6,7 @@ use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::Time;
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Jog, Mode, PilotRequest, RealTimeState, Tuning};
+use singletrack_pilot::{Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
@@ -18,7 +18,7 @@ use crate::{
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
-    setpoint_slot::{SetpointReceiver, Taken},
+    setpoint_slot::SetpointReceiver,
     slot::SlotReceiver,
 };
 
@@ -136,7 +136,7 @@ impl<L: Line> ControlLoop<L> {
 
     /// What the system granted the thread that runs the loop, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
-        self.controller.real_time(state);
+        self.controller.push(Event::RealTime(state));
     }
 
     /// The controller.
@@ -235,15 +235,15 @@ impl<L: Line> ControlLoop<L> {
         self.take_requests(slot.start_ns);
         self.take_setpoints();
         if let Some(jog) = self.rings.jogs.take() {
-            self.controller.jog(jog);
+            self.controller.push(Event::Jog(jog));
         }
         if let Some(tuning) = self.rings.tunings.take() {
-            self.controller.tune(tuning);
+            self.controller.push(Event::Tuning(tuning));
         }
         let now = Time(clock());
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
-            Mode::Ready if self.arm_when_ready => self.controller.request(PilotRequest::Arm),
+            Mode::Ready if self.arm_when_ready => self.request(PilotRequest::Arm),
             // Once only: a later stop is not overruled.
             Mode::Arming | Mode::Driving => self.arm_when_ready = false,
             _ => {}
@@ -354,11 +354,10 @@ impl<L: Line> ControlLoop<L> {
     /// Handles the newest set-point, or the next points of a trajectory.
     fn take_setpoints(&mut self) {
         for _ in 0..TRAJECTORY_PIECES {
-            match self.rings.setpoints.take() {
-                Some(Taken::Piece(piece)) => self.controller.trajectory_piece(piece),
-                Some(Taken::Setpoint(setpoint)) => return self.controller.setpoint(setpoint),
-                None => return,
-            }
+            let Some(event) = self.rings.setpoints.take() else {
+                return;
+            };
+            self.controller.push(event);
         }
     }
 
@@ -410,7 +409,7 @@ impl<L: Line> ControlLoop<L> {
                         request,
                         PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::Hold
                     );
-                    self.controller.request(request);
+                    self.request(request);
                 }
                 ControlRequest::Finish => {
                     if self.ending == Ending::Running {
@@ -419,7 +418,7 @@ impl<L: Line> ControlLoop<L> {
                             until_ns: now_ns.saturating_add(FINISH_NS),
                         };
                         // It also revokes an arm request of the same tick.
-                        self.controller.request(PilotRequest::Disarm);
+                        self.request(PilotRequest::Disarm);
                     }
                 }
                 ControlRequest::Abort => self.abort(now_ns),
@@ -461,10 +460,14 @@ impl<L: Line> ControlLoop<L> {
         }
     }
 
+    fn request(&mut self, request: PilotRequest) {
+        self.controller.push(Event::Request(request));
+    }
+
     fn abort(&mut self, now_ns: u64) {
         if matches!(self.ending, Ending::Running | Ending::Finishing { .. }) {
             self.arm_when_ready = false;
-            self.controller.request(PilotRequest::Disarm);
+            self.request(PilotRequest::Disarm);
             self.controller.disarm_now(Time(now_ns));
             self.ending = Ending::Aborting {
                 until_ns: now_ns.saturating_add(ABORT_NS),

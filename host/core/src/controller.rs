@@ -3,17 +3,14 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{
-    InertialSample, PoseSample, Position, Setpoint, SteeringMap, Time, TrajectoryPiece,
-};
+use singletrack_control::{InertialSample, PoseSample, Position, SteeringMap, Time};
 use singletrack_link::{
     ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
 };
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
-    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, Jog, LineHealth,
-    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, Tilt, Tuning,
-    Underway,
+    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth,
+    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, Tilt, Tuning, Underway,
 };
 use singletrack_protocol::{
     BoardMode, Configuration, RefusalReason, Request as BoardRequestKind, Status, StopCause,
@@ -38,7 +35,7 @@ pub type Events = heapless::Vec<Event, MAX_EVENTS>;
 /// Link session and pilot, and the events for the next tick.
 ///
 /// Between ticks, pass in what arrives ([`received`](Self::received),
-/// [`observed`](Self::observed), [`request`](Self::request), ...). At each tick, call
+/// [`observed`](Self::observed), [`push`](Self::push), ...). At each tick, call
 /// [`tick`](Self::tick), which writes the frames for the board.
 #[derive(Debug)]
 pub struct Controller {
@@ -204,37 +201,6 @@ impl Controller {
         self.push(pose_event(&observation.state));
     }
 
-    /// A person or a program asks the pilot for something.
-    pub fn request(&mut self, request: PilotRequest) {
-        self.push(Event::Request(request));
-    }
-
-    /// The system granted or refused real-time scheduling and locked memory.
-    pub fn real_time(&mut self, state: RealTimeState) {
-        self.push(Event::RealTime(state));
-    }
-
-    /// A set-point from outside. Only the newest of a tick counts.
-    pub fn setpoint(&mut self, setpoint: Setpoint) {
-        self.push(Event::Setpoint(setpoint));
-    }
-
-    /// A point of a trajectory from outside. The trajectory is in force once the pilot has all
-    /// of them.
-    pub fn trajectory_piece(&mut self, piece: TrajectoryPiece) {
-        self.push(Event::TrajectoryPiece(piece));
-    }
-
-    /// Pulses of the operator who jogs. Only the newest of a tick count.
-    pub fn jog(&mut self, jog: Jog) {
-        self.push(Event::Jog(jog));
-    }
-
-    /// Other values of what can be tuned. Those of a tick become one event.
-    pub fn tune(&mut self, tuning: Tuning) {
-        self.push(Event::Tuning(tuning));
-    }
-
     /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
     /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
     /// tick sends it to the board, which accepts no commands until it has acknowledged it.
@@ -369,7 +335,9 @@ impl Controller {
         }
     }
 
-    fn push(&mut self, event: Event) {
+    /// Adds an event for the next tick. Of set-points and of the operator's pulses only the newest of
+    /// a tick counts, and the tunings of a tick become one.
+    pub fn push(&mut self, event: Event) {
         Queue {
             events: &mut self.events,
             dropped: &mut self.dropped,
@@ -682,9 +650,9 @@ mod tests {
             gain,
             point_distance,
         };
-        controller.tune(tuning(gain(1.0), Some(0.3)));
-        controller.request(PilotRequest::Hold);
-        controller.tune(tuning(gain(2.0), None));
+        controller.push(Event::Tuning(tuning(gain(1.0), Some(0.3))));
+        controller.push(Event::Request(PilotRequest::Hold));
+        controller.push(Event::Tuning(tuning(gain(2.0), None)));
         let events = [
             Event::Tuning(tuning(gain(2.0), Some(0.3))),
             Event::Request(PilotRequest::Hold),
@@ -692,7 +660,7 @@ mod tests {
         assert_eq!(controller.events.as_slice(), events);
         // It belongs to the configuration before or after.
         controller.push(Event::Reconfigured(2));
-        controller.tune(tuning(None, Some(0.4)));
+        controller.push(Event::Tuning(tuning(None, Some(0.4))));
         assert_eq!(controller.events.len(), 4);
     }
 }

@@ -1,7 +1,8 @@
 //! A slot with the newest set-point for the control thread: a [`slot`], in which a newer set-point
 //! replaces one that was not taken, of whatever kind both are.
 
-use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory, TrajectoryPiece};
+use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory};
+use singletrack_pilot::Event;
 
 use crate::slot::{SlotReceiver, SlotSender, slot};
 
@@ -26,15 +27,6 @@ pub struct SetpointReceiver {
 enum Sent {
     Setpoint(Setpoint),
     Trajectory(Trajectory),
-}
-
-/// What the control thread takes from the slot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Taken {
-    /// The newest set-point.
-    Setpoint(Setpoint),
-    /// The next point of the newest trajectory.
-    Piece(TrajectoryPiece),
 }
 
 /// Makes an empty slot.
@@ -75,17 +67,17 @@ impl SetpointReceiver {
     ///
     /// A trajectory that was begun is passed on to its end: a sender that replaces it before
     /// would keep every one from coming into force.
-    pub fn take(&mut self) -> Option<Taken> {
+    pub fn take(&mut self) -> Option<Event> {
         if self.next >= self.trajectory.points.len() {
             match self.slot.take()? {
-                Sent::Setpoint(setpoint) => return Some(Taken::Setpoint(setpoint)),
+                Sent::Setpoint(setpoint) => return Some(Event::Setpoint(setpoint)),
                 Sent::Trajectory(trajectory) => self.trajectory = trajectory,
             }
             self.next = 0;
         }
         let piece = self.trajectory.pieces().nth(self.next)?;
         self.next += 1;
-        Some(Taken::Piece(piece))
+        Some(Event::TrajectoryPiece(piece))
     }
 }
 
@@ -151,7 +143,7 @@ mod tests {
 
     fn assert_pieces(receiver: &mut SetpointReceiver, trajectory: &Trajectory) {
         for piece in trajectory.pieces() {
-            assert_eq!(receiver.take(), Some(Taken::Piece(piece)));
+            assert_eq!(receiver.take(), Some(Event::TrajectoryPiece(piece)));
         }
     }
 
@@ -162,13 +154,13 @@ mod tests {
         for number in 1..=1_000 {
             sender.send(&numbered(number));
             if number > 950 {
-                assert_eq!(receiver.take(), Some(Taken::Setpoint(numbered(number))));
+                assert_eq!(receiver.take(), Some(Event::Setpoint(numbered(number))));
             }
         }
         assert_eq!(receiver.take(), None);
         sender.send_trajectory(&trajectory(5));
         sender.clone().send(&numbered(3));
-        assert_eq!(receiver.take(), Some(Taken::Setpoint(numbered(3))));
+        assert_eq!(receiver.take(), Some(Event::Setpoint(numbered(3))));
     }
 
     #[test]
@@ -176,14 +168,17 @@ mod tests {
         let (sender, mut receiver) = setpoint_slot();
         for number in [98, 0, 17] {
             sender.send_trajectory(&trajectory(number));
-            let first = trajectory(number).pieces().next().map(Taken::Piece);
+            let first = trajectory(number)
+                .pieces()
+                .next()
+                .map(Event::TrajectoryPiece);
             assert_eq!(receiver.take(), first);
             sender.send_trajectory(&trajectory(number + 1));
             sender.send(&numbered(number));
             for piece in trajectory(number).pieces().skip(1) {
-                assert_eq!(receiver.take(), Some(Taken::Piece(piece)));
+                assert_eq!(receiver.take(), Some(Event::TrajectoryPiece(piece)));
             }
-            assert_eq!(receiver.take(), Some(Taken::Setpoint(numbered(number))));
+            assert_eq!(receiver.take(), Some(Event::Setpoint(numbered(number))));
             assert_eq!(receiver.take(), None);
         }
     }
@@ -204,20 +199,20 @@ mod tests {
         let mut last = 0;
         while last < COUNT {
             let number = match receiver.take() {
-                Some(Taken::Setpoint(taken)) => {
+                Some(Event::Setpoint(taken)) => {
                     assert_eq!(taken, numbered(taken.stamp.time.0));
                     taken.stamp.time.0
                 }
-                Some(Taken::Piece(first)) => {
+                Some(Event::TrajectoryPiece(first)) => {
                     let number = first.stamp.time.0;
                     let mut expected = trajectory(number).pieces().collect::<Vec<_>>();
                     assert_eq!(first, expected.remove(0));
                     for piece in expected {
-                        assert_eq!(receiver.take(), Some(Taken::Piece(piece)));
+                        assert_eq!(receiver.take(), Some(Event::TrajectoryPiece(piece)));
                     }
                     number
                 }
-                None => continue,
+                _ => continue,
             };
             assert!(number > last);
             last = number;

@@ -150,7 +150,7 @@ fn observe(controller: &mut Controller, times: i32) {
 fn a_flood_of_samples_leaves_room_for_a_stop() {
     let mut controller = controller();
     observe(&mut controller, 1_000);
-    controller.request(PilotRequest::EmergencyStop);
+    controller.push(Event::Request(PilotRequest::EmergencyStop));
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(tick.dropped_events > 0);
     assert!(
@@ -165,16 +165,16 @@ fn after_a_long_pause_a_stop_finds_room_among_other_events() {
     let mut controller = controller();
     observe(&mut controller, 1_000);
     for _ in 0..100 {
-        controller.real_time(RealTimeState {
+        controller.push(Event::RealTime(RealTimeState {
             fifo: true,
             memory_locked: true,
-        });
+        }));
         controller.port_closed(Time(1), &mut |_| {});
     }
     for _ in 0..12 {
-        controller.request(PilotRequest::Arm);
+        controller.push(Event::Request(PilotRequest::Arm));
     }
-    controller.request(PilotRequest::EmergencyStop);
+    controller.push(Event::Request(PilotRequest::EmergencyStop));
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
     assert!(
         tick.events
@@ -187,7 +187,11 @@ fn after_a_long_pause_a_stop_finds_room_among_other_events() {
 fn of_many_set_points_in_a_tick_the_pilot_gets_the_newest() {
     let mut controller = controller();
     for ms in 0..1_000 {
-        controller.setpoint(Setpoint::point(Time(ms), None, Velocity::zeros()));
+        controller.push(Event::Setpoint(Setpoint::point(
+            Time(ms),
+            None,
+            Velocity::zeros(),
+        )));
     }
     let tick = controller.tick(Time(1_000), &mut |_| Sent::Whole, &mut |_| {});
     let seen: Vec<_> = tick
