@@ -209,40 +209,19 @@ macro_rules! enumeration {
     (
         $(#[$about:meta])*
         pub enum $name:ident {
-            $(#[doc = $first_documentation:literal])+ $first:ident = $first_word:literal,
-            $( $(#[doc = $documentation:literal])+ $variant:ident = $word:literal, )*
+            $(#[doc = $first_about:literal])* $first:ident = $first_word:literal,
+            $( $(#[doc = $variant_about:literal])* $variant:ident = $word:literal, )*
         }
     ) => {
-        $(#[$about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-        pub enum $name {
-            $(#[doc = $first_documentation])+ $first,
-            $( $(#[doc = $documentation])+ $variant, )*
-        }
-
-        impl $name {
-            /// All values, in the order of their numbers on the wire.
-            pub const ALL: [Self; [$name::$first, $($name::$variant,)*].len()] =
-                [Self::$first, $(Self::$variant,)*];
-
-            /// The word for this value in status, log, record and documentation.
-            #[must_use]
-            pub const fn name(self) -> &'static str {
-                match self {
-                    Self::$first => $first_word,
-                    $(Self::$variant => $word,)*
-                }
-            }
-
-            /// The documentation of this value, in Markdown.
-            #[must_use]
-            pub const fn documentation(self) -> &'static str {
-                match self {
-                    Self::$first => concat!($($first_documentation, "\n"),+),
-                    $(Self::$variant => concat!($($documentation, "\n"),+),)*
-                }
+        singletrack_words::words! {
+            $(#[$about])*
+            pub enum $name: serde {
+                $(#[doc = $first_about])* $first = $first_word,
+                $( $(#[doc = $variant_about])* $variant = $word, )*
             }
         }
+
+        impl $crate::wire::Wire for $name {}
 
         impl $crate::codec::Field for $name {
             fn write(&self, writer: &mut $crate::codec::Writer<'_>) {

@@ -40,11 +40,9 @@ structure! {
         pub request: Sequence,
         /// [`crate::Configuration::hash`] of the configuration that the host
         /// believes the board has.
-        #[serde(with = "postcard::fixint::le")]
         pub configuration_hash: u32,
         /// Board time of the newest telemetry that the host has seen. A request
         /// that has waited in a stuck line must not arm the car.
-        #[serde(with = "postcard::fixint::le")]
         pub telemetry_time_us: u32,
     }
 }
@@ -74,19 +72,15 @@ structure! {
         /// Newest wins.
         pub sequence: Sequence,
         /// Speed of the rear axle along the car, forward positive, in mm/s.
-        #[serde(with = "postcard::fixint::le")]
         pub speed_mm_s: i16,
         /// Steering angle of the front wheels, left positive, in units of 100 µrad.
-        #[serde(with = "postcard::fixint::le")]
         pub steering_100urad: i16,
         /// Board time of the newest telemetry that the host had seen: the board
         /// measures with its own clock how old this command is.
-        #[serde(with = "postcard::fixint::le")]
         pub telemetry_time_us: u32,
         /// Age, at `telemetry_time_us`, of the pose behind this command: the
         /// mid-exposure of the last pose that was *accepted*, which neither holding
         /// nor coasting renews. In milliseconds, rounded up; `u16::MAX` for none.
-        #[serde(with = "postcard::fixint::le")]
         pub pose_age_ms: u16,
         /// Brake down to `speed_mm_s` where the ESC can: the host is stopping the
         /// car. Without it, a car that is too fast gets neutral.
@@ -105,13 +99,10 @@ structure! {
         /// Newest wins; the same numbers as those of [`Drive`].
         pub sequence: Sequence,
         /// Board time of the newest telemetry that the host had seen.
-        #[serde(with = "postcard::fixint::le")]
         pub telemetry_time_us: u32,
         /// Servo pulse, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub servo_us: u16,
         /// ESC pulse, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub esc_us: u16,
     }
 }

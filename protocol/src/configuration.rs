@@ -22,7 +22,6 @@ structure! {
         pub failsafe: FailsafeAction,
         /// Oldest pose that a [`crate::Drive`] may be based on, in milliseconds;
         /// 1 to [`crate::MAX_POSE_AGE_CEILING_MS`].
-        #[serde(with = "postcard::fixint::le")]
         pub max_pose_age_ms: u16,
         /// Whether a normally-closed stop switch is wired: when it opens, the car
         /// stops as for [`crate::EmergencyStop`].
@@ -32,11 +31,9 @@ structure! {
         pub kill_output: bool,
         /// The longest time that the car rolls at neutral after a drive, in
         /// milliseconds: motor pulses beyond it mean that the ESC drives at neutral.
-        #[serde(with = "postcard::fixint::le")]
         pub max_roll_out_ms: u16,
         /// The car that this configuration is for; it must be the board's
         /// ([`crate::Identity`]).
-        #[serde(with = "postcard::fixint::le")]
         pub car_id: u16,
         /// How the IMU is mounted.
         pub imu_axes: ImuAxes,
@@ -63,20 +60,15 @@ structure! {
     /// Maps steering angles to servo pulses.
     pub struct ServoCalibration {
         /// Pulse that steers straight on (the trim), in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub centre_us: u16,
         /// Pulse change for one radian to the left, in µs/rad; negative when the
         /// servo is mounted the other way round.
-        #[serde(with = "postcard::fixint::le")]
         pub gain_us_per_rad: i16,
         /// Shortest pulse ever sent, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub min_us: u16,
         /// Longest pulse ever sent, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub max_us: u16,
         /// Largest change of the pulse in 20 ms, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub slew_us_per_20ms: u16,
     }
 }
@@ -87,24 +79,18 @@ structure! {
         /// What a pulse below neutral does.
         pub kind: EscKind,
         /// Pulse at which the motor is free, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub neutral_us: u16,
         /// Half width of the band around neutral in which the motor does not turn, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub deadband_us: u16,
         /// Shortest pulse ever sent, in µs: full brake or reverse.
-        #[serde(with = "postcard::fixint::le")]
         pub min_us: u16,
         /// Longest pulse ever sent, in µs: full forward.
-        #[serde(with = "postcard::fixint::le")]
         pub max_us: u16,
         /// Largest change of the pulse away from neutral in 20 ms, in µs; towards
         /// neutral the pulse changes at once.
-        #[serde(with = "postcard::fixint::le")]
         pub slew_us_per_20ms: u16,
         /// Pulse that brakes, in µs, at most half a second at a time; not used with
         /// an ESC that has no brake ([`EscKind::ForwardReverse`]).
-        #[serde(with = "postcard::fixint::le")]
         pub brake_us: u16,
     }
 }
@@ -117,25 +103,18 @@ structure! {
     /// `e = v - measured`, and the integral limited to `± integral_limit_us`.
     pub struct SpeedLoop {
         /// Distance that the car rolls in one motor pulse, in µm.
-        #[serde(with = "postcard::fixint::le")]
         pub pulse_distance_um: u16,
         /// Feed-forward gain, in µs per m/s.
-        #[serde(with = "postcard::fixint::le")]
         pub feed_forward_us_per_m_s: u16,
         /// Proportional gain, in µs per m/s.
-        #[serde(with = "postcard::fixint::le")]
         pub proportional_us_per_m_s: u16,
         /// Integral gain, in µs per metre.
-        #[serde(with = "postcard::fixint::le")]
         pub integral_us_per_m: u16,
         /// Limit of the integral term, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub integral_limit_us: u16,
         /// Fastest forward speed that is obeyed, in mm/s; faster commands are clamped.
-        #[serde(with = "postcard::fixint::le")]
         pub max_forward_mm_s: u16,
         /// Fastest reverse speed that is obeyed, in mm/s. Zero: reverse is refused.
-        #[serde(with = "postcard::fixint::le")]
         pub max_reverse_mm_s: u16,
     }
 }

@@ -14,12 +14,10 @@ structure! {
     /// board is lost.
     pub struct Hello {
         /// The speaker's [`crate::VERSION`].
-        #[serde(with = "postcard::fixint::le")]
         pub protocol_version: u16,
         /// The speaker's software version: major, minor, patch.
         pub software_version: [u8; 3],
         /// Chosen by the host, repeated by the board; [`UNSOLICITED`] at start-up.
-        #[serde(with = "postcard::fixint::le")]
         pub nonce: u32,
     }
 }
@@ -32,7 +30,6 @@ structure! {
     /// board, whose own layout never changes.
     pub struct Identity {
         /// The number that the image was built with; [`UNNAMED`] for none.
-        #[serde(with = "postcard::fixint::le")]
         pub car_id: u16,
     }
 }

@@ -30,12 +30,12 @@ mod codec;
 mod command;
 mod configuration;
 mod crc;
-mod fixint_array;
 mod frame;
 mod hello;
 mod message;
 mod report;
 mod validation;
+mod wire;
 
 pub use budget::RECEIVE_BUFFER_LENGTH;
 

@@ -3,7 +3,6 @@
 use crate::{
     Sequence,
     codec::{enumeration, structure},
-    fixint_array,
 };
 
 enumeration! {
@@ -206,7 +205,6 @@ structure! {
         /// The number that the request carried.
         pub sequence: Sequence,
         /// Hash of the configuration in force; zero for none.
-        #[serde(with = "postcard::fixint::le")]
         pub configuration_hash: u32,
     }
 }
@@ -239,7 +237,6 @@ structure! {
     /// What control needs, at 100 Hz.
     pub struct Telemetry {
         /// Board time at which this record was made, in µs, wrapping.
-        #[serde(with = "postcard::fixint::le")]
         pub board_time_us: u32,
         /// The safety machine.
         pub mode: BoardMode,
@@ -252,22 +249,16 @@ structure! {
         /// Age of the IMU sample at `board_time_us`, in units of 100 µs, saturating.
         pub imu_age_100us: u8,
         /// Acceleration without gravity along the car's axes (forward, left, up), in mm/s².
-        #[serde(with = "fixint_array")]
         pub linear_acceleration_mm_s2: [i16; 3],
         /// Angular velocity about the car's axes (forward, left, up), in mrad/s.
-        #[serde(with = "fixint_array")]
         pub angular_velocity_mrad_s: [i16; 3],
         /// Attitude as a unit quaternion w, x, y, z, scaled by 2^14.
-        #[serde(with = "fixint_array")]
         pub attitude_q14: [i16; 4],
         /// Speed measured from the motor pulses, in mm/s; signed by the direction driven.
-        #[serde(with = "postcard::fixint::le")]
         pub motor_speed_mm_s: i16,
         /// Servo pulse, in µs; zero while the servo is silent.
-        #[serde(with = "postcard::fixint::le")]
         pub servo_us: u16,
         /// ESC pulse, in µs.
-        #[serde(with = "postcard::fixint::le")]
         pub esc_us: u16,
     }
 }
@@ -292,40 +283,30 @@ structure! {
     /// What a person wants to know, at 5 Hz. Counters wrap.
     pub struct Status {
         /// Board time at which this record was made, in µs, wrapping.
-        #[serde(with = "postcard::fixint::le")]
         pub board_time_us: u32,
         /// Hash of the configuration in force; zero for none.
-        #[serde(with = "postcard::fixint::le")]
         pub configuration_hash: u32,
         /// Why the board last started.
         pub reset_cause: ResetCause,
         /// Whether the stop switch is open, if one is configured.
         pub stop_input_open: bool,
         /// Battery voltage, in mV, measured against the processor's own reference.
-        #[serde(with = "postcard::fixint::le")]
         pub battery_mv: u16,
         /// Good frames received.
-        #[serde(with = "postcard::fixint::le")]
         pub frames_received: u16,
         /// Frames refused for CRC, COBS or length.
-        #[serde(with = "postcard::fixint::le")]
         pub frames_damaged: u16,
         /// [`crate::Drive`] and [`crate::Jog`] commands refused.
-        #[serde(with = "postcard::fixint::le")]
         pub drives_refused: u16,
         /// The reason of the last such refusal; [`RefusalReason::None`] so far.
         pub last_refusal: RefusalReason,
         /// Frames dropped because the line was full.
-        #[serde(with = "postcard::fixint::le")]
         pub frames_dropped: u16,
         /// Bytes lost by the receiver.
-        #[serde(with = "postcard::fixint::le")]
         pub bytes_overrun: u16,
         /// Errors on the bus to the IMU.
-        #[serde(with = "postcard::fixint::le")]
         pub imu_errors: u16,
         /// The processor's supply, in mV, measured against its own reference.
-        #[serde(with = "postcard::fixint::le")]
         pub supply_mv: u16,
         /// The battery's input floats: no divider is connected, and `battery_mv`
         /// means nothing.
@@ -334,7 +315,6 @@ structure! {
         pub power_on: bool,
         /// Milliseconds in which the motor's sensor gave more edges than the board
         /// takes in one: interference.
-        #[serde(with = "postcard::fixint::le")]
         pub edges_refused: u16,
         /// The IMU's register `CALIB_STAT` (BNO055, 0x35): two bits each, from the
         /// highest, for system, gyro, accelerometer and magnetometer.

@@ -3,7 +3,9 @@
 //! The board refuses values outside of them. The host calls the same function
 //! first, so that its error names the line to correct.
 
-use core::{fmt, ops::RangeInclusive};
+use core::ops::RangeInclusive;
+
+use singletrack_words::words;
 
 use crate::{Configuration, EscKind, FailsafeAction, MAX_POSE_AGE_CEILING_MS};
 
@@ -44,50 +46,57 @@ pub struct ConfigurationError {
     pub highest: i32,
 }
 
-macro_rules! fields {
-    ($($field:ident = $path:literal,)*) => {
-        /// A field of a [`Configuration`].
-        ///
-        /// Displayed as its path in the structure. (An enumeration, because a
-        /// string would take up SRAM on the board.)
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum ConfigurationField {
-            $(#[doc = concat!("`", $path, "`")] $field,)*
-        }
-
-        impl fmt::Display for ConfigurationField {
-            fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                formatter.write_str(match self {
-                    $(Self::$field => $path,)*
-                })
-            }
-        }
-    };
-}
-
-fields! {
-    ServoCentre = "servo.centre_us",
-    ServoGainMagnitude = "magnitude of servo.gain_us_per_rad",
-    ServoMin = "servo.min_us",
-    ServoMax = "servo.max_us",
-    ServoSlew = "servo.slew_us_per_20ms",
-    EscNeutral = "esc.neutral_us",
-    EscDeadband = "esc.deadband_us",
-    EscMin = "esc.min_us",
-    EscMax = "esc.max_us",
-    EscSlew = "esc.slew_us_per_20ms",
-    EscBrake = "esc.brake_us",
-    PulseDistance = "speed.pulse_distance_um",
-    FeedForward = "speed.feed_forward_us_per_m_s",
-    Proportional = "speed.proportional_us_per_m_s",
-    Integral = "speed.integral_us_per_m",
-    IntegralLimit = "speed.integral_limit_us",
-    MaxForward = "speed.max_forward_mm_s",
-    MaxReverse = "speed.max_reverse_mm_s",
-    MaxPoseAge = "max_pose_age_ms",
-    Failsafe = "failsafe",
-    MaxRollOut = "max_roll_out_ms",
-    ImuAxes = "imu_axes",
+words! {
+    /// A field of a [`Configuration`].
+    ///
+    /// Displayed as its path in the structure. (An enumeration, because a
+    /// string would take up SRAM on the board.)
+    pub enum ConfigurationField {
+        /// `servo.centre_us`
+        ServoCentre = "servo.centre_us",
+        /// `magnitude of servo.gain_us_per_rad`
+        ServoGainMagnitude = "magnitude of servo.gain_us_per_rad",
+        /// `servo.min_us`
+        ServoMin = "servo.min_us",
+        /// `servo.max_us`
+        ServoMax = "servo.max_us",
+        /// `servo.slew_us_per_20ms`
+        ServoSlew = "servo.slew_us_per_20ms",
+        /// `esc.neutral_us`
+        EscNeutral = "esc.neutral_us",
+        /// `esc.deadband_us`
+        EscDeadband = "esc.deadband_us",
+        /// `esc.min_us`
+        EscMin = "esc.min_us",
+        /// `esc.max_us`
+        EscMax = "esc.max_us",
+        /// `esc.slew_us_per_20ms`
+        EscSlew = "esc.slew_us_per_20ms",
+        /// `esc.brake_us`
+        EscBrake = "esc.brake_us",
+        /// `speed.pulse_distance_um`
+        PulseDistance = "speed.pulse_distance_um",
+        /// `speed.feed_forward_us_per_m_s`
+        FeedForward = "speed.feed_forward_us_per_m_s",
+        /// `speed.proportional_us_per_m_s`
+        Proportional = "speed.proportional_us_per_m_s",
+        /// `speed.integral_us_per_m`
+        Integral = "speed.integral_us_per_m",
+        /// `speed.integral_limit_us`
+        IntegralLimit = "speed.integral_limit_us",
+        /// `speed.max_forward_mm_s`
+        MaxForward = "speed.max_forward_mm_s",
+        /// `speed.max_reverse_mm_s`
+        MaxReverse = "speed.max_reverse_mm_s",
+        /// `max_pose_age_ms`
+        MaxPoseAge = "max_pose_age_ms",
+        /// `failsafe`
+        Failsafe = "failsafe",
+        /// `max_roll_out_ms`
+        MaxRollOut = "max_roll_out_ms",
+        /// `imu_axes`
+        ImuAxes = "imu_axes",
+    }
 }
 
 // Inlined into a caller that needs only `is_err`, this reduces to two comparisons.

@@ -8,7 +8,8 @@ use crate::{
 };
 
 /// The packages without I/O.
-const PURE: [&str; 7] = [
+const PURE: [&str; 8] = [
+    "singletrack-words",
     "singletrack-protocol",
     "singletrack-board",
     "singletrack-control",
@@ -19,7 +20,11 @@ const PURE: [&str; 7] = [
 ];
 
 /// The packages with `publish = true`.
-const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
+const PUBLISHED: [&str; 3] = [
+    "singletrack-control",
+    "singletrack-mocap",
+    "singletrack-words",
+];
 
 /// Packages with fewer features than the workspace builds them with: as `cargo demo` does, and
 /// without any.

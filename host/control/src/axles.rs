@@ -4,33 +4,23 @@
 //! which [`SingleTrack`](crate::SingleTrack) has as printed.
 
 use serde::{Deserialize, Serialize};
+use singletrack_words::words;
 
 use crate::{Functions, GRAVITY, LateralMotion, LateralRate, Number, VehicleParameters};
 
-/// The curve of an axle's lateral force over its slip angle.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Tyres {
-    /// A hyperbolic tangent: linear for small slip angles, with a smooth limit at μ times the
-    /// axle's load.
-    #[default]
-    Saturating,
-    /// The paper's: linear at every slip angle.
-    Linear,
-    /// Pacejka's magic formula `D sin(C atan(B α))` with D = μ times the axle's load, C = 1.3
-    /// and B C D the cornering stiffness: beyond a peak the force falls, to 0.89 D.
-    MagicFormula,
-}
-
-impl Tyres {
-    /// The name in files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Saturating => "saturating",
-            Self::Linear => "linear",
-            Self::MagicFormula => "magic-formula",
-        }
+words! {
+    /// The curve of an axle's lateral force over its slip angle.
+    #[derive(Default)]
+    pub enum Tyres: serde {
+        /// A hyperbolic tangent: linear for small slip angles, with a smooth limit at μ times the
+        /// axle's load.
+        #[default]
+        Saturating = "saturating",
+        /// The paper's: linear at every slip angle.
+        Linear = "linear",
+        /// Pacejka's magic formula `D sin(C atan(B α))` with D = μ times the axle's load, C = 1.3
+        /// and B C D the cornering stiffness: beyond a peak the force falls, to 0.89 D.
+        MagicFormula = "magic-formula",
     }
 }
 

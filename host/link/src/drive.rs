@@ -1,6 +1,7 @@
 //! Drive commands: from SI units to the wire, with the ages.
 
 use singletrack_protocol::{BoardMode, Drive, Jog, Sequence};
+use singletrack_words::words;
 
 /// The set points of the car until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,23 +28,17 @@ pub struct JogCommand {
     pub esc_us: u16,
 }
 
-/// A quantity of a drive command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Quantity {
-    /// [`DriveCommand::speed_m_s`].
-    SpeedMetresPerSecond,
-    /// [`DriveCommand::steering_rad`].
-    SteeringRadians,
+words! {
+    /// A quantity of a drive command.
+    pub enum Quantity {
+        /// [`DriveCommand::speed_m_s`].
+        SpeedMetresPerSecond = "speed in m/s",
+        /// [`DriveCommand::steering_rad`].
+        SteeringRadians = "steering in rad",
+    }
 }
 
 impl Quantity {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::SpeedMetresPerSecond => "speed in m/s",
-            Self::SteeringRadians => "steering in rad",
-        }
-    }
-
     /// Steps of the wire in one unit.
     const fn steps_per_unit(self) -> f64 {
         match self {

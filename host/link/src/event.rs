@@ -5,6 +5,7 @@ use core::fmt;
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, Request, Sequence, Status, Telemetry, VERSION,
 };
+use singletrack_words::words;
 
 /// What happened. The handlers pass events to their owner in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,47 +106,26 @@ impl TimedTelemetry {
     }
 }
 
-/// How a restart of the board was noticed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RestartEvidence {
-    /// The board reported it: a [`Hello`](singletrack_protocol::Hello) that answers no
-    /// greeting.
-    Announced,
-    /// Its clock started again.
-    ClockRestarted,
-    /// It no longer has the session's configuration.
-    ConfigurationGone,
-}
-
-impl RestartEvidence {
-    /// The word for this value in status and log.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Announced => "announced",
-            Self::ClockRestarted => "clock-restarted",
-            Self::ConfigurationGone => "configuration-gone",
-        }
+words! {
+    /// How a restart of the board was noticed.
+    pub enum RestartEvidence {
+        /// The board reported it: a [`Hello`](singletrack_protocol::Hello) that answers no
+        /// greeting.
+        Announced = "announced",
+        /// Its clock started again.
+        ClockRestarted = "clock-restarted",
+        /// It no longer has the session's configuration.
+        ConfigurationGone = "configuration-gone",
     }
 }
 
-/// How the loss of the board was noticed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LossCause {
-    /// No good frame for [`LINK_TIMEOUT_NS`](crate::LINK_TIMEOUT_NS).
-    Silence,
-    /// The port was closed or hung up.
-    HangUp,
-}
-
-impl LossCause {
-    /// The word for this value in status and log.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Silence => "silence",
-            Self::HangUp => "hang-up",
-        }
+words! {
+    /// How the loss of the board was noticed.
+    pub enum LossCause {
+        /// No good frame for [`LINK_TIMEOUT_NS`](crate::LINK_TIMEOUT_NS).
+        Silence = "silence",
+        /// The port was closed or hung up.
+        HangUp = "hang-up",
     }
 }
 

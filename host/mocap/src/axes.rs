@@ -1,13 +1,16 @@
 //! The axes of the stream and those of the world frame.
 
-/// The axis that points up in the server's stream: a setting of the server that
-/// is not on the wire.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum UpAxis {
-    /// y points up (Motive's default). World x is the stream's x, world y its -z.
-    Y,
-    /// z points up, as in the world frame.
-    Z,
+use singletrack_words::words;
+
+words! {
+    /// The axis that points up in the server's stream: a setting of the server that
+    /// is not on the wire.
+    pub enum UpAxis: serde {
+        /// y points up (Motive's default). World x is the stream's x, world y its -z.
+        Y = "y",
+        /// z points up, as in the world frame.
+        Z = "z",
+    }
 }
 
 impl UpAxis {

@@ -1,16 +1,20 @@
 //! The estimator's parameters.
 
+use singletrack_words::words;
+
 use crate::vehicle::VehicleParameters;
 
-/// What the estimator does during a marker loss.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum MarkerLoss {
-    /// Position and yaw keep their last value, as in the paper; yaw rate, sideslip and
-    /// speed are still estimated.
-    #[default]
-    Hold,
-    /// Position and yaw are predicted from IMU and motor speed.
-    DeadReckon,
+words! {
+    /// What the estimator does during a marker loss.
+    #[derive(Default)]
+    pub enum MarkerLoss: serde {
+        /// Position and yaw keep their last value, as in the paper; yaw rate, sideslip and
+        /// speed are still estimated.
+        #[default]
+        Hold = "hold",
+        /// Position and yaw are predicted from IMU and motor speed; `coast` in older files.
+        DeadReckon = "dead-reckon" or "coast",
+    }
 }
 
 /// The estimator's parameters, in SI units and radians.

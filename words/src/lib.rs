@@ -1,0 +1,132 @@
+//! Enumerations whose values have a word each: in a file, a message, a record or a page.
+
+#![no_std]
+
+/// Declares an enumeration: each value once, with its word.
+///
+/// ```
+/// singletrack_words::words! {
+///     /// How a car stops.
+///     pub enum Stop {
+///         /// It rolls out.
+///         Coast = 1 "coast",
+///         /// It brakes.
+///         Brake = 2 "brake",
+///     }
+/// }
+/// assert_eq!(Stop::ALL.map(Stop::name), ["coast", "brake"]);
+/// assert_eq!(Stop::named("brake"), Some(Stop::Brake));
+/// assert_eq!(Stop::Brake as u8, 2);
+/// assert_eq!(Stop::Brake.documentation().trim(), "It brakes.");
+/// ```
+///
+/// From it follow `ALL`, `name`, `named`, `documentation`, and
+/// [`Display`](core::fmt::Display). The numbers may be left out.
+///
+/// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on;
+/// `"brake" or "halt"` also reads an older word. Such values may have other attributes than their
+/// documentation, which is no data then.
+#[macro_export]
+macro_rules! words {
+    (
+        $(#[$about:meta])*
+        $vis:vis enum $name:ident {
+            $( $(#[doc = $documentation:literal])* $value:ident = $word:literal, )+
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        $vis enum $name {
+            $( $(#[doc = $documentation])* $value, )+
+        }
+
+        $crate::words! { @words $vis $name $($value = $word,)+ }
+        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
+    };
+
+    (
+        $(#[$about:meta])*
+        $vis:vis enum $name:ident {
+            $( $(#[doc = $documentation:literal])* $value:ident = $number:literal $word:literal, )+
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        $vis enum $name {
+            $( $(#[doc = $documentation])* $value = $number, )+
+        }
+
+        $crate::words! { @words $vis $name $($value = $word,)+ }
+        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
+    };
+
+    (
+        $(#[$about:meta])*
+        $vis:vis enum $name:ident: serde {
+            $( $(#[doc = $documentation:literal])* $value:ident = $word:literal, )+
+        }
+    ) => {
+        $crate::words! { @serde $(#[$about])* $vis enum $name {
+            $( $(#[doc = $documentation])* $value = $word, )+
+        } }
+        $crate::words! { @documentation $vis $name $($value = $($documentation)*,)+ }
+    };
+
+    ($(#[$about:meta])* $vis:vis enum $name:ident: serde $values:tt) => {
+        $crate::words! { @serde $(#[$about])* $vis enum $name $values }
+    };
+
+    (
+        @serde $(#[$about:meta])*
+        $vis:vis enum $name:ident {
+            $( $(#[$attribute:meta])* $value:ident = $word:literal $(or $older:literal)?, )+
+        }
+    ) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+        $vis enum $name {
+            $( $(#[$attribute])* #[serde(rename = $word $(, alias = $older)?)] $value, )+
+        }
+
+        $crate::words! { @words $vis $name $($value = $word,)+ }
+    };
+
+    (@words $vis:vis $name:ident $($value:ident = $word:literal,)+) => {
+        impl $name {
+            /// All values, in the order of their declaration.
+            $vis const ALL: [Self; [$($name::$value),+].len()] = [$(Self::$value),+];
+
+            /// The word for this value in status, log, record and documentation.
+            #[must_use]
+            $vis const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$value => $word,)+
+                }
+            }
+
+            /// The value with this word.
+            #[must_use]
+            $vis fn named(word: &str) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| value.name() == word)
+            }
+        }
+
+        impl core::fmt::Display for $name {
+            fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                formatter.write_str(self.name())
+            }
+        }
+    };
+
+    (@documentation $vis:vis $name:ident $($value:ident = $($documentation:literal)*,)+) => {
+        impl $name {
+            /// The documentation of this value, in Markdown.
+            #[must_use]
+            $vis const fn documentation(self) -> &'static str {
+                match self {
+                    $(Self::$value => concat!($($documentation, "\n"),*),)+
+                }
+            }
+        }
+    };
+}
