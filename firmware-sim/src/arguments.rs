@@ -104,12 +104,7 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
 }
 
 fn parse_loss_kind(text: &str) -> Result<LossKind, String> {
-    match text {
-        "occluded" => Ok(LossKind::Occluded),
-        "absent" => Ok(LossKind::Absent),
-        "silent" => Ok(LossKind::Silent),
-        _ => Err("choose occluded, absent or silent".to_owned()),
-    }
+    LossKind::named(text).ok_or_else(|| "choose occluded, absent or silent".to_owned())
 }
 
 fn parse_pose(text: &str) -> Result<StartPose, String> {

@@ -54,7 +54,7 @@ pub use board::{
 pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
-    LossKind, TICKS_PER_SECOND, UpAxis,
+    LossKind, TICKS_PER_SECOND,
 };
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
@@ -75,6 +75,7 @@ pub use real_time::{
     Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
 };
 pub use scripted::{ScriptedDrive, ScriptedHost};
+pub use singletrack_mocap::UpAxis;
 pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
 pub use truth::{CarTruth, TRUTH_KEYS, TruthKey};
 pub use udp::{UdpConfig, UdpError};

@@ -2,41 +2,37 @@
 
 use std::collections::VecDeque;
 
-use serde::{Deserialize, Serialize};
+use singletrack_settings::section;
 
-use crate::random::{Random, Stream};
+use crate::{
+    parameters::PROBABILITY,
+    random::{Random, Stream},
+};
 
-/// The line and its faults.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WireParameters {
+section! {
+    /// The line and its faults.
+    "wire" => pub WireParameters: Copy;
+    [default];
+
     /// Bits per second; a byte takes ten (8N1).
-    pub baud: u32,
+    baud: u32 = 115_200, in in_words("300 or more", |x| x >= 300.0);
     /// Initial faults; [`SerialWire::faults_mut`] changes them later.
-    pub faults: WireFaults,
+    faults: WireFaults = WireFaults::default();
 }
 
-impl Default for WireParameters {
-    fn default() -> Self {
-        Self {
-            baud: 115_200,
-            faults: WireFaults::default(),
-        }
-    }
-}
+section! {
+    /// Faults of the line, in both directions.
+    "wire.faults" => pub WireFaults: Copy;
+    [default];
 
-/// Faults of the line, in both directions.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct WireFaults {
     /// Probability that a byte is lost.
-    pub drop: f64,
+    drop: f64 = 0.0, in PROBABILITY;
     /// Probability that one bit of a byte is flipped.
-    pub corrupt: f64,
+    corrupt: f64 = 0.0, in PROBABILITY;
     /// Additional delay of every byte, in µs.
-    pub delay_us: u64,
+    delay_us: u64 = 0;
     /// Nothing passes; sent bytes wait until this ends.
-    pub stuck: bool,
+    stuck: bool = false;
 }
 
 /// One direction of the line.

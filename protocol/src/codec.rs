@@ -187,8 +187,10 @@ macro_rules! structure {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         pub struct $name {
-            $( $(#[$field_about])* pub $field: $kind, )*
+            $( $(#[$field_about])* #[serde(with = "crate::wire")] pub $field: $kind, )*
         }
+
+        impl $crate::wire::Wire for $name {}
 
         impl $crate::codec::Field for $name {
             fn write(&self, writer: &mut $crate::codec::Writer<'_>) {

@@ -233,14 +233,7 @@ impl Image {
         if self.motion.len() > 100 {
             self.motion.clear();
         }
-        self.motion.push((
-            cycle,
-            Motion {
-                linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
-                angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
-                attitude_q14: reading.attitude_q14,
-            },
-        ));
+        self.motion.push((cycle, reading.motion()));
     }
 
     pub(super) fn restart(&mut self, clock: SkewedClock, now_us: u64, cause: ResetCause) {

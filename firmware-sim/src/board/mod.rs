@@ -8,10 +8,11 @@ mod native;
 mod process;
 mod size;
 
-use serde::{Deserialize, Serialize};
 use singletrack_board::Board;
 use singletrack_protocol::{ResetCause, Telemetry, UNNAMED};
+use singletrack_settings::section;
 use singletrack_simavr::{BusFault, Figures, Hang};
+use singletrack_words::words;
 
 pub use image::{Installation, UnoError};
 pub use monitor::ReceivedMessage;
@@ -29,16 +30,17 @@ use crate::{
 /// Time from one servo pulse to the next, on the board's clock, in µs.
 pub const SERVO_FRAME_US: u64 = 20_000;
 
-/// Implementation of the board.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum BoardKind {
-    /// The board's code, compiled for this machine, with simulated pins.
-    #[default]
-    Native,
-    /// The UNO image on a simulated processor; see
-    /// [`Installation`].
-    Uno,
+words! {
+    /// Implementation of the board.
+    #[derive(Default)]
+    pub enum BoardKind: serde {
+        /// The board's code, compiled for this machine, with simulated pins.
+        #[default]
+        Native = "native",
+        /// The UNO image on a simulated processor; see
+        /// [`Installation`].
+        Uno = "uno",
+    }
 }
 
 /// Unknown kind of board.
@@ -50,65 +52,37 @@ impl core::str::FromStr for BoardKind {
     type Err = UnknownBoard;
 
     fn from_str(text: &str) -> Result<Self, UnknownBoard> {
-        match text {
-            "native" => Ok(Self::Native),
-            "uno" => Ok(Self::Uno),
-            _ => Err(UnknownBoard),
-        }
+        Self::named(text).ok_or(UnknownBoard)
     }
 }
 
-impl core::fmt::Display for BoardKind {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        formatter.write_str(match self {
-            Self::Native => "native",
-            Self::Uno => "uno",
-        })
-    }
-}
+section! {
+    /// The board's clock, start-up and buffers.
+    "board" => pub BoardParameters: Copy, Eq;
+    [default];
 
-/// The board's clock, start-up and buffers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BoardParameters {
     /// Implementation of the board.
-    pub kind: BoardKind,
+    kind: BoardKind = BoardKind::Native;
     /// Number of the car that the board is built into; the image's is built in.
-    pub car_id: u16,
+    car_id: u16 = UNNAMED;
     /// Rate error of the board's clock, in ppm; positive is fast. The resonator of
     /// a UNO is within ± 5,000.
-    pub clock_skew_ppm: i32,
+    clock_skew_ppm: i32 = 3_000;
     /// Reading of the board's clock at its start, in µs. The image's starts at
     /// zero.
-    pub clock_offset_us: u32,
+    clock_offset_us: u32 = 0;
     /// Time between two rounds of the main loop, on the board's clock, in µs; not
     /// used with the image.
-    pub poll_period_us: u64,
+    poll_period_us: u64 = 1_000, in in_words("100 or more", |x| x >= 100.0);
     /// Size of the transmit buffer, in bytes; not used with the image.
-    pub transmit_buffer: usize,
+    transmit_buffer: usize = 128;
     /// Size of the receive buffer, in bytes; further bytes are lost. Not used with
     /// the image.
-    pub receive_buffer: usize,
+    receive_buffer: usize = 64;
     /// Start-up time after power-on, brown-out and watchdog, in µs.
-    pub start_up_us: u64,
+    start_up_us: u64 = 65_000;
     /// Shortest and longest time in the bootloader after an external reset, in µs.
-    pub bootloader_us: [u64; 2],
-}
-
-impl Default for BoardParameters {
-    fn default() -> Self {
-        Self {
-            kind: BoardKind::Native,
-            car_id: UNNAMED,
-            clock_skew_ppm: 3_000,
-            clock_offset_us: 0,
-            poll_period_us: 1_000,
-            transmit_buffer: 128,
-            receive_buffer: 64,
-            start_up_us: 65_000,
-            bootloader_us: [800_000, 3_000_000],
-        }
-    }
+    bootloader_us: [u64; 2] = [800_000, 3_000_000];
 }
 
 /// Power and reset state of the board.

@@ -2,7 +2,6 @@
 
 use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, axis_map};
 use singletrack_protocol::{ImuAxes, ResetCause};
-use singletrack_simavr::Motion;
 
 use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time, supply_mv};
 use crate::{car::ImuReading, pulse_log::PulseRecord};
@@ -122,12 +121,7 @@ impl Native {
                 .board
                 .configuration()
                 .map_or(ImuAxes::AS_PRINTED, |configuration| configuration.imu_axes);
-            let motion = Motion {
-                linear_acceleration_mm_s2: reading.linear_acceleration_mm_s2,
-                angular_velocity_mrad_s: reading.angular_velocity_mrad_s,
-                attitude_q14: reading.attitude_q14,
-            }
-            .remapped(axis_map(axes));
+            let motion = reading.motion().remapped(axis_map(axes));
             self.inputs.imu = Some(ImuSample {
                 time_us: board_time_us,
                 linear_acceleration_mm_s2: motion.linear_acceleration_mm_s2,

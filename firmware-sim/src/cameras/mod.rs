@@ -18,7 +18,9 @@ use crate::{
     random::{Random, Stream},
 };
 
-pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind, UpAxis};
+pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind};
+
+use parameters::stream;
 
 /// Ticks of the server's clock per second, as Motive's on Windows.
 pub const TICKS_PER_SECOND: u64 = 10_000_000;
@@ -199,7 +201,7 @@ impl Cameras {
             .decoys
             .iter()
             .map(|decoy| {
-                let position = self.parameters.up_axis.stream(decoy.position_m);
+                let position = stream(self.parameters.up_axis, decoy.position_m);
                 RigidBody::tracked(decoy.id, position.map(|x| x as f32), [0.0, 0.0, 0.0, 1.0])
             })
             .collect();
@@ -250,7 +252,7 @@ impl Cameras {
         forged.ticks.mid_exposure += half;
         let [x, y]: [f64; 2] =
             core::array::from_fn(|i| p.forged_offset_m[i] + p.forged_drift_m_s[i] * elapsed_s);
-        let offset = p.up_axis.stream([x, y, 0.0]).map(|x| x as f32);
+        let offset = stream(p.up_axis, [x, y, 0.0]).map(|x| x as f32);
         let mut car = self.last_pose.with_tracking_valid(true);
         for (coordinate, offset) in car.position_m.iter_mut().zip(offset) {
             *coordinate += offset;
@@ -340,10 +342,10 @@ impl Cameras {
         let position: [f64; 3] = core::array::from_fn(|i| pivot[i] + noise[i] + jump[i]);
         let [w, x, y, z] =
             attitude::quaternion_wxyz(yaw + yaw_noise, roll + tilt[0], pitch + tilt[1]);
-        let [x, y, z] = p.up_axis.stream([x, y, z]);
+        let [x, y, z] = stream(p.up_axis, [x, y, z]);
         let mut body = RigidBody::tracked(
             p.car.id,
-            p.up_axis.stream(position).map(|x| x as f32),
+            stream(p.up_axis, position).map(|x| x as f32),
             [x, y, z, w].map(|x| x as f32),
         );
         body.mean_error_m = p.position_noise_m as f32;

@@ -1,3 +1,5 @@
+use singletrack_mocap::UpAxis;
+
 use super::*;
 
 fn frames(parameters: CameraParameters, truth: Truth, until_us: u64) -> Vec<CameraFrame> {

@@ -1,59 +1,42 @@
 //! The battery: voltage drop under load, and slow discharge.
 
-use serde::{Deserialize, Serialize};
+use singletrack_settings::section;
 
-/// A two-cell battery.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct BatteryParameters {
+use crate::parameters::{NOT_NEGATIVE, POSITIVE};
+
+section! {
+    /// A two-cell battery.
+    "car.battery" => pub BatteryParameters: Copy;
+    [default];
+
     /// Voltage without load at the start, in V.
-    pub start_v: f64,
+    start_v: f64 = 7.9;
     /// Voltage for which the motor's gain is specified, in V.
-    pub nominal_v: f64,
+    nominal_v: f64 = 7.4, in POSITIVE;
     /// Internal resistance, in Ω.
-    pub resistance_ohm: f64,
+    resistance_ohm: f64 = 0.05;
     /// Current of the electronics, in A.
-    pub idle_a: f64,
+    idle_a: f64 = 0.6;
     /// Motor current per m/s² of driven acceleration, in A.
-    pub motor_a_per_m_s2: f64,
+    motor_a_per_m_s2: f64 = 2.0;
     /// Motor current per m/s of speed, in A.
-    pub motor_a_per_m_s: f64,
+    motor_a_per_m_s: f64 = 2.5;
     /// Voltage drop per ampere-hour drawn, in V.
-    pub fall_v_per_ah: f64,
+    fall_v_per_ah: f64 = 0.5;
     /// Standard deviation of the measured voltage, in V.
-    pub noise_v: f64,
+    noise_v: f64 = 0.01;
     /// Voltage that supplies the board's processor and is its converter's reference, in
     /// V; USB is between 4.4 and 5.25.
-    pub supply_v: f64,
+    supply_v: f64 = 5.0, in POSITIVE;
     /// The divider is not connected: the board's input floats.
-    pub divider_open: bool,
+    divider_open: bool = false;
     /// Begin of a dip of the ESC's own supply (BEC), which feeds servo and IMU, in s.
     /// Without it the wheels keep their angle and the IMU restarts.
-    pub dip_at_s: Option<f64>,
+    dip_at_s: Option<f64> = None, in NOT_NEGATIVE;
     /// Duration of the dip, in ms.
-    pub dip_ms: f64,
+    dip_ms: f64 = 150.0, in POSITIVE;
     /// Voltage of the battery during the dip, in V; it stays as it is if left out.
-    pub dip_v: Option<f64>,
-}
-
-impl Default for BatteryParameters {
-    fn default() -> Self {
-        Self {
-            start_v: 7.9,
-            nominal_v: 7.4,
-            resistance_ohm: 0.05,
-            idle_a: 0.6,
-            motor_a_per_m_s2: 2.0,
-            motor_a_per_m_s: 2.5,
-            fall_v_per_ah: 0.5,
-            noise_v: 0.01,
-            supply_v: 5.0,
-            divider_open: false,
-            dip_at_s: None,
-            dip_ms: 150.0,
-            dip_v: None,
-        }
-    }
+    dip_v: Option<f64> = None;
 }
 
 /// The battery's charge.

@@ -1,74 +1,77 @@
 //! The inertial measurement unit, modelled on the BNO055 in its fusion mode without
 //! magnetometer.
 
-use serde::{Deserialize, Serialize};
+use singletrack_settings::section;
+use singletrack_simavr::Motion;
 
 use super::{Truth, motor::GRAVITY};
 use crate::{
     attitude::{self, Rotation},
+    parameters::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY},
     random::{Random, Stream},
 };
 
-/// The IMU's rate, noise, biases and mounting. It sits at the centre of mass, with its
-/// axes forward, left, up unless it is turned.
-///
-/// The vibration by default is that of a real small car, rounded, from its logs:
-/// `docs/real-logs.md` and `tools/vehicles/dart-truth.toml`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ImuParameters {
+section! {
+    /// The IMU's rate, noise, biases and mounting. It sits at the centre of mass, with its
+    /// axes forward, left, up unless it is turned.
+    ///
+    /// The vibration by default is that of a real small car, rounded, from its logs:
+    /// `docs/real-logs.md` and `tools/vehicles/dart-truth.toml`.
+    "car.imu" => pub ImuParameters: Copy;
+    [default];
+
     /// Time between samples, in µs.
-    pub period_us: u64,
+    period_us: u64 = 10_000, in PERIOD;
     /// Time of the first sample, in µs.
-    pub phase_us: u64,
+    phase_us: u64 = 3_700;
     /// Time from the measurement to the arrival at the board, in µs.
-    pub latency_us: u64,
+    latency_us: u64 = 1_200;
     /// Standard deviation of the angular velocity, in rad/s.
-    pub gyro_noise_rad_s: f64,
+    gyro_noise_rad_s: f64 = 0.003;
     /// Standard deviation of the constant bias of the angular velocity, in rad/s.
-    pub gyro_bias_rad_s: f64,
+    gyro_bias_rad_s: f64 = 0.005;
     /// Random walk of the bias, in rad/s per square root of a second.
-    pub gyro_walk_rad_s: f64,
+    gyro_walk_rad_s: f64 = 0.000_1;
     /// Standard deviation of the linear acceleration, in m/s².
-    pub acceleration_noise_m_s2: f64,
+    acceleration_noise_m_s2: f64 = 0.06;
     /// Standard deviation of the constant bias of the acceleration, in m/s².
-    pub acceleration_bias_m_s2: f64,
+    acceleration_bias_m_s2: f64 = 0.05;
     /// Standard deviation of roll, pitch and yaw, in rad.
-    pub attitude_noise_rad: f64,
+    attitude_noise_rad: f64 = 0.001;
     /// Random walk of the yaw, in rad per square root of a second.
-    pub yaw_walk_rad: f64,
+    yaw_walk_rad: f64 = 0.001;
     /// How the sensor is turned on the car, in degrees: first by the last angle about the
     /// car's up axis, then by the second about its new left axis, then by the first about
     /// its new forward axis. Samples are along the sensor's own axes.
-    pub mounting_deg: [f64; 3],
+    mounting_deg: [f64; 3] = [0.0; 3], in FINITE;
     /// Measured over true angular velocity.
-    pub gyro_scale: f64,
+    gyro_scale: f64 = 1.0, in FINITE;
     /// Measured over true acceleration.
-    pub acceleration_scale: f64,
+    acceleration_scale: f64 = 1.0, in FINITE;
     /// Standard deviation of the acceleration by vibration while the wheels turn, in m/s².
-    pub vibration_m_s2: f64,
+    vibration_m_s2: f64 = 0.8, in NOT_NEGATIVE;
     /// Standard deviation of the angular velocity by vibration while the wheels turn, in
     /// rad/s.
-    pub vibration_rad_s: f64,
+    vibration_rad_s: f64 = 0.05, in NOT_NEGATIVE;
     /// What each m/s of the wheels' speed adds to the deviation of the acceleration, in 1/s.
-    pub vibration_m_s2_per_m_s: f64,
+    vibration_m_s2_per_m_s: f64 = 0.8, in NOT_NEGATIVE;
     /// What it adds to that of the angular velocity, in rad/m.
-    pub vibration_rad_s_per_m_s: f64,
+    vibration_rad_s_per_m_s: f64 = 0.016, in NOT_NEGATIVE;
     /// Time constant with which a lasting acceleration is taken for gravity, in s: it
     /// leaks out of the linear acceleration, and tilts the attitude. Never if left out.
-    pub leak_s: Option<f64>,
+    leak_s: Option<f64> = None, in POSITIVE;
     /// Probability that a sample is torn: the low bytes are those of the last one.
-    pub torn: f64,
+    torn: f64 = 0.0, in PROBABILITY;
     /// Calibration of system, gyroscope and accelerometer, 0 (none) to 3 (full).
-    pub calibration: [u8; 3],
+    calibration: [u8; 3] = [3; 3], in in_words("0 to 3", |x| x <= 3.0);
     /// Register `SYS_STATUS`: 5 while the fusion runs.
-    pub system_status: u8,
+    system_status: u8 = 5;
     /// Register `SYS_ERR`: 0 without error.
-    pub system_error: u8,
+    system_error: u8 = 0;
     /// Register `ST_RESULT`: 15 if all self-tests passed.
-    pub self_test: u8,
+    self_test: u8 = 15;
     /// Time from the return of the supply to the first sample, in ms.
-    pub restart_ms: f64,
+    restart_ms: f64 = 650.0, in NOT_NEGATIVE;
 }
 
 impl ImuParameters {
@@ -96,37 +99,6 @@ impl ImuParameters {
     }
 }
 
-impl Default for ImuParameters {
-    fn default() -> Self {
-        Self {
-            period_us: 10_000,
-            phase_us: 3_700,
-            latency_us: 1_200,
-            gyro_noise_rad_s: 0.003,
-            gyro_bias_rad_s: 0.005,
-            gyro_walk_rad_s: 0.000_1,
-            acceleration_noise_m_s2: 0.06,
-            acceleration_bias_m_s2: 0.05,
-            attitude_noise_rad: 0.001,
-            yaw_walk_rad: 0.001,
-            mounting_deg: [0.0; 3],
-            gyro_scale: 1.0,
-            acceleration_scale: 1.0,
-            vibration_m_s2: 0.8,
-            vibration_rad_s: 0.05,
-            vibration_m_s2_per_m_s: 0.8,
-            vibration_rad_s_per_m_s: 0.016,
-            leak_s: None,
-            torn: 0.0,
-            calibration: [3; 3],
-            system_status: 5,
-            system_error: 0,
-            self_test: 15,
-            restart_ms: 650.0,
-        }
-    }
-}
-
 /// One sample, in the units of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ImuReading {
@@ -139,6 +111,17 @@ pub struct ImuReading {
     pub angular_velocity_mrad_s: [i16; 3],
     /// Attitude as a unit quaternion w, x, y, z, scaled by 2^14.
     pub attitude_q14: [i16; 4],
+}
+
+impl ImuReading {
+    /// As the sensor's registers hold it.
+    pub(crate) const fn motion(&self) -> Motion {
+        Motion {
+            linear_acceleration_mm_s2: self.linear_acceleration_mm_s2,
+            angular_velocity_mrad_s: self.angular_velocity_mrad_s,
+            attitude_q14: self.attitude_q14,
+        }
+    }
 }
 
 /// Faults of the IMU, beyond its noise and biases.

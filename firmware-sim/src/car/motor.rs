@@ -2,8 +2,12 @@
 
 use libm::{cos, sin};
 use serde::{Deserialize, Serialize};
+use singletrack_settings::section;
 
-use crate::epoch::Epoch;
+use crate::{
+    epoch::Epoch,
+    parameters::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
+};
 
 /// What an ESC makes of its pulses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,114 +41,83 @@ impl EscKind {
 /// Number of pulses from which an ESC learns its neutral.
 pub(crate) const LEARNED_PULSES: u32 = 10;
 
-/// A push of the car along its axis.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Push {
+section! {
+    /// A push of the car along its axis.
+    "car.motor.push" => pub Push: Copy;
+    [];
+
     /// When, in s.
-    pub at_s: f64,
+    at_s: f64, in NOT_NEGATIVE;
     /// Change of the speed, in m/s; if `for_s` is above zero, the speed itself.
-    pub speed_m_s: f64,
+    speed_m_s: f64, in FINITE;
     /// For how long the car is moved at `speed_m_s`, in s; zero is a blow.
-    #[serde(default)]
-    pub for_s: f64,
+    for_s: f64 = 0.0, in NOT_NEGATIVE;
 }
 
-/// Response of the drive train to the ESC's pulses.
-///
-/// Beyond the deadband the wheels settle at `gain · u / (1 + u / saturation)` times
-/// the ratio of battery voltage to nominal voltage, with `u` the pulse beyond
-/// deadband and breakaway. The speed loop must therefore compensate a curve, an
-/// offset and a drift.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct MotorParameters {
+section! {
+    /// Response of the drive train to the ESC's pulses.
+    ///
+    /// Beyond the deadband the wheels settle at `gain · u / (1 + u / saturation)` times
+    /// the ratio of battery voltage to nominal voltage, with `u` the pulse beyond
+    /// deadband and breakaway. The speed loop must therefore compensate a curve, an
+    /// offset and a drift.
+    "car.motor" => pub MotorParameters: Copy;
+    [default];
+
     /// The kind of ESC.
-    pub kind: EscKind,
+    kind: EscKind = EscKind::Car;
     /// Pulse without drive or brake, in µs; [`EscKind::LearnsNeutral`] finds its own.
-    pub neutral_us: u16,
+    neutral_us: u16 = 1500;
+    // With the breakaway, 30 µs in which the wheels stand.
     /// Half width of the band around neutral without drive, in µs.
-    pub deadband_us: u16,
+    deadband_us: u16 = 26;
     /// Further pulse needed before the wheels turn, in µs.
-    pub breakaway_us: f64,
+    breakaway_us: f64 = 4.0;
     /// Speed per µs of pulse near zero, in m/s per µs.
-    pub gain_m_s_per_us: f64,
+    gain_m_s_per_us: f64 = 0.01, in POSITIVE;
     /// Pulse at which half of the linear speed is reached, in µs.
-    pub saturation_us: f64,
+    saturation_us: f64 = 400.0, in POSITIVE;
     /// Time constant of the first-order lag, in s.
-    pub lag_s: f64,
+    lag_s: f64 = 0.08, in LAG;
     /// Time from the start of a pulse to the motor's response, in µs.
-    pub dead_time_us: u64,
+    dead_time_us: u64 = 20_000;
     /// Largest acceleration, in m/s².
-    pub max_acceleration_m_s2: f64,
+    max_acceleration_m_s2: f64 = 3.0;
     /// Constant deceleration of the rolling car, in m/s².
-    pub coasting_m_s2: f64,
+    coasting_m_s2: f64 = 0.8, in NOT_NEGATIVE;
     /// Deceleration of the rolling car per speed, in 1/s.
-    pub viscous_per_s: f64,
+    viscous_per_s: f64 = 1.0, in NOT_NEGATIVE;
     /// Braking per µs of pulse beyond the deadband, in m/s² per µs.
-    pub brake_m_s2_per_us: f64,
+    brake_m_s2_per_us: f64 = 0.02;
     /// Largest braking, in m/s².
-    pub max_brake_m_s2: f64,
+    max_brake_m_s2: f64 = 3.0;
     /// Whether a pulse below neutral drives in reverse after standstill and
     /// neutral; otherwise it only brakes. Only for the kinds that brake first.
-    pub reverse: bool,
+    reverse: bool = true;
     /// Time at neutral after power-on before the ESC drives, in µs.
-    pub arming_us: u64,
+    arming_us: u64 = 1_000_000;
     /// Time without pulses after which the ESC releases the motor, in µs.
-    pub signal_loss_us: u64,
+    signal_loss_us: u64 = 100_000;
     /// From this time on the throttle stays as it is, in s, whatever the pulses say, and
     /// without pulses too. Only cutting its supply releases the motor.
-    pub stuck_from_s: Option<f64>,
+    stuck_from_s: Option<f64> = None, in NOT_NEGATIVE;
     /// When the ESC restarts, in s: it has no power for `reboot_ms`, then needs neutral.
-    pub reboot_at_s: Option<f64>,
+    reboot_at_s: Option<f64> = None, in NOT_NEGATIVE;
     /// Time without power at a restart, in ms.
-    pub reboot_ms: f64,
+    reboot_ms: f64 = 300.0, in POSITIVE;
     /// The ESC's supply runs through a relay that the board holds (normally open).
-    pub kill_relay: bool,
+    kill_relay: bool = false;
     /// Slope of the floor, in degrees. It acts along the car only.
-    pub slope_deg: f64,
+    slope_deg: f64 = 0.0, in in_words("from -45 to 45", |x| (-45.0..=45.0).contains(&x));
     /// Direction in which the floor rises, in degrees from the world's x axis.
-    pub slope_heading_deg: f64,
+    slope_heading_deg: f64 = 0.0, in FINITE;
     /// Slip of the driven wheels: the part of their rotation, and of the motor's pulses,
     /// that does not move the car.
-    pub slip: f64,
+    slip: f64 = 0.0, in in_words("from 0 to below 1", |x| (0.0..1.0).contains(&x));
     /// Begin of the slip, in s; always if left out.
-    pub slip_from_s: Option<f64>,
+    slip_from_s: Option<f64> = None, in NOT_NEGATIVE;
     /// A push.
-    pub push: Option<Push>,
-}
-
-impl Default for MotorParameters {
-    fn default() -> Self {
-        Self {
-            kind: EscKind::Car,
-            neutral_us: 1500,
-            // With the breakaway, 30 µs in which the wheels stand.
-            deadband_us: 26,
-            breakaway_us: 4.0,
-            gain_m_s_per_us: 0.01,
-            saturation_us: 400.0,
-            lag_s: 0.08,
-            dead_time_us: 20_000,
-            max_acceleration_m_s2: 3.0,
-            coasting_m_s2: 0.8,
-            viscous_per_s: 1.0,
-            brake_m_s2_per_us: 0.02,
-            max_brake_m_s2: 3.0,
-            reverse: true,
-            arming_us: 1_000_000,
-            signal_loss_us: 100_000,
-            stuck_from_s: None,
-            reboot_at_s: None,
-            reboot_ms: 300.0,
-            kill_relay: false,
-            slope_deg: 0.0,
-            slope_heading_deg: 0.0,
-            slip: 0.0,
-            slip_from_s: None,
-            push: None,
-        }
-    }
+    push: Option<Push> = None;
 }
 
 /// Action of the ESC on the motor.

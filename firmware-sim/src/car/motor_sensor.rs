@@ -1,35 +1,28 @@
 //! The motor's pulse sensor: a pulse every few millimetres of travel.
 
 use serde::{Deserialize, Serialize};
+use singletrack_settings::section;
 
-use crate::random::{Random, Stream};
+use crate::{
+    parameters::EDGE_RATE,
+    random::{Random, Stream},
+};
 
-/// The motor's pulse sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct MotorSensorParameters {
+section! {
+    /// The motor's pulse sensor.
+    "car.motor_sensor" => pub MotorSensorParameters: Copy;
+    [default];
+
     /// True distance per pulse, in µm.
-    pub pulse_distance_um: f64,
+    pulse_distance_um: f64 = 3000.0, in in_words("10 or more", |x| x >= 10.0);
     /// Mean number of edges by interference while the ESC drives, per second.
-    pub emi_driven_hz: f64,
+    emi_driven_hz: f64 = 0.0, in EDGE_RATE;
     /// Mean number of edges by interference while it does not, per second.
-    pub emi_standstill_hz: f64,
+    emi_standstill_hz: f64 = 0.0, in EDGE_RATE;
     /// Further edges after each true one.
-    pub ringing_edges: u16,
+    ringing_edges: u16 = 0, in in_words("1000 or less", |x| x <= 1_000.0);
     /// Duration of the ringing, in µs.
-    pub ringing_us: u64,
-}
-
-impl Default for MotorSensorParameters {
-    fn default() -> Self {
-        Self {
-            pulse_distance_um: 3000.0,
-            emi_driven_hz: 0.0,
-            emi_standstill_hz: 0.0,
-            ringing_edges: 0,
-            ringing_us: 40,
-        }
-    }
+    ringing_us: u64 = 40;
 }
 
 /// Faults of the motor's pulse sensor.

@@ -1,51 +1,38 @@
 //! The steering servo.
 
-use serde::{Deserialize, Serialize};
 use singletrack_control::{SteeringMap, SteeringTable};
+use singletrack_settings::section;
 
-/// True mapping of the steering servo from pulses to angles, and its dynamics.
-///
-/// The defaults are the nominal calibration. To test calibration errors, change
-/// these values and keep the board's configuration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ServoParameters {
+use crate::parameters::{LAG, NOT_NEGATIVE, POSITIVE};
+
+section! {
+    /// True mapping of the steering servo from pulses to angles, and its dynamics.
+    ///
+    /// The defaults are the nominal calibration. To test calibration errors, change
+    /// these values and keep the board's configuration.
+    "car.servo" => pub ServoParameters;
+    [default];
+
     /// Pulse for zero steering angle, in µs.
-    pub centre_us: f64,
+    centre_us: f64 = 1500.0;
     /// Pulse change per radian to the left, in µs/rad.
-    pub gain_us_per_rad: f64,
+    gain_us_per_rad: f64 = -800.0, in in_words("finite and not zero", |x| x != 0.0);
     /// Angles over pulses, instead of that line.
-    pub table: Option<SteeringTable>,
+    table: Option<SteeringTable> = None;
     /// Mechanical stop on both sides, in rad.
-    pub stop_rad: f64,
+    stop_rad: f64 = 0.55, in in_words("between 0 and 1.5", |x| x > 0.0 && x < 1.5);
     /// Time constant of the first-order lag, in s.
-    pub lag_s: f64,
+    lag_s: f64 = 0.04, in LAG;
     /// Largest steering rate, in rad/s.
-    pub max_rate_rad_s: f64,
+    max_rate_rad_s: f64 = 8.0, in POSITIVE;
+    // The servo can measure a pulse only at its end.
     /// Time from the start of a pulse to the servo's response, in µs.
-    pub dead_time_us: u64,
+    dead_time_us: u64 = 2_000;
     /// Play: a change of direction moves the wheels only after this change of the
     /// pulse, in µs.
-    pub backlash_us: f64,
+    backlash_us: f64 = 0.0, in NOT_NEGATIVE;
     /// From this time on the wheels keep their angle, in s.
-    pub stuck_from_s: Option<f64>,
-}
-
-impl Default for ServoParameters {
-    fn default() -> Self {
-        Self {
-            centre_us: 1500.0,
-            gain_us_per_rad: -800.0,
-            table: None,
-            stop_rad: 0.55,
-            lag_s: 0.04,
-            max_rate_rad_s: 8.0,
-            // The servo can measure a pulse only at its end.
-            dead_time_us: 2_000,
-            backlash_us: 0.0,
-            stuck_from_s: None,
-        }
-    }
+    stuck_from_s: Option<f64> = None, in NOT_NEGATIVE;
 }
 
 impl ServoParameters {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use singletrack_settings::section;
 
 use super::{ConfigError, SimulationConfig};
 use crate::{
@@ -39,39 +39,25 @@ pub enum SimulationFileError {
     },
 }
 
-/// The file of a simulation: its configuration, and what is true of the car beside it.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-struct SimulationFile {
-    seed: u64,
-    car: CarParameters,
-    board: BoardParameters,
-    wire: WireParameters,
-    cameras: CameraParameters,
-    natnet: NatNetParameters,
-    truth: CarTruth,
-}
+section! {
+    /// The file of a simulation: its configuration, and what is true of the car beside it.
+    "simulation" => SimulationFile;
+    [];
 
-impl Default for SimulationFile {
-    fn default() -> Self {
-        let SimulationConfig {
-            seed,
-            car,
-            board,
-            wire,
-            cameras,
-            natnet,
-        } = SimulationConfig::default();
-        Self {
-            seed,
-            car,
-            board,
-            wire,
-            cameras,
-            natnet,
-            truth: CarTruth::default(),
-        }
-    }
+    /// See [`SimulationConfig`].
+    seed: u64 = SimulationConfig::default().seed;
+    /// See [`SimulationConfig`].
+    car: CarParameters = CarParameters::default();
+    /// See [`SimulationConfig`].
+    board: BoardParameters = BoardParameters::default();
+    /// See [`SimulationConfig`].
+    wire: WireParameters = WireParameters::default();
+    /// See [`SimulationConfig`].
+    cameras: CameraParameters = CameraParameters::default();
+    /// See [`SimulationConfig`].
+    natnet: NatNetParameters = NatNetParameters::default();
+    /// The car.
+    truth: CarTruth = CarTruth::default();
 }
 
 impl SimulationConfig {

@@ -3,9 +3,9 @@
 mod file;
 mod ranges;
 
-use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameterError;
 use singletrack_protocol::Configuration;
+use singletrack_settings::{ValueError, section};
 
 use crate::{
     attitude::mounting_deg,
@@ -17,39 +17,28 @@ use crate::{
 };
 
 pub use file::SimulationFileError;
+pub(crate) use ranges::{EDGE_RATE, FINITE, LAG, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY};
 
-/// The configuration of a simulation.
-///
-/// The default is the paper's car with hobby-grade actuators, a consumer IMU and a
-/// good motion capture system, without faults.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SimulationConfig {
+section! {
+    /// The configuration of a simulation.
+    ///
+    /// The default is the paper's car with hobby-grade actuators, a consumer IMU and a
+    /// good motion capture system, without faults.
+    "simulation" => pub SimulationConfig;
+    [default];
+
     /// Seed of all random numbers.
-    pub seed: u64,
+    seed: u64 = 1;
     /// The car.
-    pub car: CarParameters,
+    car: CarParameters = CarParameters::default();
     /// The board's clock, start-up and buffers.
-    pub board: BoardParameters,
+    board: BoardParameters = BoardParameters::default();
     /// The serial line.
-    pub wire: WireParameters,
+    wire: WireParameters = WireParameters::default();
     /// The cameras.
-    pub cameras: CameraParameters,
+    cameras: CameraParameters = CameraParameters::default();
     /// The NatNet server.
-    pub natnet: NatNetParameters,
-}
-
-impl Default for SimulationConfig {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            car: CarParameters::default(),
-            board: BoardParameters::default(),
-            wire: WireParameters::default(),
-            cameras: CameraParameters::default(),
-            natnet: NatNetParameters::default(),
-        }
-    }
+    natnet: NatNetParameters = NatNetParameters::default();
 }
 
 /// Errors in the configuration of a simulation.
@@ -62,15 +51,8 @@ pub enum ConfigError {
     #[error(transparent)]
     Uno(#[from] UnoError),
     /// A value is out of range.
-    #[error("{name} is {value}: it must be {rule}")]
-    OutOfRange {
-        /// Name of the setting.
-        name: &'static str,
-        /// Value of the setting.
-        value: f64,
-        /// Allowed values.
-        rule: &'static str,
-    },
+    #[error(transparent)]
+    Value(#[from] ValueError),
 }
 
 impl SimulationConfig {

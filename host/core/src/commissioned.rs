@@ -8,71 +8,36 @@
 use core::fmt;
 
 use serde::{Deserialize, Serialize};
+use singletrack_words::words;
 
 use crate::hexadecimal;
 
-/// A procedure that a car passes before it drives, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Procedure {
-    /// Checks and measurements without driving.
-    Doctor,
-    /// Steering and motor, with the wheels off the floor.
-    BringUp,
-    /// Measurements of drives on the floor.
-    Calibrate,
-}
-
-impl Procedure {
-    /// All of them, in their order.
-    pub const ALL: [Self; 3] = [Self::Doctor, Self::BringUp, Self::Calibrate];
-
-    /// Its name, which is that of its command.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Doctor => "doctor",
-            Self::BringUp => "bring-up",
-            Self::Calibrate => "calibrate",
-        }
-    }
-
-    /// The procedure with this name.
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|procedure| procedure.name() == name)
+words! {
+    /// A procedure that a car passes before it drives, in their order.
+    #[derive(PartialOrd, Ord, Hash)]
+    pub enum Procedure: serde {
+        /// Checks and measurements without driving.
+        Doctor = "doctor",
+        /// Steering and motor, with the wheels off the floor.
+        BringUp = "bring-up",
+        /// Measurements of drives on the floor.
+        Calibrate = "calibrate",
     }
 }
 
-/// The state that a procedure reports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ProcedureResult {
-    /// It begins.
-    Begun,
-    /// It continues after an interruption.
-    Resumed,
-    /// It has put another configuration in force.
-    Changed,
-    /// It has ended, and the next procedure may begin.
-    Passed,
-    /// It has ended, and the next procedure must not begin.
-    Failed,
-}
-
-impl ProcedureResult {
-    /// The result with this name.
-    #[must_use]
-    pub fn named(word: &str) -> Option<Self> {
-        match word {
-            "begun" => Some(Self::Begun),
-            "resumed" => Some(Self::Resumed),
-            "changed" => Some(Self::Changed),
-            "passed" => Some(Self::Passed),
-            "failed" => Some(Self::Failed),
-            _ => None,
-        }
+words! {
+    /// The state that a procedure reports.
+    pub enum ProcedureResult {
+        /// It begins.
+        Begun = "begun",
+        /// It continues after an interruption.
+        Resumed = "resumed",
+        /// It has put another configuration in force.
+        Changed = "changed",
+        /// It has ended, and the next procedure may begin.
+        Passed = "passed",
+        /// It has ended, and the next procedure must not begin.
+        Failed = "failed",
     }
 }
 

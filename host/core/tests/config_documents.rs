@@ -306,10 +306,10 @@ fn unit(name: &str) -> &'static str {
 /// The values that a key may have, in words.
 fn range(key: &Key) -> String {
     if key.range.is_empty() {
-        // A choice has its texts, each after a comma.
-        return match key.values.strip_prefix(", ") {
-            Some(choices) => format!("`{}`", choices.replace(", ", "`, `")),
-            None => key.values.to_owned(),
+        let words = (key.words)();
+        return match words.is_empty() {
+            false => format!("`\"{}\"`", words.join("\"`, `\"")),
+            true => type_in_words(key.kind).to_owned(),
         };
     }
     let highest = key.range.strip_prefix("up_to(");
@@ -330,6 +330,22 @@ fn range(key: &Key) -> String {
         false => word.replace("PI", "π"),
     });
     words.collect::<Vec<_>>().join(" ")
+}
+
+/// A type of Rust in words.
+fn type_in_words(kind: &str) -> &str {
+    let inner = kind.strip_prefix("Option<");
+    match inner.map_or(kind, |inner| inner.strip_suffix('>').unwrap()) {
+        "bool" => "true or false",
+        "String" | "PathBuf" | "Bitstream" => "text",
+        "Ipv4Addr" | "IpAddr" => "IP address",
+        "u8" | "u16" | "i16" | "u32" => "whole number",
+        "f64" => "number",
+        "[f64; 2]" => "two numbers",
+        "Vec<[f64; 2]>" => "list of two numbers each",
+        list if list.starts_with("Vec<") => "list",
+        other => panic!("{other} has no words"),
+    }
 }
 
 /// A number as a declaration has it, without its Rust: `1_000.0` is 1000.

@@ -1,7 +1,7 @@
 //! Converts a situation to the world's and the daemon's configuration.
 
 use singletrack_control::SteeringTable;
-use singletrack_core::config::{BoardSection, Config, EscKindName, FailsafeKind};
+use singletrack_core::config::{self, BoardSection, Config, FailsafeAction};
 use singletrack_sim::{
     BoardParameters, CameraParameters, CarBody, CarParameters, EscKind, Push, SimulationConfig,
     StartPose, WIDE_US, WireFaults, WireParameters, crooked_steering, default_board_configuration,
@@ -112,18 +112,18 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
         situation.brake && situation.esc_kind != EscKind::ForwardReverse && !situation.kill_output;
     config.board = BoardSection {
         failsafe: if brakes {
-            FailsafeKind::Brake
+            FailsafeAction::Brake
         } else {
-            FailsafeKind::Coast
+            FailsafeAction::Coast
         },
         stop_input: situation.stop_input,
         kill_output: situation.kill_output,
         ..BoardSection::from(&default_board_configuration())
     };
     config.board.esc.kind = Some(match situation.esc_kind {
-        EscKind::Car | EscKind::LearnsNeutral => EscKindName::Car,
-        EscKind::ForwardReverse => EscKindName::ForwardReverse,
-        EscKind::Vesc => EscKindName::Vesc,
+        EscKind::Car | EscKind::LearnsNeutral => config::EscKind::Car,
+        EscKind::ForwardReverse => config::EscKind::ForwardReverse,
+        EscKind::Vesc => config::EscKind::Vesc,
     });
     let esc = &mut config.board.esc;
     esc.neutral_us = situation.neutral_us;

@@ -13,8 +13,7 @@ use std::{path::Path, path::PathBuf, process::ExitCode, time::Duration};
 
 use clap::Parser;
 use singletrack_core::config::{
-    Config, MotionCaptureSection, RecordSection, SerialSection, SocketSection, StateSection,
-    UpAxisKind,
+    Config, MotionCaptureSection, RecordSection, SerialSection, SocketSection, StateSection, UpAxis,
 };
 use singletrack_hil::{
     Failure, Outcome, client::Client, daemon::Daemon, ensure, percentile, program, settings, wait,
@@ -113,7 +112,7 @@ fn configuration(believed: Config, simulator: &RealTimeSimulator, folder: &Path)
     config.serial = SerialSection::new(simulator.pty_path());
     config.motion_capture = MotionCaptureSection {
         command_port: cameras.port(),
-        ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxisKind::Y)
+        ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxis::Y)
     };
     config.supervisor.require_calibration = false;
     config.record = RecordSection {

@@ -8,10 +8,10 @@ use std::{
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
-    FailsafeKind, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
+    FailsafeAction, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
     MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
     SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection,
-    TuningSection, UpAxisKind, WatchSection,
+    TuningSection, UpAxis, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -26,7 +26,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         serial: SerialSection::new(port),
         motion_capture: MotionCaptureSection {
             command_port: cameras.port(),
-            ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxisKind::Y)
+            ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxis::Y)
         },
         law: LawSection {
             kind: LawKind::FrontPoint,
@@ -59,7 +59,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         safety_filter: SafetyFilterSection::default(),
         tuning: TuningSection::default(),
         board: BoardSection {
-            failsafe: FailsafeKind::Coast,
+            failsafe: FailsafeAction::Coast,
             ..BoardSection::from(&default_board_configuration())
         },
         control: ControlSection::default(),

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use singletrack_core::config::MarkerLossKind;
+use singletrack_core::config::MarkerLoss;
 use singletrack_scenario::{
     estimation::{EstimationStudy, study},
     simulate::Scenario,
@@ -40,8 +40,8 @@ fn main() {
     ] {
         let pattern = loss.and_then(|text| text.parse::<LossPattern>().ok());
         for (name, mode) in [
-            ("hold", MarkerLossKind::Hold),
-            ("coast", MarkerLossKind::DeadReckon),
+            ("hold", MarkerLoss::Hold),
+            ("coast", MarkerLoss::DeadReckon),
         ] {
             match study(&scenario, pattern, mode) {
                 Ok(study) => print(loss.unwrap_or("none"), name, &study),

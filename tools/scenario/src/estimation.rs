@@ -1,7 +1,7 @@
 //! Errors of the estimate on the simulated car.
 
 use singletrack_control::{Estimate, wrap};
-use singletrack_core::config::MarkerLossKind;
+use singletrack_core::config::MarkerLoss;
 use singletrack_pilot::Mode;
 use singletrack_sim::{LossPattern, Truth};
 use singletrack_statistics::RootMeanSquare;
@@ -51,7 +51,7 @@ const SETTLING: f64 = 10.0;
 pub fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
-    marker_loss: MarkerLossKind,
+    marker_loss: MarkerLoss,
 ) -> Result<EstimationStudy, CarError> {
     let (mut config, simulation) = virtual_drive_config(scenario)?;
     config.estimator.marker_loss = marker_loss;

@@ -4,13 +4,10 @@ use std::net::Ipv4Addr;
 
 use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
-    ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
-    FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
-    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection,
-    TuningSection, UpAxisKind, WatchSection,
+    BoardSection, Config, FenceSection, LawKind, LawSection, MotionCaptureSection,
+    OuterLoopSection, ReferenceSection, SerialSection, UpAxis,
 };
-use singletrack_sim::{SimulationConfig, UpAxis, default_board_configuration};
+use singletrack_sim::{SimulationConfig, default_board_configuration};
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
@@ -66,37 +63,21 @@ impl Drive {
 /// board. Port, addresses and paths are placeholders: virtual time uses none of them.
 #[must_use]
 pub fn daemon_config(drive: Drive) -> Config {
-    Config {
-        serial: SerialSection::new("simulated"),
-        motion_capture: MotionCaptureSection::new(Ipv4Addr::LOCALHOST, RIGID_BODY, UpAxisKind::Y),
-        law: drive.law,
-        outer_loop: drive.outer_loop,
-        reference: drive.reference,
-        vehicle: drive.vehicle,
-        governor: GovernorSection::default(),
-        limits: LimitsSection::default(),
-        estimator: EstimatorSection::default(),
-        // The simulated car is known to be as configured.
-        supervisor: SupervisorSection {
-            prove_first_metre: false,
-            require_calibration: false,
-            ..SupervisorSection::default()
-        },
-        watch: WatchSection::default(),
+    let mut config = Config::new(
+        SerialSection::new("simulated"),
+        MotionCaptureSection::new(Ipv4Addr::LOCALHOST, RIGID_BODY, UpAxis::Y),
+        drive.law,
+        drive.outer_loop,
+        drive.reference,
         // The size of a hall, so that drives may begin and end anywhere.
-        fence: FenceSection::square(HALL_WIDTH_M, BRAKING_M_S2),
-        board: BoardSection::from(&default_board_configuration()),
-        actuators: ActuatorsSection::default(),
-        compensation: CompensationSection::default(),
-        safety_filter: SafetyFilterSection::default(),
-        tuning: TuningSection::default(),
-        control: ControlSection::default(),
-        record: RecordSection::default(),
-        state: StateSection::default(),
-        socket: SocketSection::default(),
-        live: LiveSection::default(),
-        page: PageSection::default(),
-    }
+        FenceSection::square(HALL_WIDTH_M, BRAKING_M_S2),
+        BoardSection::from(&default_board_configuration()),
+    );
+    config.vehicle = drive.vehicle;
+    // The simulated car is known to be as configured.
+    config.supervisor.prove_first_metre = false;
+    config.supervisor.require_calibration = false;
+    config
 }
 
 /// Makes the simulated car and its cameras as the daemon's configuration says.
@@ -115,8 +96,5 @@ pub fn follow(believed: &Config, simulation: &mut SimulationConfig) {
     if cameras.marker_offset_m != [0.0; 2] {
         body.set_pivot(cameras.marker_offset_m);
     }
-    simulation.cameras.up_axis = match cameras.up_axis {
-        UpAxisKind::Y => UpAxis::Y,
-        UpAxisKind::Z => UpAxis::Z,
-    };
+    simulation.cameras.up_axis = cameras.up_axis;
 }

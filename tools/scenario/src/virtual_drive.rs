@@ -330,20 +330,11 @@ impl VirtualDrive {
     /// The car does not drive within 15 s.
     pub fn start(&mut self) -> Result<VirtualTick, VirtualDriveError> {
         let mut armed = false;
-        while self.next_tick_us() as f64 * 1e-6 < READY_TIMEOUT {
-            if !armed && self.host.mode() == Mode::Ready {
+        self.until(Mode::Driving, 0, |drive| {
+            if !armed && drive.mode() == Mode::Ready {
                 // The ring is empty: every tick takes all requests.
-                armed = self.request(PilotRequest::Arm).is_ok();
+                armed = drive.request(PilotRequest::Arm).is_ok();
             }
-            let tick = self.step();
-            if tick.tick.output.mode == Mode::Driving {
-                return Ok(tick);
-            }
-        }
-        Err(VirtualDriveError::NotStarted {
-            mode: self.host.mode(),
-            reason: self.controller().pilot().reason(),
-            seconds: READY_TIMEOUT,
         })
     }
 
@@ -354,16 +345,29 @@ impl VirtualDrive {
     ///
     /// The car can't be jogged within 15 s.
     pub fn start_jogging(&mut self) -> Result<VirtualTick, VirtualDriveError> {
-        let until_us = self.next_tick_us() + (READY_TIMEOUT * 1e6) as u64;
+        self.until(Mode::Jogging, self.next_tick_us(), |drive| {
+            // The ring is empty: every tick takes all requests.
+            let _ = match drive.mode() {
+                Mode::Idle | Mode::Ready => drive.request(PilotRequest::ArmJog),
+                Mode::Arming => drive.request(PilotRequest::Hold),
+                _ => Ok(()),
+            };
+        })
+    }
+
+    /// Goes on to the first tick in a mode, for 15 s from a time of the simulation, in µs;
+    /// `before` comes before each tick.
+    fn until(
+        &mut self,
+        mode: Mode,
+        from_us: u64,
+        mut before: impl FnMut(&Self),
+    ) -> Result<VirtualTick, VirtualDriveError> {
+        let until_us = from_us + (READY_TIMEOUT * 1e6) as u64;
         while self.next_tick_us() < until_us {
-            if matches!(self.mode(), Mode::Idle | Mode::Ready) {
-                // The ring is empty: every tick takes all requests.
-                let _ = self.request(PilotRequest::ArmJog);
-            } else if self.mode() == Mode::Arming {
-                let _ = self.request(PilotRequest::Hold);
-            }
+            before(self);
             let tick = self.step();
-            if tick.tick.output.mode == Mode::Jogging {
+            if tick.tick.output.mode == mode {
                 return Ok(tick);
             }
         }

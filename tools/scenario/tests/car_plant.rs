@@ -4,7 +4,7 @@
 
 use std::{path::Path, sync::OnceLock};
 
-use singletrack_core::config::{MarkerLossKind, OuterLoopSection};
+use singletrack_core::config::{MarkerLoss, OuterLoopSection};
 use singletrack_scenario::{
     estimation::{EstimationStudy, study},
     simulate::{MarkerLoss as LostTicks, Row, Scenario, simulate},
@@ -90,7 +90,7 @@ fn the_same_seed_gives_the_same_bits_and_another_does_not() {
 /// Without losses: 0.2 mm / 0.1 deg cameras, 8 ms latency, consumer IMU that vibrates.
 fn undisturbed() -> &'static EstimationStudy {
     static STUDY: OnceLock<EstimationStudy> = OnceLock::new();
-    STUDY.get_or_init(|| study(&circle(), None, MarkerLossKind::Hold).unwrap())
+    STUDY.get_or_init(|| study(&circle(), None, MarkerLoss::Hold).unwrap())
 }
 
 #[test]
@@ -135,8 +135,8 @@ fn yaw_rate_is_estimated_to_the_vibration_of_the_gyro() {
 #[test]
 fn coasting_through_200_ms_losses_loses_less_than_holding() {
     let loss = Some("200ms@2s".parse().unwrap());
-    let hold = study(&circle(), loss, MarkerLossKind::Hold).unwrap();
-    let coast = study(&circle(), loss, MarkerLossKind::DeadReckon).unwrap();
+    let hold = study(&circle(), loss, MarkerLoss::Hold).unwrap();
+    let coast = study(&circle(), loss, MarkerLoss::DeadReckon).unwrap();
     assert!(coast.worst_position_m < 0.025, "{coast:?}");
     assert!(hold.worst_position_m > 0.05, "{hold:?}");
 }

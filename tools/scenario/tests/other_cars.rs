@@ -5,11 +5,11 @@
 use std::path::Path;
 
 use singletrack_control::{SlipAngles, Tyres};
-use singletrack_core::config::UpAxisKind;
+use singletrack_core::config::UpAxis;
 use singletrack_scenario::simulate::{
     RunOptions, Scenario, Simulation, Summary, simulate, simulate_with, virtual_drive_config,
 };
-use singletrack_sim::{EscKind, UpAxis};
+use singletrack_sim::EscKind;
 
 /// Speed of the drives, in m/s.
 const SPEED: f64 = 0.5;
@@ -156,7 +156,7 @@ fn what_the_truth_leaves_out_follows_the_belief() {
     let [forward, left] = body.pivot();
     assert!((forward - 0.05).abs() < 1e-12 && (left + 0.01).abs() < 1e-12);
     assert_eq!(simulation.cameras.up_axis, UpAxis::Z);
-    assert_eq!(believed.motion_capture.up_axis, UpAxisKind::Z);
+    assert_eq!(believed.motion_capture.up_axis, UpAxis::Z);
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! `[actuators]`: how fast steering and motor are believed to be.
 
 use singletrack_control::{ActuatorModel, SteeringMap, SteeringTable};
+use singletrack_settings::section;
 
-use super::{ConfigError, ServoSection, section::section};
+use super::{ConfigError, ServoSection};
 
 section! {
     /// How steering and motor are believed to follow their commands: dead time, then a lag of

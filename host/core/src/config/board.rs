@@ -7,13 +7,9 @@ use singletrack_protocol::{
     Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, LONGEST_ROLL_OUT_MS,
     ServoCalibration, SpeedLoop,
 };
+use singletrack_settings::{Convert as _, Maps as _, section};
 
-use super::{
-    ConfigError,
-    choice::choice,
-    section::{Maps as _, section},
-    value::Convert as _,
-};
+use super::ConfigError;
 
 section! {
     /// What the board is given before it may be armed. The example's calibration is that of
@@ -26,7 +22,7 @@ section! {
     car_id: u16 = 0;
     /// When the board stops the car by itself: "coast" sends neutral; "brake" sends the
     /// braking pulse until the wheels stand, then neutral, and needs `esc.kind`.
-    failsafe: FailsafeKind = FailsafeKind::Coast;
+    failsafe: FailsafeAction = FailsafeAction::Coast, words FailsafeAction;
     /// Oldest pose that the board obeys. At least the time that the host needs to hold and to
     /// stop, so that the host stops first.
     max_pose_age_ms: u16 = 950, text "1 to 1000";
@@ -43,15 +39,6 @@ section! {
     speed: SpeedSection;
     /// The mounting of the IMU.
     imu: ImuSection = ImuSection::default();
-}
-
-choice! {
-    /// What the ESC is given when the board stops the car by itself.
-    pub FailsafeKind => FailsafeAction;
-    /// Neutral.
-    Coast = "coast";
-    /// The braking pulse until the wheels stand, then neutral.
-    Brake = "brake";
 }
 
 section! {
@@ -80,7 +67,7 @@ section! {
 
     /// What a pulse below neutral does. Needed for `failsafe = "brake"` and for reverse; left
     /// out, no pulse below neutral is ever sent.
-    kind: Option<EscKindName> = None, example EscKindName::Car;
+    kind: Option<EscKind> = None, words EscKind, example EscKind::Car;
     /// Pulse at which the motor is free.
     neutral_us: u16, text "1500 - deadband_us to 1500 + deadband_us",
         example 1500;
@@ -97,45 +84,17 @@ section! {
     brake_us: Option<u16> = None, text "min_us to neutral_us - deadband_us - 1", example 1350;
 }
 
-choice! {
-    /// What an ESC does with a pulse below neutral.
-    pub EscKindName => EscKind;
-    /// The first one after driving forward brakes, a second one is reverse.
-    Car = "car";
-    /// It is reverse at once; there is no brake.
-    ForwardReverse = "forward-reverse";
-    /// It brakes, always.
-    Vesc = "vesc";
-}
-
 section! {
     /// The mounting of the IMU: which axis, as printed on the chip, points where.
     "board.imu" => pub ImuSection: Copy, Eq;
     [maps ImuAxes = ImuAxes::AS_PRINTED];
 
     /// Points forward.
-    forward: ImuAxisName => forward;
+    forward: ImuAxis => forward, words ImuAxis;
     /// Points to the left.
-    left: ImuAxisName => left;
+    left: ImuAxis => left, words ImuAxis;
     /// Points up.
-    up: ImuAxisName => up;
-}
-
-choice! {
-    /// A direction as printed on the IMU.
-    pub ImuAxisName => ImuAxis;
-    /// Along x.
-    PlusX = "+x";
-    /// Against x.
-    MinusX = "-x";
-    /// Along y.
-    PlusY = "+y";
-    /// Against y.
-    MinusY = "-y";
-    /// Along z.
-    PlusZ = "+z";
-    /// Against z.
-    MinusZ = "-z";
+    up: ImuAxis => up, words ImuAxis;
 }
 
 section! {
@@ -170,9 +129,7 @@ impl BoardSection {
             servo: self.servo.to_inner("servo"),
             esc: EscCalibration {
                 // Left out: no pulse ever brakes, and reverse is refused, see `validate`.
-                kind: esc
-                    .kind
-                    .map_or(EscKind::ForwardReverse, |kind| kind.to_inner("kind")),
+                kind: esc.kind.unwrap_or(EscKind::ForwardReverse),
                 neutral_us: esc.neutral_us,
                 deadband_us: esc.deadband_us,
                 min_us: esc.min_us,
@@ -181,7 +138,7 @@ impl BoardSection {
                 brake_us: esc.brake_us.unwrap_or(esc.neutral_us),
             },
             speed: self.speed.to_inner("speed"),
-            failsafe: self.failsafe.to_inner("failsafe"),
+            failsafe: self.failsafe,
             max_pose_age_ms: self.max_pose_age_ms,
             stop_input: self.stop_input,
             kill_output: self.kill_output,
@@ -194,7 +151,7 @@ impl BoardSection {
     /// Refuses what the board would refuse, and what only the file can tell.
     pub(super) fn validate(&self) -> Result<(), ConfigError> {
         let esc = &self.esc;
-        let brakes = self.failsafe == FailsafeKind::Brake;
+        let brakes = self.failsafe == FailsafeAction::Brake;
         match esc.kind {
             None if brakes || self.speed.max_reverse_mm_s != 0 => {
                 return Err(ConfigError::value(
@@ -212,7 +169,7 @@ impl BoardSection {
                      brakes; use \"coast\"",
                 ));
             }
-            Some(EscKindName::ForwardReverse) if brakes => {
+            Some(EscKind::ForwardReverse) if brakes => {
                 return Err(ConfigError::value(
                     "board.failsafe",
                     "brake",
@@ -220,7 +177,7 @@ impl BoardSection {
                      drive the car backwards; use \"coast\"",
                 ));
             }
-            Some(EscKindName::Vesc) if self.speed.max_reverse_mm_s != 0 => {
+            Some(EscKind::Vesc) if self.speed.max_reverse_mm_s != 0 => {
                 return Err(ConfigError::value(
                     "board.speed.max_reverse_mm_s",
                     self.speed.max_reverse_mm_s,
@@ -228,14 +185,11 @@ impl BoardSection {
                      use 0",
                 ));
             }
-            Some(kind @ (EscKindName::Car | EscKindName::Vesc)) if esc.brake_us.is_none() => {
+            Some(kind @ (EscKind::Car | EscKind::Vesc)) if esc.brake_us.is_none() => {
                 return Err(ConfigError::value(
                     "board.esc.brake_us",
                     "missing",
-                    format!(
-                        "board.esc.kind = \"{}\" needs it",
-                        kind.to_inner("kind").name()
-                    ),
+                    format!("board.esc.kind = \"{kind}\" needs it"),
                 ));
             }
             _ => {}
@@ -251,8 +205,7 @@ impl BoardSection {
             ));
         }
         if !self.imu.onto(ImuAxes::AS_PRINTED).is_mounting() {
-            let [forward, left, up] = [self.imu.forward, self.imu.left, self.imu.up]
-                .map(|axis| axis.to_inner("axis").name());
+            let ImuSection { forward, left, up } = self.imu;
             return Err(ConfigError::value(
                 "board.imu",
                 format!("{forward}, {left}, {up}"),
@@ -280,13 +233,13 @@ impl From<&Configuration> for BoardSection {
         } = *configuration;
         Self {
             car_id,
-            failsafe: FailsafeKind::from_inner(failsafe, "failsafe"),
+            failsafe,
             max_pose_age_ms,
             stop_input,
             kill_output,
             servo: ServoSection::from_inner(servo, "servo"),
             esc: EscSection {
-                kind: Some(EscKindName::from_inner(esc.kind, "kind")),
+                kind: Some(esc.kind),
                 neutral_us: esc.neutral_us,
                 deadband_us: esc.deadband_us,
                 min_us: esc.min_us,
@@ -296,9 +249,9 @@ impl From<&Configuration> for BoardSection {
             },
             speed: SpeedSection::from_inner(speed, "speed"),
             imu: ImuSection {
-                forward: ImuAxisName::from_inner(imu_axes.forward, "forward"),
-                left: ImuAxisName::from_inner(imu_axes.left, "left"),
-                up: ImuAxisName::from_inner(imu_axes.up, "up"),
+                forward: imu_axes.forward,
+                left: imu_axes.left,
+                up: imu_axes.up,
             },
         }
     }

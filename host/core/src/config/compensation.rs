@@ -2,8 +2,9 @@
 
 use singletrack_control::VehicleParameters;
 use singletrack_pilot::Compensation;
+use singletrack_settings::section;
 
-use super::{ActuatorsSection, section::section};
+use super::ActuatorsSection;
 
 section! {
     /// What the controller corrects of the board's clock and of the actuators, with the

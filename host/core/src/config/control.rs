@@ -1,6 +1,6 @@
 //! `[control]`: how the controller runs.
 
-use super::section::section;
+use singletrack_settings::section;
 
 section! {
     /// How the controller runs.

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use singletrack_control::{LawError, ReferenceError, VehicleParameterError};
 use singletrack_pilot::FenceError;
 use singletrack_protocol::{ConfigurationError, ConfigurationField};
+use singletrack_settings::{ValueError, explain};
 
-use super::{WaypointFileError, explain::explain};
+use super::WaypointFileError;
 
 /// Why a configuration is refused: key, value and fix.
 #[derive(Debug, thiserror::Error)]
@@ -61,15 +62,8 @@ pub enum ConfigError {
     #[error("{}", board_message(.0))]
     Board(#[from] ConfigurationError),
     /// A value is outside its range, or contradicts another.
-    #[error("{key} is {value}: {fix}")]
-    Value {
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// What it may be.
-        fix: String,
-    },
+    #[error(transparent)]
+    Value(#[from] ValueError),
 }
 
 impl ConfigError {
@@ -78,11 +72,7 @@ impl ConfigError {
         value: impl fmt::Display,
         fix: impl Into<String>,
     ) -> Self {
-        Self::Value {
-            key,
-            value: value.to_string(),
-            fix: fix.into(),
-        }
+        ValueError::new(key, value, fix).into()
     }
 
     /// The explanation why `text`, from a file or not, does not parse.

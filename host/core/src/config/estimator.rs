@@ -1,11 +1,7 @@
 //! `[estimator]`: how pose, IMU and motor speed become a state.
 
 use singletrack_control::{EstimatorConfig, MarkerLoss, VehicleParameters};
-
-use super::{
-    choice::choice,
-    section::{Maps as _, section},
-};
+use singletrack_settings::{Maps as _, section};
 
 section! {
     /// How the state is estimated from pose, IMU and motor speed.
@@ -15,7 +11,7 @@ section! {
 
     /// Position and yaw while the markers are lost: "hold" keeps the last pose (as in the
     /// paper), "dead-reckon" predicts it from IMU and motor speed.
-    marker_loss: MarkerLossKind => marker_loss;
+    marker_loss: MarkerLoss => marker_loss, words MarkerLoss;
     /// Standard deviation of a pose's coordinate.
     position_noise_m: f64 => position_noise, in up_to(0.1);
     /// Standard deviation of a pose's yaw.
@@ -47,16 +43,7 @@ section! {
     /// Standard deviation of the angle at which its tyres slip, per lateral acceleration.
     rear_slip_compliance_rad_per_m_s2: f64 => rear_slip_compliance, in 0.0..=1.0;
     /// How far beyond a pose "hold" predicts, to cover the pose's latency.
-    prediction_horizon_ms: f64 => prediction_horizon, in 0.0..=100.0;
-}
-
-choice! {
-    /// Position and yaw while the markers are lost.
-    pub MarkerLossKind => MarkerLoss;
-    /// They keep their last value.
-    Hold = "hold";
-    /// They are predicted from IMU and motor speed; `coast` in older files.
-    DeadReckon = "dead-reckon" or "coast";
+    prediction_horizon_ms: f64 = 30.0, in 0.0..=100.0;
 }
 
 impl EstimatorSection {
@@ -68,6 +55,7 @@ impl EstimatorSection {
         marker_yaw_rad: f64,
     ) -> EstimatorConfig {
         self.onto(EstimatorConfig {
+            prediction_horizon: self.prediction_horizon_ms / 1_000.0,
             marker_offset: marker_offset_m,
             marker_yaw: marker_yaw_rad,
             ..EstimatorConfig::for_vehicle(vehicle)

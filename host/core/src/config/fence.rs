@@ -2,8 +2,9 @@
 
 use singletrack_control::{ConvexArea, Position, VehicleParameters};
 use singletrack_pilot::Fence;
+use singletrack_settings::section;
 
-use super::{ConfigError, section::section};
+use super::ConfigError;
 
 section! {
     /// Where the centre of mass may be, and must be able to stop. A car that has to turn

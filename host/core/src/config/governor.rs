@@ -1,8 +1,9 @@
 //! `[governor]`: makes the reference slower or wider where the car cannot follow it.
 
 use singletrack_control::{FrontPointLaw, GovernorConfig, Limits, Room};
+use singletrack_settings::section;
 
-use super::{Config, ConfigError, section::section};
+use super::{Config, ConfigError};
 
 section! {
     /// Makes the reference slower or wider where the car cannot follow it, by the limits of

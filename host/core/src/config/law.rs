@@ -1,8 +1,8 @@
 //! `[law]`: which law linearises the car.
 
 use singletrack_control::{FrontPointLaw, LawError, VehicleParameters, VelocityPointLaw};
-
-use super::{choice::choice, section::section};
+use singletrack_settings::section;
+use singletrack_words::words;
 
 section! {
     /// The linearising law.
@@ -11,7 +11,7 @@ section! {
 
     /// The law: "front-point" is the paper's proposal; "velocity-point" exists in
     /// simulations only.
-    kind: LawKind, example LawKind::FrontPoint;
+    kind: LawKind, words LawKind, example LawKind::FrontPoint;
     /// Distance p of the point P, which follows the reference, beyond the front axle. The servo
     /// bounds it from below, the more the faster the car: see `singletrack stability least-p`.
     point_distance_m: f64, text "above 0", example 0.35;
@@ -21,13 +21,14 @@ section! {
     front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
 }
 
-choice! {
+words! {
     /// The two laws of the paper.
-    pub LawKind;
-    /// The proposed law.
-    FrontPoint = "front-point";
-    /// The law of the appendix.
-    VelocityPoint = "velocity-point";
+    pub enum LawKind: serde {
+        /// The proposed law.
+        FrontPoint = "front-point",
+        /// The law of the appendix.
+        VelocityPoint = "velocity-point",
+    }
 }
 
 impl LawSection {

@@ -1,8 +1,7 @@
 //! `[limits]`: what the car may do.
 
 use singletrack_control::Limits;
-
-use super::section::{Maps as _, section};
+use singletrack_settings::{Maps as _, section};
 
 section! {
     /// What the car may do.

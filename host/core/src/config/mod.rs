@@ -6,16 +6,13 @@
 
 mod actuators;
 mod board;
-mod choice;
 mod compensation;
 mod control;
 mod error;
 mod estimator;
-mod explain;
 mod fence;
 mod file;
 mod governor;
-mod kind;
 mod law;
 mod limits;
 mod loop_model;
@@ -24,37 +21,30 @@ mod outer_loop;
 mod output;
 mod reference;
 mod safety_filter;
-mod section;
 mod sections;
 mod serial;
 mod supervisor;
 mod together;
 mod tuning;
 mod tuning_rule;
-mod value;
 mod vehicle;
 mod watch;
 mod waypoint_file;
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
 use singletrack_control::{SteeringMap, VehicleParameters};
 use singletrack_link::SessionConfig;
 use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
 use singletrack_protocol::Configuration;
-
-use section::{Declared as _, Maps as _};
+use singletrack_settings::{Declared as _, Maps as _, seconds, section};
 
 pub use actuators::ActuatorsSection;
-pub use board::{
-    BoardSection, EscKindName, EscSection, FailsafeKind, ImuAxisName, ImuSection, ServoSection,
-    SpeedSection,
-};
+pub use board::{BoardSection, EscSection, ImuSection, ServoSection, SpeedSection};
 pub use compensation::CompensationSection;
 pub use control::ControlSection;
 pub use error::ConfigError;
-pub use estimator::{EstimatorSection, MarkerLossKind};
+pub use estimator::EstimatorSection;
 pub use fence::FenceSection;
 pub use governor::GovernorSection;
 pub use law::{LawKind, LawSection};
@@ -62,87 +52,75 @@ pub use limits::LimitsSection;
 pub use loop_model::LoopModel;
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
-    Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind, UpAxisKind,
+    Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind,
 };
 pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use safety_filter::SafetyFilterSection;
-pub use section::{Key, Section};
 pub use sections::SECTIONS;
 pub use serial::SerialSection;
+pub use singletrack_control::MarkerLoss;
+pub use singletrack_mocap::UpAxis;
+pub use singletrack_protocol::{EscKind, FailsafeAction, ImuAxis};
+pub use singletrack_settings::{Key, Section};
 pub use supervisor::SupervisorSection;
 pub use tuning::TuningSection;
 pub use tuning_rule::{TuningError, TuningRule};
 pub use watch::WatchSection;
 pub use waypoint_file::WaypointFileError;
 
-/// The configuration of the daemon; its parts are in [`SECTIONS`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
+section! {
+    /// The configuration of the daemon; its parts are in [`SECTIONS`].
+    "configuration" => pub Config;
+    [new];
+
     /// The serial line to the board.
-    pub serial: SerialSection,
+    serial: SerialSection;
     /// The cameras.
-    pub motion_capture: MotionCaptureSection,
+    motion_capture: MotionCaptureSection;
     /// The linearising law.
-    pub law: LawSection,
+    law: LawSection;
     /// The position loop around the law.
-    pub outer_loop: OuterLoopSection,
+    outer_loop: OuterLoopSection;
     /// The reference of P.
-    pub reference: ReferenceSection,
+    reference: ReferenceSection;
     /// Slows the reference down where the car cannot follow it.
-    #[serde(default)]
-    pub governor: GovernorSection,
+    governor: GovernorSection = GovernorSection::default();
     /// The car; the one of the paper if left out.
-    #[serde(default)]
-    pub vehicle: VehicleParameters,
+    vehicle: VehicleParameters = VehicleParameters::default();
     /// What the car may do.
-    #[serde(default)]
-    pub limits: LimitsSection,
+    limits: LimitsSection = LimitsSection::default();
     /// How the state is estimated.
-    #[serde(default)]
-    pub estimator: EstimatorSection,
+    estimator: EstimatorSection = EstimatorSection::default();
     /// When the car may drive, and when it must stop.
-    #[serde(default)]
-    pub supervisor: SupervisorSection,
+    supervisor: SupervisorSection = SupervisorSection::default();
     /// Plausibility of the sensors, and tick timing.
-    #[serde(default)]
-    pub watch: WatchSection,
+    watch: WatchSection = WatchSection::default();
     /// Where the car may be.
-    pub fence: FenceSection,
+    fence: FenceSection;
     /// What the board is given.
-    pub board: BoardSection,
+    board: BoardSection;
     /// How steering and motor are believed to follow their pulses.
-    #[serde(default)]
-    pub actuators: ActuatorsSection,
+    actuators: ActuatorsSection = ActuatorsSection::default();
     /// What the controller corrects of clocks and actuators.
-    #[serde(default)]
-    pub compensation: CompensationSection,
+    compensation: CompensationSection = CompensationSection::default();
     /// What keeps the car able to stop inside the geofence, whatever an outer loop asks for.
-    #[serde(default)]
-    pub safety_filter: SafetyFilterSection,
+    safety_filter: SafetyFilterSection = SafetyFilterSection::default();
     /// What may be changed while the car drives.
-    #[serde(default)]
-    pub tuning: TuningSection,
+    tuning: TuningSection = TuningSection::default();
     /// How the controller runs.
-    #[serde(default)]
-    pub control: ControlSection,
+    control: ControlSection = ControlSection::default();
     /// The record of every tick.
-    #[serde(default)]
-    pub record: RecordSection,
+    record: RecordSection = RecordSection::default();
     /// What the daemon remembers.
-    #[serde(default)]
-    pub state: StateSection,
+    state: StateSection = StateSection::default();
     /// The control socket.
-    #[serde(default)]
-    pub socket: SocketSection,
+    socket: SocketSection = SocketSection::default();
     /// The live view.
-    #[serde(default)]
-    pub live: LiveSection,
+    live: LiveSection = LiveSection::default();
     /// The page for a browser.
-    #[serde(default)]
-    pub page: PageSection,
+    page: PageSection = PageSection::default();
 }
 
 impl Config {
@@ -248,7 +226,7 @@ impl Config {
             .limits(self.vehicle.wheelbase_m())
             .with_tyres(&self.vehicle);
         let fence = self.fence.fence(&self.vehicle)?;
-        let period = value::seconds(self.control.period_ms);
+        let period = seconds(self.control.period_ms);
         let tracking = self.outer_loop.tracking_loop(&LoopModel {
             actuators: (!self.compensation.actuation).then(|| self.actuators.model()),
             limits: &limits,
@@ -275,6 +253,7 @@ impl Config {
             watch: self.watch.onto(WatchConfig {
                 pulse_distance: f64::from(self.board.speed.pulse_distance_um) * 1e-6,
                 height: self.motion_capture.pose.height_m.unwrap_or(ANY_HEIGHT),
+                max_capture_uncertainty: self.watch.max_capture_uncertainty_ms / 1_000.0,
                 ..WatchConfig::paper()
             }),
             fence,

@@ -12,13 +12,10 @@ use singletrack_mocap::{
     DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits, Timing, Transport, UpAxis,
     codec::BitstreamVersion, planar::PlanarConfig,
 };
+use singletrack_settings::{Declared as _, Maps as _, section};
+use singletrack_words::words;
 
-use super::{
-    ConfigError,
-    choice::choice,
-    section::{Declared as _, Maps as _, section},
-    value::{Convert as _, Typed},
-};
+use super::ConfigError;
 
 /// The address in the example file: a place for the real one.
 pub(crate) const EXAMPLE_SERVER: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 10);
@@ -36,11 +33,11 @@ section! {
     /// The axis that points up, a streaming setting of the server ("y" by default in Motive).
     /// It is not on the wire: ask the server's operator, and check that a car driven forward
     /// moves forward.
-    @restart up_axis: UpAxisKind, example UpAxisKind::Y;
+    @restart up_axis: UpAxis, words UpAxis, example UpAxis::Y;
     /// Address of the local network interface to the cameras; mandatory for multicast.
     @restart interface: Ipv4Addr = Ipv4Addr::UNSPECIFIED;
     /// How the frames arrive: "unicast", or "multicast" to `group`.
-    @restart transport: TransportKind = TransportKind::Unicast;
+    @restart transport: TransportKind = TransportKind::Unicast, words TransportKind;
     /// Bitstream to request from the server (unicast only); the server's own if left out.
     @restart bitstream: Option<Bitstream> = None, text "2.7 to 4.4", example "4.1";
     /// Command port of the server.
@@ -59,22 +56,14 @@ section! {
     timing: TimingSection = TimingSection::default();
 }
 
-choice! {
-    /// The axis that points up.
-    pub UpAxisKind => UpAxis;
-    /// Motive's default.
-    Y = "y";
-    /// As in the world frame.
-    Z = "z";
-}
-
-choice! {
+words! {
     /// How the frames arrive.
-    pub TransportKind;
-    /// Sent to this host alone.
-    Unicast = "unicast";
-    /// Sent to a group.
-    Multicast = "multicast";
+    pub enum TransportKind: serde {
+        /// Sent to this host alone.
+        Unicast = "unicast",
+        /// Sent to a group.
+        Multicast = "multicast",
+    }
 }
 
 section! {
@@ -161,10 +150,6 @@ impl<'de> Deserialize<'de> for Bitstream {
     }
 }
 
-impl Typed for Bitstream {
-    const TYPE: &'static str = "text";
-}
-
 impl MotionCaptureSection {
     /// For the session.
     ///
@@ -182,7 +167,7 @@ impl MotionCaptureSection {
             IpAddr::V4(self.server),
             transport,
             &self.rigid_body,
-            self.up_axis.to_inner("up_axis"),
+            self.up_axis,
         )
         .map_err(|error| {
             ConfigError::value(
@@ -202,7 +187,7 @@ impl MotionCaptureSection {
         self.validate_network()?;
         self.pose.check()?;
         self.timing.check()?;
-        self.check()
+        Ok(self.check()?)
     }
 
     fn validate_network(&self) -> Result<(), ConfigError> {

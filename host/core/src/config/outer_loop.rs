@@ -2,15 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{OpenLoop, ProportionalLoop, Reference, TrackingLoop, Velocity};
-use toml::Value;
+use singletrack_settings::{Written, check_kind, section};
+use singletrack_words::words;
 
-use super::{
-    ConfigError,
-    choice::choice,
-    kind::Written,
-    loop_model::LoopModel,
-    section::{Declared as _, section},
-};
+use super::{ConfigError, loop_model::LoopModel};
 
 /// The position loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,57 +26,36 @@ pub enum OuterLoopSection {
     OpenLoop {},
 }
 
-/// The settings of the linear-quadratic loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LqiWeights {
+section! {
+    /// The settings of the linear-quadratic loop.
+    "outer_loop" => pub LqiWeights: Copy;
+    [default];
+
     /// Of the error's integral, (m s)⁻².
-    pub integral_weight: f64,
+    integral_weight: f64 = 3.0;
     /// Of the error, m⁻².
-    pub error_weight: f64,
+    error_weight: f64 = ERROR_WEIGHT;
     /// Of the correcting velocity, (m/s)⁻².
-    pub velocity_weight: f64,
+    velocity_weight: f64 = VELOCITY_WEIGHT;
     /// The largest velocity that the integral adds on either axis, m/s.
-    pub integral_limit_m_s: f64,
+    integral_limit_m_s: f64 = 0.3;
 }
 
-impl Default for LqiWeights {
-    fn default() -> Self {
-        Self {
-            integral_weight: 3.0,
-            error_weight: ERROR_WEIGHT,
-            velocity_weight: VELOCITY_WEIGHT,
-            integral_limit_m_s: 0.3,
-        }
-    }
-}
+section! {
+    /// The settings of the predictive loop.
+    "outer_loop" => pub MpcWeights: Copy;
+    [default];
 
-/// The settings of the predictive loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MpcWeights {
     /// Of the error, m⁻².
-    pub error_weight: f64,
+    error_weight: f64 = ERROR_WEIGHT;
     /// Of the velocity's error, (m/s)⁻².
-    pub velocity_weight: f64,
+    velocity_weight: f64 = VELOCITY_WEIGHT;
     /// Of the acceleration beyond the reference's, (m/s²)⁻².
-    pub acceleration_weight: f64,
+    acceleration_weight: f64 = 0.0003;
     /// The share of an unexplained velocity that is believed at once.
-    pub disturbance_gain: f64,
+    disturbance_gain: f64 = 0.05;
     /// Iterations of the solver in every tick.
-    pub iterations: u32,
-}
-
-impl Default for MpcWeights {
-    fn default() -> Self {
-        Self {
-            error_weight: ERROR_WEIGHT,
-            velocity_weight: VELOCITY_WEIGHT,
-            acceleration_weight: 0.0003,
-            disturbance_gain: 0.05,
-            iterations: 20,
-        }
-    }
+    iterations: u32 = 20;
 }
 
 const ERROR_WEIGHT: f64 = 1.0;
@@ -95,7 +69,7 @@ section! {
 
     /// The loop: "proportional"; "lqi", linear-quadratic with an integral; "mpc", predictive,
     /// for references that are known ahead; "open-loop" for references that are velocities.
-    kind: OuterLoopKind, example OuterLoopKind::Proportional;
+    kind: OuterLoopKind, words OuterLoopKind, example OuterLoopKind::Proportional;
     /// Proportional: gains along x and y.
     gain_per_s: Option<[f64; 2]> = None, text "0 or above", example [1.0, 1.0];
     /// Proportional: adds the reference's velocity, so that P follows without lag. With
@@ -125,17 +99,18 @@ section! {
     iterations: Option<u32> = None, in 1..=200, otherwise MpcWeights::default().iterations;
 }
 
-choice! {
+words! {
     /// The kinds of loop.
-    pub(super) OuterLoopKind;
-    /// See [`OuterLoopSection::Proportional`].
-    Proportional = "proportional";
-    /// See [`OuterLoopSection::Lqi`].
-    Lqi = "lqi";
-    /// See [`OuterLoopSection::Mpc`].
-    Mpc = "mpc";
-    /// See [`OuterLoopSection::OpenLoop`].
-    OpenLoop = "open-loop";
+    pub(super) enum OuterLoopKind: serde {
+        /// See [`OuterLoopSection::Proportional`].
+        Proportional = "proportional",
+        /// See [`OuterLoopSection::Lqi`].
+        Lqi = "lqi",
+        /// See [`OuterLoopSection::Mpc`].
+        Mpc = "mpc",
+        /// See [`OuterLoopSection::OpenLoop`].
+        OpenLoop = "open-loop",
+    }
 }
 
 impl TryFrom<OuterLoopKeys> for OuterLoopSection {
@@ -143,42 +118,17 @@ impl TryFrom<OuterLoopKeys> for OuterLoopSection {
 
     fn try_from(keys: OuterLoopKeys) -> Result<Self, String> {
         let written = Written::of(&keys)?;
-        let section = match keys.kind {
+        Ok(match keys.kind {
             // Keys of the other kinds may stay here, as with an open loop.
-            OuterLoopKind::Proportional => {
-                return Ok(Self::Proportional {
-                    gain_per_s: written.need("gain_per_s", keys.gain_per_s)?,
-                    feed_forward: keys.feed_forward.unwrap_or_default(),
-                });
-            }
-            OuterLoopKind::Lqi => {
-                let default = LqiWeights::default();
-                Self::Lqi(LqiWeights {
-                    integral_weight: keys.integral_weight.unwrap_or(default.integral_weight),
-                    error_weight: keys.error_weight.unwrap_or(default.error_weight),
-                    velocity_weight: keys.velocity_weight.unwrap_or(default.velocity_weight),
-                    integral_limit_m_s: keys
-                        .integral_limit_m_s
-                        .unwrap_or(default.integral_limit_m_s),
-                })
-            }
-            OuterLoopKind::Mpc => {
-                let default = MpcWeights::default();
-                Self::Mpc(MpcWeights {
-                    error_weight: keys.error_weight.unwrap_or(default.error_weight),
-                    velocity_weight: keys.velocity_weight.unwrap_or(default.velocity_weight),
-                    acceleration_weight: keys
-                        .acceleration_weight
-                        .unwrap_or(default.acceleration_weight),
-                    disturbance_gain: keys.disturbance_gain.unwrap_or(default.disturbance_gain),
-                    iterations: keys.iterations.unwrap_or(default.iterations),
-                })
-            }
+            OuterLoopKind::Proportional => Self::Proportional {
+                gain_per_s: written.need("gain_per_s", keys.gain_per_s)?,
+                feed_forward: keys.feed_forward.unwrap_or_default(),
+            },
+            OuterLoopKind::Lqi => Self::Lqi(written.settings::<OuterLoopKeys, _>()?),
+            OuterLoopKind::Mpc => Self::Mpc(written.settings::<OuterLoopKeys, _>()?),
             // The gains may stay in a file whose loop is opened for a while.
-            OuterLoopKind::OpenLoop => return Ok(Self::OpenLoop {}),
-        };
-        written.only_of::<OuterLoopKeys>(section)?;
-        Ok(section)
+            OuterLoopKind::OpenLoop => Self::OpenLoop {},
+        })
     }
 }
 
@@ -230,11 +180,7 @@ impl OuterLoopSection {
                 }
             }
         }
-        match Value::try_from(self).map(Value::try_into::<OuterLoopKeys>) {
-            Ok(Ok(keys)) => keys.check(),
-            // It was read from such a value.
-            _ => Ok(()),
-        }
+        Ok(check_kind::<OuterLoopKeys>(self)?)
     }
 
     /// Refuses a loop for a reference without what it needs.

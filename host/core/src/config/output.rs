@@ -6,7 +6,9 @@ use std::{
     path::PathBuf,
 };
 
-use super::{ConfigError, section::section};
+use singletrack_settings::section;
+
+use super::ConfigError;
 
 section! {
     /// The record of every tick, one file for each start of the daemon.

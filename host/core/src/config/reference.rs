@@ -7,14 +7,11 @@ use singletrack_control::{
     Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Velocity,
     VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
-use toml::Value;
+use singletrack_settings::{Written, check_kind, seconds, section};
+use singletrack_words::words;
 
 use super::{
     ConfigError,
-    choice::choice,
-    kind::Written,
-    section::{Declared as _, section},
-    value::{Typed, seconds},
     waypoint_file::{read_points, read_waypoints},
 };
 
@@ -117,14 +114,6 @@ pub struct WaypointSection {
     pub y_m: f64,
 }
 
-impl Typed for Vec<StepSection> {
-    const TYPE: &'static str = "list";
-}
-
-impl Typed for Vec<WaypointSection> {
-    const TYPE: &'static str = "list";
-}
-
 /// How long a set-point is in force by default.
 const SETPOINT_TIMEOUT_MS: u32 = 200;
 
@@ -139,7 +128,7 @@ section! {
     [];
 
     /// The kind of reference.
-    kind: ReferenceKind;
+    kind: ReferenceKind, words ReferenceKind;
     /// Circle: radius.
     radius_m: Option<f64> = None, in -1_000.0..=1_000.0;
     /// Figure of eight: reach along x.
@@ -174,21 +163,22 @@ section! {
     setpoint_timeout_ms: Option<u32> = None, in 20..=1_000, otherwise SETPOINT_TIMEOUT_MS;
 }
 
-choice! {
+words! {
     /// The kinds of reference.
-    pub(super) ReferenceKind;
-    /// See [`Circle`].
-    Circle = "circle";
-    /// See [`VelocitySteps`].
-    VelocitySteps = "velocity-steps";
-    /// See [`FigureOfEight`].
-    FigureOfEight = "figure-of-eight";
-    /// See [`Waypoints`].
-    Waypoints = "waypoints";
-    /// See [`Path`](SmoothPath).
-    Path = "path";
-    /// See [`External`].
-    External = "external";
+    pub(super) enum ReferenceKind: serde {
+        /// See [`Circle`].
+        Circle = "circle",
+        /// See [`VelocitySteps`].
+        VelocitySteps = "velocity-steps",
+        /// See [`FigureOfEight`].
+        FigureOfEight = "figure-of-eight",
+        /// See [`Waypoints`].
+        Waypoints = "waypoints",
+        /// See [`Path`](SmoothPath).
+        Path = "path",
+        /// See [`External`].
+        External = "external",
+    }
 }
 
 impl TryFrom<ReferenceKeys> for ReferenceSection {
@@ -304,23 +294,14 @@ impl ReferenceSection {
         }
     }
 
-    /// Refuses values outside their ranges, so that the reference's points and velocities are
-    /// finite.
-    fn check(&self) -> Result<(), ConfigError> {
-        match Value::try_from(self).map(Value::try_into::<ReferenceKeys>) {
-            Ok(Ok(keys)) => keys.check(),
-            // A path that is not UTF-8; its kind has no ranges.
-            _ => Ok(()),
-        }
-    }
-
     /// The reference, with waypoints read from their file.
     ///
     /// # Errors
     ///
     /// An invalid reference, or waypoints that can't be read.
     pub fn reference(&self) -> Result<Reference, ConfigError> {
-        self.check()?;
+        // So that its points and velocities are finite.
+        check_kind::<ReferenceKeys>(self)?;
         Ok(match self {
             Self::Circle {
                 radius_m,

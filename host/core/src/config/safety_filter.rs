@@ -1,8 +1,9 @@
 //! `[safety_filter]`: the filter between any outer loop and the law.
 
 use singletrack_control::{GRAVITY, MAX_STEERING_TICKS, SafetyConfig, SafetyFilter};
+use singletrack_settings::section;
 
-use super::{Config, ConfigError, section::section};
+use super::{Config, ConfigError};
 
 section! {
     /// Keeps the car able to stop inside the geofence, whatever an outer loop asks for: ours, a

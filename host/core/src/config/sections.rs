@@ -1,15 +1,14 @@
 //! The list of the sections.
 
+use singletrack_settings::{Declared as _, Section};
+
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
     EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
     LiveSection, MotionCaptureSection, PageSection, PoseSection, RecordSection,
     SafetyFilterSection, SerialSection, ServoSection, SocketSection, SpeedSection, StateSection,
-    SupervisorSection, TimingSection, TuningSection, WatchSection,
-    outer_loop::OuterLoopKeys,
-    reference::ReferenceKeys,
-    section::{Declared as _, Section},
-    vehicle::VehicleKeys,
+    SupervisorSection, TimingSection, TuningSection, WatchSection, outer_loop::OuterLoopKeys,
+    reference::ReferenceKeys, vehicle::VehicleKeys,
 };
 
 /// Every section, in the order of the file.

@@ -3,10 +3,9 @@
 use core::num::NonZeroU32;
 use std::path::PathBuf;
 
-use super::{
-    ConfigError,
-    section::{Declared as _, section},
-};
+use singletrack_settings::{Declared as _, section};
+
+use super::ConfigError;
 
 /// The rate of the firmware, in baud.
 const BAUD: NonZeroU32 = NonZeroU32::new(115_200).unwrap();
@@ -37,6 +36,6 @@ impl SerialSection {
                 "name the board's device, such as \"/dev/ttyACM0\"",
             ));
         }
-        self.check()
+        Ok(self.check()?)
     }
 }

@@ -1,8 +1,7 @@
 //! `[supervisor]`: when the car may drive, and when it must stop.
 
 use singletrack_pilot::SupervisorConfig;
-
-use super::section::{Maps as _, section};
+use singletrack_settings::{Maps as _, section};
 
 section! {
     /// When the car may drive, and when it must stop. The age of a pose counts from its

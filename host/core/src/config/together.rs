@@ -5,8 +5,9 @@ use core::fmt::Display;
 use singletrack_control::GRAVITY;
 
 use singletrack_pilot::{REST, SupervisorConfig};
+use singletrack_settings::seconds;
 
-use super::{Config, ConfigError, ReferenceSection, value::seconds};
+use super::{Config, ConfigError, ReferenceSection};
 
 /// From a disarm request to a disarmed board, ms: the request on the line, sent twice, the
 /// board's next round, and the error of its clock.

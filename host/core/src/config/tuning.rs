@@ -2,8 +2,9 @@
 
 use singletrack_control::Velocity;
 use singletrack_pilot::TuningBounds;
+use singletrack_settings::{Declared as _, section};
 
-use super::{Config, ConfigError, OuterLoopSection, section::Declared as _, section::section};
+use super::{Config, ConfigError, OuterLoopSection};
 
 section! {
     /// Live tuning: `singletrack tune` changes these values while the car drives, within these

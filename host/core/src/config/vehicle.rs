@@ -3,8 +3,7 @@
 //! [`VehicleParameters`] is read as it is; the section declared here describes it.
 
 use singletrack_control::VehicleParameters;
-
-use super::section::section;
+use singletrack_settings::section;
 
 section! {
     /// The car: the 1:10 car of the paper unless given. All of these keys or none.

@@ -1,8 +1,7 @@
 //! `[watch]`: plausibility of the sensors, and tick timing.
 
 use singletrack_pilot::WatchConfig;
-
-use super::section::section;
+use singletrack_settings::section;
 
 section! {
     /// Plausibility of the sensors, and tick timing. Beyond these limits the car stops.
@@ -45,7 +44,7 @@ section! {
     /// expected value is 3.
     max_innovation: f64 => max_innovation, in up_to(1_000_000.0);
     /// The mid-exposure of the poses must be known to this.
-    max_capture_uncertainty_ms: f64 => max_capture_uncertainty, in up_to(200.0);
+    max_capture_uncertainty_ms: f64 = 20.0, in up_to(200.0);
     /// Time between two ticks that stops the car.
     max_gap_ms: u32 => max_gap, in 20..=95;
     /// Number of ticks that may be missed in one second.

@@ -376,16 +376,40 @@ impl<'a> Run<'a> {
     }
 
     fn row(&self, reference: &Reference, time: f64, truth: &Truth, last: &VirtualTick) -> Row {
-        let start = Position::from(self.scenario.start.point_p_m);
-        row(
+        let output = &last.tick.output;
+        let [x_p, y_p] = truth.point_p(
             self.front_axle_distance_m,
             self.scenario.law.point_distance_m,
-            reference,
-            start,
-            (time, &self.path),
-            truth,
-            last,
-        )
+        );
+        let start = Position::from(self.scenario.start.point_p_m);
+        let path = self.path.at(time);
+        let nominal = match reference {
+            Reference::VelocitySteps(steps) => steps.integrate(start, time),
+            other => other.at(path).position.unwrap_or(start) + self.path.beside(other),
+        };
+        let wanted = output.point_velocity.unwrap_or_default();
+        let rate = match output.mode {
+            Mode::Driving | Mode::Slowing => output.actuation.steering_rate,
+            _ => 0.0,
+        };
+        Row {
+            t: time,
+            yaw: truth.yaw,
+            yaw_rate: truth.yaw_rate,
+            sideslip: truth.sideslip,
+            steering: truth.steering,
+            x_g: truth.x,
+            y_g: truth.y,
+            speed: output.actuation.speed,
+            steering_rate: rate,
+            x_p,
+            y_p,
+            x_ref: nominal.x,
+            y_ref: nominal.y,
+            v_px: wanted.x,
+            v_py: wanted.y,
+            path_s: path,
+        }
     }
 }
 
@@ -431,46 +455,5 @@ impl PathClock {
         } else {
             time
         }
-    }
-}
-
-fn row(
-    front_axle_distance_m: f64,
-    point_distance_m: f64,
-    reference: &Reference,
-    start: Position,
-    (time, clock): (f64, &PathClock),
-    truth: &Truth,
-    last: &VirtualTick,
-) -> Row {
-    let output = &last.tick.output;
-    let [x_p, y_p] = truth.point_p(front_axle_distance_m, point_distance_m);
-    let path = clock.at(time);
-    let nominal = match reference {
-        Reference::VelocitySteps(steps) => steps.integrate(start, time),
-        other => other.at(path).position.unwrap_or(start) + clock.beside(other),
-    };
-    let wanted = output.point_velocity.unwrap_or_default();
-    let rate = match output.mode {
-        Mode::Driving | Mode::Slowing => output.actuation.steering_rate,
-        _ => 0.0,
-    };
-    Row {
-        t: time,
-        yaw: truth.yaw,
-        yaw_rate: truth.yaw_rate,
-        sideslip: truth.sideslip,
-        steering: truth.steering,
-        x_g: truth.x,
-        y_g: truth.y,
-        speed: output.actuation.speed,
-        steering_rate: rate,
-        x_p,
-        y_p,
-        x_ref: nominal.x,
-        y_ref: nominal.y,
-        v_px: wanted.x,
-        v_py: wanted.y,
-        path_s: path,
     }
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use singletrack_control::LawError;
 use singletrack_core::config::{ConfigError, TuningError};
+use singletrack_settings::ValueError;
 
 /// A scenario that can't be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -53,15 +54,8 @@ pub enum ScenarioError {
         source: TuningError,
     },
     /// A value is outside its range.
-    #[error("{key} is {value}: {fix}")]
-    Value {
-        /// The key.
-        key: &'static str,
-        /// Its value.
-        value: String,
-        /// The rule that it breaks.
-        fix: &'static str,
-    },
+    #[error(transparent)]
+    Value(#[from] ValueError),
 }
 
 impl ScenarioError {
@@ -70,10 +64,6 @@ impl ScenarioError {
         value: impl std::fmt::Display,
         fix: &'static str,
     ) -> Self {
-        Self::Value {
-            key,
-            value: format!("{value}"),
-            fix,
-        }
+        ValueError::new(key, value, fix).into()
     }
 }

@@ -60,14 +60,7 @@ pub struct Simulation {
 ///
 /// The reason why the scenario can't be run.
 pub fn simulate(scenario: &Scenario) -> Result<Simulation, SimulateError> {
-    Ok(match scenario.plant.kind {
-        PlantKind::Ideal => Simulation {
-            rows: ideal::simulate(scenario)?,
-            notes: Vec::new(),
-            summary: None,
-        },
-        PlantKind::Car => car::simulate(scenario, RunOptions::default())?,
-    })
+    simulate_with(scenario, RunOptions::default())
 }
 
 /// Like [`simulate`], with options.
@@ -83,7 +76,11 @@ pub fn simulate_with(
     match scenario.plant.kind {
         PlantKind::Ideal if options.record.is_some() => Err(SimulateError::NoPilot),
         PlantKind::Ideal if options.summary => Err(SimulateError::NoSummary),
-        PlantKind::Ideal => simulate(scenario),
+        PlantKind::Ideal => Ok(Simulation {
+            rows: ideal::simulate(scenario)?,
+            notes: Vec::new(),
+            summary: None,
+        }),
         PlantKind::Car => Ok(car::simulate(scenario, options)?),
     }
 }

@@ -1,49 +1,40 @@
 //! Who drives the car of a scenario.
 
-use serde::Deserialize;
+use core::ops::RangeInclusive;
+
 use singletrack_pilot::{PilotRequest, Tuning};
+use singletrack_settings::section;
 
 use super::{error::ScenarioError, tune::TuneSection};
 use crate::virtual_drive::VirtualDrive;
 
-/// What the operator does, and what happens to the board's cable. Times are those of the
-/// trajectory, in s: zero is the first driving tick; with `arm = false` it is the start of
-/// the run.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OperatorSection {
+/// A moment of the trajectory, in s.
+pub(super) const MOMENT: RangeInclusive<f64> = 0.0..=86_400.0;
+
+section! {
+    /// What the operator does, and what happens to the board's cable. Times are those of the
+    /// trajectory, in s: zero is the first driving tick; with `arm = false` it is the start of
+    /// the run.
+    "operator" => pub OperatorSection: Copy;
+    [default];
+
     /// The daemon reaches the board so long after the car was switched on, in s: an ESC
     /// is ready by then, and the board is not yet configured.
-    pub daemon_after_s: f64,
+    daemon_after_s: f64 = 2.0, in 0.0..=10.0;
     /// Arms the car as soon as it is ready.
-    pub arm: bool,
+    arm: bool = true;
     /// Requests an emergency stop.
-    pub emergency_stop_at_s: Option<f64>,
+    emergency_stop_at_s: Option<f64> = None, in MOMENT;
     /// Requests to stop and disarm.
-    pub disarm_at_s: Option<f64>,
+    disarm_at_s: Option<f64> = None, in MOMENT;
     /// Asks to arm once more.
-    pub arm_again_at_s: Option<f64>,
+    arm_again_at_s: Option<f64> = None, in MOMENT;
     /// Pulls the serial cable: bytes stop in both directions.
-    pub unplug_at_s: Option<f64>,
+    unplug_at_s: Option<f64> = None, in MOMENT;
     /// Plugs it in again.
-    pub plug_at_s: Option<f64>,
+    plug_at_s: Option<f64> = None, in MOMENT;
     /// Presses the board's reset: its pins float until its bootloader has ended.
-    pub reset_board_at_s: Option<f64>,
-}
-
-impl Default for OperatorSection {
-    fn default() -> Self {
-        Self {
-            daemon_after_s: 2.0,
-            arm: true,
-            emergency_stop_at_s: None,
-            disarm_at_s: None,
-            arm_again_at_s: None,
-            unplug_at_s: None,
-            plug_at_s: None,
-            reset_board_at_s: None,
-        }
-    }
+    reset_board_at_s: Option<f64> = None, in MOMENT;
 }
 
 /// What an operator does.
@@ -56,58 +47,18 @@ enum Action {
 }
 
 impl OperatorSection {
-    fn actions(&self) -> [(&'static str, Option<f64>, Action); 6] {
+    const fn actions(&self) -> [(Option<f64>, Action); 6] {
         [
             (
-                "operator.emergency_stop_at_s",
                 self.emergency_stop_at_s,
                 Action::Ask(PilotRequest::EmergencyStop),
             ),
-            (
-                "operator.disarm_at_s",
-                self.disarm_at_s,
-                Action::Ask(PilotRequest::Disarm),
-            ),
-            (
-                "operator.arm_again_at_s",
-                self.arm_again_at_s,
-                Action::Ask(PilotRequest::Arm),
-            ),
-            (
-                "operator.unplug_at_s",
-                self.unplug_at_s,
-                Action::Connect(false),
-            ),
-            ("operator.plug_at_s", self.plug_at_s, Action::Connect(true)),
-            (
-                "operator.reset_board_at_s",
-                self.reset_board_at_s,
-                Action::ResetBoard,
-            ),
+            (self.disarm_at_s, Action::Ask(PilotRequest::Disarm)),
+            (self.arm_again_at_s, Action::Ask(PilotRequest::Arm)),
+            (self.unplug_at_s, Action::Connect(false)),
+            (self.plug_at_s, Action::Connect(true)),
+            (self.reset_board_at_s, Action::ResetBoard),
         ]
-    }
-
-    /// Refuses times that do not exist.
-    pub(super) fn validate(&self) -> Result<(), ScenarioError> {
-        if !(0.0..=10.0).contains(&self.daemon_after_s) {
-            return Err(ScenarioError::value(
-                "operator.daemon_after_s",
-                self.daemon_after_s,
-                "it must lie between 0 and 10",
-            ));
-        }
-        for (key, at_s, _) in self.actions() {
-            if let Some(at_s) = at_s
-                && !(0.0..=86_400.0).contains(&at_s)
-            {
-                return Err(ScenarioError::value(
-                    key,
-                    at_s,
-                    "it must lie between 0 and 86400",
-                ));
-            }
-        }
-        Ok(())
     }
 }
 
@@ -128,7 +79,7 @@ impl Operator {
         let mut to_do: Vec<_> = section
             .actions()
             .into_iter()
-            .filter_map(|(_, at_s, action)| Some((at_s?, action)))
+            .filter_map(|(at_s, action)| Some((at_s?, action)))
             .chain(tunes)
             .collect();
         to_do.sort_by(|(a, _), (b, _)| b.total_cmp(a));

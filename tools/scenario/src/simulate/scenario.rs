@@ -10,10 +10,16 @@ use singletrack_control::{
 use singletrack_core::config::{
     Config, ConfigError, LawSection, LoopModel, OuterLoopSection, ReferenceSection,
 };
+use singletrack_settings::{Declared as _, Worded, check, in_words, section};
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
 
-use super::{error::ScenarioError, layer::layer, operator::OperatorSection, tune::TuneSection};
+use super::{
+    error::ScenarioError,
+    layer::layer,
+    operator::{MOMENT, OperatorSection},
+    tune::TuneSection,
+};
 use crate::simulated::{self, daemon_config, follow};
 
 /// A scenario; unknown keys are refused.
@@ -42,17 +48,13 @@ pub struct Scenario {
     pub vehicle: VehicleParameters,
     /// The car parameters that the appendix's law uses; it needs mass and stiffnesses. The
     /// true ones if left out.
-    #[serde(default)]
     pub believed_vehicle: Option<VehicleParameters>,
     /// What is true of the car of plant kind "car" and differs from its configuration.
-    #[serde(default)]
     pub truth: Option<CarTruth>,
     /// Sections of the simulator's file, for plant kind "car": car, board, line, cameras and
     /// server in the simulator's own units.
-    #[serde(default)]
     pub simulation: Option<Table>,
     /// Who drives plant kind "car".
-    #[serde(default)]
     pub operator: Option<OperatorSection>,
     /// When the pilot of plant kind "car" is tuned.
     #[serde(default)]
@@ -61,37 +63,26 @@ pub struct Scenario {
     // is as in the configuration for the simulated car: the daemon's defaults, a fence of the
     // size of a hall, and the calibration of the simulated board.
     /// What slows the reference down.
-    #[serde(default)]
     pub governor: Option<Table>,
     /// The limits of the pilot.
-    #[serde(default)]
     pub limits: Option<Table>,
     /// The estimator.
-    #[serde(default)]
     pub estimator: Option<Table>,
     /// When the pilot drives, and when it stops.
-    #[serde(default)]
     pub supervisor: Option<Table>,
     /// Plausibility of the sensors, and tick timing.
-    #[serde(default)]
     pub watch: Option<Table>,
     /// The geofence.
-    #[serde(default)]
     pub fence: Option<Table>,
     /// The calibration and the limits of the board.
-    #[serde(default)]
     pub board: Option<Table>,
     /// What the host believes of the cameras.
-    #[serde(default)]
     pub motion_capture: Option<Table>,
     /// How steering and motor are believed to follow.
-    #[serde(default)]
     pub actuators: Option<Table>,
     /// What the pilot corrects of clocks and actuators.
-    #[serde(default)]
     pub compensation: Option<Table>,
     /// What may be tuned.
-    #[serde(default)]
     pub tuning: Option<Table>,
 }
 
@@ -175,34 +166,34 @@ pub enum PlantKind {
     Car,
 }
 
-/// Duration and seed.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RunSection {
+section! {
+    /// Duration and seed.
+    "run" => pub RunSection: Copy;
+    [];
+
     /// Simulated time, in s.
-    pub duration_s: f64,
+    duration_s: f64, in MOMENT;
     /// Seed of all random numbers.
-    #[serde(default = "default_seed")]
-    pub seed: u64,
+    seed: u64 = 1;
 }
 
-fn default_seed() -> u64 {
-    1
-}
+section! {
+    /// Ticks without a pose of the cameras.
+    "marker_loss" => pub MarkerLoss: Copy;
+    [];
 
-/// Ticks without a pose of the cameras.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MarkerLoss {
     /// The first tick without a pose. At the first tick of the drive, the only pose to
     /// hold is that of the start.
-    pub first_tick: u64,
+    first_tick: u64, in TICKS;
     /// The number of ticks.
-    pub ticks: u64,
+    ticks: u64, in TICKS;
 }
 
 /// An upper bound of the ticks of any simulation.
-const MOST_TICKS: u64 = 1_000_000_000;
+const TICKS: Worded = in_words("at most 1000000000", |ticks| ticks <= 1e9);
+
+/// Of a period, in ms, and of a delay, in ticks.
+const AT_MOST_1000: Worded = in_words("at most 1000", |value| value <= 1_000.0);
 
 impl Scenario {
     /// Reads and checks a scenario file.
@@ -253,13 +244,7 @@ impl Scenario {
                 "position and yaw must be finite",
             ));
         }
-        if !(self.run.duration_s.is_finite() && (0.0..=86_400.0).contains(&self.run.duration_s)) {
-            return Err(ScenarioError::value(
-                "run.duration_s",
-                self.run.duration_s,
-                "it must lie between 0 and 86400",
-            ));
-        }
+        self.run.check()?;
         match self.plant.kind {
             PlantKind::Ideal => self.validate_ideal()?,
             PlantKind::Car => {
@@ -267,28 +252,21 @@ impl Scenario {
                 self.simulation(&daemon)?;
                 let rule = daemon.tuning_rule();
                 self.tune.iter().try_for_each(|tune| tune.validate(&rule))?;
-                self.operator.unwrap_or_default().validate()?;
+                self.operator.unwrap_or_default().check()?;
             }
         }
-        if self.control.period_ms > 1_000 {
-            return Err(ScenarioError::value(
-                "control.period_ms",
-                self.control.period_ms,
-                "it must be at most 1000",
-            ));
-        }
-        if self.control.delay_ticks > 1_000 {
-            return Err(ScenarioError::value(
-                "control.delay_ticks",
-                self.control.delay_ticks,
-                "it must be at most 1000",
-            ));
-        }
-        if self.control.period_ms == 0 {
-            if self.control.delay_ticks > 0 {
+        let ControlSection {
+            period_ms,
+            delay_ticks,
+            ..
+        } = self.control;
+        check("control.period_ms", &period_ms, &AT_MOST_1000)?;
+        check("control.delay_ticks", &delay_ticks, &AT_MOST_1000)?;
+        if period_ms == 0 {
+            if delay_ticks > 0 {
                 return Err(ScenarioError::value(
                     "control.delay_ticks",
-                    self.control.delay_ticks,
+                    delay_ticks,
                     "continuous control (period_ms = 0) has no ticks to delay; use 0, or a period",
                 ));
             }
@@ -311,21 +289,7 @@ impl Scenario {
                 ));
             }
         }
-        for (key, ticks) in self.marker_loss.iter().flat_map(|loss| {
-            [
-                ("marker_loss.first_tick", loss.first_tick),
-                ("marker_loss.ticks", loss.ticks),
-            ]
-        }) {
-            if ticks > MOST_TICKS {
-                return Err(ScenarioError::value(
-                    key,
-                    ticks,
-                    "it must be at most 1000000000",
-                ));
-            }
-        }
-        Ok(())
+        Ok(self.marker_loss.iter().try_for_each(MarkerLoss::check)?)
     }
 
     /// Refuses what only the car has.
@@ -388,37 +352,21 @@ impl Scenario {
         config.control.align_to_cameras = self.control.align_to_cameras;
         // A car that may differ from its configuration is not known to be as configured.
         config.supervisor.prove_first_metre = self.differs();
-        let Config {
-            governor,
-            limits,
-            board,
-            estimator,
-            supervisor,
-            watch,
-            fence,
-            motion_capture,
-            actuators,
-            compensation,
-            tuning,
-            control,
-            ..
-        } = &mut config;
-        layer("governor", governor, self.governor.as_ref())?;
-        layer("limits", limits, self.limits.as_ref())?;
-        layer("board", board, self.board.as_ref())?;
-        layer("estimator", estimator, self.estimator.as_ref())?;
-        layer("supervisor", supervisor, self.supervisor.as_ref())?;
-        layer("watch", watch, self.watch.as_ref())?;
-        layer("fence", fence, self.fence.as_ref())?;
-        layer(
-            "motion_capture",
-            motion_capture,
-            self.motion_capture.as_ref(),
-        )?;
-        layer("actuators", actuators, self.actuators.as_ref())?;
-        layer("compensation", compensation, self.compensation.as_ref())?;
-        layer("tuning", tuning, self.tuning.as_ref())?;
-        layer("control", control, Some(&self.control.daemon))?;
+        let of = &mut config;
+        layer("governor", &mut of.governor, self.governor.as_ref())?;
+        layer("limits", &mut of.limits, self.limits.as_ref())?;
+        layer("board", &mut of.board, self.board.as_ref())?;
+        layer("estimator", &mut of.estimator, self.estimator.as_ref())?;
+        layer("supervisor", &mut of.supervisor, self.supervisor.as_ref())?;
+        layer("watch", &mut of.watch, self.watch.as_ref())?;
+        layer("fence", &mut of.fence, self.fence.as_ref())?;
+        let cameras = self.motion_capture.as_ref();
+        layer("motion_capture", &mut of.motion_capture, cameras)?;
+        layer("actuators", &mut of.actuators, self.actuators.as_ref())?;
+        let compensation = self.compensation.as_ref();
+        layer("compensation", &mut of.compensation, compensation)?;
+        layer("tuning", &mut of.tuning, self.tuning.as_ref())?;
+        layer("control", &mut of.control, Some(&self.control.daemon))?;
         Ok(config)
     }
 

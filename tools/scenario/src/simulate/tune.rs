@@ -4,8 +4,9 @@ use serde::Deserialize;
 use singletrack_control::Velocity;
 use singletrack_core::config::TuningRule;
 use singletrack_pilot::Tuning;
+use singletrack_settings::check;
 
-use super::error::ScenarioError;
+use super::{error::ScenarioError, operator::MOMENT};
 
 /// A request to tune the pilot, as `singletrack tune`; `[tuning]` must allow it.
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -32,13 +33,7 @@ impl TuneSection {
     /// Refuses a time that does not exist, and values that the daemon would refuse.
     pub(super) fn validate(&self, rule: &TuningRule) -> Result<(), ScenarioError> {
         let at_s = self.at_s;
-        if !(0.0..=86_400.0).contains(&at_s) {
-            return Err(ScenarioError::value(
-                "tune.at_s",
-                at_s,
-                "it must lie between 0 and 86400",
-            ));
-        }
+        check("tune.at_s", &at_s, &MOMENT)?;
         rule.check(&self.tuning(), None)
             .map_err(|source| ScenarioError::Tune { at_s, source })
     }

@@ -12,7 +12,8 @@ const LONGEST_QUOTE: usize = 60;
 const ALIKE: f64 = 0.8;
 
 /// Explains why `text` does not parse.
-pub(super) fn explain(text: &str, error: &toml::de::Error) -> String {
+#[must_use]
+pub fn explain(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().trim();
     let place = Place::find(text, error.span().unwrap_or_default());
     let line = place.line;
@@ -25,7 +26,7 @@ pub(super) fn explain(text: &str, error: &toml::de::Error) -> String {
         return format!("line {line}: {key} is missing; add it, as in singletrackd.example.toml");
     }
     match place.key {
-        // A message from this crate, which names the key.
+        // A message of ours, which names the key.
         _ if message.starts_with(&format!("{}.", place.table)) => format!("line {line}: {what}"),
         Some(key) => match place.value {
             Some(value) => format!("line {line}: {key} = {}: {what}", quote(value)),

@@ -1,15 +1,14 @@
 //! One declaration for each section: what a key is called, its type, default, range and
 //! meaning stand once.
 //!
-//! From [`section!`] follow the struct, its reading (unknown keys are refused), its defaults,
-//! the check of its ranges, the conversion to the struct that it is for, and the description
-//! in [`SECTIONS`](super::SECTIONS), from which come the example file,
-//! `docs/configuration.md` and the list of keys that take a restart.
+//! From [`section!`](crate::section) follow the struct, its reading (unknown keys are refused), its
+//! defaults, the check of its ranges, the conversion to the struct that it is for, and the
+//! description, from which come example files, pages and the list of keys that take a restart.
 
 use serde::{Serialize, de};
 use toml::Value;
 
-use super::ConfigError;
+use crate::ValueError;
 
 /// What a section of the configuration is.
 #[derive(Clone, Copy, Debug)]
@@ -29,8 +28,10 @@ pub struct Section {
 pub struct Key {
     /// Its name in the section.
     pub name: &'static str,
-    /// Its type, or the list of its values, each after a comma.
-    pub values: &'static str,
+    /// Its type in Rust.
+    pub kind: &'static str,
+    /// The words that it may be; empty if it is not an enumeration.
+    pub words: fn() -> Vec<&'static str>,
     /// Its range, as written in the declaration; empty if the type is the limit.
     pub range: &'static str,
     /// What it means.
@@ -45,28 +46,36 @@ pub struct Key {
     pub example: fn() -> Option<Value>,
 }
 
-/// What [`section!`] declares.
-pub(super) trait Declared {
+/// What [`section!`](crate::section) declares.
+pub trait Declared {
     /// The description.
     const SECTION: Section;
 
     /// Refuses a value outside its range.
-    fn check(&self) -> Result<(), ConfigError>;
+    ///
+    /// # Errors
+    ///
+    /// The first such value.
+    fn check(&self) -> Result<(), ValueError>;
 }
 
 /// A section that stands for the struct `T` of another crate.
-pub(super) trait Maps<T> {
+pub trait Maps<T> {
     /// The struct with the values of this section, and the others as they are.
     fn onto(&self, inner: T) -> T;
 }
 
 /// A default or an example as TOML; none for a key that is left out.
-pub(super) fn toml_value<T: Serialize>(value: Option<T>) -> Option<Value> {
+pub fn toml_value<T: Serialize>(value: Option<T>) -> Option<Value> {
     value.and_then(|value| Value::try_from(value).ok())
 }
 
 /// The value that is written, or else the default.
-pub(super) fn or_default<T, E: de::Error>(
+///
+/// # Errors
+///
+/// There is neither.
+pub fn or_default<T, E: de::Error>(
     written: Option<T>,
     default: Option<T>,
     key: &'static str,
@@ -90,9 +99,10 @@ pub(super) fn or_default<T, E: de::Error>(
 /// A key's default stands after `=`, or is that of the inner struct's field after `=>`; a key
 /// with neither is mandatory. A range may name other keys of the section; a range that other
 /// code checks is a `text`. `otherwise` states the default of an optional key that some kinds
-/// of the section have. The second line may instead be `[maps Inner]` (no defaults from
-/// there), `[default]` (implements `Default`), `[new]` (a constructor from the mandatory
-/// keys), or `[]`.
+/// of the section have, and `words E` that the key is the enumeration `E`. The second line may
+/// instead be `[maps Inner]` (no defaults from there), `[default]` (implements `Default`),
+/// `[new]` (a constructor from the mandatory keys), or `[]`.
+#[macro_export]
 macro_rules! section {
     (
         $(#[doc = $help:literal])+
@@ -101,7 +111,7 @@ macro_rules! section {
         $(
             $(#[doc = $key_help:literal])+
             $(@$key_restart:ident)? $key:ident: $type:ty $(= $default:expr)? $(=> $inner:ident)?
-            $(, in $range:expr)? $(, text $text:literal)?
+            $(, in $range:expr)? $(, text $text:literal)? $(, words $words:ident)?
             $(, otherwise $otherwise:expr)? $(, example $example:expr)?;
         )+
     ) => {
@@ -112,7 +122,7 @@ macro_rules! section {
         }
 
         const _: () = {
-            use $crate::config::{ConfigError, section::*, value::*};
+            use $crate::*;
 
             impl<'de> serde::Deserialize<'de> for $section {
                 fn deserialize<D: serde::Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
@@ -128,7 +138,7 @@ macro_rules! section {
                     Ok(Self {
                         $($key: or_default(
                             written.$key,
-                            section!(@default $extra [$($default)?] [$($inner)?] $key),
+                            $crate::section!(@default $extra [$($default)?] [$($inner)?] $key),
                             stringify!($key),
                         )?,)+
                     })
@@ -139,17 +149,18 @@ macro_rules! section {
                 const SECTION: Section = Section {
                     name: $name,
                     help: concat!($($help),+),
-                    restart: section!(@is $($restart)?),
+                    restart: $crate::section!(@is $($restart)?),
                     keys: &[$(Key {
                         name: stringify!($key),
-                        values: <$type as Typed>::TYPE,
+                        kind: stringify!($type),
+                        words: || $crate::section!(@words $($words)?),
                         range: concat!($(stringify!($range),)? $($text)?),
                         help: concat!($($key_help),+),
-                        restart: section!(@is $($key_restart)?),
-                        mandatory: section!(@mandatory $extra [$($default)?] [$($inner)?]),
+                        restart: $crate::section!(@is $($key_restart)?),
+                        mandatory: $crate::section!(@mandatory $extra [$($default)?] [$($inner)?]),
                         default: || {
                             let default: Option<$type> =
-                                section!(@default $extra [$($default)?] [$($inner)?] $key);
+                                $crate::section!(@default $extra [$($default)?] [$($inner)?] $key);
                             toml_value(default)$(.or(toml_value(Some($otherwise))))?
                         },
                         example: || None$(.or(toml_value(Some($example))))?,
@@ -157,19 +168,15 @@ macro_rules! section {
                 };
 
                 #[allow(clippy::clone_on_copy, reason = "not every section is Copy")]
-                fn check(&self) -> Result<(), ConfigError> {
+                fn check(&self) -> Result<(), ValueError> {
                     // The names that a range may refer to.
                     let Self { $($key),+ } = self.clone();
-                    $(section!(@check concat!($name, ".", stringify!($key)), $key $(, $range)?);)+
+                    $($crate::section!(@check concat!($name, ".", stringify!($key)), $key $(, $range)?);)+
                     Ok(())
                 }
             }
 
-            impl Typed for $section {
-                const TYPE: &'static str = "section";
-            }
-
-            section! { @extra $extra $section $($key: $type, [$($default)?] [$($inner)?];)+ }
+            $crate::section! { @extra $extra $section $($key: $type, [$($default)?] [$($inner)?];)+ }
         };
     };
 
@@ -185,7 +192,10 @@ macro_rules! section {
     (@mandatory $extra:tt [] $inner:tt) => { true };
 
     (@check $path:expr, $key:ident) => { let _ = $key; };
-    (@check $path:expr, $key:ident, $range:expr) => { check($path, &$key, $range)?; };
+    (@check $path:expr, $key:ident, $range:expr) => { check($path, &$key, &$range)?; };
+
+    (@words) => { Vec::new() };
+    (@words $words:ident) => { $words::ALL.map($words::name).to_vec() };
 
     (@is) => { false };
     (@is restart) => { true };
@@ -205,7 +215,7 @@ macro_rules! section {
         impl Default for $section {
             fn default() -> Self {
                 let base = $base;
-                Self { $($key: section!(@initial base [$($default)?] [$($inner)?] $key),)+ }
+                Self { $($key: $crate::section!(@initial base [$($default)?] [$($inner)?] $key),)+ }
             }
         }
 
@@ -235,12 +245,12 @@ macro_rules! section {
     };
     // A constructor: its parameters are the keys without a default.
     (@extra [new] $section:ident $($keys:tt)+) => {
-        section! { @new $section [] [] $($keys)+ }
+        $crate::section! { @new $section [] [] $($keys)+ }
     };
     (@new $section:ident [$($parameters:tt)*] [$($fields:tt)*]
         $key:ident: $type:ty, [] []; $($rest:tt)*
     ) => {
-        section! {
+        $crate::section! {
             @new $section [$($parameters)* $key: impl Into<$type>,] [$($fields)* $key: $key.into(),]
             $($rest)*
         }
@@ -248,7 +258,7 @@ macro_rules! section {
     (@new $section:ident $parameters:tt [$($fields:tt)*]
         $key:ident: $type:ty, [$default:expr] []; $($rest:tt)*
     ) => {
-        section! { @new $section $parameters [$($fields)* $key: $default,] $($rest)* }
+        $crate::section! { @new $section $parameters [$($fields)* $key: $default,] $($rest)* }
     };
     (@new $section:ident [$($parameters:tt)+] [$($fields:tt)+]) => {
         impl $section {
@@ -260,5 +270,3 @@ macro_rules! section {
         }
     };
 }
-
-pub(super) use section;
