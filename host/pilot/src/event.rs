@@ -1,8 +1,9 @@
 //! The inputs of a tick: everything that reached the pilot since the last one.
 
 use singletrack_control::{InertialSample, PoseSample, Setpoint, Time, TrajectoryPiece};
+use singletrack_words::words;
 
-use crate::{tuning::Tuning, words::words};
+use crate::tuning::Tuning;
 
 /// An input of the pilot since the last tick.
 ///

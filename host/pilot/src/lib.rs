@@ -31,7 +31,6 @@ mod refusal;
 mod supervisor;
 mod tuning;
 mod watch;
-mod words;
 
 pub use event::{
     AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,

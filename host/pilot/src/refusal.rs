@@ -2,7 +2,7 @@
 
 use singletrack_control::SetpointError;
 
-use crate::words::words;
+use singletrack_words::words;
 
 words! {
     /// Why the pilot does not obey a set-point that reached it.

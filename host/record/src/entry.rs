@@ -110,7 +110,7 @@ pub struct ConfigurationRecord {
     pub toml: String,
 }
 
-singletrack_pilot::words! {
+singletrack_words::words! {
     /// The severity of a line of the log, with the numbers of ROS's own levels.
     #[derive(PartialOrd, Ord)]
     pub enum Level {

@@ -96,7 +96,7 @@ pub struct DriveWrite {
     pub time_ns: u64,
 }
 
-singletrack_pilot::words! {
+singletrack_words::words! {
     /// The phase of the session with the board.
     pub enum LinkPhase {
         /// The port is closed.

@@ -4,9 +4,10 @@ use singletrack_control::{
     Actuation, Ahead, Estimate, Filtered, FilteredDemand, LimitedLaw, Motion, SafetyFilter,
     SafetyInput, Singularity, SpeedDemand, SteeringDemand, Velocity,
 };
+use singletrack_words::words;
 
 use super::{Pilot, act::Action};
-use crate::{supervisor::Reason, watch::WAVE, words::words};
+use crate::{supervisor::Reason, watch::WAVE};
 
 words! {
     /// What the safety filter did in a tick.

@@ -1,9 +1,10 @@
 //! What the supervisor is given at a tick, and what it asks of the board.
 
 use singletrack_control::Time;
+use singletrack_words::words;
 
 use super::reason::Reason;
-use crate::{watch::ImuVerdict, words::words};
+use crate::watch::ImuVerdict;
 
 words! {
     /// What the supervisor asks of the board.

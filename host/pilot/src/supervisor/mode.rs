@@ -1,6 +1,6 @@
 //! The modes of the pilot.
 
-use crate::words::words;
+use singletrack_words::words;
 
 words! {
     /// The mode of the pilot. The table of transitions is in `supervisor`.

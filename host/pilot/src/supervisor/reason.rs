@@ -1,6 +1,6 @@
 //! The reasons why the car does not drive, or stopped.
 
-use crate::words::words;
+use singletrack_words::words;
 
 words! {
     /// Why the car does not drive, or stopped. Each reason has one word, the same in
