@@ -17,7 +17,7 @@ pub(crate) const CONFIGURATION_NAME: &str = "configuration.toml";
 const SOFTWARE_PREFIX: &str = "software.";
 
 /// The circumstances under which a record was made.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Meta {
     /// The configuration used, as TOML.
     pub configuration: String,
@@ -32,7 +32,7 @@ pub struct Meta {
 }
 
 /// The same moment on two clocks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClockMapping {
     /// On the host's monotonic clock, in ns.
     pub monotonic_ns: u64,
@@ -55,20 +55,6 @@ impl ClockMapping {
 }
 
 impl Meta {
-    /// Placeholder until the metadata has been read.
-    pub(crate) const fn none() -> Self {
-        Self {
-            configuration: String::new(),
-            software: BTreeMap::new(),
-            protocol_version: 0,
-            seed: None,
-            start: ClockMapping {
-                monotonic_ns: 0,
-                wall_ns: 0,
-            },
-        }
-    }
-
     pub(crate) fn to_metadata(&self) -> Metadata {
         let mut metadata = BTreeMap::from([
             ("record_version".to_owned(), RECORD_VERSION.to_string()),

@@ -152,7 +152,7 @@ impl Reader {
             linear: LinearReader::new_with_options(options),
             chunk: Chunk::default(),
             catalogue: Catalogue::default(),
-            meta: Meta::none(),
+            meta: Meta::default(),
             data_ended: false,
             content: Vec::new(),
             at: None,

@@ -305,11 +305,7 @@ impl Salvage {
                 Found::End => break,
                 Found::Nothing => true,
                 Found::Record { opcode, content } => match self.part(opcode, content) {
-                    Ok(End::No) => false,
-                    Ok(End::Yes) => {
-                        self.recovery.complete = true;
-                        false
-                    }
+                    Ok(()) => false,
                     Err(Refused::Failed(error)) => return Err(error),
                     Err(Refused::Damaged) => true,
                 },
@@ -332,7 +328,7 @@ impl Salvage {
     }
 
     /// Copies one part of the file.
-    fn part(&mut self, opcode: u8, content: &[u8]) -> Result<End, Refused> {
+    fn part(&mut self, opcode: u8, content: &[u8]) -> Result<(), Refused> {
         if !is_data_part(opcode, content) {
             return Err(Refused::Damaged);
         }
@@ -341,12 +337,14 @@ impl Salvage {
                 let mut chunk = mem::take(&mut self.chunk);
                 let copied = self.chunk(&mut chunk, content);
                 self.chunk = chunk;
-                copied?;
+                copied
             }
-            op::DATA_END => return Ok(End::Yes),
-            _ => self.record(&parse_record(opcode, content)?)?,
+            op::DATA_END => {
+                self.recovery.complete = true;
+                Ok(())
+            }
+            _ => self.record(&parse_record(opcode, content)?),
         }
-        Ok(End::No)
     }
 
     /// Copies the records of a chunk, once its checksum has been verified.
@@ -459,10 +457,4 @@ impl Salvage {
         });
         Ok(())
     }
-}
-
-/// Whether a part ended the data section.
-enum End {
-    No,
-    Yes,
 }
