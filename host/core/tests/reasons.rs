@@ -45,9 +45,9 @@ commands: `last_refusal` in `/singletrack/status`. The host says `board-refused`
 const HEADER: &str = "\
 # Reasons for refusing and stopping
 
-Every refusal and every stop has one reason, named by one word in `singletrack status`, log and record.
-Times are those of the default configuration. Without a word, start from the
-[symptom](troubleshooting.md). Two refusals of `arm` are sentences: a procedure [has not
+Every refusal and every stop has one reason: one word in `singletrack status`, log and record. Times
+are those of the default configuration. Without a word, start from the [symptom](troubleshooting.md).
+Two refusals of `arm` are sentences: a procedure [has not
 passed](troubleshooting.md#the-car-does-not-arm) on this car, or the car can't drive its reference
 [from where it stands](control-socket.md#arm).
 
@@ -55,18 +55,18 @@ Each line has the meaning, what the car does, and what to do. The car
 
 - *refuses*: does not arm; the answer names the reason.
 - *slows*: from the next tick (10 ms) the wheels are held and the speed ramps down with
-  `control.stop_deceleration_m_s2`. It drives on if the input comes back.
+  `control.stop_deceleration_m_s2`; it drives on if the input comes back.
 - *stops*: the speed ramps down (from 1.5 m/s in 0.63 s); then, at the latest after
   `supervisor.stop_timeout_ms` (1.5 s), the board is disarmed. A motor at neutral does not brake: the
   simulated car rolls for 1.1 s from 1.5 m/s.
-- *needs a disarm*: stops; arming is refused until a disarm acknowledges the reason.
-- goes to *neutral*: within 21 ms of the cause the ESC is at neutral, or brakes if so configured. A
-  board that is disarmed while the car rolls brakes where the ESC can, for half a second at most, until
-  the wheels stand or speed up again.
+- *needs a disarm*: stops; a disarm must acknowledge the reason before the next arm.
+- goes to *neutral*: within 21 ms the ESC is at neutral, or brakes if so configured. A board that is
+  disarmed while the car rolls brakes where the ESC can, for half a second at most, until the wheels
+  stand or speed up again.
 
 After a stop or neutral, only an explicit arm makes the car drive.
 
-This page is generated from the declarations of the words; see `host/core/tests/reasons.rs`.
+Generated from the declarations of the words by `host/core/tests/reasons.rs`.
 ";
 
 /// The words of the constants that the record's schema has for a field.
