@@ -44,9 +44,8 @@ impl Pilot {
     /// well.
     fn handle_request(&mut self, request: PilotRequest) {
         self.supervisor.handle_request(request);
-        let lost = self.estimator.implausible_in_a_row() > 0;
-        if request == PilotRequest::Carried && lost && !self.supervisor.mode().commands() {
-            self.estimator.reset();
+        if request == PilotRequest::Carried && !self.supervisor.mode().commands() {
+            self.carried();
         }
     }
 

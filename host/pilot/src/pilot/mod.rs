@@ -161,7 +161,8 @@ impl Pilot {
     }
 
     /// One control tick: handles the events since the last tick, in their order, and
-    /// returns the command until the next one.
+    /// returns the command until the next one. It senses the present, judges whether the car may
+    /// drive, and acts.
     pub fn step<'a>(&mut self, now: Time, events: impl IntoIterator<Item = &'a Event>) -> Output {
         let sensed = self.sense(now, events, None, |_, _, _| {});
         let verdict = self.judge(&sensed);
