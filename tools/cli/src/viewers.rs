@@ -76,7 +76,7 @@ pub struct PageArgs {
     port: Option<u16>,
 
     /// File for a new token, which browsers then give; needed for an address beyond loopback
-    /// [default: page.token_file of --config]
+    /// [default: that of --config]
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
 }
