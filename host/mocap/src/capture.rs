@@ -1,6 +1,6 @@
 //! When a frame was captured, in local time.
 
-use crate::words::words;
+use singletrack_words::words;
 
 /// The capture time of a frame on the local clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

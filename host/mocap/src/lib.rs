@@ -84,7 +84,6 @@ mod consistency;
 mod counters;
 mod order;
 mod session;
-mod words;
 
 pub use axes::UpAxis;
 pub use binding::{Binding, BodyNames};

@@ -1,10 +1,11 @@
 //! What is known of the body: a pose in the plane, or why there is none.
 
+use singletrack_words::words;
+
 use crate::{
     binding::Binding,
     body::BodyPose,
     capture::{CaptureTime, CaptureTimeSource},
-    words::words,
 };
 
 /// What one frame says of the body.
