@@ -123,16 +123,16 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
         ),
         (
             json!({ "gain_per_s": "fast" }),
-            ["gain_per_s is \"fast\"", "give a number"],
+            ["gain_per_s is a number", "such as"],
         ),
         (
             json!({ "gain_per_s": [1.0] }),
-            ["gain_per_s is [1.0]", "two for x and y"],
+            ["gain_per_s is a number", "two for x and y"],
         ),
         (json!({ "weight": 1.0 }), ["weight", "unknown field"]),
         (
             json!({ "for_s": 1.0, "gain_per_s": 2.0 }),
-            ["tune takes no for_s", "arm"],
+            ["tune: unknown field `for_s`", "point_distance_m"],
         ),
     ] {
         let answer = ask(&mut client, &keys);
