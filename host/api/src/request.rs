@@ -1,7 +1,7 @@
 //! What a client sends: a line of JSON each.
 
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::SOCKET_VERSION;
 
@@ -200,7 +200,8 @@ impl Request {
     ///
     /// The line is no request, or of another version.
     pub fn parse(line: &[u8]) -> Result<Self, RequestError> {
-        let error = match serde_json::from_slice::<Line<Self>>(line) {
+        let parsed = serde_json::from_slice::<Line<Self>>(line);
+        let error = match parsed.or_else(|error| without_nulls(line).ok_or(error)) {
             Ok(line) if line.version == SOCKET_VERSION => return Ok(line.request),
             Ok(line) => return Err(other_version(line.version)),
             Err(error) => error,
@@ -233,6 +234,21 @@ impl Request {
         line.push('\n');
         Ok(line)
     }
+}
+
+/// The line without the keys that are null: programs write those of every command, and leave null
+/// what they don't mean. None if it is no request even so.
+fn without_nulls(line: &[u8]) -> Option<Line<Request>> {
+    let keys: Map<String, Value> = serde_json::from_slice(line).ok()?;
+    let given: Map<_, _> = keys
+        .iter()
+        .filter(|(_, value)| !value.is_null())
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect();
+    if given.len() == keys.len() {
+        return None;
+    }
+    serde_json::from_value(given.into()).ok()
 }
 
 fn other_version(version: u32) -> RequestError {
@@ -335,6 +351,32 @@ mod tests {
             let written = request.to_line().unwrap();
             let values = [line, &written].map(|line| serde_json::from_str::<Value>(line).unwrap());
             assert_eq!(values[0], values[1]);
+        }
+    }
+
+    #[test]
+    fn a_key_that_is_null_is_as_one_that_is_left_out() {
+        for (line, request) in [
+            (
+                r#"{"version":2,"command":"disarm","at_once":null,"attendance":null}"#,
+                Request::DISARM,
+            ),
+            (
+                r#"{"version":2,"command":"stop","velocity_m_s":null}"#,
+                Request::Stop {},
+            ),
+            (
+                r#"{"version":2,"command":"watch","topics":null}"#,
+                Request::Watch { topics: vec![] },
+            ),
+        ] {
+            assert_eq!(Request::parse(line.as_bytes()), Ok(request), "{line}");
+        }
+        for line in [
+            r#"{"version":2,"command":"stop","velocity_m_s":null,"now":1}"#,
+            r#"{"version":2,"command":null}"#,
+        ] {
+            assert!(Request::parse(line.as_bytes()).is_err(), "{line}");
         }
     }
 
