@@ -19,7 +19,7 @@ pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
 };
 pub use state::{SetpointInForce, State};
-pub use status::{Board, Cameras, Change, Command, Configuration, Estimate, Server, Status};
+pub use status::{Board, Cameras, Change, Command, Configuration, Estimate, Status};
 
 /// The version of the protocol. Client and daemon must have the same one.
 pub const SOCKET_VERSION: u32 = 2;

@@ -32,14 +32,14 @@ pub struct Status {
     pub held: Option<bool>,
     /// The phase of the session with the board.
     pub link: Option<Word>,
-    /// The live view.
-    pub live: Option<Server>,
+    /// Of daemons that served a live view.
+    pub live: Option<Value>,
     /// How far ahead the state was predicted for the last command, in s.
     pub looked_ahead_s: Option<f64>,
     /// The pilot's mode.
     pub mode: Word,
-    /// The page for a browser.
-    pub page: Option<Server>,
+    /// Of daemons that served a page.
+    pub page: Option<Value>,
     /// The path parameter of the reference, in s.
     pub path_s: Option<f64>,
     /// P, in m.
@@ -131,13 +131,4 @@ pub struct Estimate {
     pub yaw_rad: f64,
     /// Yaw rate, in rad/s.
     pub yaw_rate_rad_s: f64,
-}
-
-/// A server for viewers.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Server {
-    /// Where it listens.
-    pub address: String,
-    /// The number of connected viewers.
-    pub viewers: u64,
 }

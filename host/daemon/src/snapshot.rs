@@ -160,7 +160,6 @@ impl Snapshot {
             filtering: tick.map(|tick| tick.filtering.name().into()),
             held: tick.map(|tick| tick.held),
             link: tick.map(|tick| tick.link.name().into()),
-            // Of daemons that served them.
             live: None,
             looked_ahead_s: tick.and_then(|tick| tick.looked_ahead_s),
             mode: self.mode().name().into(),

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use serde_json::json;
 use singletrack_api::Answer;
 use singletrack_pilot::{Tuned, Tuning};
 use tokio::time::{Instant, sleep};
@@ -40,7 +41,7 @@ async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String
         if let Some(tick) = tick.filter(|tick| tick.start_ns > asked_ns) {
             let tuned = tick.tuned.filter(|tuned| tuned.has(&tuning));
             if let Some(tuned) = tuned {
-                tracing::info!("tuned: {tuned:?}");
+                tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
             }
             return tuned.ok_or_else(|| {
                 "another client or another configuration has come meanwhile; ask again".to_owned()

@@ -131,7 +131,7 @@ impl Pilot {
         let actuation = self
             .law
             .slow_down(self.config.stop_deceleration, periods * period);
-        // P leaves its reference here; a drive that goes on begins to follow anew.
+        // P leaves its reference here; a drive that goes on begins to follow it again.
         self.tracking.reset();
         self.applied = self.given_by(estimate, &actuation);
         action.drive_time = self.drive_start.map(|start| now.seconds_since(start));
