@@ -270,7 +270,7 @@ impl Shell<'_> {
                 self.answered(reply)?;
             }
             while let Some(line) = self.watch.receive()? {
-                self.seen(&line);
+                self.seen(&line)?;
             }
             self.settle()?;
             if interrupt.is_raised() && !is_leaving {
@@ -471,9 +471,14 @@ impl Shell<'_> {
     }
 
     /// Handles a tick.
-    fn seen(&mut self, tick: &Value) {
-        let Some(mode) = tick.get("mode").and_then(Value::as_str) else {
-            return;
+    fn seen(&mut self, tick: &Value) -> Result<(), DriveError> {
+        let word = |key| tick.get(key).and_then(Value::as_str);
+        if let Some(error) = word("error") {
+            // There are too many watchers.
+            return Err(ClientError::Refused(error.to_owned()).into());
+        }
+        let Some(mode) = word("mode") else {
+            return Ok(());
         };
         let preflight = tick.pointer("/preflight/reason").and_then(Value::as_str);
         self.car = Some(Car {
@@ -482,6 +487,7 @@ impl Shell<'_> {
             preflight: preflight.map(str::to_owned),
             yaw: tick.pointer("/estimate/yaw_rad").and_then(Value::as_f64),
         });
+        Ok(())
     }
 
     /// Sends the velocity of P. Without a fresh heading none is sent, and the car stops.

@@ -304,6 +304,10 @@ fn read_answers(answers: UnixStream, events: &Sender<Event>) {
 
 /// The set-point of a line.
 fn setpoint(line: &str) -> Result<Setpoint, String> {
+    if let Ok(Request::Setpoint(setpoint)) = Request::parse(line.as_bytes()) {
+        // A whole line of the socket.
+        return Ok(setpoint);
+    }
     if line.trim_start().starts_with('{') {
         return serde_json::from_str(line).map_err(|error| error.to_string());
     }
@@ -340,6 +344,8 @@ mod tests {
         assert_eq!(setpoint(" 0.5 -1\t2 3 "), Ok(both.clone()));
         let line = r#"{"velocity_m_s":[0.5,-1.0],"position_m":[2.0,3.0]}"#;
         assert_eq!(setpoint(line), Ok(both));
+        let line = format!(r#"{{"version":2,"command":"setpoint",{}"#, &line[1..]);
+        assert_eq!(setpoint(&line), setpoint(" 0.5 -1 2 3"));
         let velocity = Setpoint {
             velocity_m_s: Some([0.0, 0.25]),
             ..Setpoint::default()
