@@ -111,15 +111,30 @@ pub struct Tune {
 
 /// A gain for both axes, or one for each.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(
-    untagged,
-    expecting = "gain_per_s is a number, or two for x and y, such as [2.0,2.0]"
-)]
+#[serde(untagged, try_from = "Value")]
 pub enum Gain {
     /// For both.
     Both(f64),
     /// Along x and y.
     Each([f64; 2]),
+}
+
+impl TryFrom<Value> for Gain {
+    type Error = String;
+
+    fn try_from(given: Value) -> Result<Self, String> {
+        let both = given.as_f64().map(Self::Both);
+        let each = || {
+            Some(Self::Each([
+                given.get(0)?.as_f64()?,
+                given.get(1)?.as_f64()?,
+            ]))
+        };
+        let is_pair = given.as_array().is_some_and(|axes| axes.len() == 2);
+        both.or_else(|| is_pair.then(each)?).ok_or_else(|| {
+            format!("gain_per_s is {given}: give a number, or two for x and y, such as [2.0, 2.0]")
+        })
+    }
 }
 
 /// A set-point: a velocity of P, or steering and speed, or a trajectory.

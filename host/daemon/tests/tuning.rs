@@ -123,11 +123,11 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
         ),
         (
             json!({ "gain_per_s": "fast" }),
-            ["gain_per_s is a number", "such as"],
+            ["gain_per_s is \"fast\"", "give a number"],
         ),
         (
             json!({ "gain_per_s": [1.0] }),
-            ["gain_per_s is a number", "two for x and y"],
+            ["gain_per_s is [1.0]", "two for x and y"],
         ),
         (json!({ "weight": 1.0 }), ["weight", "unknown field"]),
         (
