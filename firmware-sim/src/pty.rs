@@ -26,7 +26,7 @@ pub enum PtyError {
         /// Path of the link.
         link: PathBuf,
     },
-    /// The link cannot be created.
+    /// The link can't be created.
     #[error("can't link {link} to the pseudo-terminal: {source}", link = link.display())]
     Link {
         /// Path of the link.
@@ -54,7 +54,7 @@ impl Pty {
     ///
     /// # Errors
     ///
-    /// Fails if the system provides none, or the link cannot be created.
+    /// Fails if the system provides none, or the link can't be created.
     pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
         let (master, host_end, device) =
             open_raw().map_err(|error| PtyError::Open(error.into()))?;

@@ -57,13 +57,13 @@ pub enum RealTimeError {
     /// Invalid configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The pseudo-terminal cannot be opened.
+    /// The pseudo-terminal can't be opened.
     #[error(transparent)]
     Pty(#[from] PtyError),
-    /// A socket cannot be opened.
+    /// A socket can't be opened.
     #[error(transparent)]
     Udp(#[from] UdpError),
-    /// The thread cannot be started.
+    /// The thread can't be started.
     #[error("can't start the simulator's thread: {0}")]
     Thread(#[source] io::Error),
     /// The simulator's thread has ended.
@@ -127,7 +127,7 @@ impl RealTimeSimulator {
     ///
     /// # Errors
     ///
-    /// Fails if a resource cannot be opened or the configuration is invalid.
+    /// Fails if a resource can't be opened or the configuration is invalid.
     pub fn start(config: RealTimeConfig) -> Result<Self, RealTimeError> {
         let mut world = World::new(config.simulation)?;
         let natnet = *world.natnet().parameters();

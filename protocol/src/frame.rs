@@ -95,7 +95,7 @@ impl Frame {
     /// Adds checksum and COBS to type byte and payload, which start at the second byte.
     #[inline(never)]
     fn seal(&mut self, payload_length: usize) {
-        // Always in range; the compiler cannot prove it.
+        // Always in range; the compiler can't prove it.
         let crc_at = 2 + payload_length.min(MAX_PAYLOAD_LENGTH);
         let mut crc = Crc16::new();
         for &byte in self.bytes.get(1..crc_at).unwrap_or_default() {

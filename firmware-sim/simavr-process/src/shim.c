@@ -1,5 +1,5 @@
 /*
- * Access to the fields of simavr's structures, which Rust cannot declare.
+ * Access to the fields of simavr's structures, which Rust can't declare.
  * All decisions are made in Rust.
  *
  * simavr 1.6 runs the instructions, the timers 0 and 2, the ADC and the

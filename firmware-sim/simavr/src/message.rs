@@ -102,7 +102,7 @@ pub enum Reply {
     Done,
     /// To [`Request::Measure`].
     Figures(Figures),
-    /// The request cannot be executed, or the processor has crashed: time, address
+    /// The request can't be executed, or the processor has crashed: time, address
     /// and reason. It stands still until the next [`Request::Start`].
     Failed(String),
 }

@@ -70,7 +70,7 @@ pub enum UnoError {
         /// Description of the crash.
         reason: String,
     },
-    /// The program cannot be started.
+    /// The program can't be started.
     #[error("can't start {}: {reason}", program.display())]
     Start {
         /// The program.

@@ -631,7 +631,7 @@ impl Car {
             .plus(&k4, h / 6.0);
         let stop = self.parameters.servo.stop_rad;
         next.steering = next.steering.clamp(-stop, stop);
-        // Rolling friction stops the car; it cannot accelerate it.
+        // Rolling friction stops the car; it can't accelerate it.
         let driven = self.is_driven();
         let motor = &self.parameters.motor;
         let downhill = motor.downhill(next.track.yaw);

@@ -135,7 +135,7 @@ impl Odometer {
         } else {
             self.not_driven.advance(elapsed_us);
             // A shorter pause does not reset time and distance, so that driving in
-            // bursts cannot hide a dead sensor.
+            // bursts can't hide a dead sensor.
             if self.not_driven.elapsed_us() >= self.standstill_us {
                 self.expect_pulse();
             }

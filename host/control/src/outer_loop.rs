@@ -71,7 +71,7 @@ stateless!(ProportionalLoop, OpenLoop);
 /// The outer loop that the configuration selects.
 #[expect(
     clippy::large_enum_variant,
-    reason = "a controller has one or two of them, and without an allocator it cannot be boxed"
+    reason = "a controller has one or two of them, and without an allocator it can't be boxed"
 )]
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]

@@ -38,10 +38,10 @@ pub enum RiccatiError {
     /// A number is infinite or NaN.
     #[error("a matrix of the regulator holds a number that is not finite")]
     NotFinite,
-    /// The weight of the input cannot be inverted.
+    /// The weight of the input can't be inverted.
     #[error("the weight of the input is not positive definite")]
     InputWeight,
-    /// The pair (A, B) cannot be stabilised, or a mode on the unit circle has no weight.
+    /// The pair (A, B) can't be stabilised, or a mode on the unit circle has no weight.
     #[error(
         "no gain makes the system settle: it can't be stabilised, or a mode that does not settle has no weight"
     )]

@@ -69,7 +69,7 @@ impl Proofs {
 ///
 /// # Errors
 ///
-/// A text that TOML cannot represent.
+/// A text that TOML can't represent.
 pub fn configuration_hash(config: &Config) -> Result<u64, ConfigError> {
     let body = &config.motion_capture;
     let text = |result: Result<String, toml::ser::Error>| {

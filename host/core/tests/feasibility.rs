@@ -340,7 +340,7 @@ fn a_governor_does_not_make_up_for_a_fence_or_for_a_loop_that_lags() {
     let mut config = own();
     config.governor.enabled = true;
     config.reference = circle(0.45, 1.0);
-    // Without feed-forward P settles on a circle that cannot be steered.
+    // Without feed-forward P settles on a circle that can't be steered.
     config.fence.corners_m = square(3.0);
     let judgement = found(&config);
     assert!(!judgement.is_possible());

@@ -216,7 +216,7 @@ fn a_request_outside_the_bounds_is_refused_with_them() {
 #[test]
 fn the_ends_of_the_bounds_are_judged_as_the_configured_values_are() {
     // The example's circle of 0.85 m: P comes down to 0.76 m with the gain of 1/s, and with less
-    // gain to a circle that the wheels cannot be steered for.
+    // gain to a circle that the wheels can't be steered for.
     let narrow = config("gain_per_s = [0.9, 4.0]\n");
     assert!(judge_reference(&narrow, None, None).unwrap().is_possible());
     let wide = config("gain_per_s = [0.4, 4.0]\n");

@@ -35,7 +35,7 @@ impl MessageFeed {
         if self.clients.receiver_count() == 0 {
             return;
         }
-        // What cannot be encoded is missing in the record too, which reports it.
+        // What can't be encoded is missing in the record too, which reports it.
         if let Ok(publications) = encoder.encode(entry) {
             let mut frames = Frames::default();
             for publication in publications {

@@ -90,7 +90,7 @@ impl Line {
 /// the supporting line of the lower convex hull of the last [`WINDOW_NS`], at the
 /// middle of the window: the line that has every pair above it and the smallest sum of
 /// distances to them. A record that arrives late does not move it. The minimum delay
-/// itself cannot be measured from one side; the caller subtracts the part that it
+/// itself can't be measured from one side; the caller subtracts the part that it
 /// knows (the time that the frame spends on the wire).
 #[derive(Clone, Debug, Default)]
 pub struct BoardClock {

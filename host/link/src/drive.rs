@@ -74,7 +74,7 @@ impl Quantity {
     }
 }
 
-/// Why the session cannot carry out a request now.
+/// Why the session can't carry out a request now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotReady {
     /// The board is not connected and configured.

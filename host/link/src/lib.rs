@@ -12,7 +12,7 @@
 //! - There is no queue of requests: at most one of each kind is pending, and a drive
 //!   command is made when it is sent, with the ages of that moment.
 //! - A stop is repeated until telemetry shows its effect.
-//! - A value that cannot be sent (not finite, beyond the wire's range) is an error. It
+//! - A value that can't be sent (not finite, beyond the wire's range) is an error. It
 //!   is not clamped.
 //!
 //! # Order of the calls

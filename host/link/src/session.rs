@@ -132,7 +132,7 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// The board cannot be asked now. Nothing is kept for later.
+    /// The board can't be asked now. Nothing is kept for later.
     pub fn arm(&mut self, now_ns: u64) -> Result<Sequence, NotReady> {
         if !matches!(self.phase, Phase::Ready) {
             return Err(NotReady::NotConfigured);
@@ -201,7 +201,7 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// The board would not obey, or a value cannot be sent.
+    /// The board would not obey, or a value can't be sent.
     pub fn drive(&mut self, now_ns: u64, command: DriveCommand) -> Result<Frame, DriveError> {
         let (sequence, newest) = self.next_command(BoardMode::Driving)?;
         let message: Drive = drive::message(&command, sequence, &newest)?;

@@ -61,7 +61,7 @@ impl Bench {
         self.board_us += 10_000.0 * (1.0 + self.skew);
         self.skew += self.drift_per_s * 0.01;
         let delay_ns = self.noise.up_to(self.jitter_ns);
-        // One reader, one line: records cannot overtake each other.
+        // One reader, one line: records can't overtake each other.
         self.received_ns = (self.host_ns + delay_ns).max(self.received_ns);
         match self.clock.observe(self.received_ns, self.stamp()) {
             StampOutcome::Mapped(stamp) => (stamp, stamp.host_time_ns as i64 - self.host_ns as i64),

@@ -105,7 +105,7 @@ impl Options {
         let mut sockets = vec![UdpSocket::bind((interface, 0))?];
         if self.multicast.is_some() {
             // Bound to the group, the socket receives nothing else, and a server on the same
-            // machine can use the port as well. Windows cannot bind to a group.
+            // machine can use the port as well. Windows can't bind to a group.
             let address = if cfg!(windows) {
                 Ipv4Addr::UNSPECIFIED
             } else {

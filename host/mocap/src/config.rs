@@ -137,7 +137,7 @@ impl SessionConfig {
     /// Checks the values, as [`Session::new`](crate::Session::new) does.
     ///
     /// # Errors
-    /// The first field whose value cannot be used.
+    /// The first field whose value can't be used.
     pub fn validate(&self) -> Result<(), SessionConfigError> {
         let timing = &self.timing;
         positive(&[

@@ -33,7 +33,7 @@ impl Encoder {
     ///
     /// # Errors
     ///
-    /// When one of them cannot be encoded. Then none is returned.
+    /// When one of them can't be encoded. Then none is returned.
     pub fn encode(
         &mut self,
         entry: &Entry,

@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-/// A record cannot be written or read.
+/// A record can't be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// An operation on the file failed.
@@ -113,7 +113,7 @@ pub enum RecordError {
     },
 }
 
-/// A message cannot be encoded, because a text in it is longer than 4 GB.
+/// A message can't be encoded, because a text in it is longer than 4 GB.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("can't encode a message of {topic}: {reason}")]
 pub struct EncodeError {

@@ -76,7 +76,7 @@ impl RecorderThread {
     ///
     /// # Errors
     ///
-    /// When the thread cannot be started.
+    /// When the thread can't be started.
     pub fn start(
         recorder: Recorder,
         feeds: Vec<FeedOutput>,
@@ -95,7 +95,7 @@ impl RecorderThread {
         Ok(Self { path, stop, thread })
     }
 
-    /// Whether the thread still writes. It stops early when the file cannot be written:
+    /// Whether the thread still writes. It stops early when the file can't be written:
     /// [`RecorderThread::finish`] then gives the error.
     #[must_use]
     pub fn is_writing(&self) -> bool {

@@ -129,7 +129,7 @@ impl Reader {
     ///
     /// # Errors
     ///
-    /// When the file cannot be read, is not a record, or is one of another version.
+    /// When the file can't be read, is not a record, or is one of another version.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
         let part = part_path(path);
         // A record gets its final name when it is finished.
@@ -213,7 +213,7 @@ impl Reader {
     ///
     /// # Errors
     ///
-    /// When there is no entry before the damage, or the file cannot be read.
+    /// When there is no entry before the damage, or the file can't be read.
     pub fn take_undamaged(
         &mut self,
         mut take: impl FnMut(&Entry),
@@ -236,7 +236,7 @@ impl Reader {
     ///
     /// # Errors
     ///
-    /// When the file is damaged or cannot be read. After an error nothing follows.
+    /// When the file is damaged or can't be read. After an error nothing follows.
     pub fn advance(&mut self) -> Result<Option<Recorded>, RecordError> {
         self.at = None;
         if self.failed || self.ending == Some(Ending::Finished) {

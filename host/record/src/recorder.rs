@@ -58,7 +58,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// When it or its unfinished file exists, or the file cannot be written.
+    /// When it or its unfinished file exists, or the file can't be written.
     pub fn create(path: &Path, meta: &Meta) -> Result<Self, RecordError> {
         let mut container = Container::create(path, part_path(path))?;
         container.write(|writer| {
@@ -100,7 +100,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// When the file cannot be written; later calls fail as well.
+    /// When the file can't be written; later calls fail as well.
     pub fn write(&mut self, entry: &Entry) -> Result<(), RecordError> {
         let publications = self
             .encoder
@@ -139,7 +139,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// When the file cannot be written.
+    /// When the file can't be written.
     pub fn flush_if_due(&mut self) -> Result<(), RecordError> {
         let is_due = |period| self.flushed.elapsed() >= period;
         if self.unflushed && self.flush_period.is_some_and(is_due) {
@@ -153,7 +153,7 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// When the file cannot be written.
+    /// When the file can't be written.
     pub fn flush(&mut self) -> Result<(), RecordError> {
         self.flushed = Instant::now();
         self.unflushed = false;

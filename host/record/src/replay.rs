@@ -18,7 +18,7 @@ pub struct Replay {
     next: u64,
 }
 
-/// Why a record cannot be replayed beyond a tick.
+/// Why a record can't be replayed beyond a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ReplayError {
     /// Ticks are missing, and with them the inputs of the pilot.

@@ -243,7 +243,7 @@ impl CampaignOutcome {
 ///
 /// # Errors
 ///
-/// Fails if a schedule cannot be set up.
+/// Fails if a schedule can't be set up.
 pub fn attempt(schedule: &Schedule, tamper: &mut dyn Tamper) -> Result<DriveOutcome, SetupError> {
     attempt_until(schedule, tamper, Until::Violation)
 }

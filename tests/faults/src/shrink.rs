@@ -15,7 +15,7 @@ const MAX_DRIVES: u32 = 400;
 ///
 /// # Errors
 ///
-/// Fails if a schedule cannot be set up.
+/// Fails if a schedule can't be set up.
 pub fn shrink<T: Tamper>(
     schedule: &Schedule,
     violation: &Violation,

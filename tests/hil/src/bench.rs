@@ -41,7 +41,7 @@ pub struct Equipment {
 }
 
 impl Equipment {
-    /// Reason why a test cannot run with this equipment, if any.
+    /// Reason why a test can't run with this equipment, if any.
     #[must_use]
     pub fn lacks(&self, need: Need) -> Option<&'static str> {
         if need == Need::Whole && !self.whole {

@@ -23,7 +23,7 @@ impl Daemon {
     ///
     /// # Errors
     ///
-    /// Fails if the program cannot be run.
+    /// Fails if the program can't be run.
     pub fn start(program: &Path, config: &Path, log: &Path) -> Outcome<Self> {
         let output =
             File::create(log).map_err(Failure::system(format!("can't write {}", log.display())))?;

@@ -139,7 +139,7 @@ impl Twi {
             Action::Start | Action::Stop => 1,
             Action::Address | Action::Send | Action::Receive => 9,
         };
-        // Neither condition is possible while the data line cannot rise.
+        // Neither condition is possible while the data line can't rise.
         let stuck = matches!(action, Action::Start | Action::Stop) && self.data_held_low();
         let end = if stuck {
             u64::MAX

@@ -1,7 +1,7 @@
 //! A board in virtual time with simulated wheels.
 
 #![allow(dead_code, reason = "each test file uses its own part")]
-#![allow(clippy::panic, reason = "a test that cannot go on has failed")]
+#![allow(clippy::panic, reason = "a test that can't go on has failed")]
 
 use singletrack_board::{Board, Inputs, MotorPulses, Outputs};
 use singletrack_protocol::{

@@ -14,7 +14,7 @@ pub const MPC_STAGES: usize = 25;
 /// [`MpcLoop`] with a model for a dead time, or without one.
 #[expect(
     clippy::large_enum_variant,
-    reason = "without an allocator they cannot be boxed"
+    reason = "without an allocator they can't be boxed"
 )]
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]

@@ -59,7 +59,7 @@ impl ReferencePoint {
 /// ```
 #[expect(
     clippy::large_enum_variant,
-    reason = "a controller has one of them, and without an allocator it cannot be boxed"
+    reason = "a controller has one of them, and without an allocator it can't be boxed"
 )]
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]

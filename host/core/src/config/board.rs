@@ -113,7 +113,7 @@ section! {
     /// Limit of the integral term.
     integral_limit_us: u16 => integral_limit_us, text "0 to 700", example 60;
     /// Top speed forward; faster commands are clamped. At most 12 mm/s for each
-    /// micrometre of `pulse_distance_um`: the board cannot count more pulses.
+    /// micrometre of `pulse_distance_um`: the board can't count more pulses.
     max_forward_mm_s: u16 => max_forward_mm_s, text "1 to 20000", example 1500;
     /// Top speed in reverse; 0 refuses reverse. At most as for `max_forward_mm_s`.
     max_reverse_mm_s: u16 = 0 => max_reverse_mm_s, text "0 to 20000";
@@ -199,7 +199,7 @@ impl BoardSection {
             return Err(ConfigError::value(
                 "board.speed.pulse_distance_um",
                 distance_um,
-                "must be 100 to 30000: with a longer distance the board cannot tell a slow car from \
+                "must be 100 to 30000: with a longer distance the board can't tell a slow car from \
                  one that stands or whose sensor is dead; use a sensor with more edges per turn, or \
                  one on the motor instead of on the wheel",
             ));

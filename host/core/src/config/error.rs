@@ -13,7 +13,7 @@ use super::WaypointFileError;
 /// Why a configuration is refused: key, value and fix.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file cannot be read.
+    /// The file can't be read.
     #[error("can't read {}: {source}", .path.display())]
     Read {
         /// The file.

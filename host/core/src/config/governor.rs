@@ -1,4 +1,4 @@
-//! `[governor]`: makes the reference slower or wider where the car cannot follow it.
+//! `[governor]`: makes the reference slower or wider where the car can't follow it.
 
 use singletrack_control::{FrontPointLaw, GovernorConfig, Limits, Room};
 use singletrack_settings::section;
@@ -6,7 +6,7 @@ use singletrack_settings::section;
 use super::{Config, ConfigError};
 
 section! {
-    /// Makes the reference slower or wider where the car cannot follow it, by the limits of
+    /// Makes the reference slower or wider where the car can't follow it, by the limits of
     /// `[limits]`, and slower where P is far behind or the car could not stop inside the geofence,
     /// which must be convex. A reference that the car can follow is not changed.
     "governor" => pub GovernorSection: Copy;

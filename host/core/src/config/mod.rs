@@ -85,7 +85,7 @@ section! {
     outer_loop: OuterLoopSection;
     /// The reference of P.
     reference: ReferenceSection;
-    /// Slows the reference down where the car cannot follow it.
+    /// Slows the reference down where the car can't follow it.
     governor: GovernorSection = GovernorSection::default();
     /// The car; the one of the paper if left out.
     vehicle: VehicleParameters = VehicleParameters::default();
@@ -128,7 +128,7 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is not valid TOML, or has an invalid key or value.
+    /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = file::read_text(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
@@ -154,7 +154,7 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// The file cannot be read, is not valid TOML, or has an invalid key or value.
+    /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let mut config: Self =
             toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
@@ -172,7 +172,7 @@ impl Config {
         toml::to_string(self)
     }
 
-    /// Refuses a configuration that cannot be driven with.
+    /// Refuses a configuration that can't be driven with.
     ///
     /// # Errors
     ///

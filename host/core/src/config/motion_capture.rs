@@ -155,7 +155,7 @@ impl MotionCaptureSection {
     ///
     /// # Errors
     ///
-    /// The name of a rigid body that NatNet cannot carry.
+    /// The name of a rigid body that NatNet can't carry.
     pub fn session(&self) -> Result<PlanarConfig, ConfigError> {
         let transport = match self.transport {
             TransportKind::Unicast => Transport::Unicast {

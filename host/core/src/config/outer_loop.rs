@@ -147,7 +147,7 @@ impl OuterLoopSection {
     /// # Errors
     ///
     /// Weights, lags and turns with which a loop does not settle, or a geofence over which it
-    /// cannot plan.
+    /// can't plan.
     pub fn tracking_loop(&self, model: &LoopModel<'_>) -> Result<TrackingLoop, ConfigError> {
         Ok(match self {
             Self::Proportional {

@@ -16,10 +16,10 @@ section! {
     /// Whether anything can be tuned.
     enabled: bool = false;
     /// Least and most of each of `outer_loop.gain_per_s`, which must lie between them; for the
-    /// loop "proportional". Left out, gains cannot be tuned.
+    /// loop "proportional". Left out, gains can't be tuned.
     gain_per_s: Option<[f64; 2]> = None, in 0.0..=100.0, example [0.5, 4.0];
     /// Least and most of `law.point_distance_m`, which must lie between them; not with
-    /// `governor.enabled`. Left out, p cannot be tuned.
+    /// `governor.enabled`. Left out, p can't be tuned.
     point_distance_m: Option<[f64; 2]> = None, in up_to(10.0), example [0.3, 0.4];
 }
 

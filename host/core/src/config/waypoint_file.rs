@@ -13,7 +13,7 @@ use super::file::read_text;
 /// Why a file of waypoints is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum WaypointFileError {
-    /// The file cannot be read.
+    /// The file can't be read.
     #[error("{0}")]
     File(#[from] io::Error),
     /// The file is not CSV.

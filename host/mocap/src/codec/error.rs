@@ -1,8 +1,8 @@
-//! Why a datagram cannot be decoded.
+//! Why a datagram can't be decoded.
 
 use super::version::BitstreamVersion;
 
-/// Why a datagram cannot be decoded. Offsets count from the datagram's first byte.
+/// Why a datagram can't be decoded. Offsets count from the datagram's first byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {

@@ -118,7 +118,7 @@ impl<'a> Reader<'a> {
     }
 
     /// A count of entries of at least `min_entry_len` bytes each. A count that the
-    /// remaining bytes cannot hold is an error here, before any loop over it.
+    /// remaining bytes can't hold is an error here, before any loop over it.
     pub(crate) fn count(
         &mut self,
         min_entry_len: usize,

@@ -1,8 +1,8 @@
-//! Why a message cannot be encoded.
+//! Why a message can't be encoded.
 
 use crate::codec::BitstreamVersion;
 
-/// Why a message cannot be encoded.
+/// Why a message can't be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EncodeError {

@@ -65,7 +65,7 @@ pub enum PlanarConfigError {
     /// The camera session's configuration, or a limit.
     #[error(transparent)]
     Session(#[from] SessionConfigError),
-    /// No name, or one that NatNet cannot carry.
+    /// No name, or one that NatNet can't carry.
     #[error("the rigid body's name is {len} bytes long, it must be 1 to 255")]
     RigidBodyName {
         /// Length of the name.

@@ -64,7 +64,7 @@ pub enum PlanarOutcome {
     Ignored,
     /// From another address than the server's: dropped.
     WrongSource,
-    /// It cannot be decoded: dropped.
+    /// It can't be decoded: dropped.
     Malformed(DecodeError),
 }
 
@@ -82,7 +82,7 @@ impl PlanarSession {
     /// A session that has not connected yet.
     ///
     /// # Errors
-    /// A value of the configuration cannot be used.
+    /// A value of the configuration can't be used.
     pub fn new(config: PlanarConfig) -> Result<Self, PlanarConfigError> {
         Ok(Self {
             session: Session::new(config.session.clone())?,

@@ -46,7 +46,7 @@ impl PlanarTracker {
     /// A tracker that has seen nothing.
     ///
     /// # Errors
-    /// The name is empty, or a limit cannot be used.
+    /// The name is empty, or a limit can't be used.
     pub fn new(rigid_body: RigidBodyName, limits: PoseLimits) -> Result<Self, PlanarConfigError> {
         if rigid_body.is_empty() {
             return Err(PlanarConfigError::RigidBodyName { len: 0 });

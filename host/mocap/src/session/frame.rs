@@ -25,7 +25,7 @@ pub enum DatagramOutcome<'a> {
     Ignored,
     /// From another address than the server's: dropped.
     WrongSource,
-    /// It cannot be decoded: dropped.
+    /// It can't be decoded: dropped.
     Malformed(DecodeError),
 }
 

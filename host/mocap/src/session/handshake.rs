@@ -84,7 +84,7 @@ impl Session {
         true
     }
 
-    /// The bitstream to request: one older than the server's own. A server cannot
+    /// The bitstream to request: one older than the server's own. A server can't
     /// send a newer one, and only servers from 3.0 on can change it, in unicast.
     fn bitstream_to_request(&self, server: Server) -> Option<BitstreamVersion> {
         let Transport::Unicast { bitstream } = self.config.transport else {

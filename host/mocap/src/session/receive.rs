@@ -19,7 +19,7 @@ use crate::{
     order::Order,
 };
 
-/// This number of frames in a row that cannot be decoded, over a time for which a
+/// This number of frames in a row that can't be decoded, over a time for which a
 /// stream may be silent, means that the bitstream is another one.
 const UNDECODABLE: u32 = 20;
 

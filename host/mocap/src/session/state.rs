@@ -86,7 +86,7 @@ impl Session {
     /// A session that has not connected yet.
     ///
     /// # Errors
-    /// A value of the configuration cannot be used.
+    /// A value of the configuration can't be used.
     pub fn new(config: SessionConfig) -> Result<Self, SessionConfigError> {
         config.validate()?;
         Ok(Self {

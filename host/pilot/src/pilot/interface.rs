@@ -25,7 +25,7 @@ pub struct PilotConfig {
     pub tracking: TrackingLoop,
     /// The path of P; its time counts from the first driving tick.
     pub reference: Reference,
-    /// Makes the reference slower or wider where the car cannot follow it; none to follow it as
+    /// Makes the reference slower or wider where the car can't follow it; none to follow it as
     /// it is.
     pub governor: Option<GovernorConfig>,
     /// Limits of speed, acceleration and steering.

@@ -7,7 +7,7 @@ use super::{config::WatchConfig, count};
 
 /// Compares the two speeds over spans of [`SPAN`].
 ///
-/// The estimator fuses both and so cannot detect a difference. With a pulse sensor that
+/// The estimator fuses both and so can't detect a difference. With a pulse sensor that
 /// counts double, the board drives at half the commanded speed; with one that misses
 /// pulses, faster than commanded.
 #[derive(Clone, Copy, Debug, Default)]

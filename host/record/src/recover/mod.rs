@@ -152,7 +152,7 @@ impl fmt::Display for Recovery {
 ///
 /// # Errors
 ///
-/// When one of the files cannot be read or written, `input` is still being written,
+/// When one of the files can't be read or written, `input` is still being written,
 /// `output` exists, or nothing was recorded. Then no new file is left.
 pub fn recover(
     input: &Path,

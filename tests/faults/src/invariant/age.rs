@@ -70,7 +70,7 @@ impl Invariant for CommandAge {
 /// `host-silence`: neutral within 120 ms of the host's last command, whether the
 /// daemon pauses or ends, or the line is stuck or unplugged.
 ///
-/// The command cannot be newer than the telemetry behind it.
+/// The command can't be newer than the telemetry behind it.
 #[derive(Default)]
 pub(super) struct HostSilence {
     written_us: Option<u64>,
@@ -114,7 +114,7 @@ const CLOCKS_US: u64 = 4_000;
 ///
 /// The true error of the stamps is allowed: the host can't know it. After a step of the
 /// server's clock, the age of a pose counts from its arrival:
-/// the host cannot know the exposure time.
+/// the host can't know the exposure time.
 #[derive(Default)]
 pub(super) struct PoseAge {
     newest: Option<ReceivedPose>,

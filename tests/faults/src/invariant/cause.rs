@@ -258,7 +258,7 @@ impl Invariant for ImuSilence {
         };
         // 1.2 ms of transmission, and the error of the board's clock. The image
         // polls the sensor every 10 ms and dates a sample by the poll. A constant
-        // delay of the line cannot be distinguished from a clock offset and makes
+        // delay of the line can't be distinguished from a clock offset and makes
         // samples look younger.
         let poll_us = match observation.spec.situation.board {
             BoardKind::Native => 0,

@@ -48,7 +48,7 @@ pub struct Situation {
     /// Whether opening the port resets the board, as DTR does on an UNO.
     pub reset_on_open: bool,
     /// Whether the length of the port's queue can be read, which reveals a stuck
-    /// line; a pseudo-terminal's cannot.
+    /// line; a pseudo-terminal's can't.
     pub queue_shows: bool,
     /// Whether the board switches the ESC's supply.
     pub kill_output: bool,

@@ -69,7 +69,7 @@ impl PhysicalRig {
     ///
     /// # Errors
     ///
-    /// Fails if the port, the pseudo-terminal or the simulator cannot be opened.
+    /// Fails if the port, the pseudo-terminal or the simulator can't be opened.
     pub fn start(port: &Path, link: PathBuf, seed: u64) -> Outcome<Self> {
         let uno = serialport::new(port.to_string_lossy(), BAUD)
             .timeout(READ_TIMEOUT)
