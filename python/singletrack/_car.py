@@ -46,7 +46,7 @@ class SimulatedCar(Backend):
                 self._armed = True
                 simulator.arm()
             # Standstill is a set-point too; without one the car would not be armed.
-            self._native.point_velocity((0.0, 0.0), None, None)
+            self._native.setpoint({"velocity_m_s": (0.0, 0.0)})
             state = simulator.step()
             if state.driving:
                 return state
@@ -56,29 +56,10 @@ class SimulatedCar(Backend):
         return self.simulator.step()
 
     def setpoint(self, keys: dict[str, Any]) -> None:
-        sequence = keys.get("sequence")
         try:
-            if "trajectory" in keys:
-                rows = [
-                    (point["time_ns"], [*point["position_m"], *point["velocity_m_s"]])
-                    for point in keys["trajectory"]
-                ]
-                self._native.trajectory(rows, sequence)
-            elif "velocity_m_s" in keys:
-                self._native.point_velocity(
-                    keys["velocity_m_s"], keys.get("position_m"), sequence
-                )
-            else:
-                self._native.actuate(
-                    keys.get("steering_rad"),
-                    keys.get("steering_rate_rad_s"),
-                    keys.get("speed_m_s"),
-                    keys.get("acceleration_m_s2"),
-                    sequence,
-                )
+            self._native.setpoint(keys)
         except ValueError as error:
-            text, word = error.args
-            raise Rejected(text, word) from error
+            raise Rejected(*error.args) from error
 
     def disarm(self) -> None:
         if self._armed and self.simulator.state.mode in _UNDERWAY:
@@ -108,7 +89,7 @@ class SimulatedCar(Backend):
 
     def tune(self, keys: dict[str, Any]) -> None:
         try:
-            self._native.tune(keys.get("gain_per_s"), keys.get("point_distance_m"))
+            self._native.tune(**keys)
         except ValueError as error:
             raise SingletrackError(f"can't tune: {error}") from error
 

@@ -1,22 +1,17 @@
-"""The daemon's control socket: JSON lines. See docs/control-socket.md."""
+"""A car behind the daemon's control socket. See docs/control-socket.md."""
 
 from __future__ import annotations
 
-import json
-import os
-import socket
 import threading
 import time
-import weakref
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 from ._drive import Backend
 from ._errors import ArmError, Rejected, SingletrackError
+from ._native import Connection
 from ._state import State, refuse_driven, state
 
-_VERSION = 2
 #: Interval of the renewals that keep the drive alive, in s.
 _HOLD = 0.1
 #: Interval of the standstill set-points before the first of the program, in s.
@@ -25,106 +20,20 @@ _STANDSTILL = 0.05
 _SILENCE = 2.0
 
 
-class Inbox:
-    """The lines that a thread reads from a socket, and that have not been taken."""
-
-    def __init__(self) -> None:
-        self.changed = threading.Condition()
-        self.lines: deque[dict[str, Any]] = deque(maxlen=1_000)
-        self.closed = False
-
-    def read(self, connected: socket.socket) -> None:
-        """Reads to the end."""
-        try:
-            with connected.makefile("rb") as lines:
-                for line in lines:
-                    with self.changed:
-                        self.lines.append(json.loads(line))
-                        self.changed.notify_all()
-        except (OSError, ValueError):
-            pass
-        with self.changed:
-            self.closed = True
-            self.changed.notify_all()
-
-
-class Connection:
-    """A connection; a thread reads its lines. It closes when nothing uses it any more.
-
-    It belongs to the process that made it: a copy by `fork` has no thread that reads, and must
-    not speak or hang up for the original.
-    """
-
-    def __init__(self, path: str) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            self._socket.connect(path)
-        except OSError as error:
-            self._socket.close()
-            hint = (
-                "is this user in the group of the socket?"
-                if isinstance(error, PermissionError)
-                else "does singletrackd run?"
-            )
-            raise ConnectionError(f"{path}: {error.strerror}; {hint}") from error
-        self._write = threading.Lock()
-        self._inbox = inbox = Inbox()
-        # The thread must not hold the connection, which would then never be forgotten.
-        self._process = os.getpid()
-        self._close = weakref.finalize(self, _shut, self._socket, self._process)
-        threading.Thread(
-            target=inbox.read, args=(self._socket,), daemon=True, name="singletrack-read"
-        ).start()
-
-    def send(self, command: str, **keys: Any) -> None:
-        self._check_process()
-        line = json.dumps({"version": _VERSION, "command": command, **keys}, allow_nan=False)
-        with self._write:
-            self._socket.sendall(line.encode() + b"\n")
-
-    def take(self, timeout: float = 0.0) -> dict[str, Any] | None:
-        """The oldest line that has not been taken; ``None`` after the time-out."""
-        self._check_process()
-        inbox = self._inbox
-        with inbox.changed:
-            inbox.changed.wait_for(lambda: inbox.lines or inbox.closed, timeout)
-            if inbox.lines:
-                return inbox.lines.popleft()
-            if inbox.closed:
-                raise ConnectionError("the daemon has closed the connection")
-            return None
-
-    def ask(self, command: str, timeout: float = 5.0, **keys: Any) -> dict[str, Any]:
-        """The answer to a command."""
-        self.send(command, **keys)
-        deadline = time.monotonic() + timeout
-        while True:
-            answer = self.take(max(0.0, deadline - time.monotonic()))
-            if answer is None:
-                raise TimeoutError(f"no answer to {command}")
-            if "ok" in answer and "rejected" not in answer:
-                if not answer["ok"]:
-                    raise SingletrackError(answer.get("error", "refused"))
-                return answer
-
-    def close(self) -> None:
-        self._close()
-
-    def _check_process(self) -> None:
-        if os.getpid() != self._process:
-            raise ConnectionError(
-                "this connection belongs to the process that was copied; use a Car of your own"
-            )
-
-
-def _shut(connected: socket.socket, process: int) -> None:
-    if os.getpid() == process:
-        try:
-            # Wakes the thread that reads.
-            connected.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
-    connected.close()
+def ask(
+    connection: Connection, command: str, timeout: float = 5.0, **keys: Any
+) -> dict[str, Any]:
+    """The answer to a command."""
+    connection.send(command, **keys)
+    deadline = time.monotonic() + timeout
+    while True:
+        answer = connection.take(max(0.0, deadline - time.monotonic()))
+        if answer is None:
+            raise TimeoutError(f"no answer to {command}")
+        if "ok" in answer and "rejected" not in answer:
+            if not answer["ok"]:
+                raise SingletrackError(answer.get("error", "refused"))
+            return answer
 
 
 class SocketCar(Backend):
@@ -150,7 +59,7 @@ class SocketCar(Backend):
     def status(self) -> dict[str, Any]:
         connection = Connection(self._path)
         try:
-            answer: dict[str, Any] = connection.ask("status")["status"]
+            answer: dict[str, Any] = ask(connection, "status")["status"]
             return answer
         finally:
             connection.close()
@@ -158,7 +67,7 @@ class SocketCar(Backend):
     def state(self) -> State:
         if self._states is None:
             states = Connection(self._path)
-            states.ask("watch", topics=["state"])
+            ask(states, "watch", topics=["state"])
             self._states = states
         try:
             return self._receive(self._states)
@@ -259,7 +168,7 @@ class SocketCar(Backend):
             raise TimeoutError("no answer to setpoint")
         if answer.get("rejected") == "not-external":
             self._setpoints.take(5.0)
-            self._setpoints.ask("set-reference", 10.0, reference={"kind": "external"})
+            ask(self._setpoints, "set-reference", 10.0, reference={"kind": "external"})
         elif "rejected" in answer:
             raise Rejected(answer.get("error", ""), answer["rejected"])
 
@@ -343,14 +252,14 @@ class SocketCar(Backend):
     def stop(self) -> None:
         connection = Connection(self._path)
         try:
-            connection.ask("stop")
+            ask(connection, "stop")
         finally:
             connection.close()
 
     def tune(self, keys: dict[str, Any]) -> None:
         connection = Connection(self._path)
         try:
-            connection.ask("tune", **keys)
+            ask(connection, "tune", **keys)
         finally:
             connection.close()
 

@@ -17,6 +17,7 @@ mod model;
 mod recording;
 mod setup;
 mod simulator;
+mod socket;
 mod stability;
 mod vehicle;
 
@@ -29,6 +30,7 @@ mod _native {
         model::{model_derivative, model_simulate, paper_vehicle},
         recording::read_record,
         simulator::{Simulator, truth_keys},
+        socket::Connection,
         stability::{
             critical_speed, eigenvalues, hopf_points, is_stable, sampled, smallest_point_distance,
         },

@@ -10,12 +10,10 @@ use pyo3::{
     prelude::*,
     types::PyDict,
 };
-use singletrack_control::{
-    Demand, MAX_TRAJECTORY_POINTS, Position, ReferencePoint, Setpoint, SetpointError,
-    SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
-};
-use singletrack_core::config::ReferenceSection;
-use singletrack_pilot::{Event, PilotRequest, Tuning};
+use pythonize::{depythonize, pythonize};
+use singletrack_control::Velocity;
+use singletrack_core::{config::ReferenceSection, setpoint::SetpointCommand, state_stream::States};
+use singletrack_pilot::{PilotRequest, Tuning};
 use singletrack_scenario::{
     virtual_drive::{VirtualDrive, VirtualTick},
     virtual_record::VirtualRecord,
@@ -44,10 +42,7 @@ struct Simulation {
     setup: Setup,
     drive: VirtualDrive,
     last: Option<VirtualTick>,
-    /// The time of the first tick.
-    first_ns: Option<u64>,
-    /// The time of the newest telemetry.
-    board_ns: Option<u64>,
+    states: States,
     record: Option<VirtualRecord>,
     unwritten: u32,
 }
@@ -89,8 +84,7 @@ impl Simulator {
             setup,
             drive,
             last: None,
-            first_ns: None,
-            board_ns: None,
+            states: States::default(),
             record,
             unwritten: 0,
         })))
@@ -112,69 +106,11 @@ impl Simulator {
     }
 
     /// What the last tick saw and did; `None` before the first.
-    fn state<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let simulation = self.simulation()?;
-        let Some(VirtualTick { now, tick, .. }) = &simulation.last else {
-            return Ok(None);
-        };
-        let output = &tick.output;
-        let state = PyDict::new(py);
-        state.set_item("time_ns", now.0)?;
-        let first_ns = simulation.first_ns.unwrap_or(now.0);
-        state.set_item("t", (now.0 - first_ns) as f64 * 1e-9)?;
-        state.set_item("mode", output.mode.name())?;
-        state.set_item("reason", output.reason.map(singletrack_pilot::Reason::name))?;
-        state.set_item(
-            "preflight",
-            output.preflight.map(singletrack_pilot::Reason::name),
-        )?;
-        state.set_item("drive_time", output.drive_time)?;
-        state.set_item("held", output.held)?;
-        if let Some(estimate) = &output.estimate {
-            state.set_item("x", estimate.position.x)?;
-            state.set_item("y", estimate.position.y)?;
-            state.set_item("yaw", estimate.yaw)?;
-            state.set_item("speed", estimate.speed)?;
-            state.set_item("sideslip", estimate.sideslip)?;
-            state.set_item("yaw_rate", estimate.yaw_rate)?;
-            let age = now.0.saturating_sub(estimate.pose_time.0);
-            state.set_item("pose_age", age as f64 * 1e-9)?;
-        }
-        state.set_item("steering", output.actuation.steering)?;
-        state.set_item("commanded_speed", output.actuation.speed)?;
-        state.set_item("tick", tick.index)?;
-        if let Some(board_ns) = simulation.board_ns {
-            let age = now.0.saturating_sub(board_ns);
-            state.set_item("board_age", age as f64 * 1e-9)?;
-        }
-        state.set_item("filtering", output.filtering.name())?;
-        if let Some(tuned) = &output.tuned {
-            state.set_item("gain", tuned.gain.map(|gain| (gain.x, gain.y)))?;
-            state.set_item("point_distance", tuned.point_distance)?;
-        }
-        if let Some(stamp) = &output.setpoint {
-            state.set_item("sequence", stamp.sequence)?;
-            let age = now.0.saturating_sub(stamp.time.0);
-            state.set_item("setpoint_age", age as f64 * 1e-9)?;
-        }
-        state.set_item("point", output.point.map(|point| (point.x, point.y)))?;
-        state.set_item(
-            "point_velocity",
-            output
-                .point_velocity
-                .map(|velocity| (velocity.x, velocity.y)),
-        )?;
-        if let Some(reference) = &output.reference {
-            state.set_item(
-                "reference",
-                reference.position.map(|position| (position.x, position.y)),
-            )?;
-            state.set_item(
-                "reference_velocity",
-                (reference.velocity.x, reference.velocity.y),
-            )?;
-        }
-        Ok(Some(state))
+        let last = simulation.last.as_ref();
+        let state = last.map(|last| pythonize(py, &simulation.states.state(&last.tick)));
+        Ok(state.transpose()?)
     }
 
     /// The mode after the last tick.
@@ -221,10 +157,10 @@ impl Simulator {
     }
 
     /// Tunes the pilot, with the next tick.
-    #[pyo3(signature = (gain_per_s, point_distance_m))]
+    #[pyo3(signature = (*, gain_per_s = None, point_distance_m = None))]
     fn tune(&self, gain_per_s: Option<[f64; 2]>, point_distance_m: Option<f64>) -> PyResult<()> {
         let tuning = Tuning {
-            gain: gain_per_s.map(|[x, y]| Velocity::new(x, y)),
+            gain: gain_per_s.map(Velocity::from),
             point_distance: point_distance_m,
         };
         self.simulation()?.drive.tune(tuning).map_err(refuse)
@@ -239,73 +175,15 @@ impl Simulator {
         ))
     }
 
-    /// Sends a velocity of P, in m/s, with a position in m or without, decided after the last
-    /// tick. A set-point that is not obeyed is refused with the reason.
-    #[pyo3(signature = (velocity, position, sequence))]
-    fn point_velocity(
-        &self,
-        velocity: [f64; 2],
-        position: Option<[f64; 2]>,
-        sequence: Option<u32>,
-    ) -> PyResult<()> {
-        let [v_x, v_y] = velocity;
-        let demand = Demand::Point(ReferencePoint {
-            position: position.map(|[x, y]| Position::new(x, y)),
-            velocity: Velocity::new(v_x, v_y),
-        });
-        self.simulation()?.send(demand, sequence)
-    }
-
-    /// Sends steering, an angle or a rate, and speed, itself or its change, decided after the
-    /// last tick.
-    #[pyo3(signature = (steering_rad, steering_rate_rad_s, speed_m_s, acceleration_m_s2, sequence))]
-    fn actuate(
-        &self,
-        steering_rad: Option<f64>,
-        steering_rate_rad_s: Option<f64>,
-        speed_m_s: Option<f64>,
-        acceleration_m_s2: Option<f64>,
-        sequence: Option<u32>,
-    ) -> PyResult<()> {
-        let demand = Demand::Actuation {
-            steering: match (steering_rad, steering_rate_rad_s) {
-                (Some(angle), None) => SteeringDemand::Angle(angle),
-                (None, Some(rate)) => SteeringDemand::Rate(rate),
-                _ => return Err(refuse("give steering_rad or steering_rate_rad_s")),
-            },
-            speed: match (speed_m_s, acceleration_m_s2) {
-                (Some(speed), None) => SpeedDemand::Speed(speed),
-                (None, Some(acceleration)) => SpeedDemand::Acceleration(acceleration),
-                _ => return Err(refuse("give speed_m_s or acceleration_m_s2")),
-            },
-        };
-        self.simulation()?.send(demand, sequence)
-    }
-
-    /// Sends a trajectory: rows of time (ns of the clock of the states), x, y, `v_x`, `v_y`.
-    #[pyo3(signature = (points, sequence))]
-    fn trajectory(&self, points: Vec<(u64, [f64; 4])>, sequence: Option<u32>) -> PyResult<()> {
+    /// Gives a set-point by the keys of the control socket, decided after the last tick. One that is
+    /// not obeyed is refused with the reason and the daemon's word for it.
+    fn setpoint(&self, keys: &Bound<'_, PyAny>) -> PyResult<()> {
         let simulation = self.simulation()?;
-        let trajectory = Trajectory {
-            stamp: simulation.stamp(sequence)?,
-            points: points
-                .iter()
-                .take(MAX_TRAJECTORY_POINTS)
-                .map(|&(time_ns, [x, y, v_x, v_y])| TrajectoryPoint {
-                    time: Time(time_ns),
-                    position: Position::new(x, y),
-                    velocity: Velocity::new(v_x, v_y),
-                })
-                .collect(),
-        };
-        if points.len() > MAX_TRAJECTORY_POINTS {
-            return Err(rejected(SetpointError::OutOfRange(
-                "a trajectory has more points than are allowed",
-            )));
-        }
-        let now = trajectory.stamp.time;
-        trajectory.check(now, f64::INFINITY).map_err(rejected)?;
-        simulation.drive.send_trajectory(&trajectory);
+        let last = simulation.last.as_ref();
+        let last = last.ok_or_else(|| fail("run a tick before the first set-point"))?;
+        let command = SetpointCommand::of(depythonize(keys).map_err(refuse)?, last.now)
+            .map_err(|rejected| PyValueError::new_err((rejected.text, rejected.why.name())))?;
+        simulation.drive.pass_setpoint(&command);
         Ok(())
     }
 
@@ -466,17 +344,6 @@ impl Simulator {
     }
 }
 
-/// An error with the daemon's word for it.
-fn rejected(error: SetpointError) -> PyErr {
-    let word = match error {
-        SetpointError::NotFinite => "not-finite",
-        SetpointError::Future => "future",
-        SetpointError::Old => "old",
-        _ => "out-of-range",
-    };
-    PyValueError::new_err((error.to_string(), word))
-}
-
 fn probability(name: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
     let probability = value.extract()?;
     if !(0.0..=1.0).contains(&probability) {
@@ -498,12 +365,7 @@ impl Simulator {
 impl Simulation {
     fn step(&mut self) -> PyResult<()> {
         let tick = self.drive.step();
-        self.first_ns.get_or_insert(tick.now.0);
-        for event in &tick.tick.events {
-            if let Event::Board(sample) = event {
-                self.board_ns = Some(sample.time.0);
-            }
-        }
+        self.states.tick(&tick.tick);
         self.last = Some(tick);
         self.unwritten += 1;
         if let Some(record) = &mut self.record
@@ -512,23 +374,6 @@ impl Simulation {
             record.write(&mut self.drive).map_err(fail)?;
             self.unwritten = 0;
         }
-        Ok(())
-    }
-
-    /// The stamp of a set-point that is decided after the last tick.
-    fn stamp(&self, sequence: Option<u32>) -> PyResult<SetpointStamp> {
-        let last = self.last.as_ref();
-        let last = last.ok_or_else(|| fail("run a tick before the first set-point"))?;
-        Ok(SetpointStamp {
-            time: last.now,
-            sequence,
-        })
-    }
-
-    fn send(&self, demand: Demand, sequence: Option<u32>) -> PyResult<()> {
-        demand.check().map_err(rejected)?;
-        let stamp = self.stamp(sequence)?;
-        self.drive.send_setpoint(&Setpoint { stamp, demand });
         Ok(())
     }
 }

@@ -19,7 +19,8 @@ from circle import circle
 from conftest import BOARDS
 
 from singletrack import ArmError, Car, Rejected
-from singletrack._socket import Connection
+from singletrack._native import Connection
+from singletrack._socket import ask
 
 #: Repeated only if the machine was late: see `conftest.py`.
 REAL_TIME = pytest.mark.flaky(reruns=3, only_rerun="MachineLate")
@@ -167,7 +168,7 @@ def test_cars_that_are_forgotten_or_closed_give_their_connections_back(daemon: A
     # A reference of the daemon's own is replaced for the drive.
     reference = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
     connection = Connection(path)
-    connection.ask("set-reference", 10.0, reference=reference)
+    ask(connection, "set-reference", 10.0, reference=reference)
     connection.close()
     car = Car(path)
     with pytest.raises(ConnectionError), car.drive() as drive:
@@ -218,7 +219,7 @@ def test_a_daemon_that_dies_ends_the_drive_with_an_error(daemon: Any) -> None:
             drive.point_velocity(0.0, 0.3)
             if state.drive_time > 0.3:
                 daemon.daemon.kill()
-    with pytest.raises(ConnectionError, match="does singletrackd run"):
+    with pytest.raises(ConnectionError, match="is singletrackd running"):
         assert car.state
 
 

@@ -2,6 +2,7 @@
 
 use std::{
     io::{self, BufRead as _, BufReader, Read as _, Write as _},
+    net::Shutdown,
     os::{
         fd::{AsFd, BorrowedFd, OwnedFd},
         unix::net::UnixStream,
@@ -118,6 +119,26 @@ impl Connection {
             received: Vec::new(),
             wait: None,
         })
+    }
+
+    /// A second handle of a connection from which nothing was received yet: to read with one, and to
+    /// send with the other.
+    ///
+    /// # Errors
+    ///
+    /// The system has no more files.
+    pub fn try_clone(&self) -> Result<Self, ClientError> {
+        Ok(Self {
+            stream: self.stream.try_clone()?,
+            received: Vec::new(),
+            wait: None,
+        })
+    }
+
+    /// Ends the connection for all of its handles: the daemon and who receives see that it has ended.
+    pub fn hang_up(&self) {
+        // It fails for one that has ended.
+        let _ = self.stream.shutdown(Shutdown::Both);
     }
 
     /// Sends a request.

@@ -11,8 +11,12 @@ use std::{
 pub enum ClientError {
     /// No process listens at the socket.
     #[error(
-        "can't reach the daemon at {}: {source}; is singletrackd running, with this socket.path?",
-        path.display()
+        "can't reach the daemon at {}: {source}; {}",
+        path.display(),
+        match source.kind() {
+            io::ErrorKind::PermissionDenied => "is this user in the group of the socket?",
+            _ => "is singletrackd running, with this socket.path?",
+        }
     )]
     Connect {
         /// The socket.

@@ -119,6 +119,17 @@ pub enum Gain {
     Each([f64; 2]),
 }
 
+impl Gain {
+    /// Along x and y.
+    #[must_use]
+    pub const fn each(self) -> [f64; 2] {
+        match self {
+            Self::Both(gain) => [gain, gain],
+            Self::Each(gains) => gains,
+        }
+    }
+}
+
 impl TryFrom<Value> for Gain {
     type Error = String;
 

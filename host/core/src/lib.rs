@@ -18,8 +18,10 @@ pub mod line;
 pub mod reasons;
 pub mod reconfigure;
 pub mod serial;
+pub mod setpoint;
 pub mod setpoint_slot;
 pub mod slot;
+pub mod state_stream;
 pub mod virtual_host;
 
 mod alignment;

@@ -4,7 +4,10 @@
 use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory};
 use singletrack_pilot::Event;
 
-use crate::slot::{SlotReceiver, SlotSender, slot};
+use crate::{
+    setpoint::SetpointCommand,
+    slot::{SlotReceiver, SlotSender, slot},
+};
 
 /// The sending end, for every thread but the control thread.
 #[derive(Clone, Debug)]
@@ -58,6 +61,14 @@ impl SetpointSender {
     pub fn send_trajectory(&self, trajectory: &Trajectory) {
         let sent = Sent::Trajectory(trajectory.clone());
         self.0.replace(|_| sent);
+    }
+
+    /// Replaces what is in the slot.
+    pub fn pass(&self, command: &SetpointCommand) {
+        match command {
+            SetpointCommand::Setpoint(setpoint) => self.send(setpoint),
+            SetpointCommand::Trajectory(trajectory) => self.send_trajectory(trajectory),
+        }
     }
 }
 

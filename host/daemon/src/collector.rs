@@ -12,7 +12,9 @@ use std::{
 };
 
 use rtrb::Consumer;
-use singletrack_core::{Proof, Report, cameras::CameraReport, diagnosis::Diagnosis};
+use singletrack_core::{
+    Proof, Report, cameras::CameraReport, diagnosis::Diagnosis, state_stream::States,
+};
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_protocol::BoardMode;
@@ -25,7 +27,6 @@ use crate::{
     shared_status::SharedStatus,
     snapshot::TickView,
     state_file::StateFile,
-    state_stream::StateLines,
     wall_watch::WallWatch,
 };
 
@@ -56,8 +57,8 @@ pub(crate) struct Collector {
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
     /// The noise of the IMU in the drive under way.
     pub(crate) noise: DriveNoise,
-    /// Makes the lines of the state stream.
-    pub(crate) state_lines: StateLines,
+    /// Makes the state stream.
+    pub(crate) states: States,
     /// Where newly proved configurations are kept.
     pub(crate) state: StateFile,
     /// When the state file was last tried again.
@@ -117,9 +118,10 @@ impl Collector {
                 self.status.setpoints.refuse(why);
             }
             // First of all: a controller outside waits for it.
-            self.state_lines.tick(&tick);
+            self.states.tick(&tick);
             let is_read = self.status.states.receiver_count() > 0;
-            let line = is_read.then(|| self.state_lines.line(&tick)).flatten();
+            let state = is_read.then(|| self.states.state(&tick));
+            let line = state.and_then(|state| serde_json::to_string(&state).ok());
             self.status.publish(line, |latest| {
                 for event in &tick.events {
                     if let Event::Proved(proved) = event {

@@ -19,6 +19,7 @@ use singletrack_core::{
     control_loop::ControlLoop,
     reconfigure::ChangeError,
     serial::ReaderCounters,
+    state_stream::States,
 };
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Reason};
@@ -42,7 +43,6 @@ use crate::{
     snapshot::Snapshot,
     socket::{BoundSocket, Drives, SetpointSource, SocketError, SocketThread},
     state_file::StateFile,
-    state_stream::StateLines,
     summary::{Figures, Summary},
     wake::StopFlag,
     wall_watch::WallWatch,
@@ -234,7 +234,7 @@ impl Daemon {
             record_dropped: 0,
             logged_mode: None,
             noise: DriveNoise::default(),
-            state_lines: StateLines::default(),
+            states: States::default(),
             state,
             state_tried_ns: 0,
             stop: Arc::clone(&daemon.collector_stop),

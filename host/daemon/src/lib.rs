@@ -35,7 +35,6 @@ mod serial_reader;
 mod shared_status;
 mod snapshot;
 mod state_file;
-mod state_stream;
 mod summary;
 mod system;
 mod wake;
@@ -50,8 +49,5 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::{Snapshot, TickView};
-pub use socket::{
-    Arm, Attendance, Command, ParseError, Question, Rejection, SetpointCommand, SetpointFigures,
-    SocketError,
-};
+pub use socket::{Arm, Attendance, Command, ParseError, Question, SetpointFigures, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

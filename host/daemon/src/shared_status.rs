@@ -7,13 +7,14 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, Topic};
 use tokio::sync::{Semaphore, broadcast};
 
-use crate::{
-    messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, state_stream::STATE_LINES,
-    summary::Tally,
-};
+use crate::{messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, summary::Tally};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
+
+/// The same of the states: 160 ms at 100 Hz. A controller has no use for an older state; who wants
+/// every tick watches `tick`.
+const STATE_CAPACITY: usize = 16;
 
 /// The largest number of control clients that watch at a time. It is less than their largest number:
 /// however many viewers watch, others may command.
@@ -57,7 +58,7 @@ impl SharedStatus {
             latest: Mutex::default(),
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
             messages: MessageFeed::new(clocks),
-            states: broadcast::Sender::new(STATE_LINES),
+            states: broadcast::Sender::new(STATE_CAPACITY),
             watch_places: Semaphore::new(WATCHERS),
             setpoints: SetpointCounters::default(),
         }

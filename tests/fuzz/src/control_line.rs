@@ -1,7 +1,8 @@
 //! Fuzz target: lines from clients of the control socket.
 
 use singletrack_control::Time;
-use singletrackd::{Command, SetpointCommand};
+use singletrack_core::setpoint::SetpointCommand;
+use singletrackd::Command;
 
 use crate::choices::Choices;
 

@@ -17,6 +17,7 @@ use singletrack_core::{
     controller::Controller,
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
+    setpoint::SetpointCommand,
 };
 use singletrack_pilot::{Jog, Mode, PilotRequest, Reason, Tuning};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
@@ -246,6 +247,11 @@ impl VirtualDrive {
     /// Gives an external reference its newest set-point.
     pub fn send_setpoint(&self, setpoint: &Setpoint) {
         self.host.parts().setpoints.send(setpoint);
+    }
+
+    /// Gives an external reference the set-point of a program.
+    pub fn pass_setpoint(&self, command: &SetpointCommand) {
+        self.host.parts().setpoints.pass(command);
     }
 
     /// Gives an external reference a trajectory in place of its set-point.

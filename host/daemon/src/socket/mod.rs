@@ -28,6 +28,6 @@ pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
 pub use command::{Arm, Attendance, Command, ParseError, Question};
 pub(crate) use drives::Drives;
-pub use setpoint::{Rejection, SetpointCommand, SetpointFigures};
+pub use setpoint::SetpointFigures;
 pub(crate) use setpoint::{SetpointCounters, SetpointSource};
 pub(crate) use thread::SocketThread;

@@ -30,7 +30,7 @@ use super::{
 };
 use crate::{
     clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
-    shared_status::WATCHERS, snapshot::Snapshot, state_stream::STATE_BUFFER,
+    shared_status::WATCHERS, snapshot::Snapshot,
 };
 
 /// The largest number of clients at a time.
@@ -44,6 +44,10 @@ pub(super) const WAITING: usize = 64;
 
 /// The longest wait for it.
 const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Bytes of the kernel's buffer of a reader of states; the kernel doubles it. It holds some six lines,
+/// which a reader that is slow gets before it learns how many it has missed.
+const STATE_BUFFER: usize = 4_096;
 
 /// A control thread whose last tick is older is stuck.
 const TICK_TIMEOUT: Duration = Duration::from_millis(500);

@@ -5,16 +5,17 @@ mod tests;
 
 use core::{str::FromStr, time::Duration};
 
-use singletrack_api::{Gain, Request, RequestError};
-use singletrack_control::Velocity;
+use singletrack_api::{Request, RequestError};
+use singletrack_control::{Time, Velocity};
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
+    setpoint::{Rejected, SetpointCommand},
 };
 use singletrack_pilot::{Jog, Tuning};
 use singletrack_record::{Channel, Topic};
 
-use super::setpoint::{self, Rejected, SetpointCommand, unreadable};
+use super::setpoint::unreadable;
 
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
@@ -186,13 +187,12 @@ impl Command {
                 serde_json::from_value(reference).map_err(|error| error.to_string())?,
             ),
             Request::Tune(tune) => Self::Tune(Tuning {
-                gain: tune.gain_per_s.map(|gain| match gain {
-                    Gain::Both(gain) => Velocity::new(gain, gain),
-                    Gain::Each([x, y]) => Velocity::new(x, y),
-                }),
+                gain: tune.gain_per_s.map(|gain| Velocity::from(gain.each())),
                 point_distance: tune.point_distance_m,
             }),
-            Request::Setpoint(setpoint) => Self::Setpoint(setpoint::parse(setpoint, now_ns)?),
+            Request::Setpoint(setpoint) => {
+                Self::Setpoint(SetpointCommand::of(setpoint, Time(now_ns))?)
+            }
             Request::Commissioned { procedure, result } => Self::Commissioned {
                 procedure: Procedure::named(&procedure).ok_or_else(|| {
                     format!(

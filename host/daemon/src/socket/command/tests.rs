@@ -3,7 +3,9 @@ use singletrack_control::{
     TrajectoryPoint, Velocity,
 };
 
-use super::{super::setpoint::Rejection, *};
+use singletrack_core::setpoint::Rejection;
+
+use super::*;
 
 const NOW: u64 = 1_000;
 

@@ -1,40 +1,21 @@
 //! Set-points of a client: the checks that need more than the line.
 
-mod keys;
 mod rejection;
 mod source;
 
 use core::sync::atomic::Ordering;
 
 use singletrack_api::Answer;
-use singletrack_control::{Setpoint, SetpointStamp, Time, Trajectory};
+use singletrack_control::Time;
+use singletrack_core::setpoint::{Rejected, Rejection, SetpointCommand};
 
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
 
-pub(super) use keys::parse;
 pub(crate) use rejection::SetpointCounters;
-pub(super) use rejection::{Rejected, unreadable};
-pub use rejection::{Rejection, SetpointFigures};
+pub use rejection::SetpointFigures;
+pub(super) use rejection::unreadable;
 pub(crate) use source::SetpointSource;
 use source::{Identity, Newest};
-
-/// A set-point of a client.
-#[derive(Clone, Debug, PartialEq)]
-pub enum SetpointCommand {
-    /// A velocity of P, or steering and speed.
-    Setpoint(Setpoint),
-    /// Points in time.
-    Trajectory(Box<Trajectory>),
-}
-
-impl SetpointCommand {
-    const fn stamp(&self) -> SetpointStamp {
-        match self {
-            Self::Setpoint(setpoint) => setpoint.stamp,
-            Self::Trajectory(trajectory) => trajectory.stamp,
-        }
-    }
-}
 
 /// The set-points of one connection.
 #[derive(Debug, Default)]
@@ -57,10 +38,7 @@ impl SetpointStream {
         if let Err(rejected) = self.admit(command, &mut newest, Time(monotonic_ns()), timeout) {
             return Some(reject(daemon, &rejected));
         }
-        match command {
-            SetpointCommand::Setpoint(setpoint) => daemon.setpoints.send(setpoint),
-            SetpointCommand::Trajectory(trajectory) => daemon.setpoints.send_trajectory(trajectory),
-        }
+        daemon.setpoints.pass(command);
         let counters = &daemon.status.setpoints;
         counters.accepted.fetch_add(1, Ordering::Relaxed);
         None
@@ -140,7 +118,7 @@ mod tests {
             sequence,
             ..Default::default()
         };
-        parse(keys, time.0).unwrap()
+        SetpointCommand::of(keys, time).unwrap()
     }
 
     /// What becomes of a set-point that was decided at `time` and is read at `now`.

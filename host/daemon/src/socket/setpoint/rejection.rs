@@ -1,87 +1,11 @@
-//! Why a set-point has no effect, and the count of those.
+//! The count of the set-points that have no effect.
 
-use core::{fmt, sync::atomic::AtomicU64};
+use core::sync::atomic::AtomicU64;
 use std::{collections::BTreeMap, sync::atomic::Ordering};
 
 use serde::Serialize;
-use singletrack_control::SetpointError;
+use singletrack_core::setpoint::Rejection;
 use singletrack_pilot::SetpointRefusal;
-
-/// Why a set-point has no effect, as a word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rejection {
-    /// The line is no set-point.
-    Invalid,
-    /// A value is infinite or not a number.
-    NotFinite,
-    /// A value is beyond that of any car, or a trajectory is not one.
-    OutOfRange,
-    /// It was decided later than now, or its trajectory begins too late.
-    Future,
-    /// It is older than the time-out, or its trajectory is over.
-    Old,
-    /// Its number is not above the last one of this connection.
-    Sequence,
-    /// Another connection gives the set-points.
-    OtherSource,
-    /// The reference in force is not external.
-    NotExternal,
-}
-
-impl Rejection {
-    const ALL: [Self; 8] = [
-        Self::Invalid,
-        Self::NotFinite,
-        Self::OutOfRange,
-        Self::Future,
-        Self::Old,
-        Self::Sequence,
-        Self::OtherSource,
-        Self::NotExternal,
-    ];
-
-    /// The word in answers and figures.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Invalid => "invalid",
-            Self::NotFinite => "not-finite",
-            Self::OutOfRange => "out-of-range",
-            Self::Future => "future",
-            Self::Old => "old",
-            Self::Sequence => "sequence",
-            Self::OtherSource => "other-source",
-            Self::NotExternal => "not-external",
-        }
-    }
-}
-
-impl From<SetpointError> for Rejection {
-    fn from(error: SetpointError) -> Self {
-        match error {
-            SetpointError::NotFinite => Self::NotFinite,
-            SetpointError::OutOfRange(_) | SetpointError::Incomplete => Self::OutOfRange,
-            SetpointError::Future => Self::Future,
-            SetpointError::Old | SetpointError::Superseded => Self::Old,
-        }
-    }
-}
-
-/// Why a set-point has no effect: the text of the answer and the word.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::socket) struct Rejected {
-    pub(in crate::socket) why: Rejection,
-    pub(in crate::socket) text: String,
-}
-
-impl Rejected {
-    pub(super) fn new(why: Rejection, text: impl fmt::Display) -> Self {
-        Self {
-            why,
-            text: text.to_string(),
-        }
-    }
-}
 
 /// Counts of set-points since the daemon started.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]

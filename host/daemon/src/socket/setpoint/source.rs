@@ -8,8 +8,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use singletrack_control::Time;
-
-use super::rejection::{Rejected, Rejection};
+use singletrack_core::setpoint::{Rejected, Rejection};
 
 /// The source of the set-points, shared by all connections.
 #[derive(Clone, Debug, Default)]

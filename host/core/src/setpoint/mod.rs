@@ -1,4 +1,6 @@
-//! The keys of a set-point, and the checks of their values.
+//! Set-points of a program: the keys of the control socket, and the checks of their values.
+
+mod rejection;
 
 use singletrack_api::Setpoint;
 use singletrack_control::{
@@ -6,47 +8,68 @@ use singletrack_control::{
     SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
 };
 
-use super::{
-    SetpointCommand,
-    rejection::{Rejected, Rejection},
-};
+pub use rejection::{Rejected, Rejection};
 
-/// The set-point of a line that was read at `now_ns`.
-pub(in crate::socket) fn parse(keys: Setpoint, now_ns: u64) -> Result<SetpointCommand, Rejected> {
-    let now = Time(now_ns);
-    let stamp = SetpointStamp {
-        time: keys.time_ns.map_or(now, Time),
-        sequence: keys.sequence,
-    };
-    let command = command(keys, stamp)?;
-    let checked = match &command {
-        SetpointCommand::Setpoint(setpoint) => setpoint.check(now, f64::INFINITY),
-        SetpointCommand::Trajectory(trajectory) => trajectory.check(now, f64::INFINITY),
-    };
-    checked.map_err(|error| {
-        let why = error.into();
-        match (error, &command) {
-            (SetpointError::Future, _) if stamp.time > now => Rejected::new(
-                why,
-                format_args!(
-                    "time_ns is {}: CLOCK_MONOTONIC of this computer says {now_ns}",
-                    stamp.time.0
+/// A set-point of a program.
+#[derive(Clone, Debug, PartialEq)]
+pub enum SetpointCommand {
+    /// A velocity of P, or steering and speed.
+    Setpoint(control::Setpoint),
+    /// Points in time.
+    Trajectory(Box<Trajectory>),
+}
+
+impl SetpointCommand {
+    /// The set-point with these keys that was received at `now`.
+    ///
+    /// # Errors
+    ///
+    /// The keys are no set-point, or a value of them is that of no car.
+    pub fn of(keys: Setpoint, now: Time) -> Result<Self, Rejected> {
+        let stamp = SetpointStamp {
+            time: keys.time_ns.map_or(now, Time),
+            sequence: keys.sequence,
+        };
+        let command = command(keys, stamp)?;
+        let checked = match &command {
+            SetpointCommand::Setpoint(setpoint) => setpoint.check(now, f64::INFINITY),
+            SetpointCommand::Trajectory(trajectory) => trajectory.check(now, f64::INFINITY),
+        };
+        checked.map_err(|error| {
+            let why = error.into();
+            match (error, &command) {
+                (SetpointError::Future, _) if stamp.time > now => Rejected::new(
+                    why,
+                    format_args!(
+                        "time_ns is {}: CLOCK_MONOTONIC of this computer says {}",
+                        stamp.time.0, now.0
+                    ),
                 ),
-            ),
-            (SetpointError::Future, _) => Rejected::new(
-                why,
-                format_args!(
-                    "the trajectory begins more than a second after now, which is {now_ns}"
+                (SetpointError::Future, _) => Rejected::new(
+                    why,
+                    format_args!(
+                        "the trajectory begins more than a second after now, which is {}",
+                        now.0
+                    ),
                 ),
-            ),
-            (SetpointError::Old, SetpointCommand::Trajectory(_)) => Rejected::new(
-                why,
-                format_args!("the trajectory ends before now, which is {now_ns}"),
-            ),
-            _ => Rejected::new(why, error),
+                (SetpointError::Old, SetpointCommand::Trajectory(_)) => Rejected::new(
+                    why,
+                    format_args!("the trajectory ends before now, which is {}", now.0),
+                ),
+                _ => Rejected::new(why, error),
+            }
+        })?;
+        Ok(command)
+    }
+
+    /// When it was decided, and its number.
+    #[must_use]
+    pub const fn stamp(&self) -> SetpointStamp {
+        match self {
+            Self::Setpoint(setpoint) => setpoint.stamp,
+            Self::Trajectory(trajectory) => trajectory.stamp,
         }
-    })?;
-    Ok(command)
+    }
 }
 
 fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Rejected> {

@@ -1,27 +1,19 @@
-//! The state stream: what a controller outside needs to know of a tick, as a line of JSON.
+//! The state stream: what a controller outside needs to know of a tick.
 
 use singletrack_api::{SetpointInForce, State};
 use singletrack_pilot::Event;
 use singletrack_record::TickRecord;
 
-/// Lines that a reader may be behind before it misses the oldest: 160 ms at 100 Hz. A
-/// controller has no use for an older state; who wants every tick watches `tick`.
-pub(crate) const STATE_LINES: usize = 16;
-
-/// Bytes of the kernel's buffer of a reader; the kernel doubles it. It holds some six lines,
-/// which a reader that is slow gets before it learns how many it has missed.
-pub(crate) const STATE_BUFFER: usize = 4_096;
-
-/// Makes the lines.
+/// Makes the states.
 #[derive(Debug, Default)]
-pub(crate) struct StateLines {
+pub struct States {
     first_ns: Option<u64>,
     board_ns: Option<u64>,
 }
 
-impl StateLines {
+impl States {
     /// Takes note of a tick; every one is passed in, also without readers.
-    pub(crate) fn tick(&mut self, tick: &TickRecord) {
+    pub fn tick(&mut self, tick: &TickRecord) {
         self.first_ns.get_or_insert(tick.pilot_time.0);
         for event in &tick.events {
             if let Event::Board(sample) = event {
@@ -30,13 +22,14 @@ impl StateLines {
         }
     }
 
-    /// The line of a tick.
-    pub(crate) fn line(&self, tick: &TickRecord) -> Option<String> {
+    /// The state of a tick.
+    #[must_use]
+    pub fn state(&self, tick: &TickRecord) -> State {
         let output = &tick.output;
         let estimate = output.estimate.as_ref();
         let now_ns = tick.pilot_time.0;
         let since = |ns: u64| now_ns.wrapping_sub(ns) as i64 as f64 * 1e-9;
-        let state = State {
+        State {
             topic: "state".into(),
             tick: tick.index,
             t: self.first_ns.map_or(0.0, since),
@@ -74,7 +67,6 @@ impl StateLines {
                 .and_then(|tuned| tuned.gain)
                 .map(|gain| [gain.x, gain.y]),
             point_distance: output.tuned.map(|tuned| tuned.point_distance),
-        };
-        serde_json::to_string(&state).ok()
+        }
     }
 }
