@@ -479,3 +479,17 @@ proptest! {
         prop_assert!(drive.clearance >= 0.0, "{drive:?}");
     }
 }
+
+#[test]
+fn a_filter_that_is_reset_forgets_the_drive_but_not_where_the_wheels_were_sent() {
+    let new = SafetyFilter::new(config(rectangle(2.0, 2.0))).unwrap();
+    let mut filter = new.clone();
+    for _ in 0..40 {
+        filter.observe(1.4, 0.3, BRAKING, PERIOD);
+    }
+    assert_ne!(filter, new);
+    filter.reset(0.0);
+    assert_eq!(filter, new);
+    filter.reset(0.2);
+    assert_ne!(filter, new);
+}
