@@ -13,8 +13,26 @@ use super::{
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct StopWatch {
     run: Option<Run>,
-    /// The decelerations of the last two stops, m/s².
-    measured: [Option<f64>; 2],
+    /// The last two stops.
+    measured: [Option<Measured>; 2],
+}
+
+/// A deceleration that was measured, m/s².
+#[derive(Clone, Copy, Debug)]
+struct Measured {
+    deceleration: f64,
+    /// What it was at most, with the error of the speed from which it was measured.
+    most: f64,
+}
+
+impl Measured {
+    /// Measured without that error.
+    const fn exactly(deceleration: f64) -> Self {
+        Self {
+            deceleration,
+            most: deceleration,
+        }
+    }
 }
 
 /// A stop that is underway.
@@ -141,6 +159,9 @@ const STANDS_BELOW: f64 = 0.05;
 const LONGER: f64 = 1.0;
 /// The lowest speed from which a stop measures the deceleration, m/s.
 const MEASURED_FROM: f64 = 0.25;
+/// The error of the estimated speed when it begins to fall, m/s: a deceleration v²/2s from a low
+/// speed is not known to a tenth.
+const SPEED_ERROR: f64 = 0.02;
 /// A stop below this share of the configured deceleration is weak...
 const WEAK: f64 = 0.9;
 /// ...and below this one is enough to refuse the next drive.
@@ -209,14 +230,15 @@ impl StopWatch {
         let both_weak = self
             .measured
             .iter()
-            .all(|measured| measured.is_some_and(|measured| measured < WEAK * braking));
-        both_weak || self.lowest() < TOO_WEAK * braking
+            .all(|measured| measured.is_some_and(|stop| stop.most < WEAK * braking));
+        let is_too_weak = |stop: &Measured| stop.most < TOO_WEAK * braking;
+        both_weak || self.measured.iter().flatten().any(is_too_weak)
     }
 
     /// The lowest deceleration of the last two stops, m/s².
     pub(crate) fn lowest(&self) -> f64 {
-        let [one, other] = self.measured.map(|value| value.unwrap_or(f64::INFINITY));
-        one.min(other)
+        let stops = self.measured.iter().flatten();
+        stops.fold(f64::INFINITY, |lowest, stop| lowest.min(stop.deceleration))
     }
 
     /// The deceleration to rely on, m/s²: as configured or as measured, whichever is lower.
@@ -283,14 +305,22 @@ impl StopWatch {
             // A ramp that the motor follows hides how the car slows down without it, and so
             // does a brake.
             let unbraked = ended.unbraked.roll_out();
-            verdict.measured = [Some(ended.roll_out), ended.free, unbraked]
+            let measured = [Some(ended.roll_out), ended.free, unbraked]
                 .into_iter()
                 .flatten()
                 .filter(|roll_out| ended.measures && roll_out.from() >= MEASURED_FROM)
-                .map(|roll_out| ended.share * roll_out.deceleration(left))
-                .reduce(f64::min);
-            if let Some(measured) = verdict.measured {
-                self.coasted(measured);
+                .map(|roll_out| {
+                    let deceleration = ended.share * roll_out.deceleration(left);
+                    let error = 1.0 + SPEED_ERROR / roll_out.from();
+                    Measured {
+                        deceleration,
+                        most: deceleration * error * error,
+                    }
+                })
+                .min_by(|one, other| one.deceleration.total_cmp(&other.deceleration));
+            if let Some(measured) = measured {
+                verdict.measured = Some(measured.deceleration);
+                self.note(measured);
             }
         }
         verdict
@@ -298,6 +328,10 @@ impl StopWatch {
 
     /// A measurement of the deceleration besides the stops, m/s².
     pub(crate) const fn coasted(&mut self, measured: f64) {
+        self.note(Measured::exactly(measured));
+    }
+
+    const fn note(&mut self, measured: Measured) {
         self.measured = [Some(measured), self.measured[0]];
     }
 }

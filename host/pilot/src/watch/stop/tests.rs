@@ -119,6 +119,25 @@ fn one_stop_a_little_too_weak_is_a_warning_and_the_second_refuses() {
 }
 
 #[test]
+fn the_error_of_the_speed_counts_for_the_car_and_not_for_what_is_relied_on() {
+    // A tenth is less than what the error of 0.3 m/s makes, and more than that of 1 m/s.
+    for (speed, share, weak) in [(0.3, 0.85, false), (1.0, 0.85, true), (0.3, 0.7, true)] {
+        let mut watch = StopWatch::default();
+        let mut measured = f64::INFINITY;
+        for _ in 0..2 {
+            let (_, stop) = stop(&mut watch, speed, |_| share * LIMITS.braking, all);
+            measured = measured.min(stop.unwrap());
+        }
+        assert!(
+            (measured / LIMITS.braking - share).abs() < 0.06,
+            "{measured}"
+        );
+        assert_eq!(watch.is_too_weak(LIMITS.braking), weak, "{speed} {share}");
+        assert_eq!(watch.relied_on(LIMITS.braking), measured);
+    }
+}
+
+#[test]
 fn a_car_that_follows_the_ramp_upward_obeys() {
     let mut watch = StopWatch::default();
     watch.begin(at(0), &all(1.0), 1.0, 1.0);
@@ -260,7 +279,7 @@ fn both_stops_below_nine_tenths_or_one_below_six_tenths_are_too_weak() {
     ] {
         let watch = StopWatch {
             run: None,
-            measured: [one, other],
+            measured: [one, other].map(|stop| stop.map(Measured::exactly)),
         };
         assert_eq!(watch.is_too_weak(2.0), weak, "{one:?} {other:?}");
     }
