@@ -128,6 +128,7 @@ struct Drive {
     /// The least distance of the centre of mass from a side, m.
     clearance: f64,
     changed: u32,
+    scaled: u32,
     stopped: u32,
     way: f64,
     lateral: f64,
@@ -174,13 +175,26 @@ fn drive(
             BRAKING,
             PERIOD,
         );
-        let filtered = filter.step(&input, &wanted, |law, velocity| {
+        let advance = |law: &mut LimitedLaw, velocity: &Velocity| {
             law.step(&estimate.motion(), estimate.speed, velocity, PERIOD)
-        });
+        };
+        let filtered = filter.step(&input, &wanted, advance);
         let velocity = match filtered {
             Filtered::Unchanged => Some(wanted),
             Filtered::Limited(velocity) | Filtered::Scaled(velocity) => {
                 result.changed += 1;
+                result.scaled += u32::from(matches!(filtered, Filtered::Scaled(_)));
+                // What it gives instead passes, and is no faster than any.
+                assert!(velocity.norm() <= config.max_speed + 1e-9, "{velocity:?}");
+                let again = match filter.step(&input, &velocity, advance) {
+                    Filtered::Unchanged => velocity,
+                    Filtered::Limited(again) | Filtered::Scaled(again) => again,
+                    Filtered::Stop => panic!("{velocity:?} for {wanted:?} does not pass"),
+                };
+                assert!(
+                    (again - velocity).norm() < 1e-6,
+                    "{again:?} of {velocity:?}"
+                );
                 Some(velocity)
             }
             Filtered::Stop => {
@@ -232,6 +246,36 @@ fn full_speed_at_a_wall_ends_before_it_and_not_far_from_it() {
         assert!(drive.clearance < 0.7, "{degrees} degrees: {drive:?}");
         assert!(drive.way > 1.5, "{degrees} degrees: {drive:?}");
     }
+}
+
+#[test]
+fn a_velocity_beyond_the_largest_speed_is_left_to_the_law_where_there_is_room() {
+    let mut car = Car::standing(Position::new(-15.0, 0.0), 0.0);
+    let drive = drive(&mut car, &config(rectangle(20.0, 20.0)), 800, |_, _, _| {
+        Velocity::new(4.0, 0.0)
+    });
+    assert_eq!((drive.changed, drive.stopped), (0, 0), "{drive:?}");
+    assert!(drive.way > 8.0, "{drive:?}");
+}
+
+#[test]
+fn a_velocity_from_which_no_stop_remains_is_scaled_before_the_car_is_stopped() {
+    let config = config(rectangle(2.0, 2.0));
+    let mut scaled = 0;
+    for kind in [Hostile::Bend, Hostile::BangBang, Hostile::Feint] {
+        for seed in 1..=5 {
+            let attack = Attack {
+                kind,
+                seed,
+                hold: 20,
+                size: 1.5,
+            }
+            .on(config.area.clone());
+            let mut car = Car::standing(Position::origin(), 0.3 * seed as f64);
+            scaled += drive(&mut car, &config, 1500, attack).scaled;
+        }
+    }
+    assert!(scaled > 100, "{scaled}");
 }
 
 #[test]
