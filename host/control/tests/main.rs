@@ -7,6 +7,7 @@ mod lqi;
 mod mpc;
 mod references;
 mod riccati;
+mod safety_answers;
 mod safety_filter;
 mod turn_round;
 mod vehicle_models;
