@@ -25,7 +25,6 @@ use crate::{
     drive_noise::DriveNoise,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
-    snapshot::TickView,
     state_file::StateFile,
     wall_watch::WallWatch,
 };
@@ -131,7 +130,7 @@ impl Collector {
                 if tick.output.proved {
                     latest.proved = Some(true);
                 }
-                latest.tick = Some(TickView::from(&tick));
+                latest.tick = Some(tick.without_events());
                 latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);

@@ -393,8 +393,11 @@ impl Daemon {
     /// The pilot's mode and reason after the last tick; disconnected before the first.
     #[must_use]
     pub fn mode(&self) -> (Mode, Option<Reason>) {
-        let tick = self.handle.status.latest().tick;
-        tick.map_or((Mode::Disconnected, None), |tick| (tick.mode, tick.reason))
+        let latest = self.handle.status.latest();
+        let output = latest.tick.as_ref().map(|tick| &tick.output);
+        output.map_or((Mode::Disconnected, None), |output| {
+            (output.mode, output.reason)
+        })
     }
 
     /// Whether the control thread has ended, on request or by a panic.

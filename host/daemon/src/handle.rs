@@ -40,7 +40,7 @@ impl DaemonHandle {
     pub(crate) fn snapshot(&self) -> Snapshot {
         let latest = self.status.latest();
         Snapshot {
-            tick: latest.tick,
+            tick: latest.tick.clone(),
             board: latest.board,
             board_status: latest.board_status,
             proved: latest.proved,

@@ -14,7 +14,7 @@ use crate::snapshot::Snapshot;
 
 /// Where the car stands by its estimate; `None` without one.
 pub(crate) fn stand(snapshot: &Snapshot) -> Option<Stand> {
-    let estimate = snapshot.tick?.estimate?;
+    let estimate = snapshot.output()?.estimate?;
     Some(Stand {
         x_m: estimate.position.x,
         y_m: estimate.position.y,

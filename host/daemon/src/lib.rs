@@ -48,6 +48,6 @@ pub use mocap_socket::MocapSocketError;
 pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
-pub use snapshot::{Snapshot, TickView};
+pub use snapshot::Snapshot;
 pub use socket::{Arm, Attendance, Command, ParseError, Question, SetpointFigures, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

@@ -4,10 +4,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::{ClockMapping, Topic};
+use singletrack_record::{ClockMapping, TickRecord, Topic};
 use tokio::sync::{Semaphore, broadcast};
 
-use crate::{messages::MessageFeed, snapshot::TickView, socket::SetpointCounters, summary::Tally};
+use crate::{messages::MessageFeed, socket::SetpointCounters, summary::Tally};
 
 /// Lines that a watcher may be behind before it misses some.
 const WATCH_CAPACITY: usize = 1_024;
@@ -23,7 +23,7 @@ pub(crate) const WATCHERS: usize = 24;
 /// The latest value of everything that the threads report.
 #[derive(Debug, Default)]
 pub(crate) struct Latest {
-    pub(crate) tick: Option<TickView>,
+    pub(crate) tick: Option<TickRecord<0>>,
     pub(crate) board: Option<(BoardMode, StopCause)>,
     pub(crate) board_status: Option<Status>,
     /// Whether the configuration in force is proved on this car; `None` before the board has

@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 use singletrack_api::{Board, Cameras, Command, Configuration, Tuning, Word};
-use singletrack_control::{Estimate, Position, ReferencePoint, SlowedBy};
+use singletrack_control::Position;
 use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
-use singletrack_pilot::{Filtering, Mode, Reason, Tuned};
+use singletrack_pilot::{Mode, Output, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
-use singletrack_record::{LinkPhase, TickRecord};
+use singletrack_record::TickRecord;
 
 use crate::{realtime::RealTimeStatus, summary::Figures};
 
@@ -14,8 +14,8 @@ use crate::{realtime::RealTimeStatus, summary::Figures};
 /// figures so far.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// The last tick; `None` before the first.
-    pub tick: Option<TickView>,
+    /// The last tick, without its events; `None` before the first.
+    pub tick: Option<TickRecord<0>>,
     /// The board's own mode and the cause of its last stop, from its last telemetry.
     pub board: Option<(BoardMode, StopCause)>,
     /// The last status message of the board.
@@ -39,92 +39,29 @@ pub struct Snapshot {
     pub record_error: Option<String>,
 }
 
-/// The result of a tick, without its events.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TickView {
-    /// The number of the tick, from 0.
-    pub index: u64,
-    /// When the tick began, on `CLOCK_MONOTONIC`.
-    pub start_ns: u64,
-    /// The pilot's mode after the tick.
-    pub mode: Mode,
-    /// Why the car does not drive, or stopped.
-    pub reason: Option<Reason>,
-    /// Why an arm request would be refused now; `None` if it would not.
-    pub preflight: Option<Reason>,
-    /// The phase of the session with the board.
-    pub link: LinkPhase,
-    /// Whether no pose was accepted since the last tick.
-    pub held: bool,
-    /// Time since the first driving tick, in s; `None` outside a drive.
-    pub drive_time_s: Option<f64>,
-    /// How far ahead the state was predicted to which the command belongs, in s.
-    pub looked_ahead_s: Option<f64>,
-    /// What the safety filter did in the tick.
-    pub filtering: Filtering,
-    /// The number of ticks of the drive, or of the last one, in which it did anything.
-    pub filtered_ticks: u32,
-    /// The values in force of what can be tuned; `None` if nothing can.
-    pub tuned: Option<Tuned>,
-    /// The path parameter of the reference, in s; `None` outside a drive.
-    pub path_s: Option<f64>,
-    /// Why the reference is slowed down.
-    pub slowed_by: Option<SlowedBy>,
-    /// The estimated state that the tick acted on.
-    pub estimate: Option<Estimate>,
-    /// Position of P, in m.
-    pub point: Option<Position>,
-    /// Wanted position and velocity of P.
-    pub reference: Option<ReferencePoint>,
-    /// Steering after the limits, in rad.
-    pub steering_rad: f64,
-    /// Speed of G after the limits, in m/s.
-    pub speed_m_s: f64,
-}
-
-impl From<&TickRecord> for TickView {
-    fn from(tick: &TickRecord) -> Self {
-        let output = &tick.output;
-        Self {
-            index: tick.index,
-            start_ns: tick.start_ns,
-            mode: output.mode,
-            reason: output.reason,
-            preflight: output.preflight,
-            link: tick.link,
-            held: output.held,
-            drive_time_s: output.drive_time,
-            looked_ahead_s: output.looked_ahead,
-            filtering: output.filtering,
-            filtered_ticks: output.filtered_ticks,
-            tuned: output.tuned,
-            path_s: output.path,
-            slowed_by: output.slowed_by,
-            estimate: output.estimate,
-            point: output.point,
-            reference: output.reference,
-            steering_rad: output.actuation.steering,
-            speed_m_s: output.actuation.speed,
-        }
-    }
-}
-
 impl Snapshot {
+    /// What the pilot decided in the last tick.
+    #[must_use]
+    pub fn output(&self) -> Option<&Output> {
+        self.tick.as_ref().map(|tick| &tick.output)
+    }
+
     /// The pilot's mode; disconnected before the first tick.
     #[must_use]
     pub fn mode(&self) -> Mode {
-        self.tick.map_or(Mode::Disconnected, |tick| tick.mode)
+        self.output()
+            .map_or(Mode::Disconnected, |output| output.mode)
     }
 
     /// Why the car does not drive, or stopped.
     #[must_use]
     pub fn reason(&self) -> Option<Reason> {
-        self.tick.and_then(|tick| tick.reason)
+        self.output().and_then(|output| output.reason)
     }
 
     /// The status as the control socket gives it.
     pub(crate) fn status(&self) -> singletrack_api::Status {
-        let tick = self.tick.as_ref();
+        let output = self.output();
         singletrack_api::Status {
             board: self.board.map(|(mode, cause)| Board {
                 battery_mv: self.board_status.map(|status| status.battery_mv),
@@ -137,14 +74,14 @@ impl Snapshot {
                 neighbour: self.cameras.neighbour.clone(),
                 text: self.cameras.text.clone(),
             },
-            command: tick.map(|tick| Command {
-                speed_m_s: tick.speed_m_s,
-                steering_rad: tick.steering_rad,
+            command: output.map(|output| Command {
+                speed_m_s: output.actuation.speed,
+                steering_rad: output.actuation.steering,
             }),
             commissioned: self.commissioned.clone(),
             configuration: self.configuration.clone(),
-            drive_time_s: tick.and_then(|tick| tick.drive_time_s),
-            estimate: tick.and_then(|tick| tick.estimate).map(|estimate| {
+            drive_time_s: output.and_then(|output| output.drive_time),
+            estimate: output.and_then(|output| output.estimate).map(|estimate| {
                 singletrack_api::Estimate {
                     pose_age_ms: estimate.pose_age() * 1_000.0,
                     sideslip_rad: estimate.sideslip,
@@ -156,24 +93,26 @@ impl Snapshot {
                 }
             }),
             figures: json!(self.figures),
-            filtered_ticks: tick.map(|tick| tick.filtered_ticks),
-            filtering: tick.map(|tick| tick.filtering.name().into()),
-            held: tick.map(|tick| tick.held),
-            link: tick.map(|tick| tick.link.name().into()),
+            filtered_ticks: output.map(|output| output.filtered_ticks),
+            filtering: output.map(|output| output.filtering.name().into()),
+            held: output.map(|output| output.held),
+            link: self.tick.as_ref().map(|tick| tick.link.name().into()),
             live: None,
-            looked_ahead_s: tick.and_then(|tick| tick.looked_ahead_s),
+            looked_ahead_s: output.and_then(|output| output.looked_ahead),
             mode: self.mode().name().into(),
             page: None,
-            path_s: tick.and_then(|tick| tick.path_s),
-            point_m: tick.and_then(|tick| tick.point).map(place),
-            preflight: word(tick.and_then(|tick| tick.preflight)),
+            path_s: output.and_then(|output| output.path),
+            point_m: output.and_then(|output| output.point).map(place),
+            preflight: word(output.and_then(|output| output.preflight)),
             proved: self.proved,
             realtime: json!(self.realtime),
             reason: word(self.reason()),
             record_error: self.record_error.clone(),
-            reference_m: tick.and_then(|tick| tick.reference?.position).map(place),
-            slowed_by: tick
-                .and_then(|tick| tick.slowed_by)
+            reference_m: output
+                .and_then(|output| output.reference?.position)
+                .map(place),
+            slowed_by: output
+                .and_then(|output| output.slowed_by)
                 .map(|slowed_by| slowed_by.name().into()),
             tuning: self.tuning(),
         }
@@ -182,7 +121,7 @@ impl Snapshot {
     /// What is tuned, and within which bounds; `None` if nothing can be.
     fn tuning(&self) -> Option<Tuning> {
         let rule = &self.tuning;
-        let tuned = self.tick.and_then(|tick| tick.tuned)?;
+        let tuned = self.output()?.tuned?;
         let bounds = rule.bounds?;
         Some(Tuning {
             bounds: Some(singletrack_api::TuningBounds {
@@ -225,8 +164,10 @@ fn word(reason: Option<Reason>) -> Option<Word> {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_control::{Time, Velocity};
+    use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy, Time, Velocity};
     use singletrack_core::Config;
+    use singletrack_pilot::Filtering;
+    use singletrack_record::LinkPhase;
 
     use super::*;
     use singletrack_api::Change;
@@ -240,41 +181,52 @@ mod tests {
         config.tuning.point_distance_m = Some([0.3, 0.5]);
         let velocity = Velocity::new(0.5, -0.25);
         Snapshot {
-            tick: Some(TickView {
+            tick: Some(TickRecord {
                 index: 7,
+                scheduled_ns: 0,
                 start_ns: 1_000,
-                mode: Mode::Driving,
-                reason: Some(Reason::NoPose),
-                preflight: Some(Reason::BatteryLow),
+                finish_ns: 0,
+                skipped: 0,
+                pilot_time: Time(0),
+                events: Default::default(),
+                events_dropped: 0,
+                output: Output {
+                    reason: Some(Reason::NoPose),
+                    preflight: Some(Reason::BatteryLow),
+                    drive_time: Some(1.25),
+                    looked_ahead: Some(0.0625),
+                    filtering: Filtering::Scaled,
+                    filtered_ticks: 3,
+                    tuned: Some(Tuned {
+                        gain: Some(Velocity::new(2.0, 1.5)),
+                        point_distance: 0.375,
+                        wanted_point_distance: 0.5,
+                    }),
+                    path: Some(4.5),
+                    slowed_by: Some(SlowedBy::Tyres),
+                    estimate: Some(Estimate {
+                        time: Time(20_000_000),
+                        position: Position::new(1.0, -2.0),
+                        yaw: 0.5,
+                        yaw_rate: 0.25,
+                        sideslip: 0.125,
+                        speed: 0.75,
+                        pose_time: Time(10_000_000),
+                    }),
+                    point: Some(Position::new(1.5, -1.5)),
+                    reference: Some(ReferencePoint {
+                        position: Some(Position::new(1.25, -1.0)),
+                        velocity,
+                    }),
+                    actuation: Actuation {
+                        steering: 0.0625,
+                        speed: 0.5,
+                        steering_rate: 0.0,
+                    },
+                    ..Output::neutral(Mode::Driving)
+                },
+                drive: None,
                 link: LinkPhase::Configuring,
-                held: true,
-                drive_time_s: Some(1.25),
-                looked_ahead_s: Some(0.0625),
-                filtering: Filtering::Scaled,
-                filtered_ticks: 3,
-                tuned: Some(Tuned {
-                    gain: Some(Velocity::new(2.0, 1.5)),
-                    point_distance: 0.375,
-                    wanted_point_distance: 0.5,
-                }),
-                path_s: Some(4.5),
-                slowed_by: Some(SlowedBy::Tyres),
-                estimate: Some(Estimate {
-                    time: Time(20_000_000),
-                    position: Position::new(1.0, -2.0),
-                    yaw: 0.5,
-                    yaw_rate: 0.25,
-                    sideslip: 0.125,
-                    speed: 0.75,
-                    pose_time: Time(10_000_000),
-                }),
-                point: Some(Position::new(1.5, -1.5)),
-                reference: Some(ReferencePoint {
-                    position: Some(Position::new(1.25, -1.0)),
-                    velocity,
-                }),
-                steering_rad: 0.0625,
-                speed_m_s: 0.5,
             }),
             board: Some((BoardMode::Neutral, StopCause::Disarmed)),
             board_status: None,

@@ -40,6 +40,12 @@ pub struct TickRecord<const EVENTS: usize = MAX_EVENTS> {
 }
 
 impl<const EVENTS: usize> TickRecord<EVENTS> {
+    /// The same tick without its events.
+    #[must_use]
+    pub const fn without_events(&self) -> TickRecord<0> {
+        self.with_events(heapless::Vec::new())
+    }
+
     /// The same tick with these events instead of its own.
     pub(crate) const fn with_events<const OTHERS: usize>(
         &self,
@@ -139,31 +145,8 @@ pub(crate) mod tests {
             events: heapless::Vec::new(),
             events_dropped: 0,
             output: Output {
-                mode: Mode::Disconnected,
                 reason: Some(Reason::LinkDown),
-                estimate: None,
-                held: true,
-                drive_time: None,
-                reference: None,
-                point: None,
-                point_velocity: None,
-                actuation: Actuation::default(),
-                turning_round: false,
-                looked_ahead: None,
-                path: None,
-                slowed_by: None,
-                command: None,
-                request: None,
-                proved: false,
-                disproved: false,
-                braking_measured: None,
-                setpoint_refused: None,
-                filtering: Filtering::None,
-                filtered_ticks: 0,
-                tuned: None,
-                preflight: None,
-                jog: None,
-                setpoint: None,
+                ..Output::neutral(Mode::Disconnected)
             },
             drive: None,
             link: LinkPhase::Greeting,

@@ -66,7 +66,7 @@ impl TickInput {
         room.fill_from_iter(tick.events.iter().copied());
         // Pushed last: a reader that sees the head sees the events as well.
         let head = Head {
-            tick: tick.with_events(heapless::Vec::new()),
+            tick: tick.without_events(),
             events: tick.events.len(),
         };
         self.heads.push(Some(head)).is_ok()

@@ -71,7 +71,7 @@ pub(super) async fn begin(
         let (number, config) = judged.reconfigurer.in_force();
         let snapshot = judged.snapshot();
         let stand = judgement::stand(&snapshot);
-        let tuned = snapshot.tick.and_then(|tick| tick.tuned);
+        let tuned = snapshot.output().and_then(|output| output.tuned);
         let refusal = (!uncalibrated)
             .then(|| judged.commissioned.refusal(&config))
             .flatten();

@@ -7,7 +7,7 @@
 use std::{io, time::Duration};
 
 use singletrack_api::{Answer, Drive, Ended, Reply, SOCKET_VERSION};
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     task::yield_now,
@@ -24,7 +24,7 @@ use super::{
     stream::{ReadHalf, WriteHalf},
     tune::tune,
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::TickView};
+use crate::{clock::monotonic_ns, handle::DaemonHandle};
 
 /// The most frequent renewals that are passed on: a flood must not fill the ring of requests.
 const LEAST_RENEWAL: Duration = Duration::from_millis(20);
@@ -151,8 +151,8 @@ async fn serve_drive(
                 }
                 if was_driving && reported.elapsed() >= REPORT {
                     reported = Instant::now();
-                    if let Some(tick) = snapshot.tick {
-                        send(write, &report(&tick)).await?;
+                    if let Some(output) = snapshot.output() {
+                        send(write, &report(output)).await?;
                     }
                 }
                 continue;
@@ -212,13 +212,13 @@ async fn serve_drive(
 }
 
 /// The report of a drive in progress.
-fn report(tick: &TickView) -> Reply {
+fn report(output: &Output) -> Reply {
     Reply::Drive {
         drive: Drive {
-            drive_time_s: tick.drive_time_s,
-            mode: tick.mode.name().into(),
-            reason: tick.reason.map(|reason| reason.name().into()),
-            speed_m_s: tick.estimate.map(|estimate| estimate.speed),
+            drive_time_s: output.drive_time,
+            mode: output.mode.name().into(),
+            reason: output.reason.map(|reason| reason.name().into()),
+            speed_m_s: output.estimate.map(|estimate| estimate.speed),
         },
         version: SOCKET_VERSION,
     }

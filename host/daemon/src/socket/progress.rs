@@ -43,18 +43,19 @@ impl DriveWatch {
     }
 
     pub(super) fn progress(&mut self, snapshot: &Snapshot) -> Progress {
-        let Some(tick) = snapshot.tick else {
+        let Some(tick) = &snapshot.tick else {
             return Progress::Underway;
         };
+        let (mode, reason) = (tick.output.mode, tick.output.reason);
         if self.has_driven {
-            return match tick.mode {
+            return match mode {
                 Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault => {
-                    Progress::Ended(tick.mode, tick.reason)
+                    Progress::Ended(mode, reason)
                 }
                 _ => Progress::Underway,
             };
         }
-        match arm_outcome(self.asked_ns, tick.start_ns, tick.mode, tick.reason) {
+        match arm_outcome(self.asked_ns, tick.start_ns, mode, reason) {
             Some(Ok(())) => self.has_driven = true,
             Some(Err(error)) => return Progress::Refused(error),
             None if self.asked.elapsed() > ARM_TIMEOUT => {

@@ -371,7 +371,7 @@ pub(super) fn arm_outcome(
 /// Why a pilot that is not ready can't be armed: the reason of now, and not the one for which
 /// the last drive ended. If the cameras give no pose, the cause is added.
 pub(super) fn not_ready(snapshot: &Snapshot) -> String {
-    let now = snapshot.tick.and_then(|tick| tick.preflight);
+    let now = snapshot.output().and_then(|output| output.preflight);
     let error = cannot_arm(snapshot.mode(), now.or(snapshot.reason()));
     let is_about_poses = matches!(
         now,

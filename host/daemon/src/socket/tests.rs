@@ -7,9 +7,10 @@ use core::{
 use std::sync::{Arc, mpsc};
 
 use rtrb::{Consumer, RingBuffer};
+use singletrack_control::Time;
 use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
-use singletrack_pilot::{Filtering, Mode, PilotRequest};
-use singletrack_record::LinkPhase;
+use singletrack_pilot::{Mode, Output, PilotRequest};
+use singletrack_record::{LinkPhase, TickRecord};
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
     net::UnixStream,
@@ -26,7 +27,6 @@ use super::{
 use crate::{
     clock::monotonic_ns, commissioned_file::CommissionedFile, handle::DaemonHandle,
     realtime::RealTimeStatus, reconfigure::Reconfigurer, shared_status::SharedStatus,
-    snapshot::TickView,
 };
 
 const UNATTENDED: Arm = Arm {
@@ -90,26 +90,18 @@ impl Bench {
 
     /// The pilot has this mode after a tick.
     fn tick(&self, mode: Mode) {
-        self.daemon.status.latest().tick = Some(TickView {
+        self.daemon.status.latest().tick = Some(TickRecord {
             index: 0,
+            scheduled_ns: 0,
             start_ns: monotonic_ns(),
-            mode,
-            reason: None,
-            preflight: None,
+            finish_ns: 0,
+            skipped: 0,
+            pilot_time: Time(0),
+            events: Default::default(),
+            events_dropped: 0,
+            output: Output::neutral(mode),
+            drive: None,
             link: LinkPhase::Ready,
-            held: false,
-            drive_time_s: None,
-            looked_ahead_s: None,
-            filtering: Filtering::None,
-            filtered_ticks: 0,
-            tuned: None,
-            path_s: None,
-            slowed_by: None,
-            estimate: None,
-            point: None,
-            reference: None,
-            steering_rad: 0.0,
-            speed_m_s: 0.0,
         });
     }
 

@@ -27,7 +27,7 @@ pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
 }
 
 async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String> {
-    let before = daemon.snapshot().tick.and_then(|tick| tick.tuned);
+    let before = daemon.snapshot().output().and_then(|output| output.tuned);
     let rule = daemon.reconfigurer.tuning_rule();
     rule.check(&tuning, before.as_ref())
         .map_err(|error| error.to_string())?;
@@ -39,7 +39,7 @@ async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String
         // A tick that began before the request may not have seen it.
         let tick = daemon.snapshot().tick;
         if let Some(tick) = tick.filter(|tick| tick.start_ns > asked_ns) {
-            let tuned = tick.tuned.filter(|tuned| tuned.has(&tuning));
+            let tuned = tick.output.tuned.filter(|tuned| tuned.has(&tuning));
             if let Some(tuned) = tuned {
                 tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
             }

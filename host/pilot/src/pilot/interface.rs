@@ -138,6 +138,40 @@ pub struct Output {
     pub tuned: Option<Tuned>,
 }
 
+impl Output {
+    /// The output of a pilot that has no estimate and commands nothing.
+    #[must_use]
+    pub fn neutral(mode: Mode) -> Self {
+        Self {
+            mode,
+            reason: None,
+            estimate: None,
+            held: true,
+            drive_time: None,
+            reference: None,
+            point: None,
+            point_velocity: None,
+            actuation: Actuation::default(),
+            turning_round: false,
+            looked_ahead: None,
+            path: None,
+            slowed_by: None,
+            command: None,
+            jog: None,
+            request: None,
+            proved: false,
+            disproved: false,
+            braking_measured: None,
+            preflight: None,
+            setpoint: None,
+            setpoint_refused: None,
+            filtering: Filtering::None,
+            filtered_ticks: 0,
+            tuned: None,
+        }
+    }
+}
+
 /// The configuration was not replaced because a drive is underway, in this mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the car drives (mode {0}): disarm it first")]

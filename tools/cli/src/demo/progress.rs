@@ -32,7 +32,7 @@ impl Progress {
 
     pub(super) fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, snapshot: &Snapshot) {
         self.bar.set_position((time * 1000.0) as u64);
-        let held = snapshot.tick.is_some_and(|tick| tick.held);
+        let held = snapshot.output().is_some_and(|output| output.held);
         self.bar.set_message(format!(
             // 80 columns wide, with the bar.
             "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
