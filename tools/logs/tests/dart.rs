@@ -82,7 +82,7 @@ fn the_car_drives_while_the_dead_mans_switch_is_held_and_steers_as_commanded() {
 #[test]
 fn the_table_of_the_steering_is_the_curve_of_the_authors() {
     let map = Map::from_toml(MAP, Path::new("dart-map.toml")).unwrap();
-    let steering = map.steering.map();
+    let steering = &map.steering;
     let shift = 0.0030 - 0.03;
     for step in -10_000..=10_000 {
         let command = f64::from(step) / 10_000.0;

@@ -1,6 +1,7 @@
 //! The sensors and commands of a log, column by column.
 
 use super::{
+    error::ImportError,
     log::Log,
     map::{ImuSection, Map, MotorSection, nanoseconds},
     row::{Header, Place, Row},
@@ -20,7 +21,7 @@ pub(super) struct Columns<'a> {
 
 impl<'a> Columns<'a> {
     /// Finds the columns that the map names.
-    pub(super) fn find<H: Header>(header: &mut H, map: &'a Map) -> Result<Self, H::Error> {
+    pub(super) fn find(header: &mut impl Header, map: &'a Map) -> Result<Self, ImportError> {
         Ok(Self {
             poses: Poses::find(header, &map.pose)?,
             imu: map
@@ -58,7 +59,7 @@ impl<'a> Columns<'a> {
     }
 
     /// Takes what a row has.
-    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+    pub(super) fn take(&mut self, row: &impl Row, time_ns: u64) -> Result<(), ImportError> {
         self.poses.take(row, time_ns)?;
         if let Some(imu) = &mut self.imu {
             imu.take(row, time_ns)?;
@@ -76,20 +77,19 @@ impl<'a> Columns<'a> {
 
     /// What the rows say.
     pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64) -> Log {
-        let held = |sensor: Sensor<1>| Series::new(sensor.into_samples(), None);
+        let held = |sensor: Sensor<1>| Series::new(sensor.samples, None);
         let inertial = self.imu.zip(map.imu.as_ref());
-        let angle = map.steering.map();
-        let mut steering = self.steering.into_samples();
+        let mut steering = self.steering.samples;
         for sample in &mut steering {
-            sample.values = sample.values.map(|command| angle.angle(command));
+            sample.values = sample.values.map(|command| map.steering.angle(command));
         }
         Log {
             start_wall_ns,
             end_ns,
-            poses: self.poses.into_poses(),
+            poses: self.poses.poses,
             inertial: inertial
-                .map(|(sensor, imu)| Series::new(sensor.into_samples(), imu.interpolation())),
-            motor_speed: Series::new(self.motor.into_samples(), map.motor.interpolation()),
+                .map(|(sensor, imu)| Series::new(sensor.samples, imu.interpolation())),
+            motor_speed: Series::new(self.motor.samples, map.motor.interpolation()),
             steering: Series::new(steering, None),
             speed_command: self.speed_command.map(held),
             driving: self.driving.map(|driving| driving.changes),
@@ -102,7 +102,7 @@ impl<'a> Columns<'a> {
     }
 }
 
-fn inertial<H: Header>(header: &mut H, section: &ImuSection) -> Result<Sensor<3>, H::Error> {
+fn inertial(header: &mut impl Header, section: &ImuSection) -> Result<Sensor<3>, ImportError> {
     let messages = section.messages();
     let forward = &section.forward_acceleration;
     let left = &section.left_acceleration;
@@ -115,7 +115,7 @@ fn inertial<H: Header>(header: &mut H, section: &ImuSection) -> Result<Sensor<3>
     Ok(Sensor::new(columns, changes, nanoseconds(section.delay_s)))
 }
 
-fn motor<H: Header>(header: &mut H, section: &MotorSection) -> Result<Sensor<1>, H::Error> {
+fn motor(header: &mut impl Header, section: &MotorSection) -> Result<Sensor<1>, ImportError> {
     let messages = section.messages();
     let column = Column::find(header, "motor.speed", messages, &section.speed)?;
     let changes = header.find_if(
@@ -133,7 +133,7 @@ struct Driving {
 }
 
 impl Driving {
-    fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+    fn take(&mut self, row: &impl Row, time_ns: u64) -> Result<(), ImportError> {
         if !row.has(self.place) || row.is_empty(self.place) {
             return Ok(());
         }

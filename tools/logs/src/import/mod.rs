@@ -21,6 +21,7 @@ mod board;
 mod columns;
 mod csv_log;
 mod decimal;
+mod error;
 mod log;
 mod map;
 mod row;
@@ -29,23 +30,17 @@ mod sensor;
 mod summary;
 mod timeline;
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, fs, path::Path};
 
-use singletrack_record::{ClockMapping, Entry, Meta, RecordError, Recorder, part_path};
+use singletrack_record::{ClockMapping, Entry, Meta, Recorder, part_path};
 
-pub use bag::{BagError, Message};
-pub use csv_log::{Cell, CsvError, TimeFault};
+pub use error::ImportError;
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
-    ImuSection, Length, Map, MapError, MotorSection, PoseSection, Quantity, Speed, SteeringMap,
-    SteeringSection, TimeSection, TimeUnit,
+    ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,
+    TimeSection, TimeUnit,
 };
 pub use summary::Summary;
-pub use timeline::TooManyEvents;
 
 use log::Log;
 use timeline::Timeline;
@@ -56,31 +51,6 @@ pub const FIRST_ROW_NS: u64 = 1_000_000_000;
 
 /// The name of the software in the metadata of a record.
 pub const SOFTWARE: &str = "singletrack-import";
-
-/// Why a log was not imported.
-#[derive(Debug, thiserror::Error)]
-pub enum ImportError {
-    /// The map.
-    #[error(transparent)]
-    Map(#[from] MapError),
-    /// The log, a CSV file.
-    #[error(transparent)]
-    Csv(#[from] CsvError),
-    /// The log, a bag.
-    #[error(transparent)]
-    Bag(#[from] BagError),
-    /// A tick can't hold its events.
-    #[error("{}: {source}", path.display())]
-    Events {
-        /// The log.
-        path: PathBuf,
-        /// When.
-        source: TooManyEvents,
-    },
-    /// The record.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-}
 
 /// Makes the record `out` of `log`, as the map in the file `map` says. A folder is a bag, and so is a file
 /// that ends in `.mcap` or `.db3`; any other file is a CSV file.
@@ -127,10 +97,10 @@ fn read(log: &Path, map: &Path) -> Result<Log, ImportError> {
     let is_bag = bag::is_bag(log);
     let contents = Map::read(map)?;
     contents.check_kind(is_bag, map)?;
-    Ok(match is_bag {
-        true => bag::read(log, &contents)?,
-        false => csv_log::read(log, &contents)?,
-    })
+    match is_bag {
+        true => bag::read(log, &contents),
+        false => csv_log::read(log, &contents),
+    }
 }
 
 fn write(
@@ -141,10 +111,8 @@ fn write(
 ) -> Result<Summary, ImportError> {
     let mut timeline = Timeline::new(contents);
     let ticks = timeline.ticks();
-    while let Some(tick) = timeline.next_tick().map_err(|source| ImportError::Events {
-        path: path.to_owned(),
-        source,
-    })? {
+    let failed = |why| ImportError::file(path, format!(": {why}"));
+    while let Some(tick) = timeline.next_tick().map_err(failed)? {
         for observation in timeline.arrived() {
             recorder.write(&Entry::Pose(*observation))?;
         }

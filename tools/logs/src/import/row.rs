@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::map::Messages;
+use super::{error::ImportError, map::Messages};
 
 /// The place of a column in the rows of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,16 +15,13 @@ pub(super) struct Place {
 
 /// The columns of a log.
 pub(super) trait Header {
-    /// Why a column is not found.
-    type Error;
-
     /// The place of the column, or the field of the section's messages, that `key` in the map names.
     fn find(
         &mut self,
         key: &'static str,
         messages: Messages<'_>,
         column: &str,
-    ) -> Result<Place, Self::Error>;
+    ) -> Result<Place, ImportError>;
 
     /// As [`find`](Self::find), of a key that may be left out.
     fn find_if(
@@ -32,7 +29,7 @@ pub(super) trait Header {
         key: &'static str,
         messages: Messages<'_>,
         column: &Option<String>,
-    ) -> Result<Option<Place>, Self::Error> {
+    ) -> Result<Option<Place>, ImportError> {
         let column = column.as_ref();
         column
             .map(|column| self.find(key, messages, column))
@@ -42,9 +39,6 @@ pub(super) trait Header {
 
 /// A row of a log.
 pub(super) trait Row {
-    /// Why a value can't be used.
-    type Error;
-
     /// Whether the row has a column at this place.
     fn has(&self, place: Place) -> bool;
 
@@ -55,13 +49,22 @@ pub(super) trait Row {
     fn text(&self, place: Place) -> Cow<'_, str>;
 
     /// A number, which need not be finite; not a number where there is no value.
-    fn number(&self, place: Place) -> Result<f64, Self::Error>;
+    fn number(&self, place: Place) -> Result<f64, ImportError>;
+
+    /// The error of a value that is not what is expected.
+    fn wrong(&self, place: Place, expected: &str) -> ImportError;
 
     /// A finite number.
-    fn finite(&self, place: Place) -> Result<f64, Self::Error>;
+    fn finite(&self, place: Place) -> Result<f64, ImportError> {
+        let number = self.number(place)?;
+        match number.is_finite() {
+            true => Ok(number),
+            false => Err(self.wrong(place, "a finite number")),
+        }
+    }
 
     /// Whether a value is neither 0 nor `false`.
-    fn flag(&self, place: Place) -> Result<bool, Self::Error>;
+    fn flag(&self, place: Place) -> Result<bool, ImportError>;
 
     /// Whether there is no value at any of these places.
     fn are_empty<const N: usize>(&self, places: [Place; N]) -> bool {

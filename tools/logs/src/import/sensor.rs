@@ -3,6 +3,7 @@
 use singletrack_control::{direction, wrap};
 
 use super::{
+    error::ImportError,
     log::{LoggedPose, LoggedState},
     map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
@@ -53,12 +54,12 @@ pub(super) struct Column {
 
 impl Column {
     /// The column of the quantity that is at `key` in the map.
-    pub(super) fn find<D, H: Header>(
-        header: &mut H,
+    pub(super) fn find<D>(
+        header: &mut impl Header,
         key: &'static str,
         messages: Messages<'_>,
         quantity: &Quantity<D>,
-    ) -> Result<Self, H::Error> {
+    ) -> Result<Self, ImportError> {
         Ok(Self {
             place: header.find(key, messages, quantity.column())?,
             conversion: quantity.conversion(),
@@ -74,12 +75,12 @@ impl Column {
     }
 
     /// The number in SI units, which need not be finite.
-    fn number<R: Row>(&self, row: &R) -> Result<f64, R::Error> {
+    fn number(&self, row: &impl Row) -> Result<f64, ImportError> {
         Ok(self.conversion.si(row.number(self.place)?))
     }
 
     /// The number in SI units.
-    fn finite<R: Row>(&self, row: &R) -> Result<f64, R::Error> {
+    fn finite(&self, row: &impl Row) -> Result<f64, ImportError> {
         Ok(self.conversion.si(row.finite(self.place)?))
     }
 }
@@ -89,7 +90,7 @@ pub(super) struct Sensor<const N: usize> {
     columns: [Column; N],
     new_rows: NewRows,
     delay_ns: u64,
-    samples: Vec<Sample<N>>,
+    pub(super) samples: Vec<Sample<N>>,
 }
 
 impl<const N: usize> Sensor<N> {
@@ -104,7 +105,7 @@ impl<const N: usize> Sensor<N> {
     }
 
     /// Takes the sample of a row, if there is one. A row whose cells are all empty has none.
-    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+    pub(super) fn take(&mut self, row: &impl Row, time_ns: u64) -> Result<(), ImportError> {
         let places = self.columns.map(|column| column.place);
         if !places.iter().all(|place| row.has(*place))
             || !self.new_rows.is_new(row)
@@ -121,10 +122,6 @@ impl<const N: usize> Sensor<N> {
             values,
         });
         Ok(())
-    }
-
-    pub(super) fn into_samples(self) -> Vec<Sample<N>> {
-        self.samples
     }
 }
 
@@ -179,14 +176,14 @@ pub(super) struct Poses<'a> {
     new_rows: NewRows,
     delay_ns: u64,
     exposures: Option<Exposures>,
-    poses: Vec<LoggedPose>,
+    pub(super) poses: Vec<LoggedPose>,
 }
 
 impl<'a> Poses<'a> {
-    pub(super) fn find<H: Header>(
-        header: &mut H,
+    pub(super) fn find(
+        header: &mut impl Header,
         section: &'a PoseSection,
-    ) -> Result<Self, H::Error> {
+    ) -> Result<Self, ImportError> {
         let messages = section.messages();
         let changes =
             header.find_if("pose.new_when_changes", messages, &section.new_when_changes)?;
@@ -206,7 +203,7 @@ impl<'a> Poses<'a> {
     }
 
     /// Takes the pose of a row, if there is one.
-    pub(super) fn take<R: Row>(&mut self, row: &R, time_ns: u64) -> Result<(), R::Error> {
+    pub(super) fn take(&mut self, row: &impl Row, time_ns: u64) -> Result<(), ImportError> {
         let places = self.columns.map(|column| column.place);
         if !places.iter().all(|place| row.has(*place)) {
             return Ok(());
@@ -226,11 +223,7 @@ impl<'a> Poses<'a> {
         Ok(())
     }
 
-    pub(super) fn into_poses(self) -> Vec<LoggedPose> {
-        self.poses
-    }
-
-    fn state<R: Row>(&self, row: &R) -> Result<LoggedState, R::Error> {
+    fn state(&self, row: &impl Row) -> Result<LoggedState, ImportError> {
         if let Some(place) = self.tracked
             && !row.flag(place)?
         {

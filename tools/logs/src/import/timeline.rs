@@ -14,16 +14,6 @@ use super::{
     summary::Summary,
 };
 
-/// More events fall in a tick than it can hold.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "more than {MAX_EVENTS} poses and samples fall in the tick {time_s:.3} s after the first row: make tick_ms in the map smaller, or interpolate the sensors at a lower rate"
-)]
-pub struct TooManyEvents {
-    /// The time of the tick, in s since the first row.
-    pub time_s: f64,
-}
-
 /// The observations and the board samples of a log, tick by tick.
 pub(super) struct Timeline<'a> {
     log: &'a Log,
@@ -65,8 +55,8 @@ impl<'a> Timeline<'a> {
         self.ticks
     }
 
-    /// The next tick; `None` after the last one.
-    pub(super) fn next_tick(&mut self) -> Result<Option<TickRecord>, TooManyEvents> {
+    /// The next tick; `None` after the last one. Fails if more events fall in it than it can hold.
+    pub(super) fn next_tick(&mut self) -> Result<Option<TickRecord>, String> {
         if self.index == self.ticks {
             return Ok(None);
         }
@@ -85,8 +75,13 @@ impl<'a> Timeline<'a> {
             drive: None,
             link: LinkPhase::Ready,
         };
-        let full = |_| TooManyEvents {
-            time_s: time.seconds_since(Time(FIRST_ROW_NS)),
+        let full = |_| {
+            let time_s = time.seconds_since(Time(FIRST_ROW_NS));
+            format!(
+                "more than {MAX_EVENTS} poses and samples fall in the tick {time_s:.3} s after the \
+                 first row: make tick_ms in the map smaller, or interpolate the sensors at a lower \
+                 rate"
+            )
         };
         if self.index == 0 {
             tick.events

@@ -14,14 +14,14 @@ mod verdict;
 
 use std::{
     fmt::Write as _,
-    io::{self, Write as _},
+    io,
     path::{Path, PathBuf},
 };
 
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_core::{Config, ConfigError};
-use singletrack_figures::figure::Figure;
+use singletrack_figures::{figure::Figure, output::print};
 use singletrack_record::{Reader, RecordError};
 
 pub use run::Stop;
@@ -172,11 +172,7 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
             format!("{json}\n")
         }
     };
-    match io::stdout().write_all(told.as_bytes()) {
-        // The reader of a pipe may close it at any time.
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
+    Ok(print(&told)?)
 }
 
 /// The configuration in a record.

@@ -5,7 +5,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::error::BagError;
+use super::unreadable;
+use crate::import::error::ImportError;
 
 /// The list of files in the folder of a bag.
 const METADATA: &str = "metadata.yaml";
@@ -26,7 +27,7 @@ pub(in crate::import) fn is_bag(path: &Path) -> bool {
 }
 
 /// The files of a bag, in their order.
-pub(super) fn files(path: &Path) -> Result<Vec<(PathBuf, Storage)>, BagError> {
+pub(super) fn files(path: &Path) -> Result<Vec<(PathBuf, Storage)>, ImportError> {
     if !path.is_dir() {
         return Ok(vec![(path.to_owned(), storage(path)?)]);
     }
@@ -37,16 +38,11 @@ pub(super) fn files(path: &Path) -> Result<Vec<(PathBuf, Storage)>, BagError> {
             let files = readable_files(path).into_iter();
             let files: String = files.map(|file| format!(", {file}")).collect();
             let why = "it has no metadata.yaml: write it with `ros2 bag reindex`, or import one of its files";
-            return Err(BagError::file(path, format!("{why}{files}")));
+            return Err(unreadable(path, format!("{why}{files}")));
         }
-        Err(source) => {
-            return Err(BagError::Read {
-                path: metadata,
-                source,
-            });
-        }
+        Err(error) => return Err(ImportError::read(&metadata)(error)),
     };
-    let names = names(&text).map_err(|why| BagError::file(path, why))?;
+    let names = names(&text).map_err(|why| unreadable(path, why))?;
     let file = |name: &String| {
         // Old bags have the name of the folder before that of the file.
         let name = Path::new(name).file_name().unwrap_or_default();
@@ -88,7 +84,7 @@ fn names(text: &str) -> Result<Vec<String>, String> {
     }
 }
 
-fn storage(file: &Path) -> Result<Storage, BagError> {
+fn storage(file: &Path) -> Result<Storage, ImportError> {
     let extension = file.extension().map(|own| own.to_string_lossy());
     let why = match extension.as_deref() {
         Some("mcap") => return Ok(Storage::Mcap),
@@ -99,7 +95,7 @@ fn storage(file: &Path) -> Result<Storage, BagError> {
         Some("bag") => "it is a bag of ROS 1: convert it with `rosbags-convert`",
         _ => "its name ends neither in .mcap nor in .db3",
     };
-    Err(BagError::file(file, why))
+    Err(unreadable(file, why))
 }
 
 /// The files in a folder that can be imported, in the order of their names.

@@ -14,22 +14,20 @@ use mcap::{
 };
 
 use super::{
-    error::BagError,
     messages::{Messages, Topic},
+    unreadable,
 };
+use crate::import::error::ImportError;
 
 /// The length of a record that every file may have, in bytes.
 const LONGEST: usize = 64 << 20;
 
 /// Reads a file.
-pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError> {
-    let unreadable = |source| BagError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let damaged = |error: McapError| BagError::file(path, fix(&error));
-    let mut file = File::open(path).map_err(unreadable)?;
-    let length = file.metadata().map_err(unreadable)?.len();
+pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportError> {
+    let failed = ImportError::read(path);
+    let damaged = |error: McapError| unreadable(path, fix(&error));
+    let mut file = File::open(path).map_err(failed)?;
+    let length = file.metadata().map_err(failed)?.len();
     // A record that claims to be longer is an error, before there is memory for it. Those of a
     // compressed chunk may be longer than the file.
     let options = LinearReaderOptions::default()
@@ -42,7 +40,7 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError>
         let (opcode, data) = match event.map_err(damaged)? {
             LinearReadEvent::Record { opcode, data } => (opcode, data),
             LinearReadEvent::ReadRequest(need) => {
-                let read = file.read(reader.insert(need)).map_err(unreadable)?;
+                let read = file.read(reader.insert(need)).map_err(failed)?;
                 reader.notify_read(read);
                 continue;
             }

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::{
+    Seconds,
     cdr::{self, Fault, Found, Target},
     definition::{Definition, short},
-    error::{BagError, Message, Seconds},
-    row::{Entry, Row},
+    row::{Entry, Row, message_error},
     wanted::{Source, Sources, Wanted},
 };
+use crate::import::error::ImportError;
 
 /// Names of elements that are listed in an error, at most.
 const MAX_NAMES: usize = 20;
@@ -75,14 +76,9 @@ impl Messages {
     }
 
     /// Takes the description of a topic; `None` if the map does not want it.
-    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<TopicId>, BagError> {
+    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<TopicId>, ImportError> {
         let kind = short(topic.kind);
-        let wrong = |why: String| BagError::Topic {
-            path: self.path.clone(),
-            topic: topic.name.to_owned(),
-            kind: kind.clone(),
-            why,
-        };
+        let wrong = |why: String| topic_error(&self.path, topic.name, &kind, &why);
         let known = self.topics.iter().position(|one| one.name == topic.name);
         let place = match known {
             Some(place) => place,
@@ -167,23 +163,15 @@ impl Messages {
         id: TopicId,
         receive_ns: u64,
         bytes: &[u8],
-    ) -> Result<(), BagError> {
+    ) -> Result<(), ImportError> {
         let (Some(topic), Some(plan)) = (self.topics.get_mut(id.topic), self.plans.get(id.plan))
         else {
             return Ok(());
         };
         topic.messages += 1;
         let number = topic.messages;
-        let message = || Message {
-            path: self.path.clone(),
-            topic: topic.name.clone(),
-            number,
-            receive_ns,
-        };
-        let failed = |fault: Fault| BagError::Message {
-            message: message(),
-            why: format!(" {fault}"),
-        };
+        let wrong = |why: String| message_error(&self.path, &topic.name, number, receive_ns, &why);
+        let failed = |fault: Fault| wrong(format!(" {fault}"));
         let contents = cdr::contents(bytes).map_err(failed)?;
         contents.check(&plan.definition).map_err(failed)?;
         for Reading {
@@ -208,10 +196,8 @@ impl Messages {
                 None => receive_ns,
                 Some((target, wanted)) => {
                     let found = contents.find(&plan.definition, target).map_err(failed)?;
-                    let stamp_ns = stamp_ns(&found).map_err(|fault| BagError::Message {
-                        message: message(),
-                        why: format!(": its {} {fault}", wanted.text),
-                    })?;
+                    let stamp_ns = stamp_ns(&found)
+                        .map_err(|fault| wrong(format!(": its {} {fault}", wanted.text)))?;
                     wanted.note(found);
                     match stamp_ns {
                         Some(stamp_ns) => stamp_ns,
@@ -236,7 +222,7 @@ impl Messages {
 
     /// All messages as rows, in the order of their times, of which no two are farther apart than the
     /// longest gap.
-    pub(super) fn into_rows(mut self, longest_gap_ns: u64) -> Result<Rows, BagError> {
+    pub(super) fn into_rows(mut self, longest_gap_ns: u64) -> Result<Rows, ImportError> {
         for source in &self.sources.sources {
             self.check(source)?;
         }
@@ -253,23 +239,24 @@ impl Messages {
     }
 
     /// Fails if the bag does not have what a source wants.
-    fn check(&self, source: &Source) -> Result<(), BagError> {
+    fn check(&self, source: &Source) -> Result<(), ImportError> {
         let topic = self.topics.iter().find(|one| one.name == source.topic);
         if topic.is_none_or(|topic| topic.messages == 0) {
             let topics = self.topics.iter();
             let topics: Vec<_> = topics
                 .map(|one| format!("{:?} ({})", one.name, one.kind))
                 .collect();
-            return Err(BagError::NoTopic {
-                path: self.path.clone(),
-                what: match topic {
-                    Some(_) => "no messages on the topic",
-                    None => "no topic",
-                },
-                topic: source.topic.clone(),
-                key: source.key(),
-                topics: listed(&topics),
-            });
+            let what = match topic {
+                Some(_) => "no messages on the topic",
+                None => "no topic",
+            };
+            let why = format!(
+                " has {what} {:?}, which {} in the map names; its topics are {}",
+                source.topic,
+                source.key(),
+                listed(&topics)
+            );
+            return Err(ImportError::file(&self.path, why));
         }
         let mut wanted = source.fields.iter().chain(&source.stamp);
         match wanted.find(|wanted| !wanted.is_found) {
@@ -278,20 +265,17 @@ impl Messages {
                 let names = wanted.names.iter().map(|name| format!("{name:?}"));
                 let names: Vec<_> = names.collect();
                 let (key, text, names) = (&wanted.key, &wanted.text, listed(&names));
-                Err(BagError::Topic {
-                    path: self.path.clone(),
-                    topic: source.topic.clone(),
-                    kind: topic.map_or_else(String::new, |topic| topic.kind.clone()),
-                    why: format!(
-                        "no message has the element that {key} in the map names, {text:?}; there are {names}"
-                    ),
-                })
+                let kind = topic.map_or("", |topic| &topic.kind);
+                let why = format!(
+                    "no message has the element that {key} in the map names, {text:?}; there are {names}"
+                );
+                Err(topic_error(&self.path, &source.topic, kind, &why))
             }
         }
     }
 
     /// Fails if the times of a source go backwards.
-    fn check_order(&self) -> Result<(), BagError> {
+    fn check_order(&self) -> Result<(), ImportError> {
         let mut last = vec![0; self.sources.sources.len()];
         for entry in &self.entries {
             let Some(last) = last.get_mut(entry.source) else {
@@ -311,17 +295,17 @@ impl Messages {
     }
 
     /// Fails if there is a gap between the messages of all sources.
-    fn check_gaps(&self, longest_gap_ns: u64) -> Result<(), BagError> {
+    fn check_gaps(&self, longest_gap_ns: u64) -> Result<(), ImportError> {
         for (before, entry) in self.entries.iter().zip(self.entries.iter().skip(1)) {
             let gap_ns = entry.stamp_ns - before.stamp_ns;
             if gap_ns > longest_gap_ns {
                 let gap = Seconds(gap_ns);
-                let before = before.message(&self.path, &self.sources);
                 let fault = format!(
                     "is {gap} s after that of message {} of {:?}, the one before: if the two have other \
                      clocks, use stamp = \"receive\" in the map; if the bag has a gap, import a part of \
                      it or raise time.longest_gap_s",
-                    before.number, before.topic
+                    before.number,
+                    before.topic(&self.sources)
                 );
                 return Err(self.time_error(entry, &fault));
             }
@@ -329,15 +313,17 @@ impl Messages {
         Ok(())
     }
 
-    fn time_error(&self, entry: &Entry, fault: &str) -> BagError {
+    fn time_error(&self, entry: &Entry, fault: &str) -> ImportError {
         let source = self.sources.sources.get(entry.source);
         let stamp = source.and_then(|source| source.stamp.as_ref());
         let stamp = stamp.map_or("time of reception", |wanted| &wanted.text);
-        BagError::Message {
-            message: entry.message(&self.path, &self.sources),
-            why: format!(": its {stamp} {fault}"),
-        }
+        entry.error(&self.path, &self.sources, &format!(": its {stamp} {fault}"))
     }
+}
+
+/// The error of a topic whose type can't be read, or has not the fields of the map.
+fn topic_error(path: &Path, topic: &str, kind: &str, why: &str) -> ImportError {
+    ImportError::file(path, format!(", topic {topic:?} of type {kind}: {why}"))
 }
 
 /// The rows of a bag, in the order of their times.

@@ -2,7 +2,6 @@
 
 mod cdr;
 mod definition;
-mod error;
 mod files;
 mod mcap;
 mod messages;
@@ -12,15 +11,14 @@ mod row;
 mod sqlite;
 mod wanted;
 
-use std::path::Path;
-
-pub use error::{BagError, Message};
+use std::{fmt, path::Path};
 
 pub(super) use files::is_bag;
 
 use super::{
     FIRST_ROW_NS,
     columns::Columns,
+    error::ImportError,
     log::Log,
     map::{Map, nanoseconds},
 };
@@ -29,7 +27,7 @@ use messages::Messages;
 use wanted::Sources;
 
 /// Reads the bag `path` as `map` says.
-pub(super) fn read(path: &Path, map: &Map) -> Result<Log, BagError> {
+pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
     let mut sources = Sources::default();
     let mut columns = Columns::find(&mut sources, map)?;
     let mut messages = Messages::new(path, sources);
@@ -41,7 +39,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, BagError> {
             #[cfg(not(feature = "sqlite"))]
             Storage::Sqlite => {
                 let why = "this program was built without sqlite: convert it with `ros2 bag convert` to MCAP";
-                return Err(BagError::file(&file, why));
+                return Err(unreadable(&file, why));
             }
         }
     }
@@ -55,4 +53,21 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, BagError> {
     let (first_ns, last_ns) = span.unwrap_or_default();
     let end_ns = FIRST_ROW_NS.saturating_add(last_ns - first_ns);
     Ok(columns.log(map, first_ns, end_ns))
+}
+
+/// The error of a file or folder that is no bag, or is damaged; why, and what to do.
+fn unreadable(path: &Path, why: impl fmt::Display) -> ImportError {
+    let path = path.display();
+    ImportError::Invalid(format!("can't read {path} as a bag: {why}"))
+}
+
+/// A time in ns, written in seconds with all digits.
+struct Seconds(u64);
+
+impl fmt::Display for Seconds {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(ns) = self;
+        let (seconds, rest) = (ns / 1_000_000_000, ns % 1_000_000_000);
+        write!(formatter, "{seconds}.{rest:09}")
+    }
 }

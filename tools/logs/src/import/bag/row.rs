@@ -2,11 +2,11 @@
 
 use std::{borrow::Cow, path::Path};
 
-use super::{
-    error::{BagError, Message},
-    wanted::Sources,
+use super::{Seconds, wanted::Sources};
+use crate::import::{
+    error::ImportError,
+    row::{self, Place},
 };
-use crate::import::row::{self, Place};
 
 /// A message, as a source wants it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,16 +23,30 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// The message, in errors.
-    pub(super) fn message(&self, path: &Path, sources: &Sources) -> Message {
+    /// The topic of the message, in errors.
+    pub(super) fn topic<'a>(&self, sources: &'a Sources) -> &'a str {
         let source = sources.sources.get(self.source);
-        Message {
-            path: path.to_owned(),
-            topic: source.map_or_else(String::new, |source| source.topic.clone()),
-            number: self.number,
-            receive_ns: self.receive_ns,
-        }
+        source.map_or("", |source| &source.topic)
     }
+
+    /// An error in the message.
+    pub(super) fn error(&self, path: &Path, sources: &Sources, why: &str) -> ImportError {
+        message_error(path, self.topic(sources), self.number, self.receive_ns, why)
+    }
+}
+
+/// An error in a message: in the bag at `path`, the one with this number in its topic, from 1, that
+/// was received at this time in ns since 1970.
+pub(super) fn message_error(
+    path: &Path,
+    topic: &str,
+    number: u64,
+    receive_ns: u64,
+    why: &str,
+) -> ImportError {
+    let seconds = Seconds(receive_ns);
+    let message = format!(", topic {topic:?}, message {number} (received at {seconds} s)");
+    ImportError::file(path, message + why)
 }
 
 /// A row: a message with its values.
@@ -51,24 +65,9 @@ impl Row<'_> {
             .copied()
             .flatten()
     }
-
-    fn error(&self, place: Place, value: f64, expected: &'static str) -> BagError {
-        let source = self.sources.sources.get(place.source);
-        let field = source.and_then(|source| source.fields.get(place.index));
-        let field = field.map_or("", |field| &field.text);
-        BagError::Message {
-            message: self.entry.message(self.path, self.sources),
-            why: format!(
-                ", field {field:?}: {value} is not {expected}: leave the time of the message out of the bag \
-                 with `ros2 bag convert`"
-            ),
-        }
-    }
 }
 
 impl row::Row for Row<'_> {
-    type Error = BagError;
-
     fn has(&self, place: Place) -> bool {
         place.source == self.entry.source
     }
@@ -82,23 +81,27 @@ impl row::Row for Row<'_> {
         Cow::Owned(value.unwrap_or_default())
     }
 
-    fn number(&self, place: Place) -> Result<f64, BagError> {
+    fn number(&self, place: Place) -> Result<f64, ImportError> {
         Ok(self.value(place).unwrap_or(f64::NAN))
     }
 
-    fn finite(&self, place: Place) -> Result<f64, BagError> {
-        let number = self.number(place)?;
-        match number.is_finite() {
-            true => Ok(number),
-            false => Err(self.error(place, number, "a finite number")),
-        }
+    fn wrong(&self, place: Place, expected: &str) -> ImportError {
+        let source = self.sources.sources.get(place.source);
+        let field = source.and_then(|source| source.fields.get(place.index));
+        let field = field.map_or("", |field| &field.text);
+        let value = self.value(place).unwrap_or(f64::NAN);
+        let why = format!(
+            ", field {field:?}: {value} is not {expected}: leave the time of the message out of the bag \
+             with `ros2 bag convert`"
+        );
+        self.entry.error(self.path, self.sources, &why)
     }
 
-    fn flag(&self, place: Place) -> Result<bool, BagError> {
+    fn flag(&self, place: Place) -> Result<bool, ImportError> {
         let number = self.number(place)?;
         match number.is_nan() {
             false => Ok(number != 0.0),
-            true => Err(self.error(place, number, "a number, true or false")),
+            true => Err(self.wrong(place, "a number, true or false")),
         }
     }
 }

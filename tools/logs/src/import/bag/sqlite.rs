@@ -5,17 +5,15 @@ use std::{collections::HashMap, fs, path::Path};
 use rusqlite::{Connection, OpenFlags, limits::Limit};
 
 use super::{
-    error::BagError,
     messages::{Messages, Topic},
+    unreadable,
 };
+use crate::import::error::ImportError;
 
 /// Reads a file.
-pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), BagError> {
-    let metadata = fs::metadata(path).map_err(|source| BagError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
-    let damaged = |why: String| BagError::file(path, why);
+pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportError> {
+    let metadata = fs::metadata(path).map_err(ImportError::read(path))?;
+    let damaged = |why: String| unreadable(path, why);
     let failed =
         |error: rusqlite::Error| damaged(format!("{error}: it is damaged, or no sqlite file"));
     let connection = open(path, metadata.len()).map_err(failed)?;

@@ -2,11 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::{
-    error::BagError,
-    path::{Path, Takes},
-};
+use super::path::{Path, Takes};
 use crate::import::{
+    error::ImportError,
     map::{Messages, Stamp},
     row::{Header, Place},
 };
@@ -49,27 +47,30 @@ impl Source {
 }
 
 impl Wanted {
-    fn new(key: String, text: &str, takes: Takes) -> Result<Self, BagError> {
-        match Path::parse(text) {
-            Some(path) => Ok(Self {
-                key,
-                text: text.to_owned(),
-                path,
-                takes,
-                is_found: false,
-                names: BTreeSet::new(),
-            }),
-            None => Err(BagError::Path {
-                key,
-                field: text.to_owned(),
-            }),
-        }
+    fn new(key: String, text: &str, takes: Takes) -> Result<Self, ImportError> {
+        let path = Path::parse(text).ok_or_else(|| {
+            ImportError::Invalid(format!(
+                "{key} in the map is {text:?}: write a field as a.b, a[0].b or a[name=x].b"
+            ))
+        })?;
+        Ok(Self {
+            key,
+            text: text.to_owned(),
+            path,
+            takes,
+            is_found: false,
+            names: BTreeSet::new(),
+        })
     }
 }
 
 impl Sources {
     /// The place of the source of a section.
-    fn source(&mut self, section: &'static str, messages: Messages<'_>) -> Result<usize, BagError> {
+    fn source(
+        &mut self,
+        section: &'static str,
+        messages: Messages<'_>,
+    ) -> Result<usize, ImportError> {
         let mut known = self.sources.iter();
         if let Some(place) = known.position(|source| source.section == section) {
             return Ok(place);
@@ -94,14 +95,12 @@ impl Sources {
 }
 
 impl Header for Sources {
-    type Error = BagError;
-
     fn find(
         &mut self,
         key: &'static str,
         messages: Messages<'_>,
         field: &str,
-    ) -> Result<Place, BagError> {
+    ) -> Result<Place, ImportError> {
         let section = key.split('.').next().unwrap_or(key);
         let takes = match key {
             "pose.yaw" => Takes::Yaw,

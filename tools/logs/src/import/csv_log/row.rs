@@ -9,13 +9,11 @@ use std::{
 
 use csv::{Position, StringRecord};
 
-use super::{Cell, CsvError, TimeFault};
 use crate::import::{
+    error::ImportError,
     map::Messages,
     row::{self, Place},
 };
-
-const CORRECT: &str = "correct the cell or remove the row";
 
 /// The number of the line of a row, from 1. The position of the CSV reader is that of the blank
 /// lines before the row.
@@ -52,7 +50,7 @@ impl<'a> Header<'a> {
     }
 
     /// The place of the column that `key` in the map names.
-    pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, CsvError> {
+    pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
         let mut places = self
             .names
             .iter()
@@ -60,24 +58,25 @@ impl<'a> Header<'a> {
             .filter(|(_, name)| *name == column);
         let Some((place, _)) = places.next() else {
             let columns: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
-            return Err(CsvError::NoColumn {
-                path: self.path.to_owned(),
-                column: column.to_owned(),
-                key,
-                columns: columns.join(", "),
-            });
+            let columns = columns.join(", ");
+            let why = format!(
+                " has no column {column:?}, which {key} in the map names; its columns are {columns}"
+            );
+            return Err(ImportError::file(self.path, why));
         };
         match places.count() {
             0 => Ok(Place {
                 source: 0,
                 index: place,
             }),
-            others => Err(CsvError::SameColumns {
-                path: self.path.to_owned(),
-                column: column.to_owned(),
-                key,
-                count: others + 1,
-            }),
+            others => {
+                let count = others + 1;
+                let why = format!(
+                    " has {count} columns {column:?}, and {key} in the map names one: rename the \
+                     others in the file"
+                );
+                Err(ImportError::file(self.path, why))
+            }
         }
     }
 
@@ -91,14 +90,12 @@ impl<'a> Header<'a> {
 }
 
 impl row::Header for Header<'_> {
-    type Error = CsvError;
-
     fn find(
         &mut self,
         key: &'static str,
         _messages: Messages<'_>,
         column: &str,
-    ) -> Result<Place, CsvError> {
+    ) -> Result<Place, ImportError> {
         self.place(key, column)
     }
 }
@@ -116,47 +113,18 @@ impl<'a> Row<'a> {
         self.cells.get(place.index).unwrap_or_default()
     }
 
-    /// The cell, for messages.
-    fn named(&self, place: Place) -> Cell {
-        Cell {
-            path: self.header.path.to_owned(),
-            line: line(self.header.path, self.cells.position()),
-            column: self
-                .header
-                .names
-                .get(place.index)
-                .unwrap_or_default()
-                .to_owned(),
-            value: self.cell(place).to_owned(),
-        }
-    }
-
     /// An error in a cell.
-    pub(super) fn error(
-        &self,
-        place: Place,
-        expected: &'static str,
-        fix: &'static str,
-    ) -> CsvError {
-        CsvError::Cell {
-            cell: self.named(place),
-            expected,
-            fix,
-        }
-    }
-
-    /// An error in the time of the row.
-    pub(super) fn time_error(&self, place: Place, fault: TimeFault) -> CsvError {
-        CsvError::Time {
-            cell: self.named(place),
-            fault,
-        }
+    pub(super) fn error(&self, place: Place, why: &str) -> ImportError {
+        let Header { path, names } = self.header;
+        let line = line(path, self.cells.position());
+        let column = names.get(place.index).unwrap_or_default();
+        let value = self.cell(place);
+        let cell = format!(", line {line}, column {column:?}: {value:?}");
+        ImportError::file(path, cell + why)
     }
 }
 
 impl row::Row for Row<'_> {
-    type Error = CsvError;
-
     fn has(&self, _place: Place) -> bool {
         true
     }
@@ -169,31 +137,26 @@ impl row::Row for Row<'_> {
         Cow::Borrowed(self.cell(place))
     }
 
-    fn number(&self, place: Place) -> Result<f64, CsvError> {
+    fn number(&self, place: Place) -> Result<f64, ImportError> {
         match self.cell(place) {
             "" => Ok(f64::NAN),
-            cell => cell
-                .parse()
-                .map_err(|_| self.error(place, "a number", CORRECT)),
+            cell => cell.parse().map_err(|_| self.wrong(place, "a number")),
         }
     }
 
-    fn finite(&self, place: Place) -> Result<f64, CsvError> {
-        let number = self.number(place)?;
-        match number.is_finite() {
-            true => Ok(number),
-            false => Err(self.error(place, "a finite number", CORRECT)),
-        }
+    fn wrong(&self, place: Place, expected: &str) -> ImportError {
+        let why = format!(" is not {expected}: correct the cell or remove the row");
+        self.error(place, &why)
     }
 
-    fn flag(&self, place: Place) -> Result<bool, CsvError> {
+    fn flag(&self, place: Place) -> Result<bool, ImportError> {
         let cell = self.cell(place);
         match cell.to_ascii_lowercase().as_str() {
             "true" => Ok(true),
             "false" => Ok(false),
             _ => match cell.parse::<f64>() {
                 Ok(number) if !number.is_nan() => Ok(number != 0.0),
-                _ => Err(self.error(place, "a number, true or false", CORRECT)),
+                _ => Err(self.wrong(place, "a number, true or false")),
             },
         }
     }

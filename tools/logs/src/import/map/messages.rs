@@ -1,6 +1,6 @@
 //! The messages of a bag that a section of the map is about.
 
-use super::InvalidValue;
+use super::invalid;
 
 /// The key of a topic, and that of its time.
 pub(super) type MessageKeys = [&'static str; 2];
@@ -46,19 +46,15 @@ impl<'a> Messages<'a> {
         self,
         [topic_key, stamp_key]: MessageKeys,
         is_bag: bool,
-    ) -> Result<(), InvalidValue> {
+    ) -> Result<(), String> {
         let csv = "remove it: a CSV file has no topics";
         match (self.topic, self.stamp) {
             (None, _) if is_bag => {
                 let fix = "name the topic whose messages have the fields of this section";
-                Err(InvalidValue::new(topic_key, "missing", fix))
+                Err(invalid(topic_key, "missing", fix))
             }
-            (Some(topic), _) if !is_bag => {
-                Err(InvalidValue::new(topic_key, format!("{topic:?}"), csv))
-            }
-            (_, Some(stamp)) if !is_bag => {
-                Err(InvalidValue::new(stamp_key, format!("{stamp:?}"), csv))
-            }
+            (Some(topic), _) if !is_bag => Err(invalid(topic_key, format!("{topic:?}"), csv)),
+            (_, Some(stamp)) if !is_bag => Err(invalid(stamp_key, format!("{stamp:?}"), csv)),
             _ => Ok(()),
         }
     }

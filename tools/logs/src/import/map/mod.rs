@@ -1,6 +1,5 @@
 //! The map of a log: which columns or topics it has, and what they mean.
 
-mod error;
 mod messages;
 mod quantity;
 mod steering;
@@ -8,18 +7,16 @@ mod time;
 
 pub(super) use messages::{Messages, Stamp};
 pub(super) use quantity::Conversion;
-pub(super) use time::RowTime;
 
 use std::{fmt::Display, fs, path::Path};
 
 use serde::Deserialize;
 
-pub use error::MapError;
 pub use quantity::{Acceleration, Angle, AngularVelocity, Dimension, Length, Quantity, Speed};
-pub use steering::{SteeringMap, SteeringSection};
+pub use steering::SteeringSection;
 pub use time::{TimeSection, TimeUnit};
 
-use super::samples::Interpolation;
+use super::{error::ImportError, samples::Interpolation};
 use messages::MessageKeys;
 
 /// The longest delay, s. A time of the record is never before its zero.
@@ -197,11 +194,8 @@ impl Map {
     /// # Errors
     ///
     /// It can't be read, is not a map, or has an invalid value; the error names the key.
-    pub fn read(path: &Path) -> Result<Self, MapError> {
-        let text = fs::read_to_string(path).map_err(|source| MapError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+    pub fn read(path: &Path) -> Result<Self, ImportError> {
+        let text = fs::read_to_string(path).map_err(ImportError::read(path))?;
         Self::from_toml(&text, path)
     }
 
@@ -210,21 +204,23 @@ impl Map {
     /// # Errors
     ///
     /// As [`read`](Self::read).
-    pub fn from_toml(text: &str, path: &Path) -> Result<Self, MapError> {
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, ImportError> {
         let map: Self = toml::from_str(text).map_err(|error| match error.message() {
-            "missing field `motor`" => MapError::NoMotor(path.to_owned()),
-            _ => MapError::Parse {
-                path: path.to_owned(),
-                message: error.to_string(),
-            },
+            "missing field `motor`" => {
+                let why = " has no section [motor]: add it with the column of the speed of motor or \
+                           wheels, which the estimator needs; a log without one can't be imported";
+                ImportError::file(path, why)
+            }
+            _ => ImportError::file(path, format!(": {error}")),
         })?;
-        map.check().map_err(|error| error.at(path))?;
+        map.check()
+            .map_err(|why| ImportError::file(path, format!(": {why}")))?;
         Ok(map)
     }
 
     /// Checks that the map is one for the kind of log: it names columns, or topics and fields.
     /// `path` is its file in messages.
-    pub(super) fn check_kind(&self, is_bag: bool, path: &Path) -> Result<(), MapError> {
+    pub(super) fn check_kind(&self, is_bag: bool, path: &Path) -> Result<(), ImportError> {
         let time = if is_bag {
             self.time.check_bag()
         } else {
@@ -234,7 +230,7 @@ impl Map {
         for (keys, messages) in self.all_messages() {
             checked = checked.and_then(|()| messages.check(keys, is_bag));
         }
-        checked.map_err(|error| error.at(path))
+        checked.map_err(|why| ImportError::file(path, format!(": {why}")))
     }
 
     /// The messages of every section that has some, with its keys for them.
@@ -260,18 +256,17 @@ impl Map {
         .filter_map(|(keys, messages)| Some((keys, messages?)))
     }
 
-    fn check(&self) -> Result<(), InvalidValue> {
-        if !self.delimiter.is_ascii() || matches!(self.delimiter, '"' | '\r' | '\n') {
-            let fix = "use an ASCII character such as \",\", \";\" or \"\\t\"";
-            return Err(InvalidValue::new(
-                "delimiter",
-                format!("{:?}", self.delimiter),
-                fix,
-            ));
-        }
-        if !(1..=1_000).contains(&self.tick_ms) {
-            return Err(InvalidValue::new("tick_ms", self.tick_ms, "use 1 to 1000"));
-        }
+    fn check(&self) -> Result<(), String> {
+        let (delimiter, tick_ms) = (self.delimiter, self.tick_ms);
+        let is_good = delimiter.is_ascii() && !matches!(delimiter, '"' | '\r' | '\n');
+        let fix = "use an ASCII character such as \",\", \";\" or \"\\t\"";
+        require(is_good, "delimiter", format_args!("{delimiter:?}"), fix)?;
+        require(
+            (1..=1_000).contains(&tick_ms),
+            "tick_ms",
+            tick_ms,
+            "use 1 to 1000",
+        )?;
         self.time.check()?;
         self.pose.check()?;
         if let Some(imu) = &self.imu {
@@ -287,25 +282,20 @@ impl Map {
 }
 
 impl PoseSection {
-    fn check(&self) -> Result<(), InvalidValue> {
+    fn check(&self) -> Result<(), String> {
         check_delay("pose.delay_s", self.delay_s)?;
         let [forward, left] = self.point_m;
         check_finite("pose.point_m", forward)?;
         check_finite("pose.point_m", left)?;
         check_finite("pose.yaw_rad", self.yaw_rad)?;
-        match self.exposures_hz {
-            Some(rate) if !(1.0..=1_000.0).contains(&rate) => Err(InvalidValue::new(
-                "pose.exposures_hz",
-                rate,
-                "use 1 to 1000",
-            )),
-            _ => Ok(()),
-        }
+        let rate = self.exposures_hz.unwrap_or(1.0);
+        let is_good = (1.0..=1_000.0).contains(&rate);
+        require(is_good, "pose.exposures_hz", rate, "use 1 to 1000")
     }
 }
 
 impl ImuSection {
-    fn check(&self) -> Result<(), InvalidValue> {
+    fn check(&self) -> Result<(), String> {
         check_delay("imu.delay_s", self.delay_s)?;
         check_interpolation(
             ["imu.interpolate_hz", "imu.longest_gap_s"],
@@ -320,7 +310,7 @@ impl ImuSection {
 }
 
 impl MotorSection {
-    fn check(&self) -> Result<(), InvalidValue> {
+    fn check(&self) -> Result<(), String> {
         check_delay("motor.delay_s", self.delay_s)?;
         check_interpolation(
             ["motor.interpolate_hz", "motor.longest_gap_s"],
@@ -367,72 +357,46 @@ pub(super) const fn nanoseconds(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// An invalid value of the map.
-struct InvalidValue {
-    key: &'static str,
-    value: String,
-    fix: String,
+/// What is wrong with a value of the map, and what to do.
+fn invalid(key: &str, value: impl Display, fix: &str) -> String {
+    format!("{key} is {value}: {fix}")
 }
 
-impl InvalidValue {
-    fn new(key: &'static str, value: impl Display, fix: impl Into<String>) -> Self {
-        Self {
-            key,
-            value: format!("{value}"),
-            fix: fix.into(),
-        }
-    }
-
-    fn at(self, path: &Path) -> MapError {
-        let Self { key, value, fix } = self;
-        MapError::Value {
-            path: path.to_owned(),
-            key,
-            value,
-            fix,
-        }
-    }
+/// Fails if a value is not good.
+fn require(is_good: bool, key: &str, value: impl Display, fix: &str) -> Result<(), String> {
+    is_good
+        .then_some(())
+        .ok_or_else(|| invalid(key, value, fix))
 }
 
-fn check_finite(key: &'static str, value: f64) -> Result<(), InvalidValue> {
-    match value.is_finite() {
-        true => Ok(()),
-        false => Err(InvalidValue::new(key, value, "use a finite number")),
-    }
+fn check_finite(key: &str, value: f64) -> Result<(), String> {
+    require(value.is_finite(), key, value, "use a finite number")
 }
 
-fn check_positive(key: &'static str, value: f64) -> Result<(), InvalidValue> {
-    match value.is_finite() && value > 0.0 {
-        true => Ok(()),
-        false => Err(InvalidValue::new(key, value, "use a number above 0")),
-    }
+fn check_positive(key: &str, value: f64) -> Result<(), String> {
+    let is_good = value.is_finite() && value > 0.0;
+    require(is_good, key, value, "use a number above 0")
 }
 
-fn check_delay(key: &'static str, value: f64) -> Result<(), InvalidValue> {
-    match (0.0..=LONGEST_DELAY_S).contains(&value) {
-        true => Ok(()),
-        false => {
-            let fix = format!("use 0 to {LONGEST_DELAY_S}, in s");
-            Err(InvalidValue::new(key, value, fix))
-        }
-    }
+fn check_delay(key: &str, value: f64) -> Result<(), String> {
+    let fix = format!("use 0 to {LONGEST_DELAY_S}, in s");
+    require((0.0..=LONGEST_DELAY_S).contains(&value), key, value, &fix)
 }
 
 fn check_interpolation(
-    [rate_key, gap_key]: [&'static str; 2],
+    [rate_key, gap_key]: [&str; 2],
     rate_hz: Option<u32>,
     longest_gap_s: Option<f64>,
-) -> Result<(), InvalidValue> {
-    if let Some(rate_hz) = rate_hz.filter(|rate| !(1..=1_000).contains(rate)) {
-        return Err(InvalidValue::new(rate_key, rate_hz, "use 1 to 1000"));
-    }
+) -> Result<(), String> {
+    let rate = rate_hz.unwrap_or(1);
+    require((1..=1_000).contains(&rate), rate_key, rate, "use 1 to 1000")?;
     match longest_gap_s {
         Some(gap_s) if rate_hz.is_none() => {
             let fix = format!(
                 "leave it out, or add {rate_key}: only samples that are \
                                interpolated have a longest gap"
             );
-            Err(InvalidValue::new(gap_key, gap_s, fix))
+            Err(invalid(gap_key, gap_s, &fix))
         }
         Some(gap_s) => check_positive(gap_key, gap_s),
         None => Ok(()),

@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-use super::{InvalidValue, check_positive};
+use super::{check_positive, invalid};
 
 /// The time of a row: of a CSV file in a column, of a bag in each message.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -64,22 +64,14 @@ impl TimeUnit {
     }
 }
 
-/// The time of a row of a CSV file.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::import) struct RowTime<'a> {
-    pub(in crate::import) column: &'a str,
-    pub(in crate::import) unit: TimeUnit,
-    pub(in crate::import) unix: bool,
-}
-
 impl TimeSection {
-    pub(super) fn check(&self) -> Result<(), InvalidValue> {
+    pub(super) fn check(&self) -> Result<(), String> {
         check_positive("time.longest_gap_s", self.longest_gap_s)
     }
 
     /// Fails if the section is not one for a CSV file.
-    pub(super) fn check_rows(&self) -> Result<(), InvalidValue> {
-        let missing = |key, fix| Err(InvalidValue::new(key, "missing", fix));
+    pub(super) fn check_rows(&self) -> Result<(), String> {
+        let missing = |key, fix| Err(invalid(key, "missing", fix));
         if self.column.is_none() {
             return missing("time.column", "name the column of the time of a row");
         }
@@ -95,22 +87,13 @@ impl TimeSection {
     }
 
     /// Fails if the section is not one for a bag.
-    pub(super) fn check_bag(&self) -> Result<(), InvalidValue> {
+    pub(super) fn check_bag(&self) -> Result<(), String> {
         let fix = "remove it: the messages of a bag have times of their own, see `stamp`";
         match &self.column {
-            Some(column) => Err(InvalidValue::new("time.column", format!("{column:?}"), fix)),
-            None if self.unit.is_some() => Err(InvalidValue::new("time.unit", "given", fix)),
-            None if self.unix.is_some() => Err(InvalidValue::new("time.unix", "given", fix)),
+            Some(column) => Err(invalid("time.column", format!("{column:?}"), fix)),
+            None if self.unit.is_some() => Err(invalid("time.unit", "given", fix)),
+            None if self.unix.is_some() => Err(invalid("time.unix", "given", fix)),
             None => Ok(()),
-        }
-    }
-
-    /// The time of a row of a CSV file; the section is [checked](Self::check_rows) before.
-    pub(in crate::import) fn of_rows(&self) -> RowTime<'_> {
-        RowTime {
-            column: self.column.as_deref().unwrap_or_default(),
-            unit: self.unit.unwrap_or_default(),
-            unix: self.unix.unwrap_or_default(),
         }
     }
 }
