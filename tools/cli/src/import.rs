@@ -1,13 +1,12 @@
 //! `singletrack import`: makes a record of the log of another program.
 
-use std::{
-    io::{self, Write},
-    path::PathBuf,
-};
+use std::{io, path::PathBuf};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_figures::output::print;
 use singletrack_logs::import::{ImportError, import};
+
+use crate::progress::progress_bar;
 
 /// Options of `singletrack import`.
 #[derive(Args)]
@@ -41,19 +40,12 @@ pub enum ImportFailure {
 ///
 /// When map or log can't be read or the record can't be written. Then no record is left.
 pub fn run(args: &ImportArgs) -> Result<(), ImportFailure> {
-    // Hidden when standard error is no terminal.
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks") {
-        bar.set_style(style);
-    }
+    let bar = progress_bar(0, "{bar:30} {percent:>3} %  {pos} ticks");
     let result = import(&args.log, &args.map, &args.out, |done, of| {
         bar.set_length(of);
         bar.set_position(done);
     });
     bar.finish_and_clear();
     let summary = result?;
-    match writeln!(io::stdout(), "{}: {summary}", args.out.display()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => Ok(result?),
-    }
+    Ok(print(&format!("{}: {summary}\n", args.out.display()))?)
 }

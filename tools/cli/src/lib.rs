@@ -50,5 +50,7 @@ pub mod viewers;
     feature = "page"
 ))]
 mod interrupt;
+#[cfg(any(feature = "demo", feature = "operator"))]
+mod progress;
 #[cfg(feature = "operator")]
 mod terminal;

@@ -1,13 +1,15 @@
 //! `singletrack recover`: repairs an unfinished or damaged record.
 
 use std::{
-    io::{self, Write},
+    io,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_figures::output::print;
 use singletrack_record::{RecordError, Recovery};
+
+use crate::progress::progress_bar;
 
 /// Options of `singletrack recover`.
 #[derive(Args)]
@@ -43,19 +45,11 @@ pub fn run(args: &RecoverArgs) -> Result<(), RecoverError> {
         None => default_output(&args.record),
     };
     let recovery = recover(&args.record, &output)?;
-    let told = writeln!(io::stdout(), "{}: {recovery}", output.display());
-    match told {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
-        result => Ok(result?),
-    }
+    Ok(print(&format!("{}: {recovery}\n", output.display()))?)
 }
 
 fn recover(record: &Path, output: &Path) -> Result<Recovery, RecordError> {
-    // Hidden when standard error is no terminal.
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {bytes} read") {
-        bar.set_style(style);
-    }
+    let bar = progress_bar(0, "{bar:30} {percent:>3} %  {bytes} read");
     let result = singletrack_record::recover(record, output, |done, of| {
         bar.set_length(of);
         bar.set_position(done);

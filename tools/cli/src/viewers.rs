@@ -2,7 +2,7 @@
 
 use std::{
     error::Error,
-    io::{self, IsTerminal as _, Write as _},
+    io::{self, IsTerminal as _},
     net::IpAddr,
     path::PathBuf,
     thread,
@@ -11,6 +11,7 @@ use std::{
 
 use clap::Args;
 use singletrack_core::{Config, config::SocketSection};
+use singletrack_figures::output::print;
 use tracing_subscriber::{
     filter::{LevelFilter, Targets},
     layer::SubscriberExt as _,
@@ -110,7 +111,7 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     let token = section.token_file.map_or_else(String::new, |path| {
         format!("/?token=TOKEN with the token from {}", path.display())
     });
-    print(&format!("Page: http://{}{token}", page.address()))?;
+    print(&format!("Page: http://{}{token}\n", page.address()))?;
     wait(&interrupt);
     Ok(())
 }
@@ -128,7 +129,7 @@ pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
     section.port = args.port.unwrap_or(section.port);
     start_log();
     let live = singletrack_viewers::live::Live::start(socket, section)?;
-    print(&format!("Live view: ws://{}", live.address()))?;
+    print(&format!("Live view: ws://{}\n", live.address()))?;
     wait(&interrupt);
     Ok(())
 }
@@ -147,15 +148,6 @@ fn start_log() {
         .finish()
         .with(filter)
         .init();
-}
-
-/// Prints where to look. A closed pipe is no error.
-fn print(text: &str) -> io::Result<()> {
-    let mut stdout = io::stdout().lock();
-    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error),
-        _ => Ok(()),
-    }
 }
 
 fn wait(interrupt: &Interrupt) {

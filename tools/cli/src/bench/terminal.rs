@@ -6,13 +6,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use rustix::{
     event::{PollFd, PollFlags, Timespec, poll},
     termios::{LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcsetattr},
 };
 use serde_json::{Value, json};
 use singletrack_commissioning::{Answer, Answers, Live, Question};
+
+use crate::progress::progress_bar;
 
 /// Time after the last press of the held key from which it counts as released. A key repeats 10
 /// to 30 times a second, after a first pause of up to 0.66 s.
@@ -38,11 +40,7 @@ struct HeldKey {
 
 impl Terminal {
     pub(super) fn new(json: bool) -> Self {
-        // Hidden when standard error is no terminal.
-        let bar = ProgressBar::new(1_000);
-        if let Ok(style) = ProgressStyle::with_template("{bar:16} {percent:>3} %  {msg}") {
-            bar.set_style(style);
-        }
+        let bar = progress_bar(1_000, "{bar:16} {percent:>3} %  {msg}");
         // It is drawn while something is measured.
         bar.finish_and_clear();
         Self {

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::Truth;
 use singletrackd::Snapshot;
+
+use crate::progress::progress_bar;
 
 pub(super) struct Progress {
     bar: ProgressBar,
@@ -15,12 +17,11 @@ pub(super) struct Progress {
 impl Progress {
     /// For a drive of this duration, whose error is expected to settle at a value.
     pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
-        // Hidden when standard error is no terminal.
-        let bar = ProgressBar::new(u64::try_from(duration.as_millis()).unwrap_or(u64::MAX));
-        if let Ok(style) = ProgressStyle::with_template("{bar:10} {percent:>3} %  {msg}") {
-            bar.set_style(style);
+        let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
+        Self {
+            bar: progress_bar(length, "{bar:10} {percent:>3} %  {msg}"),
+            expected_m,
         }
-        Self { bar, expected_m }
     }
 
     pub(super) fn waiting(&self, mode: Mode, reason: Option<Reason>) {

@@ -9,20 +9,17 @@ mod source;
 mod span;
 mod verdict;
 
-use std::{
-    io::{self, IsTerminal, Write},
-    path::PathBuf,
-    time::Instant,
-};
+use std::{io, path::PathBuf, time::Instant};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use singletrack_figures::output::print;
 use singletrack_record::{Ending, Entry, Meta, Reader, RecordError, Topic};
 
 pub use change::{Change, ChangeError};
 pub use source::SourceError;
 pub use verdict::{Deviation, Deviations};
 
+use crate::progress::progress_bar;
 use span::Span;
 
 /// Options of `singletrack replay`.
@@ -146,7 +143,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let mut replay = source::pilot(&args.record, &args.set)?;
     let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
     let meta = ticks.meta().clone();
-    let progress = Progress::new();
+    let progress = progress_bar(0, "{spinner} {pos} ticks replayed");
     let mut deviations = Deviations::default();
     let mut span = Span::default();
     let foreign = controller(&meta) != singletrack_pilot::CONTROLLER.to_string();
@@ -169,7 +166,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             deviations.add(&tick, &output);
         } else if args.set.is_empty() {
             if !tick.is_output(&output) {
-                progress.done();
+                progress.finish_and_clear();
                 return Err(ReplayFailure::Differs(verdict::first_difference(
                     &args.record,
                     &meta,
@@ -182,9 +179,11 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             deviations.add(&tick, &output);
         }
         span.add(&tick);
-        progress.at(span.ticks);
+        if span.ticks.is_multiple_of(1_000) {
+            progress.set_position(span.ticks);
+        }
     }
-    progress.done();
+    progress.finish_and_clear();
     if span.ticks == 0 {
         return Err(ReplayFailure::Empty(args.record.clone()));
     }
@@ -215,11 +214,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
         eprintln!("singletrack: {}: {ending}", args.record.display());
     }
-    match writeln!(io::stdout(), "{told}{pace}") {
-        // The reader of a pipe may close it at any time.
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
-    }
+    Ok(print(&format!("{told}{pace}\n"))?)
 }
 
 /// Writes the figure, and says where.
@@ -229,32 +224,5 @@ fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFai
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),
         Err(source) => Err(ReplayFailure::Figure { path, source }),
-    }
-}
-
-/// Hidden when standard error is no terminal.
-struct Progress(ProgressBar);
-
-impl Progress {
-    fn new() -> Self {
-        let bar = if io::stderr().is_terminal() {
-            ProgressBar::new_spinner()
-        } else {
-            ProgressBar::hidden()
-        };
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} ticks replayed") {
-            bar.set_style(style);
-        }
-        Self(bar)
-    }
-
-    fn at(&self, ticks: u64) {
-        if ticks.is_multiple_of(1_000) {
-            self.0.set_position(ticks);
-        }
-    }
-
-    fn done(&self) {
-        self.0.finish_and_clear();
     }
 }
