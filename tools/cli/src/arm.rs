@@ -11,11 +11,13 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request};
+use singletrack_api::{
+    Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request, ask,
+};
 
 use crate::{
     arguments::parse_duration,
-    control::{ControlArgs, ControlError, ask, print},
+    control::{ControlArgs, ControlError, print},
     interrupt::Interrupt,
 };
 
@@ -78,16 +80,12 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
     }
     let interrupt = Interrupt::listen()?;
     let mut drive = Drive::connect(&args.control, "the drive")?;
-    match args.time {
-        None => {
-            drive.send(&args.request(Attendance::Hold))?;
-            drive.attend(&interrupt, &Request::Hold {}, None)
-        }
-        Some(_) => {
-            drive.send(&args.request(Attendance::Timed))?;
-            drive.attend(&interrupt, &Request::Status {}, None)
-        }
-    }
+    let (attendance, renewal) = match args.time {
+        None => (Attendance::Hold, Request::Hold {}),
+        Some(_) => (Attendance::Timed, Request::Status {}),
+    };
+    drive.send(&args.request(attendance))?;
+    drive.attend(&interrupt, &renewal, None)
 }
 
 impl ArmArgs {

@@ -1,13 +1,10 @@
 //! `singletrack disarm|stop`: requests to the running daemon.
 
-use std::{
-    io::{self, Write},
-    os::unix::net::UnixStream,
-    path::Path,
-};
+use std::io;
 
 use clap::Args;
-use singletrack_api::{Answer, ClientError, Request};
+use singletrack_api::{ClientError, Request, ask};
+use singletrack_figures::output;
 
 pub use crate::arguments::ControlArgs;
 
@@ -21,24 +18,6 @@ pub struct DisarmArgs {
 
     #[command(flatten)]
     control: ControlArgs,
-}
-
-/// A request to the daemon.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ControlCommand {
-    /// Slow down, stop and disarm.
-    Disarm,
-    /// Neutral at once, until the board is reset.
-    Stop,
-}
-
-impl ControlCommand {
-    const fn request(self) -> Request {
-        match self {
-            Self::Disarm => Request::DISARM,
-            Self::Stop => Request::Stop {},
-        }
-    }
 }
 
 /// Why the request failed.
@@ -64,57 +43,41 @@ impl From<serde_json::Error> for ControlError {
     }
 }
 
-/// Disarms, and says that the car was carried if that is asked for.
+/// Disarms, or says that the car was carried, and prints the result in words.
 ///
 /// # Errors
 ///
-/// Those of [`run`].
+/// When the daemon can't be asked, or refuses; the reason is the daemon's.
 pub fn disarm(args: &DisarmArgs) -> Result<(), ControlError> {
-    if !args.carried {
-        return run(ControlCommand::Disarm, &args.control);
+    let request = Request::Disarm {
+        at_once: false,
+        carried: args.carried,
+    };
+    let answer = ask(&request, &args.control.socket)?;
+    if args.carried {
+        return print(
+            "the car is where the cameras show it; singletrack status says when it is ready",
+        );
     }
-    ask(
-        &Request::Disarm {
-            at_once: false,
-            carried: true,
-        },
-        &args.control.socket,
-    )?;
-    print("the car is where the cameras show it; singletrack status says when it is ready")
+    // An emergency stop stays in force: the daemon then answers with a note.
+    let note = answer.note.as_deref();
+    print(note.unwrap_or("disarming: the car slows down and stops"))
 }
 
-/// Sends the request and prints the result in words.
-/// A closed pipe is no error.
+/// Stops the car at once, and prints the result in words.
 ///
 /// # Errors
 ///
-/// When it can't be asked, or refuses; the reason is the daemon's.
-pub fn run(command: ControlCommand, args: &ControlArgs) -> Result<(), ControlError> {
-    let answer = ask(&command.request(), &args.socket)?;
-    print(&match command {
-        // An emergency stop stays in force: the daemon then answers with a note.
-        ControlCommand::Disarm => answer.note.map_or_else(
-            || "disarming: the car slows down and stops".to_owned(),
-            Into::into,
-        ),
-        ControlCommand::Stop => "stopped: neutral until the board is reset".to_owned(),
-    })
+/// Those of [`disarm`].
+pub fn stop(args: &ControlArgs) -> Result<(), ControlError> {
+    ask(&Request::Stop {}, &args.socket)?;
+    print(EMERGENCY_STOPPED)
 }
+
+/// The result of an emergency stop.
+pub(crate) const EMERGENCY_STOPPED: &str = "stopped: neutral until the board is reset";
 
 /// Prints a result. A closed pipe is no error.
 pub(crate) fn print(text: &str) -> Result<(), ControlError> {
-    let mut stdout = io::stdout().lock();
-    match writeln!(stdout, "{text}").and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(ControlError::Output(error)),
-        _ => Ok(()),
-    }
-}
-
-pub(crate) fn connect(path: &Path) -> Result<UnixStream, ControlError> {
-    Ok(singletrack_api::connect(path)?)
-}
-
-/// The daemon's answer to one request, unless it is a refusal.
-pub(crate) fn ask(request: &Request, path: &Path) -> Result<Answer, ControlError> {
-    Ok(singletrack_api::ask(request, path)?)
+    output::print(&format!("{text}\n")).map_err(ControlError::Output)
 }

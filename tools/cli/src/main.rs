@@ -17,10 +17,8 @@ use singletrack::viewers;
 use singletrack::{arguments::take_negative_numbers, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
-    arm, bring_up, calibrate,
-    control::{self, ControlCommand},
-    doctor, drive, dump, import, install_files, jog, recover, replay, set_reference, setpoint,
-    status, teach, tune,
+    arm, bring_up, calibrate, control, doctor, drive, dump, import, install_files, jog, recover,
+    replay, set_reference, setpoint, status, teach, tune,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -301,7 +299,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "operator")]
         Command::Disarm(args) => Ok(control::disarm(args)?),
         #[cfg(feature = "operator")]
-        Command::Stop(args) => Ok(control::run(ControlCommand::Stop, args)?),
+        Command::Stop(args) => Ok(control::stop(args)?),
         #[cfg(feature = "operator")]
         Command::SetReference(args) => Ok(set_reference::run(args)?),
         #[cfg(feature = "operator")]

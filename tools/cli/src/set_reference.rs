@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use serde::Deserialize;
 use serde_json::Value;
-use singletrack_api::Request;
+use singletrack_api::{Request, ask};
 use singletrack_core::{ConfigError, config::ReferenceSection};
 
 use crate::control::{self, ControlArgs, ControlError};
@@ -74,7 +74,8 @@ struct File {
 /// The file is not a reference, or the daemon refuses it.
 pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
     let reference = read_reference(&args.file)?;
-    let answer = control::ask(&Request::SetReference { reference }, &args.control.socket)?;
+    let request = Request::SetReference { reference };
+    let answer = ask(&request, &args.control.socket).map_err(ControlError::from)?;
     for warning in answer.warnings {
         eprintln!("singletrack: warning: {warning}");
     }

@@ -98,24 +98,23 @@ const POLL: Duration = Duration::from_millis(50);
 /// When there is no path, or it can't be written.
 pub fn run(args: &TeachArgs) -> Result<(), CannotTeach> {
     let table = reference_file(&args.file)?;
-    for (name, value, range, is_good) in [
-        (
-            "speed",
-            args.speed,
-            "above 0, to 20",
-            args.speed > 0.0 && args.speed <= 20.0,
-        ),
-        (
-            "spacing",
-            args.spacing,
-            "0.02 to 1",
-            (0.02..=1.0).contains(&args.spacing),
-        ),
-    ] {
-        if !is_good {
-            return Err(CannotTeach::Number { name, value, range });
-        }
-    }
+    let check = |name, value, range, is_good| match is_good {
+        true => Ok(()),
+        false => Err(CannotTeach::Number { name, value, range }),
+    };
+    let (speed, spacing) = (args.speed, args.spacing);
+    check(
+        "speed",
+        speed,
+        "above 0, to 20",
+        speed > 0.0 && speed <= 20.0,
+    )?;
+    check(
+        "spacing",
+        spacing,
+        "0.02 to 1",
+        (0.02..=1.0).contains(&spacing),
+    )?;
     for path in [&args.file, &table] {
         if path.exists() {
             return Err(CannotTeach::Write {
@@ -172,14 +171,12 @@ fn reference_file(points: &Path) -> Result<PathBuf, CannotTeach> {
 }
 
 /// The places of the car until the operator ends it.
-fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
-    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
-    let mut states = Connection::open(&args.control.socket, POLL).map_err(ControlError::from)?;
-    states
-        .send(&Request::Watch {
-            topics: vec!["state".to_owned()],
-        })
-        .map_err(ControlError::from)?;
+fn watch(args: &TeachArgs) -> Result<Vec<Place>, ControlError> {
+    let interrupt = Interrupt::listen()?;
+    let mut states = Connection::open(&args.control.socket, POLL)?;
+    states.send(&Request::Watch {
+        topics: vec!["state".to_owned()],
+    })?;
     let is_at_end = Arc::new(AtomicBool::new(false));
     let enter = Arc::clone(&is_at_end);
     // It is not waited for: it ends with the process.
@@ -196,11 +193,9 @@ fn watch(args: &TeachArgs) -> Result<Vec<Place>, CannotTeach> {
     let mut places: Vec<Place> = Vec::new();
     let mut shown = 0_usize;
     while !interrupt.is_raised() && !is_at_end.load(Ordering::Relaxed) {
-        match states.receive_within(POLL).map_err(ControlError::from)? {
+        match states.receive_within(POLL)? {
             Some(Reply::State(state)) => places.extend(place(&state)),
-            Some(Reply::Answer(answer)) => {
-                answer.agreed().map_err(ControlError::from)?;
-            }
+            Some(Reply::Answer(answer)) => drop(answer.agreed()?),
             _ => {}
         }
         if is_terminal && places.len() >= shown + 20 {

@@ -1,7 +1,7 @@
 //! `singletrack tune`: other gains or another p, also while the car drives.
 
 use clap::Args;
-use singletrack_api::{Gain, Request, Tune, Tuning};
+use singletrack_api::{Gain, Request, Tune, Tuning, ask};
 
 use crate::control::{self, ControlArgs, ControlError};
 
@@ -48,7 +48,7 @@ pub fn run(args: &TuneArgs) -> Result<(), ControlError> {
         gain_per_s: args.gain.map(Gain::Each),
         point_distance_m: args.point_distance,
     });
-    let answer = control::ask(&request, &args.control.socket)?;
+    let answer = ask(&request, &args.control.socket)?;
     let tuning = answer.tuning.as_ref().map(in_words);
     control::print(&format!("tuned: {}", tuning.unwrap_or_default()))
 }

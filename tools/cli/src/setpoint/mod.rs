@@ -17,10 +17,10 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Answer, Request, Setpoint};
+use singletrack_api::{Answer, ClientError, Request, Setpoint, ask, connect};
 use singletrackd::monotonic_ns;
 
-use crate::control::{self, ControlArgs, ControlError};
+use crate::control::ControlArgs;
 use demand::DemandArgs;
 use trajectory::TrajectoryFile;
 pub use trajectory::TrajectoryFileError;
@@ -87,7 +87,7 @@ pub enum SetpointError {
     },
     /// The daemon refuses or does not answer.
     #[error(transparent)]
-    Control(#[from] ControlError),
+    Client(#[from] ClientError),
 }
 
 /// Time limit for a write to a daemon that does not read.
@@ -128,8 +128,18 @@ impl Source {
 /// Gives the same set-point again and again.
 fn repeat(events: &Sender<Event>, setpoint: &Setpoint, lasts: Option<Duration>) {
     let begun = Instant::now();
-    while lasts.is_none_or(|lasts| begun.elapsed() < lasts) {
-        if !give(events, setpoint.clone()) {
+    let goes_on = |_: &Setpoint| lasts.is_none_or(|lasts| begun.elapsed() < lasts);
+    give_all(
+        events,
+        std::iter::repeat(setpoint.clone()).take_while(goes_on),
+    );
+}
+
+/// Gives one set-point after the other, each after [`PERIOD`], until there is none or nobody takes
+/// them any more.
+fn give_all(events: &Sender<Event>, setpoints: impl Iterator<Item = Setpoint>) {
+    for setpoint in setpoints {
+        if !give(events, setpoint) {
             return;
         }
         thread::sleep(PERIOD);
@@ -141,21 +151,14 @@ fn repeat(events: &Sender<Event>, setpoint: &Setpoint, lasts: Option<Duration>) 
 /// car stands at the first one until it drives.
 fn follow(events: &Sender<Event>, way: &TrajectoryFile, socket: &Path) {
     let mut begun = None;
-    loop {
+    let setpoints = std::iter::from_fn(|| {
         let now_ns = monotonic_ns();
         if begun.is_none() && is_driving(socket) {
             begun = Some(now_ns);
         }
-        let begin_ns = begun.unwrap_or(now_ns + LEAD_NS);
-        let Some(setpoint) = way.window(begin_ns, now_ns) else {
-            break;
-        };
-        if !give(events, setpoint) {
-            return;
-        }
-        thread::sleep(PERIOD);
-    }
-    let _ = events.send(Event::Input(Ok(())));
+        way.window(begun.unwrap_or(now_ns + LEAD_NS), now_ns)
+    });
+    give_all(events, setpoints);
 }
 
 /// How far in the future a trajectory begins that waits for the car, ns: the daemon takes one
@@ -164,7 +167,7 @@ const LEAD_NS: u64 = 500_000_000;
 
 /// Whether the car drives. A daemon that does not answer shows on the other connection.
 fn is_driving(socket: &Path) -> bool {
-    control::ask(&Request::Status {}, socket)
+    ask(&Request::Status {}, socket)
         .is_ok_and(|answer| answer.status.is_some_and(|status| status.mode == "driving"))
 }
 
@@ -189,12 +192,12 @@ enum Event {
 /// The first one that is not a set-point, or that the daemon refuses.
 pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
     let source = Source::of(&args.demand)?;
-    let mut stream = control::connect(&args.control.socket)?;
+    let mut stream = connect(&args.control.socket)?;
     let prepared = || -> io::Result<UnixStream> {
         stream.set_write_timeout(Some(PATIENCE))?;
         stream.try_clone()
     };
-    let answers = prepared().map_err(ControlError::from)?;
+    let answers = prepared().map_err(ClientError::from)?;
     let (events_in, events) = mpsc::channel();
     let answers_in = events_in.clone();
     // Neither is waited for: both end with the process.
@@ -205,33 +208,29 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
         Source::Constant { setpoint, lasts } => repeat(&events_in, &setpoint, lasts),
         Source::Trajectory(way) => follow(&events_in, &way, &socket),
     });
-
     for event in (Newest { events, next: None }) {
         match event {
-            Event::Setpoint(setpoint) => {
-                let line = Request::Setpoint(setpoint)
-                    .to_line()
-                    .map_err(ControlError::from)?;
-                stream
-                    .write_all(line.as_bytes())
-                    .map_err(ControlError::from)?;
-            }
-            Event::Input(Ok(())) => {
-                // The daemon sends its remaining answers and closes the connection.
-                stream
-                    .shutdown(Shutdown::Write)
-                    .map_err(ControlError::from)?;
-            }
+            Event::Setpoint(setpoint) => send(&mut stream, setpoint)?,
+            // The daemon sends its remaining answers and closes the connection.
+            Event::Input(Ok(())) => stream
+                .shutdown(Shutdown::Write)
+                .map_err(ClientError::from)?,
             Event::Input(Err(error)) => return Err(error),
-            Event::Answer(answer) => {
-                let answer: Answer = serde_json::from_str(&answer).map_err(ControlError::from)?;
-                answer.agreed().map_err(ControlError::from)?;
-            }
-            Event::Closed(Ok(())) => break,
-            Event::Closed(Err(error)) => return Err(ControlError::from(error).into()),
+            Event::Answer(answer) => check(&answer)?,
+            Event::Closed(closed) => return Ok(closed.map_err(ClientError::from)?),
         }
     }
     Ok(())
+}
+
+fn send(stream: &mut UnixStream, setpoint: Setpoint) -> Result<(), ClientError> {
+    let line = Request::Setpoint(setpoint).to_line()?;
+    Ok(stream.write_all(line.as_bytes())?)
+}
+
+/// Fails with the daemon's reason if it refuses a set-point.
+fn check(answer: &str) -> Result<(), ClientError> {
+    serde_json::from_str::<Answer>(answer)?.agreed().map(drop)
 }
 
 /// The events in order; of the set-points that are waiting, only the last.
@@ -263,42 +262,34 @@ impl Iterator for Newest {
 }
 
 fn read_input(events: &Sender<Event>) {
-    let mut ended = Ok(());
-    for (number, read) in (1..).zip(io::stdin().lock().lines()) {
-        match read {
-            Ok(text) if text.trim().is_empty() => {}
-            Ok(line) => match setpoint(&line) {
-                // The receiver is gone when the process is about to end.
-                Ok(setpoint) => drop(give(events, setpoint)),
-                Err(reason) => {
-                    ended = Err(SetpointError::Line {
-                        number,
-                        line,
-                        reason,
-                    });
-                    break;
-                }
-            },
-            Err(error) => {
-                ended = Err(SetpointError::Input(error));
-                break;
+    let mut lines = (1..).zip(io::stdin().lock().lines());
+    let ended = lines.try_for_each(|(number, line)| {
+        let line = line.map_err(SetpointError::Input)?;
+        if line.trim().is_empty() {
+            return Ok(());
+        }
+        match setpoint(&line) {
+            // The receiver is gone when the process is about to end.
+            Ok(setpoint) => drop(give(events, setpoint)),
+            Err(reason) => {
+                return Err(SetpointError::Line {
+                    number,
+                    line,
+                    reason,
+                });
             }
         }
-    }
+        Ok(())
+    });
     let _ = events.send(Event::Input(ended));
 }
 
 fn read_answers(answers: UnixStream, events: &Sender<Event>) {
-    let mut closed = Ok(());
-    for line in BufReader::new(answers).lines() {
-        match line {
-            Ok(line) => drop(events.send(Event::Answer(line))),
-            Err(error) => {
-                closed = Err(error);
-                break;
-            }
-        }
-    }
+    let mut lines = BufReader::new(answers).lines();
+    let closed = lines.try_for_each(|line| {
+        let _ = events.send(Event::Answer(line?));
+        Ok(())
+    });
     let _ = events.send(Event::Closed(closed));
 }
 

@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::Request;
+use singletrack_api::{Request, ask};
 
-use crate::control::{ControlArgs, ControlError, ask, print};
+use crate::control::{ControlArgs, ControlError, print};
 use summary::Summary;
 
 /// Options of `singletrack status`.
