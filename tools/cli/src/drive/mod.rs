@@ -21,18 +21,20 @@ use rustix::{
     io::Errno,
 };
 use serde_json::{Value, json};
-use singletrack_api::{Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint};
+use singletrack_api::{
+    Answer, Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint, State, ask_within,
+};
 use singletrack_control::{Time, Velocity, direction};
 use singletrack_core::config::ReferenceSection;
 use singletrackd::monotonic_ns;
 
 use crate::{
-    control::{ControlArgs, ControlError, print},
+    control::{ControlArgs, ControlError, EMERGENCY_STOPPED, print},
     interrupt::Interrupt,
     set_reference::{SetReferenceError, read_reference},
 };
 use device::Source;
-use pad::{Driver, Pad, PadEvent, PadNote, PadOptions, PadRequest};
+use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};
 
 /// The pad and its bounds.
 #[derive(Clone, Debug, Args)]
@@ -128,6 +130,12 @@ const AGAIN: Duration = Duration::from_millis(300);
 /// Time-out of the set-points of the sticks: they come every 20 ms.
 const SETPOINT_TIMEOUT_MS: u32 = 100;
 
+/// Neutral at once.
+const HALT: Request = Request::Disarm {
+    at_once: true,
+    carried: false,
+};
+
 /// The exit status of a drive that something else stopped.
 const STOPPED: u8 = 3;
 
@@ -146,19 +154,14 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         source,
     })?;
     let reference = args.reference.as_deref().map(read_reference).transpose()?;
-    let mut watch = open(&args.control.socket)?;
+    let mut watch = Connection::open(&args.control.socket, PATIENCE)?;
     watch.send(&Request::Watch {
-        topics: vec!["tick".to_owned()],
+        topics: vec!["state".to_owned()],
     })?;
     let now = Time(monotonic_ns());
-    let options = PadOptions {
-        max_speed: args.speed,
-        silence: args.silence,
-        ..PadOptions::default()
-    };
     let mut shell = Shell {
-        pad: Pad::new(options, now),
-        session: open(&args.control.socket)?,
+        pad: Pad::new(args.speed, args.silence, now),
+        session: Connection::open(&args.control.socket, PATIENCE)?,
         watch,
         socket: &args.control.socket,
         stage: Stage::Off,
@@ -214,16 +217,6 @@ impl Stage {
     }
 }
 
-/// The car in its last tick.
-#[derive(Clone, Debug)]
-struct Car {
-    at: Instant,
-    is_ready: bool,
-    /// Why it can't be armed.
-    preflight: Option<String>,
-    yaw: Option<f64>,
-}
-
 struct Shell<'a> {
     pad: Pad,
     /// Holds the drive.
@@ -238,7 +231,8 @@ struct Shell<'a> {
     /// The reference of the pilot, if one was given.
     reference: Option<Value>,
     uncalibrated: bool,
-    car: Option<Car>,
+    /// The last tick, and when it came.
+    car: Option<(Instant, Box<State>)>,
 }
 
 impl Shell<'_> {
@@ -269,8 +263,13 @@ impl Shell<'_> {
             while let Some(reply) = self.session.receive()? {
                 self.answered(reply)?;
             }
-            while let Some(line) = self.watch.receive()? {
-                self.seen(&line)?;
+            while let Some(reply) = self.watch.receive()? {
+                match reply {
+                    Reply::State(state) => self.car = Some((Instant::now(), state)),
+                    // There may be too many watchers.
+                    Reply::Answer(answer) => drop(answer.agreed()?),
+                    _ => {}
+                }
             }
             self.settle()?;
             if interrupt.is_raised() && !is_leaving {
@@ -315,14 +314,11 @@ impl Shell<'_> {
                 _ => {}
             },
             PadRequest::End => self.stop(&Request::DISARM)?,
-            PadRequest::Halt => self.stop(&Request::Disarm {
-                at_once: true,
-                carried: false,
-            })?,
+            PadRequest::Halt => self.stop(&HALT)?,
             PadRequest::Stop => {
-                self.send_apart(&Request::Stop {})?;
+                self.ask(&Request::Stop {})?;
                 self.stage = self.stage.stopped();
-                print("stopped: neutral until the board is reset")?;
+                print(EMERGENCY_STOPPED)?;
             }
             PadRequest::Note(note) => print(match note {
                 PadNote::ReleaseFirst => "release both shoulder buttons first",
@@ -380,8 +376,8 @@ impl Shell<'_> {
         let Stage::Settling(driver, since) = self.stage else {
             return Ok(());
         };
-        let car = self.car.as_ref().filter(|car| car.at > since);
-        if car.is_some_and(|car| car.is_ready) {
+        let car = self.car.as_ref().filter(|(at, _)| *at > since);
+        if car.is_some_and(|(_, state)| state.mode == "ready") {
             self.stage = Stage::Arming(driver);
             return Ok(self.session.send(&Request::Arm(Arm {
                 attendance: Some(Attendance::Hold),
@@ -390,8 +386,9 @@ impl Shell<'_> {
             }))?);
         }
         if since.elapsed() > SETTLE {
-            let reason = car.and_then(|car| car.preflight.clone());
-            let reason = reason.unwrap_or_else(|| "the daemon shows no state".to_owned());
+            let status = car.and_then(|_| self.ask(&Request::Status {}).ok()?.status);
+            let reason = status.and_then(|status| status.preflight);
+            let reason = reason.unwrap_or("the daemon shows no state".into());
             self.refused(&format!("can't arm: {reason}"))?;
         }
         Ok(())
@@ -403,13 +400,15 @@ impl Shell<'_> {
         if self.stage == Stage::Off {
             return Ok(());
         }
-        self.send_apart(request)
+        // If it fails, the end of this program ends the session, and with it the drive.
+        self.ask(request)?;
+        Ok(())
     }
 
-    /// Sends a line on a connection of its own: the session may wait for the board to arm.
-    fn send_apart(&self, request: &Request) -> Result<(), DriveError> {
-        // The end of this program ends the session, and with it the drive.
-        Ok(ask(self.socket, request)?)
+    /// Asks on a connection of its own, for not too long: the session may wait for the board to
+    /// arm.
+    fn ask(&self, request: &Request) -> Result<Answer, ClientError> {
+        ask_within(request, self.socket, ANSWER)
     }
 
     fn refused(&mut self, error: &str) -> Result<(), DriveError> {
@@ -458,10 +457,7 @@ impl Shell<'_> {
             (Err(error), Stage::Driving(Driver::Sticks)) if other_steers => {
                 // The sticks have no effect: a program drives the car.
                 print(&error.to_string())?;
-                self.stop(&Request::Disarm {
-                    at_once: true,
-                    carried: false,
-                })?;
+                self.stop(&HALT)?;
             }
             // A set-point without a reference for it, or a late renewal.
             (Err(_), Stage::Driving(_)) => {}
@@ -470,33 +466,11 @@ impl Shell<'_> {
         Ok(())
     }
 
-    /// Handles a tick.
-    fn seen(&mut self, tick: &Value) -> Result<(), DriveError> {
-        let word = |key| tick.get(key).and_then(Value::as_str);
-        if let Some(error) = word("error") {
-            // There are too many watchers.
-            return Err(ClientError::Refused(error.to_owned()).into());
-        }
-        let Some(mode) = word("mode") else {
-            return Ok(());
-        };
-        let preflight = tick.pointer("/preflight/reason").and_then(Value::as_str);
-        self.car = Some(Car {
-            at: Instant::now(),
-            is_ready: mode == "ready",
-            preflight: preflight.map(str::to_owned),
-            yaw: tick.pointer("/estimate/yaw_rad").and_then(Value::as_f64),
-        });
-        Ok(())
-    }
-
     /// Sends the velocity of P. Without a fresh heading none is sent, and the car stops.
     fn steer(&mut self, speed: f64, turn: f64) -> Result<(), DriveError> {
         let car = self.car.as_ref();
-        let yaw = car
-            .filter(|car| car.at.elapsed() < HEADING_AGE)
-            .and_then(|car| car.yaw);
-        let Some(yaw) = yaw else {
+        let car = car.filter(|(at, _)| at.elapsed() < HEADING_AGE);
+        let Some(yaw) = car.and_then(|(_, state)| state.yaw) else {
             return Ok(());
         };
         let velocity: Velocity = speed * direction(yaw + turn);
@@ -508,22 +482,12 @@ impl Shell<'_> {
     }
 }
 
-/// Asks on a connection of its own, for not too long.
-fn ask(socket: &Path, request: &Request) -> Result<(), ClientError> {
-    singletrack_api::ask_within(request, socket, ANSWER).map(drop)
-}
-
 /// Puts the reference of the configuration in force again, as soon as the car stands.
 fn restore(socket: &Path) {
     let begun = Instant::now();
-    while ask(socket, &Request::Reload {}).is_err() && begun.elapsed() < RESTORE {
+    while ask_within(&Request::Reload {}, socket, ANSWER).is_err() && begun.elapsed() < RESTORE {
         thread::sleep(AGAIN);
     }
-}
-
-/// A connection whose daemon takes every line at once, or hangs.
-fn open(socket: &Path) -> Result<Connection, ClientError> {
-    Connection::open(socket, PATIENCE)
 }
 
 /// Waits for something to read, but not for long.

@@ -10,12 +10,18 @@ use std::time::Duration;
 
 use singletrack_control::Time;
 
-/// Codes of the kernel's input events, from `linux/input-event-codes.h`.
+/// What counts of a pad, by the codes of the kernel's input events, from
+/// `linux/input-event-codes.h`: the button for an emergency stop (`BTN_EAST`), the one that gives
+/// the sticks (`BTN_TL`), the one that lets the car drive itself (`BTN_TR`), the stick for the
+/// speed (`ABS_Y`; up is forward) and the one for the direction (`ABS_RX`).
 pub(crate) const BTN_EAST: u16 = 0x131;
 pub(crate) const BTN_TL: u16 = 0x136;
 pub(crate) const BTN_TR: u16 = 0x137;
 pub(crate) const ABS_Y: u16 = 0x01;
 pub(crate) const ABS_RX: u16 = 0x03;
+
+/// Angle between the heading and the velocity of P at the end of the stick, rad.
+const MAX_TURN: f64 = 0.4;
 
 /// An event of a pad.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,42 +46,6 @@ pub enum PadEvent {
     Dropped,
     /// The pad is gone.
     Lost,
-}
-
-/// Which buttons and sticks count, and how far.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PadOptions {
-    /// The button that lets the car drive itself.
-    pub drive_button: u16,
-    /// The button that gives the sticks.
-    pub sticks_button: u16,
-    /// The button for an emergency stop.
-    pub stop_button: u16,
-    /// The stick for the speed; up is forward.
-    pub speed_axis: u16,
-    /// The stick for the direction.
-    pub turn_axis: u16,
-    /// Speed of P at the end of the stick, m/s.
-    pub max_speed: f64,
-    /// Angle between the heading and the velocity of P at the end of the stick, rad.
-    pub max_turn: f64,
-    /// The longest silence of a pad while it holds a drive.
-    pub silence: Duration,
-}
-
-impl Default for PadOptions {
-    fn default() -> Self {
-        Self {
-            drive_button: BTN_TR,
-            sticks_button: BTN_TL,
-            stop_button: BTN_EAST,
-            speed_axis: ABS_Y,
-            turn_axis: ABS_RX,
-            max_speed: 0.5,
-            max_turn: 0.4,
-            silence: Duration::from_secs(5),
-        }
-    }
 }
 
 /// Who steers the car.
@@ -164,7 +134,10 @@ struct Held {
 /// A pad.
 #[derive(Clone, Debug)]
 pub struct Pad {
-    options: PadOptions,
+    /// Speed of P at the end of the stick, m/s.
+    max_speed: f64,
+    /// The longest silence while it holds a drive.
+    silence: Duration,
     drive: DeadMan,
     sticks: DeadMan,
     /// Positions of the sticks; `None` until they are known.
@@ -180,11 +153,13 @@ pub struct Pad {
 }
 
 impl Pad {
-    /// A pad in an unknown state: no button counts before its first release.
+    /// A pad in an unknown state: no button counts before its first release. At the end of the
+    /// stick P has `max_speed`, m/s; a pad that holds a drive may be silent for `silence`.
     #[must_use]
-    pub fn new(options: PadOptions, now: Time) -> Self {
+    pub fn new(max_speed: f64, silence: Duration, now: Time) -> Self {
         Self {
-            options,
+            max_speed,
+            silence,
             drive: DeadMan::default(),
             sticks: DeadMan::default(),
             speed: None,
@@ -218,7 +193,6 @@ impl Pad {
 
     /// Handles an event. Returns a request that can't wait for the next [`poll`](Self::poll).
     pub fn handle(&mut self, now: Time, event: PadEvent) -> Option<PadRequest> {
-        let options = self.options;
         match event {
             PadEvent::Lost => {
                 self.is_lost = true;
@@ -232,25 +206,22 @@ impl Pad {
                 (self.speed, self.turn) = (None, None);
                 return request;
             }
-            PadEvent::Button { code, pressed } => {
-                if code == options.stop_button {
-                    if pressed {
-                        self.ended();
-                        return Some(PadRequest::Stop);
-                    }
-                } else if code == options.drive_button {
-                    self.drive.set(pressed);
-                } else if code == options.sticks_button {
-                    self.sticks.set(pressed);
+            PadEvent::Button { code, pressed } => match code {
+                BTN_EAST if pressed => {
+                    self.ended();
+                    return Some(PadRequest::Stop);
                 }
-            }
+                BTN_TR => self.drive.set(pressed),
+                BTN_TL => self.sticks.set(pressed),
+                _ => {}
+            },
             PadEvent::Axis { code, value } => {
                 // A value that is not finite counts as an unknown position.
                 let value = value.is_finite().then(|| value.clamp(-1.0, 1.0));
-                if code == options.speed_axis {
-                    self.speed = value;
-                } else if code == options.turn_axis {
-                    self.turn = value;
+                match code {
+                    ABS_Y => self.speed = value,
+                    ABS_RX => self.turn = value,
+                    _ => {}
                 }
             }
             PadEvent::Other => {}
@@ -276,7 +247,7 @@ impl Pad {
         let Some(mut held) = self.held else {
             return self.begin(now);
         };
-        if since(now, self.heard) > self.options.silence {
+        if since(now, self.heard) > self.silence {
             self.ended();
             self.was_silent = true;
             return Some(PadRequest::Halt);
@@ -347,8 +318,8 @@ impl Pad {
         };
         PadRequest::Velocity {
             // Never backward: the law would turn the car round.
-            speed: self.options.max_speed * beyond_centre(-speed).max(0.0),
-            turn: self.options.max_turn * beyond_centre(-turn),
+            speed: self.max_speed * beyond_centre(-speed).max(0.0),
+            turn: MAX_TURN * beyond_centre(-turn),
         }
     }
 }

@@ -16,7 +16,7 @@ const fn axis(code: u16, value: f64) -> PadEvent {
 
 /// A pad with its buttons released and its sticks centred.
 fn ready() -> Pad {
-    let mut pad = Pad::new(PadOptions::default(), at(0));
+    let mut pad = Pad::new(0.5, Duration::from_secs(5), at(0));
     for event in [
         button(BTN_TR, false),
         button(BTN_TL, false),
@@ -56,7 +56,7 @@ fn a_held_button_lets_the_car_drive_and_its_release_ends_the_drive() {
 #[test]
 fn a_button_that_is_pressed_from_the_beginning_must_be_released_once() {
     for code in [BTN_TR, BTN_TL] {
-        let mut pad = Pad::new(PadOptions::default(), at(0));
+        let mut pad = Pad::new(0.5, Duration::from_secs(5), at(0));
         for event in [axis(ABS_Y, 0.0), axis(ABS_RX, 0.0), button(code, true)] {
             pad.handle(at(0), event);
         }
@@ -199,7 +199,7 @@ fn recorded() -> Vec<(Time, PadEvent)> {
 
 #[test]
 fn a_recorded_session_begins_two_drives_and_ends_with_the_loss_of_the_pad() {
-    let mut pad = Pad::new(PadOptions::default(), at(0));
+    let mut pad = Pad::new(0.5, Duration::from_secs(5), at(0));
     let mut asked = Vec::new();
     let events = recorded();
     let mut fastest: f64 = 0.0;
