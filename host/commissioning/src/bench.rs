@@ -204,8 +204,6 @@ pub struct PoseReading {
     pub receive: Time,
     /// Bound on the error of `capture`, s.
     pub uncertainty: f64,
-    /// Number of the frame.
-    pub frame: i32,
     /// Position of the body's origin, m.
     pub position: [f64; 3],
     /// Yaw, -π to π, rad: of the body, not of the car.
@@ -231,10 +229,6 @@ pub struct TickReading {
     pub preflight: Option<Reason>,
     /// The estimate: position of the centre of mass in m and yaw in rad.
     pub pose: Option<([f64; 2], f64)>,
-    /// The commanded speed of the rear axle, m/s, and steering angle, rad.
-    pub command: Option<(f64, f64)>,
     /// Position of P, m.
     pub point: Option<Position>,
-    /// The deceleration of the stop that ended in this tick, m/s².
-    pub braking_measured: Option<f64>,
 }

@@ -6,7 +6,9 @@ use singletrack_protocol::StopCause;
 use crate::{Interrupted, Parameter};
 
 /// The result of a step: what it found, what was expected, and what to do.
-#[derive(Clone, Debug, Serialize)]
+///
+/// From JSON it borrows the names of step and parameters, for the rest of the program.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
     /// The step's name, which the procedure fills in.
     pub step: &'static str,

@@ -17,6 +17,7 @@ pub mod edit;
 mod finding;
 mod fit;
 mod imu_noise;
+mod observed;
 mod parameter;
 mod plot;
 mod procedure;

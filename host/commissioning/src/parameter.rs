@@ -1,6 +1,6 @@
 //! A measured value and its uncertainty.
 
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
 /// An estimate with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,7 +69,7 @@ impl Interval {
 }
 
 /// A parameter of the car that was measured.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Parameter {
     /// Its name, such as `servo-centre`; in one procedure each has one.
     pub name: &'static str,
@@ -80,7 +80,11 @@ pub struct Parameter {
     pub estimate: Interval,
     /// The key of the configuration that takes it, such as `board.servo.centre_us`, with the
     /// value as TOML.
-    #[serde(flatten, serialize_with = "key_and_toml")]
+    #[serde(
+        flatten,
+        serialize_with = "key_and_toml",
+        deserialize_with = "of_key_and_toml"
+    )]
     pub key: Option<(&'static str, toml_edit::Value)>,
 }
 
@@ -111,4 +115,20 @@ fn key_and_toml<S: Serializer>(
         [("key", (*key).to_owned()), ("toml", toml)]
     });
     serializer.collect_map(entries.into_iter().flatten())
+}
+
+fn of_key_and_toml<'de: 'static, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<(&'static str, toml_edit::Value)>, D::Error> {
+    #[derive(Deserialize)]
+    struct Written {
+        key: Option<&'static str>,
+        toml: Option<String>,
+    }
+    let Written { key, toml } = Written::deserialize(deserializer)?;
+    let value = |key| {
+        let toml = toml.ok_or_else(|| D::Error::missing_field("toml"))?;
+        Ok((key, toml.parse().map_err(D::Error::custom)?))
+    };
+    key.map(value).transpose()
 }

@@ -4,15 +4,12 @@ use std::collections::BTreeMap;
 
 use singletrack_commissioning::edit::{Edit, EditError};
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live, Observation,
-    PoseReading, Question, Refused, TickReading,
+    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Question, Refused,
 };
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{Config, ConfigError, config::ReferenceSection};
-use singletrack_mocap::PoseState;
 use singletrack_pilot::{PilotRequest, Reason};
-use singletrack_protocol::ImuState;
-use singletrack_record::{Entry, LinkPhase, TelemetryRecord, TickRecord};
+use singletrack_record::{Entry, LinkPhase};
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualDriveError};
 use toml_edit::Value;
 
@@ -175,7 +172,7 @@ impl VirtualBench {
         self.person.act(self.drive.world_mut());
         self.guard.watch(&self.drive, &tick.truth);
         for entry in self.drive.entries() {
-            self.observe(entry, observed);
+            self.observe(&entry, observed);
         }
     }
 
@@ -186,40 +183,15 @@ impl VirtualBench {
             .send_setpoint(&Setpoint::point(now, None, Velocity::zeros()));
     }
 
-    fn observe(&mut self, entry: Entry, observed: &mut Vec<Observation>) {
-        match entry {
-            Entry::Telemetry(record) => observed.push(Observation::Board(board(&record))),
-            Entry::Status(record) => observed.push(Observation::Health(Health {
-                receive: Time(record.receive_time_ns),
-                status: record.status,
-            })),
-            Entry::Pose(pose) => observed.push(match pose.state {
-                PoseState::Valid(p) => Observation::Pose(PoseReading {
-                    capture: Time(p.capture_time_ns),
-                    receive: Time(p.receive_time_ns),
-                    uncertainty: p.capture_uncertainty_ns as f64 * 1e-9,
-                    frame: p.frame_number,
-                    position: [p.x_m, p.y_m, p.z_m],
-                    yaw: p.yaw_rad,
-                    roll: p.roll_rad,
-                    pitch: p.pitch_rad,
-                    mean_error: p.mean_error_m,
-                }),
-                state => Observation::NoPose {
-                    receive: Time(pose.receive_time_ns),
-                    state: missing(&state),
-                },
-            }),
-            Entry::Tick(tick) => {
-                let ready = tick.link == LinkPhase::Ready;
-                if ready != self.link_is_ready {
-                    self.link_is_ready = ready;
-                    observed.push(Observation::Link(ready));
-                }
-                observed.push(Observation::Tick(reading(&tick)));
+    fn observe(&mut self, entry: &Entry, observed: &mut Vec<Observation>) {
+        if let Entry::Tick(tick) = entry {
+            let ready = tick.link == LinkPhase::Ready;
+            if ready != self.link_is_ready {
+                self.link_is_ready = ready;
+                observed.push(Observation::Link(ready));
             }
-            Entry::Log(_) | Entry::Configuration(_) | Entry::Drops(_) => {}
         }
+        observed.extend(Observation::of(entry));
     }
 
     /// Lets time pass unobserved.
@@ -381,65 +353,5 @@ impl Bench for VirtualBench {
         self.changes
             .extend(changes.map(|(key, value)| ((*key).to_owned(), value.clone())));
         Ok(())
-    }
-}
-
-fn board(record: &TelemetryRecord) -> BoardReading {
-    let t = &record.telemetry;
-    let [w, x, y, z] = t.attitude_q14.map(|part| f64::from(part) / 16_384.0);
-    let time = match t.imu {
-        ImuState::Fresh => record.new_imu_time_ns(),
-        _ => None,
-    };
-    BoardReading {
-        time: Time(record.board_time_host_ns),
-        board_us: t.board_time_us,
-        receive: Time(record.receive_time_ns),
-        inertial: time.map(|time| Inertial {
-            time: Time(time),
-            board_us: t
-                .board_time_us
-                .wrapping_sub(100 * u32::from(t.imu_age_100us)),
-            acceleration: record.linear_acceleration_m_s2(),
-            angular_velocity: record.angular_velocity_rad_s(),
-            roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-            pitch: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
-        }),
-        motor_speed: f64::from(t.motor_speed_mm_s) * 1e-3,
-        servo_us: t.servo_us,
-        esc_us: t.esc_us,
-        mode: t.mode,
-        stop_cause: t.stop_cause,
-    }
-}
-
-const fn missing(state: &PoseState) -> &'static str {
-    match state {
-        PoseState::NoFrames => "no-frames",
-        PoseState::Unbound(_) => "unbound",
-        PoseState::Valid(_) => "valid",
-        PoseState::Untracked => "untracked",
-        PoseState::Absent => "absent",
-        PoseState::Rejected(_) => "rejected",
-        PoseState::LockedOut(_) => "locked-out",
-        PoseState::Stale { .. } => "stale",
-    }
-}
-
-fn reading(tick: &TickRecord) -> TickReading {
-    let output = &tick.output;
-    TickReading {
-        time: tick.pilot_time,
-        mode: output.mode,
-        reason: output.reason,
-        preflight: output.preflight,
-        pose: output
-            .estimate
-            .map(|estimate| ([estimate.position.x, estimate.position.y], estimate.yaw)),
-        command: output
-            .command
-            .map(|command| (command.rear_speed, command.steering)),
-        point: output.point,
-        braking_measured: output.braking_measured,
     }
 }

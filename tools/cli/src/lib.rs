@@ -6,15 +6,9 @@ pub mod arm;
 #[cfg(feature = "operator")]
 pub mod bench;
 #[cfg(feature = "operator")]
-pub mod bring_up;
-#[cfg(feature = "operator")]
-pub mod calibrate;
-#[cfg(feature = "operator")]
 pub mod control;
 #[cfg(feature = "demo")]
 pub mod demo;
-#[cfg(feature = "operator")]
-pub mod doctor;
 #[cfg(feature = "operator")]
 pub mod drive;
 #[cfg(feature = "operator")]

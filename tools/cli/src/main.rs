@@ -17,8 +17,8 @@ use singletrack::viewers;
 use singletrack::{arguments::take_negative_numbers, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
-    arm, bring_up, calibrate, control, doctor, drive, dump, import, install_files, jog, recover,
-    replay, set_reference, setpoint, status, teach, tune,
+    arm, bench, control, drive, dump, import, install_files, jog, recover, replay, set_reference,
+    setpoint, status, teach, tune,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -61,17 +61,17 @@ enum Command {
     /// the IMU vibrates with turning wheels.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
-    Doctor(doctor::DoctorArgs),
+    Doctor(bench::DoctorArgs),
     #[cfg(feature = "operator")]
     /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
-    BringUp(bring_up::BringUpArgs),
+    BringUp(bench::BenchArgs),
     #[cfg(feature = "operator")]
     /// Drive slowly on the floor to measure steering, motor and brakes: after bring-up.
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
-    Calibrate(calibrate::CalibrateArgs),
+    Calibrate(bench::BenchArgs),
     #[cfg(feature = "paper")]
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
@@ -254,11 +254,11 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "demo")]
         Command::Demo(args) => Ok(demo::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Doctor(args) => return Ok(doctor::run(args)?),
+        Command::Doctor(args) => return Ok(bench::run(args.procedure(), &args.bench)?),
         #[cfg(feature = "operator")]
-        Command::BringUp(args) => return Ok(bring_up::run(args)?),
+        Command::BringUp(args) => return Ok(bench::run(&bench::BRING_UP, args)?),
         #[cfg(feature = "operator")]
-        Command::Calibrate(args) => return Ok(calibrate::run(args)?),
+        Command::Calibrate(args) => return Ok(bench::run(&bench::CALIBRATE, args)?),
         #[cfg(feature = "paper")]
         Command::Compare(args) => Ok(compare::run(args)?),
         #[cfg(feature = "page")]

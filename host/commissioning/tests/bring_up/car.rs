@@ -468,7 +468,6 @@ impl Bench for MockCar {
             capture: time,
             receive: time,
             uncertainty: 1e-4,
-            frame: 0,
             position: [0.3 + self.way_m + noise, -0.2, 0.2],
             yaw: 0.4,
             roll: 0.0,
@@ -481,9 +480,7 @@ impl Bench for MockCar {
             reason: None,
             preflight: None,
             pose: None,
-            command: None,
             point: None,
-            braking_measured: None,
         }));
         Ok(())
     }

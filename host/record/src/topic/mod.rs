@@ -281,8 +281,12 @@ impl Entry {
         with_entry!(self, message => cdr::encode(&message, bytes))
     }
 
-    /// The entry that `bytes` encode.
-    pub(crate) fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
+    /// The entry that `bytes` encode: a message of the topic with its header.
+    ///
+    /// # Errors
+    ///
+    /// It is no message of this topic; in words.
+    pub fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
         with_message!(topic, M of Variant => {
             let value = cdr::decode::<M>(bytes)?.value();
             value.map(Variant).map_err(|error| error.to_string())

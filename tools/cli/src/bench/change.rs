@@ -10,7 +10,7 @@ use singletrack_commissioning::{
     edit::{Edit, EditError},
 };
 
-use super::{ANSWER, LiveBench, WAIT, watch};
+use super::{ANSWER, Entries, LiveBench, WAIT};
 
 impl LiveBench {
     /// What has changed in the configuration's file since the start, as a unified diff.
@@ -91,9 +91,9 @@ impl LiveBench {
         }
         let asked = Instant::now();
         loop {
-            match watch(&self.socket) {
-                Ok(watch) => {
-                    self.watch = watch;
+            match Entries::watch(&self.socket) {
+                Ok(entries) => {
+                    self.entries = entries;
                     self.heard = Instant::now();
                     self.is_linked = None;
                     return Ok(());

@@ -7,8 +7,9 @@ use std::{
 };
 
 use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use singletrack_commissioning::{Finding, Step, Verdict, edit::Edit, report};
+use singletrack_commissioning::{Finding, Step, Verdict, edit::Edit};
 
 /// Age after which a finding is found again: the car may have been changed.
 const VALID: SignedDuration = SignedDuration::from_hours(24);
@@ -17,12 +18,41 @@ const VALID: SignedDuration = SignedDuration::from_hours(24);
 pub(super) struct FileJournal {
     path: PathBuf,
     car_id: u16,
-    entries: Vec<(Finding, Value)>,
+    entries: Vec<Entry>,
+}
+
+/// A finding, and when it was found.
+#[derive(Serialize, Deserialize)]
+#[serde(bound(deserialize = "'de: 'static"))]
+struct Entry {
+    time: Timestamp,
+    finding: Finding,
+}
+
+impl Entry {
+    /// Whether it is of one of these steps that did not fail, not older than a day, and with
+    /// measured values that the configuration still has.
+    fn holds(&self, steps: &[Step], configuration: &Edit, now: Timestamp) -> bool {
+        let Finding {
+            step,
+            verdict,
+            parameters,
+            ..
+        } = &self.finding;
+        let age = now.duration_since(self.time);
+        steps.iter().any(|known| known.name == *step)
+            && *verdict != Verdict::Failed
+            && age < VALID
+            && !age.is_negative()
+            && parameters
+                .iter()
+                .filter_map(|parameter| parameter.key.as_ref())
+                .all(|(key, value)| configuration.has(key, value))
+    }
 }
 
 impl FileJournal {
-    /// The findings that still hold, of these steps: of this car, not older than a day, of a step
-    /// that did not fail, and with measured values that the configuration still has.
+    /// The findings of this car that still hold.
     pub(super) fn open(
         path: &Path,
         car_id: u16,
@@ -30,26 +60,8 @@ impl FileJournal {
         configuration: &Edit,
         now: Timestamp,
     ) -> Self {
-        let entries = read(path, car_id)
-            .into_iter()
-            .filter_map(|entry| {
-                let time: Timestamp = entry.get("time")?.as_str()?.parse().ok()?;
-                let age = now.duration_since(time);
-                let json = entry.get("finding")?;
-                let name = json.get("step")?.as_str()?;
-                let step = steps.iter().find(|step| step.name == name)?;
-                let finding = report::from_json(step.name, json)?;
-                let holds = finding.verdict != Verdict::Failed
-                    && age < VALID
-                    && !age.is_negative()
-                    && finding
-                        .parameters
-                        .iter()
-                        .filter_map(|parameter| parameter.key.as_ref())
-                        .all(|(key, value)| configuration.has(key, value));
-                holds.then_some((finding, entry))
-            })
-            .collect();
+        let mut entries = read(path, car_id).unwrap_or_default();
+        entries.retain(|entry| entry.holds(steps, configuration, now));
         Self {
             path: path.to_owned(),
             car_id,
@@ -58,45 +70,47 @@ impl FileJournal {
     }
 
     pub(super) fn found(&self, step: &str) -> Option<Finding> {
-        self.entries
-            .iter()
-            .map(|(finding, _)| finding)
-            .find(|finding| finding.step == step)
-            .cloned()
+        let mut findings = self.entries.iter().map(|entry| &entry.finding);
+        findings.find(|finding| finding.step == step).cloned()
     }
 
-    pub(super) fn keep(&mut self, finding: &Finding, now: Timestamp) -> io::Result<()> {
-        self.entries.retain(|(kept, _)| kept.step != finding.step);
-        let entry = json!({ "time": now.to_string(), "finding": report::to_json(finding) });
-        self.entries.push((finding.clone(), entry));
-        let entries: Vec<&Value> = self.entries.iter().map(|(_, entry)| entry).collect();
-        let text = json!({ "car_id": self.car_id, "entries": entries }).to_string();
-        write(&self.path, &text)
+    pub(super) fn keep(&mut self, finding: &Finding, time: Timestamp) -> io::Result<()> {
+        self.entries
+            .retain(|entry| entry.finding.step != finding.step);
+        let finding = finding.clone();
+        self.entries.push(Entry { time, finding });
+        let json = json!({ "car_id": self.car_id, "entries": self.entries });
+        write(&self.path, &json.to_string())
     }
 
     /// The procedure has run to its end: the next one begins with its first step.
     pub(super) fn close(&self) -> io::Result<()> {
-        match fs::remove_file(&self.path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-            _ => Ok(()),
-        }
+        remove(&self.path)
     }
 }
 
-/// The entries of a file; none of one that is missing, damaged or of another car.
-fn read(path: &Path, car_id: u16) -> Vec<Value> {
-    let Some(mut json) = fs::read_to_string(path)
-        .ok()
-        .and_then(|text| serde_json::from_str::<Value>(&text).ok())
-    else {
-        return Vec::new();
-    };
-    if json.get("car_id").and_then(Value::as_u64) != Some(car_id.into()) {
-        return Vec::new();
+/// The entries of a file, without damaged ones; none of one that is missing, damaged or of another
+/// car.
+fn read(path: &Path, car_id: u16) -> Option<Vec<Entry>> {
+    let text = fs::read_to_string(path).ok()?;
+    // Read once in a run of the program: the leak is small.
+    let json: &'static Value = Box::leak(Box::new(serde_json::from_str(&text).ok()?));
+    if json["car_id"] != car_id {
+        return None;
     }
-    match json.get_mut("entries").map(Value::take) {
-        Some(Value::Array(entries)) => entries,
-        _ => Vec::new(),
+    let entries = json["entries"].as_array()?.iter();
+    Some(
+        entries
+            .filter_map(|entry| Entry::deserialize(entry).ok())
+            .collect(),
+    )
+}
+
+/// Removes the file of a journal, if there is one.
+pub(super) fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
     }
 }
 

@@ -2,10 +2,11 @@
 //! `bring-up` and `calibrate` run on.
 
 mod change;
+mod entries;
 mod held;
 mod journal;
-mod observations;
 mod picture;
+mod procedures;
 mod session;
 mod terminal;
 
@@ -17,20 +18,22 @@ use std::{
 };
 
 use clap::Args;
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use serde_json::{Value, json};
-use singletrack_api::{Answer as Reply, ClientError, Connection, Request, Setpoint, ask};
+use serde_json::json;
+use singletrack_api::{ClientError, Request, Setpoint, ask};
 use singletrack_commissioning::{
     Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question, Refused,
     edit::{Edit, EditError},
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::{Config, ConfigError};
+use singletrack_record::{Entry, LinkPhase};
 
 use crate::{control::ControlArgs, interrupt::Interrupt};
+use entries::Entries;
 use held::{HeldDrive, NotArmed};
 use terminal::Terminal;
 
+pub use procedures::{BRING_UP, CALIBRATE, DoctorArgs};
 pub use session::{Procedure, run};
 
 /// The longest wait for a daemon that does not read.
@@ -116,7 +119,7 @@ pub(crate) struct LiveBench {
     socket: PathBuf,
     path: PathBuf,
     config: Config,
-    watch: Connection,
+    entries: Entries,
     heard: Instant,
     is_linked: Option<bool>,
     drive: Option<HeldDrive>,
@@ -150,7 +153,7 @@ impl LiveBench {
             socket: args.control.socket.clone(),
             path: args.config.clone(),
             config,
-            watch: watch(&args.control.socket)?,
+            entries: Entries::watch(&args.control.socket)?,
             heard: Instant::now(),
             is_linked: None,
             drive: None,
@@ -164,8 +167,8 @@ impl LiveBench {
         })
     }
 
-    /// Waits for a line of the watched topics, renews the drive and looks for Ctrl-C.
-    fn pump(&mut self) -> Result<Option<Value>, Interrupted> {
+    /// Waits for an entry of the watched topics, renews the drive and looks for Ctrl-C.
+    fn pump(&mut self) -> Result<Option<Entry>, Interrupted> {
         let result = self.try_pump();
         if let Err(interrupted) = &result {
             self.interrupted = Some(interrupted.clone());
@@ -173,19 +176,14 @@ impl LiveBench {
         result
     }
 
-    fn try_pump(&mut self) -> Result<Option<Value>, Interrupted> {
+    fn try_pump(&mut self) -> Result<Option<Entry>, Interrupted> {
         if self.interrupt.is_raised() {
             return Err(Interrupted::ByOperator);
         }
         self.renew();
-        let gone = |error: ClientError| Interrupted::DaemonGone(error.to_string());
-        let mut line = self.watch.receive().map_err(gone)?;
-        if line.is_none() {
-            let mut polled = [PollFd::new(&self.watch, PollFlags::IN)];
-            let _ = poll(&mut polled, Some(&timespec(WAIT)));
-            line = self.watch.receive().map_err(gone)?;
-        }
-        if line.is_some() {
+        let entry = self.entries.next(WAIT);
+        let entry = entry.map_err(|error| Interrupted::DaemonGone(error.to_string()))?;
+        if entry.is_some() {
             self.heard = Instant::now();
         } else if self.heard.elapsed() > SILENCE {
             return Err(Interrupted::DaemonGone(format!(
@@ -193,7 +191,7 @@ impl LiveBench {
                 SILENCE.as_secs()
             )));
         }
-        Ok(line)
+        Ok(entry)
     }
 
     /// Puts a question and waits for its answer; `watched` is whether the daemon must be there
@@ -223,23 +221,18 @@ impl LiveBench {
 impl Bench for LiveBench {
     fn wait(&mut self, observed: &mut Vec<Observation>) -> Result<(), Interrupted> {
         loop {
-            let Some(line) = self.pump()? else { continue };
-            let linked = observations::link_is_ready(&line);
-            if linked.is_some() && linked != self.is_linked {
-                // The first one is no change.
-                if self.is_linked.is_some() {
-                    observed.extend(linked.map(Observation::Link));
-                }
-                self.is_linked = linked;
-            }
-            let Some(observation) = observations::observation(&line) else {
+            let Some(entry) = self.pump()? else { continue };
+            let Entry::Tick(tick) = &entry else {
+                observed.extend(Observation::of(&entry));
                 continue;
             };
-            let is_tick = matches!(observation, Observation::Tick(_));
-            observed.push(observation);
-            if is_tick {
-                return Ok(());
+            let is_linked = tick.link == LinkPhase::Ready;
+            // The first one is no change.
+            if self.is_linked.replace(is_linked) == Some(!is_linked) {
+                observed.push(Observation::Link(is_linked));
             }
+            observed.extend(Observation::of(&entry));
+            return Ok(());
         }
     }
 
@@ -382,32 +375,5 @@ impl Drop for LiveBench {
                 thread::sleep(AGAIN);
             }
         }
-    }
-}
-
-/// A connection that receives what the daemon records.
-fn watch(socket: &std::path::Path) -> Result<Connection, ClientError> {
-    let mut watch = Connection::open(socket, PATIENCE)?;
-    watch.send(&Request::Watch {
-        topics: observations::TOPICS.map(str::to_owned).to_vec(),
-    })?;
-    let asked = Instant::now();
-    loop {
-        if let Some(answer) = watch.receive::<Reply>()? {
-            answer.agreed()?;
-            return Ok(watch);
-        }
-        if asked.elapsed() > ANSWER {
-            return Err(io::Error::from(io::ErrorKind::TimedOut).into());
-        }
-        let mut polled = [PollFd::new(&watch, PollFlags::IN)];
-        let _ = poll(&mut polled, Some(&timespec(WAIT)));
-    }
-}
-
-fn timespec(duration: Duration) -> Timespec {
-    Timespec {
-        tv_sec: duration.as_secs() as _,
-        tv_nsec: duration.subsec_nanos() as _,
     }
 }

@@ -64,9 +64,13 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
         source,
     })?;
     bench.pictures = folder.join(procedure.name);
+    let path = folder.join(format!("{}.json", procedure.name));
+    if args.again {
+        journal::remove(&path)?;
+    }
     let mut journal = SessionJournal {
         file: FileJournal::open(
-            &folder.join(format!("{}.json", procedure.name)),
+            &path,
             bench.config.board.car_id,
             procedure.steps,
             &bench.before,
@@ -77,16 +81,6 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
             bar: bench.terminal.bar(),
         },
     };
-    if args.again {
-        journal.file.close()?;
-        journal.file = FileJournal::open(
-            &folder.join(format!("{}.json", procedure.name)),
-            bench.config.board.car_id,
-            procedure.steps,
-            &bench.before,
-            Timestamp::now(),
-        );
-    }
     let is_resumed = procedure
         .steps
         .iter()

@@ -1,0 +1,197 @@
+//! What the daemon records, as observations of the car.
+
+use singletrack_control::Time;
+use singletrack_core::controller::imu_tilt;
+use singletrack_mocap::{Observation as Frame, PoseState};
+use singletrack_record::{Entry, TelemetryRecord, TickRecord};
+
+use crate::{BoardReading, Health, Inertial, Observation, PoseReading, TickReading};
+
+impl Observation {
+    /// The observation in an entry of the record, if there is one. A change of the line is in
+    /// two ticks, and in none of them alone.
+    #[must_use]
+    pub fn of(entry: &Entry) -> Option<Self> {
+        Some(match entry {
+            Entry::Tick(tick) => Self::Tick(TickReading::of(tick)),
+            Entry::Telemetry(record) => Self::Board(BoardReading::of(record)),
+            Entry::Status(record) => Self::Health(Health {
+                receive: Time(record.receive_time_ns),
+                status: record.status,
+            }),
+            Entry::Pose(frame) => Self::of_frame(frame),
+            Entry::Log(_) | Entry::Configuration(_) | Entry::Drops(_) => return None,
+        })
+    }
+
+    fn of_frame(frame: &Frame) -> Self {
+        let receive = Time(frame.receive_time_ns);
+        let state = match frame.state {
+            PoseState::Valid(pose) => {
+                return Self::Pose(PoseReading {
+                    capture: Time(pose.capture_time_ns),
+                    receive,
+                    uncertainty: pose.capture_uncertainty_ns as f64 * 1e-9,
+                    position: [pose.x_m, pose.y_m, pose.z_m],
+                    yaw: pose.yaw_rad,
+                    roll: pose.roll_rad,
+                    pitch: pose.pitch_rad,
+                    mean_error: pose.mean_error_m,
+                });
+            }
+            PoseState::NoFrames => "no-frames",
+            PoseState::Unbound(_) => "unbound",
+            PoseState::Untracked => "untracked",
+            PoseState::Absent => "absent",
+            PoseState::Rejected(_) => "rejected",
+            PoseState::LockedOut(_) => "locked-out",
+            PoseState::Stale { .. } => "stale",
+        };
+        Self::NoPose { receive, state }
+    }
+}
+
+impl TickReading {
+    fn of(tick: &TickRecord) -> Self {
+        let output = &tick.output;
+        Self {
+            time: tick.pilot_time,
+            mode: output.mode,
+            reason: output.reason,
+            preflight: output.preflight,
+            pose: output
+                .estimate
+                .map(|estimate| (estimate.position.into(), estimate.yaw)),
+            point: output.point,
+        }
+    }
+}
+
+impl BoardReading {
+    fn of(record: &TelemetryRecord) -> Self {
+        let telemetry = &record.telemetry;
+        let board_us = telemetry.board_time_us;
+        let tilt = imu_tilt(telemetry.attitude_q14);
+        Self {
+            time: Time(record.board_time_host_ns),
+            board_us,
+            receive: Time(record.receive_time_ns),
+            inertial: record.new_imu_time_ns().map(|time_ns| Inertial {
+                time: Time(time_ns),
+                board_us: board_us.wrapping_sub(100 * u32::from(telemetry.imu_age_100us)),
+                acceleration: record.linear_acceleration_m_s2(),
+                angular_velocity: record.angular_velocity_rad_s(),
+                roll: tilt.roll,
+                pitch: tilt.pitch,
+            }),
+            motor_speed: f64::from(telemetry.motor_speed_mm_s) / 1_000.0,
+            servo_us: telemetry.servo_us,
+            esc_us: telemetry.esc_us,
+            mode: telemetry.mode,
+            stop_cause: telemetry.stop_cause,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::{
+        BoardMode, ImuState, RefusalReason, ResetCause, Sequence, Status, StopCause, Telemetry,
+    };
+    use singletrack_record::{Drops, StatusRecord};
+
+    use super::*;
+
+    #[test]
+    fn telemetry_is_read_in_si_units_and_a_repeated_sample_is_none() {
+        let telemetry = Telemetry {
+            board_time_us: 1,
+            mode: BoardMode::Neutral,
+            stop_cause: StopCause::Disarmed,
+            last_sequence: Sequence(3),
+            imu: ImuState::Fresh,
+            imu_age_100us: 12,
+            linear_acceleration_mm_s2: [10, -20, 30],
+            angular_velocity_mrad_s: [1, 2, -500],
+            // Nose down by 0.2 rad.
+            attitude_q14: [16_302, 0, 1_636, 0],
+            motor_speed_mm_s: 250,
+            servo_us: 1_500,
+            esc_us: 1_490,
+        };
+        let mut record = TelemetryRecord {
+            receive_time_ns: 90,
+            board_time_host_ns: 70,
+            imu_time_host_ns: Some(60),
+            telemetry,
+        };
+        let reading = |record| match Observation::of(&Entry::Telemetry(record)) {
+            Some(Observation::Board(reading)) => reading,
+            other => panic!("{other:?}"),
+        };
+        let board = reading(record);
+        assert_eq!((board.time, board.receive), (Time(70), Time(90)));
+        assert_eq!((board.servo_us, board.esc_us), (1_500, 1_490));
+        assert_eq!(board.motor_speed, 0.25);
+        let inertial = board.inertial.unwrap();
+        assert_eq!(inertial.time, Time(60));
+        assert_eq!(inertial.angular_velocity, [0.001, 0.002, -0.5]);
+        assert_eq!(inertial.acceleration, [0.01, -0.02, 0.03]);
+        assert!((inertial.pitch - 0.2).abs() < 1e-3 && inertial.roll.abs() < 1e-9);
+
+        record.telemetry.imu = ImuState::Repeated;
+        assert_eq!(reading(record).inertial, None);
+    }
+
+    #[test]
+    fn status_and_frames_are_observed_and_other_entries_are_not() {
+        let status = Status {
+            board_time_us: 5,
+            configuration_hash: 77,
+            reset_cause: ResetCause::External,
+            stop_input_open: true,
+            battery_mv: 7_400,
+            frames_received: 1,
+            frames_damaged: 2,
+            drives_refused: 3,
+            last_refusal: RefusalReason::None,
+            frames_dropped: 4,
+            bytes_overrun: 5,
+            imu_errors: 6,
+            supply_mv: 4_900,
+            battery_open: false,
+            power_on: true,
+            edges_refused: 7,
+            imu_calibration: 255,
+            imu_status: 5,
+            imu_error: 0,
+            imu_self_test: 15,
+        };
+        let entry = Entry::Status(StatusRecord {
+            receive_time_ns: 9,
+            status,
+        });
+        let receive = Time(9);
+        assert_eq!(
+            Observation::of(&entry),
+            Some(Observation::Health(Health { receive, status }))
+        );
+        let entry = Entry::Pose(Frame {
+            frame_number: 4,
+            receive_time_ns: 9,
+            state: PoseState::Untracked,
+        });
+        assert_eq!(
+            Observation::of(&entry),
+            Some(Observation::NoPose {
+                receive,
+                state: "untracked"
+            })
+        );
+        let drops = Drops {
+            time_ns: 9,
+            entries: 1,
+        };
+        assert_eq!(Observation::of(&Entry::Drops(drops)), None);
+    }
+}
