@@ -124,6 +124,13 @@ pub enum Interrupted {
 #[error("{0}")]
 pub struct Refused(pub String);
 
+impl Refused {
+    /// With an error as the reason.
+    pub fn because(error: impl core::fmt::Display) -> Self {
+        Self(error.to_string())
+    }
+}
+
 /// Something that was observed. Times are those of the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observation {

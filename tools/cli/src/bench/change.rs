@@ -69,7 +69,7 @@ impl LiveBench {
         match ask(&Request::Reload {}, &self.socket) {
             Ok(_) => Ok(()),
             Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
-            Err(error) => Err(Refused(error.to_string())),
+            Err(error) => Err(Refused::because(error)),
         }
     }
 
@@ -81,11 +81,7 @@ impl LiveBench {
                    singletrackd. Press Enter when that is done.",
             Answers::Begin,
         );
-        let gone = |error: &dyn std::fmt::Display| Refused(error.to_string());
-        match self
-            .ask_of(&question, false)
-            .map_err(|error| gone(&error))?
-        {
+        match self.ask_of(&question, false).map_err(Refused::because)? {
             Answer::Skip => return Err(Refused("the daemon was not restarted".to_owned())),
             _ => self.terminal.say("Waiting for the daemon..."),
         }
@@ -99,7 +95,7 @@ impl LiveBench {
                     return Ok(());
                 }
                 Err(_) if asked.elapsed() < ANSWER => thread::sleep(WAIT),
-                Err(error) => return Err(gone(&error)),
+                Err(error) => return Err(Refused::because(error)),
             }
         }
     }

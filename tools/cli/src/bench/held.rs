@@ -22,14 +22,6 @@ pub(super) struct HeldDrive {
     pub(super) ended: Option<String>,
 }
 
-/// Why a car was not armed.
-pub(super) enum NotArmed {
-    /// The operator let go of the space bar before.
-    LetGo,
-    /// The daemon's reason.
-    Refused(Refused),
-}
-
 impl LiveBench {
     /// Renews a held drive while its key is held, and takes what the daemon says of it.
     pub(super) fn renew(&mut self) {
@@ -81,37 +73,25 @@ impl LiveBench {
         if let Some(ended) = &drive.ended {
             return Err(Refused(ended.clone()));
         }
-        drive
-            .connection
-            .send(request)
-            .map_err(|error| Refused(error.to_string()))
+        drive.connection.send(request).map_err(Refused::because)
     }
 
     /// Waits until the operator holds the space bar, which must have been released before.
     pub(super) fn wait_for_key(&mut self) -> Result<(), Refused> {
-        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
         self.terminal.await_release();
         let mut is_told = false;
-        while !self
-            .terminal
-            .is_released()
-            .map_err(|error| refused(&error))?
-        {
+        while !self.terminal.is_released().map_err(Refused::because)? {
             if !is_told && self.terminal.was_pressed() {
                 is_told = true;
                 self.terminal.say("Let go of the space bar first.");
             }
-            self.pump().map_err(|error| refused(&error))?;
+            self.pump().map_err(Refused::because)?;
         }
         self.terminal.await_press();
         self.terminal
             .say("Hold the space bar: the car is armed while it is held.");
-        while !self
-            .terminal
-            .is_pressed()
-            .map_err(|error| refused(&error))?
-        {
-            self.pump().map_err(|error| refused(&error))?;
+        while !self.terminal.is_pressed().map_err(Refused::because)? {
+            self.pump().map_err(Refused::because)?;
         }
         Ok(())
     }
@@ -124,9 +104,20 @@ impl LiveBench {
         }
     }
 
-    /// Arms with a connection that holds the drive.
-    pub(super) fn arm_held(&mut self, attendance: Attendance) -> Result<HeldDrive, NotArmed> {
-        let refused = |error: ClientError| NotArmed::Refused(Refused(error.to_string()));
+    /// Arms when the space bar is held, with a connection that holds the drive.
+    pub(super) fn arm_by_key(&mut self, attendance: Attendance) -> Result<HeldDrive, Refused> {
+        loop {
+            self.wait_for_key()?;
+            if let Some(drive) = self.arm_held(attendance)? {
+                return Ok(drive);
+            }
+            self.terminal
+                .say("The space bar was released before the car was armed.");
+        }
+    }
+
+    /// Arms while the space bar is held; none if it was released before.
+    fn arm_held(&mut self, attendance: Attendance) -> Result<Option<HeldDrive>, Refused> {
         let arm = Request::Arm(Arm {
             attendance: Some(singletrack_api::Attendance::Hold),
             jog: attendance == Attendance::Jog,
@@ -137,7 +128,7 @@ impl LiveBench {
             velocity_m_s: Some([0.0; 2]),
             ..Setpoint::default()
         });
-        let mut connection = Connection::open(&self.socket, PATIENCE).map_err(refused)?;
+        let mut connection = Connection::open(&self.socket, PATIENCE).map_err(Refused::because)?;
         let begun = Instant::now();
         let mut asked: Option<Instant> = None;
         let mut again = begun;
@@ -159,17 +150,17 @@ impl LiveBench {
                     lines.push(&arm);
                 }
                 for line in lines {
-                    connection.send(line).map_err(refused)?;
+                    connection.send(line).map_err(Refused::because)?;
                 }
             }
-            if let Some(reply) = connection.receive::<Reply>().map_err(refused)? {
+            if let Some(reply) = connection.receive::<Reply>().map_err(Refused::because)? {
                 match reply.agreed() {
                     Ok(_) => {
-                        return Ok(HeldDrive {
+                        return Ok(Some(HeldDrive {
                             connection,
                             renewed: Instant::now(),
                             ended: None,
-                        });
+                        }));
                     }
                     // Renewals that came after a refusal.
                     Err(ClientError::Refused(reason)) if reason.starts_with("hold renews") => {}
@@ -179,20 +170,17 @@ impl LiveBench {
                         asked = None;
                         again = Instant::now() + AGAIN;
                     }
-                    Err(error) => return Err(refused(error)),
+                    Err(error) => return Err(Refused::because(error)),
                 }
             }
             // The connection ends with either, and with it the request.
             if self.terminal.is_released().unwrap_or(true) {
-                return Err(NotArmed::LetGo);
+                return Ok(None);
             }
             if asked.is_some_and(|asked| asked.elapsed() > ANSWER) {
-                return Err(NotArmed::Refused(Refused(
-                    "the daemon does not answer".to_owned(),
-                )));
+                return Err(Refused("the daemon does not answer".to_owned()));
             }
-            self.pump()
-                .map_err(|error| NotArmed::Refused(Refused(error.to_string())))?;
+            self.pump().map_err(Refused::because)?;
         }
     }
 }

@@ -30,7 +30,7 @@ use singletrack_record::{Entry, LinkPhase};
 
 use crate::{control::ControlArgs, interrupt::Interrupt};
 use entries::Entries;
-use held::{HeldDrive, NotArmed};
+use held::HeldDrive;
 use terminal::Terminal;
 
 pub use procedures::{BRING_UP, CALIBRATE, DoctorArgs};
@@ -274,34 +274,16 @@ impl Bench for LiveBench {
             let request = Request::SetReference {
                 reference: json!({ "kind": "external", "setpoint_timeout_ms": 200 }),
             };
-            ask(&request, &self.socket).map_err(|error| Refused(error.to_string()))?;
+            ask(&request, &self.socket).map_err(Refused::because)?;
             self.has_reference = true;
         }
-        self.terminal
-            .hold_key()
-            .map_err(|error| Refused(error.to_string()))?;
-        let armed = loop {
-            if let Err(refused) = self.wait_for_key() {
-                break Err(refused);
-            }
-            match self.arm_held(attendance) {
-                Ok(drive) => break Ok(drive),
-                Err(NotArmed::LetGo) => self
-                    .terminal
-                    .say("The space bar was released before the car was armed."),
-                Err(NotArmed::Refused(refused)) => break Err(refused),
-            }
-        };
-        match armed {
-            Ok(drive) => {
-                self.drive = Some(drive);
-                Ok(())
-            }
-            Err(refused) => {
-                self.release_key();
-                Err(refused)
-            }
+        self.terminal.hold_key().map_err(Refused::because)?;
+        let armed = self.arm_by_key(attendance);
+        if armed.is_err() {
+            self.release_key();
         }
+        self.drive = Some(armed?);
+        Ok(())
     }
 
     fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
@@ -326,10 +308,10 @@ impl Bench for LiveBench {
             Some(drive) => drive
                 .connection
                 .send(&Request::DISARM)
-                .map_err(|error| Refused(error.to_string())),
+                .map_err(Refused::because),
             None => ask(&Request::DISARM, &self.socket)
                 .map(drop)
-                .map_err(|error| Refused(error.to_string())),
+                .map_err(Refused::because),
         }
     }
 
@@ -337,7 +319,7 @@ impl Bench for LiveBench {
         self.release_key();
         ask(&Request::Stop {}, &self.socket)
             .map(drop)
-            .map_err(|error| Refused(error.to_string()))
+            .map_err(Refused::because)
     }
 
     fn configuration(&self) -> &Config {
@@ -345,19 +327,17 @@ impl Bench for LiveBench {
     }
 
     fn change(&mut self, values: &[(&str, toml_edit::Value)]) -> Result<(), Refused> {
-        let refused = |error: &dyn std::fmt::Display| Refused(error.to_string());
-        let Some(edit) = self.write(values).map_err(|error| refused(&error))? else {
+        let Some(edit) = self.write(values).map_err(Refused::because)? else {
             return Ok(());
         };
         if let Err(error) = self.reload() {
             // The file says what is in force.
-            edit.take_back(&self.path)
-                .map_err(|error| refused(&error))?;
+            edit.take_back(&self.path).map_err(Refused::because)?;
             return Err(error);
         }
         self.known = edit;
-        self.report("changed").map_err(|error| refused(&error))?;
-        self.config = Config::read(&self.path).map_err(|error| refused(&error))?;
+        self.report("changed").map_err(Refused::because)?;
+        self.config = Config::read(&self.path).map_err(Refused::because)?;
         self.has_reference = false;
         Ok(())
     }

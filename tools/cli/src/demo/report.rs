@@ -9,7 +9,7 @@ use singletrack_figures::plot::{
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
-use singletrack_sim::LossPattern;
+use singletrack_sim::{LossPattern, Truth};
 use singletrackd::{Percentiles, Summary};
 
 use super::{
@@ -124,20 +124,22 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
 
 /// The true P beside its reference, over the drive.
 fn samples(drive: &Drive) -> Vec<Sample> {
-    drive
-        .truth
-        .iter()
-        .filter(|truth| truth.monotonic_ns >= drive.start_ns)
-        .map(|truth| {
-            let time = (truth.monotonic_ns - drive.start_ns) as f64 * 1e-9;
-            Sample {
-                time,
-                point: settings::point(&truth.truth, drive.front_axle_distance_m),
-                reference: settings::reference(time),
-            }
+    truths(drive, drive.start_ns, drive.duration_s)
+        .map(|(time, truth)| Sample {
+            time,
+            point: settings::point(truth, drive.front_axle_distance_m),
+            reference: settings::reference(time),
         })
-        .take_while(|sample| sample.time <= drive.duration_s)
         .collect()
+}
+
+/// The truth from a time on CLOCK_MONOTONIC on, for a duration, each with the time since then.
+fn truths(drive: &Drive, start_ns: u64, duration_s: f64) -> impl Iterator<Item = (f64, &Truth)> {
+    let timed = drive.truth.iter();
+    timed
+        .filter(move |timed| timed.monotonic_ns >= start_ns)
+        .map(move |timed| ((timed.monotonic_ns - start_ns) as f64 * 1e-9, &timed.truth))
+        .take_while(move |(time, _)| *time <= duration_s)
 }
 
 /// Writes the figures of the record, with ground truth.
@@ -157,22 +159,15 @@ pub(super) fn plot(args: &DemoArgs, driven: &Drive) -> Result<(), PlotError> {
 
 /// Ground truth while the car drove.
 fn true_samples(driven: &Drive, drive: &plot::drive::Drive) -> Vec<TruthSample> {
-    driven
-        .truth
-        .iter()
-        .filter(|timed| timed.monotonic_ns >= drive.start_ns)
-        .map(|timed| {
-            let truth = &timed.truth;
-            TruthSample {
-                time: (timed.monotonic_ns - drive.start_ns) as f64 * 1e-9,
-                point: settings::point(truth, driven.front_axle_distance_m),
-                steering: truth.steering,
-                speed: truth.speed,
-                sideslip: truth.sideslip,
-                yaw_rate: truth.yaw_rate,
-            }
+    truths(driven, drive.start_ns, drive.duration())
+        .map(|(time, truth)| TruthSample {
+            time,
+            point: settings::point(truth, driven.front_axle_distance_m),
+            steering: truth.steering,
+            speed: truth.speed,
+            sideslip: truth.sideslip,
+            yaw_rate: truth.yaw_rate,
         })
-        .take_while(|sample| sample.time <= drive.duration())
         .collect()
 }
 

@@ -130,12 +130,11 @@ impl Condition {
             if words.is_empty() || absent || words.contains(&self.wanted.text) {
                 return Ok(());
             }
-            known.extend(
-                words
-                    .into_iter()
-                    .filter(|word| !known.contains(word))
-                    .collect::<Vec<_>>(),
-            );
+            for word in words {
+                if !known.contains(&word) {
+                    known.push(word);
+                }
+            }
         }
         if known.is_empty() {
             return Ok(());
@@ -257,18 +256,12 @@ impl Filter {
         let Some(Some(places)) = self.places.get(row.kind) else {
             return false;
         };
-        self.conditions
-            .iter()
-            .zip(places)
-            .all(|(condition, place)| {
-                let ordering = match place {
-                    Place::Time => condition.wanted.compare(&row.time()),
-                    Place::Field(index) => condition
-                        .wanted
-                        .compare(values.get(*index).unwrap_or(&Value::Absent)),
-                };
-                condition.operator.accepts(ordering)
-            })
+        let time = row.time();
+        let mut conditions = self.conditions.iter().zip(places);
+        conditions.all(|(condition, place)| {
+            let ordering = condition.wanted.compare(place.value(&time, values));
+            condition.operator.accepts(ordering)
+        })
     }
 }
 

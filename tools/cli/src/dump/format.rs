@@ -136,12 +136,7 @@ impl<W: Write> Printer<W> {
             Format::Table => self.table_row(&header),
             Format::Json => {}
             Format::Csv => {
-                for (index, name) in header.iter().enumerate() {
-                    if index > 0 {
-                        self.text.push(',');
-                    }
-                    self.text.push_str(name);
-                }
+                self.text.push_str(&header.join(","));
                 self.text.push('\n');
             }
         }
@@ -199,22 +194,20 @@ impl<W: Write> Printer<W> {
         let Some(columns) = self.columns.get(row.kind) else {
             return;
         };
-        let begin = self.text.len();
+        let (begin, time) = (self.text.len(), row.time());
         for (index, column) in columns.iter().enumerate() {
             if index > 0 {
                 self.text.push(',');
             }
             match column {
                 Column::Topic => self.text.push_str(name(&self.names, row)),
-                Column::Value(_, Place::Field(index)) => match values.get(*index) {
-                    Some(Value::Text(text)) => push_csv_text(&mut self.text, text),
-                    Some(value) => value.push_to(&mut self.text),
-                    None => {}
+                Column::Value(_, place) => match place.value(&time, values) {
+                    Value::Text(text) => push_csv_text(&mut self.text, text),
+                    value => value.push_to(&mut self.text),
                 },
-                Column::Value(_, Place::Time) => row.time().push_to(&mut self.text),
                 Column::Content(fields) => {
                     self.content.clear();
-                    push_content(&mut self.content, fields, row, values, Value::push_to);
+                    push_content(&mut self.content, fields, &time, values, Value::push_to);
                     push_csv_text(&mut self.text, &self.content);
                 }
                 Column::Nothing => {}
@@ -231,10 +224,7 @@ impl<W: Write> Printer<W> {
         let time = row.time();
         let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
         let fields = columns.iter().filter_map(|column| match column {
-            Column::Value(name, Place::Time) => Some((name.as_str(), &time)),
-            Column::Value(name, Place::Field(index)) => {
-                Some((name.as_str(), values.get(*index).unwrap_or(&Value::Absent)))
-            }
+            Column::Value(name, place) => Some((name.as_str(), place.value(&time, values))),
             _ => None,
         });
         write_json_object(&mut self.text, name(&self.names, row), fields);
@@ -242,18 +232,16 @@ impl<W: Write> Printer<W> {
     }
 
     fn print_table(&mut self, row: &Row, values: &[Value]) {
+        let time = row.time();
         let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
         let cells: Vec<_> = columns
             .iter()
             .map(|column| match column {
                 Column::Topic => name(&self.names, row).to_owned(),
-                Column::Value(_, Place::Time) => cell(&row.time()),
-                Column::Value(_, Place::Field(index)) => {
-                    cell(values.get(*index).unwrap_or(&Value::Absent))
-                }
+                Column::Value(_, place) => cell(place.value(&time, values)),
                 Column::Content(fields) => {
                     let mut text = String::new();
-                    push_content(&mut text, fields, row, values, |value, text| {
+                    push_content(&mut text, fields, &time, values, |value, text| {
                         text.push_str(&cell(value));
                     });
                     text
@@ -316,20 +304,13 @@ fn name(names: &[&'static str], row: &Row) -> &'static str {
 fn push_content(
     text: &mut String,
     fields: &[(String, Place)],
-    row: &Row,
+    time: &Value,
     values: &[Value],
     push: impl Fn(&Value, &mut String),
 ) {
     let mut gap = "";
     for (name, place) in fields {
-        let time;
-        let value = match place {
-            Place::Time => {
-                time = row.time();
-                &time
-            }
-            Place::Field(index) => values.get(*index).unwrap_or(&Value::Absent),
-        };
+        let value = place.value(time, values);
         if *value == Value::Absent {
             continue;
         }

@@ -1,6 +1,6 @@
 //! What a row can be, and the names that people give to topics and fields.
 
-use singletrack_record::Topic;
+use singletrack_record::{Topic, Value};
 
 use super::DumpError;
 
@@ -26,6 +26,16 @@ pub(super) enum Place {
     Time,
     /// It is the field with this index.
     Field(usize),
+}
+
+impl Place {
+    /// The value in a row with this time and these fields.
+    pub(super) fn value<'a>(self, time: &'a Value, values: &'a [Value]) -> &'a Value {
+        match self {
+            Self::Time => time,
+            Self::Field(index) => values.get(index).unwrap_or(&Value::Absent),
+        }
+    }
 }
 
 impl Kind {

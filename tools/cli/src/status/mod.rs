@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::{Request, ask};
+use singletrack_api::{Answer, ClientError, Request, ask};
 
 use crate::control::{ControlArgs, ControlError, print};
 use summary::Summary;
@@ -47,7 +47,11 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
         let status = answer.get_mut("status").map(Value::take);
         return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);
     }
-    let answer = ask(&Request::Status {}, socket)?;
-    let summary = answer.status.as_ref().map(Summary::of);
-    print(&summary.unwrap_or_default().line())
+    print(&summary(ask(&Request::Status {}, socket)?)?.line())
+}
+
+/// The status in an answer.
+fn summary(answer: Answer) -> Result<Summary, ClientError> {
+    let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
+    answer.status.map(Summary::of).ok_or_else(missing)
 }

@@ -1,6 +1,6 @@
 //! The status in words.
 
-use singletrack_api::{State, Status, Word};
+use singletrack_api::{Command, Estimate, State, Status};
 
 use super::reasons::Entry;
 use crate::tune;
@@ -11,34 +11,11 @@ const NAMES: usize = 10;
 const VALUES: usize = 18;
 
 /// What a person needs of the daemon's status.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Summary {
-    mode: Word,
-    /// Why the car does not drive, or stopped.
-    reason: Option<Word>,
-    /// Why an arm request would be refused now.
-    preflight: Option<Word>,
-    /// Why the board last went to neutral.
-    stop_cause: Option<Word>,
-    /// What is wrong with the cameras, and what to do.
-    cameras: Option<String>,
-    /// Which other rigid body is near the car.
-    neighbour: Option<String>,
-    record_error: Option<String>,
-    /// Tuned values that differ from the configuration, and those of the configuration.
-    tuned: Option<[String; 2]>,
-    drive_time_s: Option<f64>,
-    pose_age_s: Option<f64>,
-    position_m: Option<[f64; 2]>,
-    yaw_rad: Option<f64>,
-    point_m: Option<[f64; 2]>,
-    reference_m: Option<[f64; 2]>,
-    speed_m_s: Option<f64>,
-    commanded_speed_m_s: Option<f64>,
-    steering_rad: Option<f64>,
-    battery_v: Option<f64>,
-    link: Option<Word>,
-    telemetry_age_s: Option<f64>,
+    /// The last answer to `status`, with the values of the last state.
+    status: Status,
+    telemetry_age_ms: Option<f64>,
 }
 
 /// Why the car does not drive, in words.
@@ -50,68 +27,46 @@ struct Why {
 
 impl Summary {
     /// Of an answer to `status`.
-    pub(super) fn of(status: &Status) -> Self {
-        let mut summary = Self::default();
-        summary.take_status(status);
-        if let Some(estimate) = &status.estimate {
-            summary.pose_age_s = Some(estimate.pose_age_ms / 1_000.0);
-            summary.speed_m_s = Some(estimate.speed_m_s);
-            summary.yaw_rad = Some(estimate.yaw_rad);
-            summary.position_m = Some([estimate.x_m, estimate.y_m]);
+    pub(super) const fn of(status: Status) -> Self {
+        Self {
+            status,
+            telemetry_age_ms: None,
         }
-        summary.point_m = status.point_m;
-        summary.reference_m = status.reference_m;
-        summary.drive_time_s = status.drive_time_s;
-        summary.commanded_speed_m_s = status.command.map(|command| command.speed_m_s);
-        summary.steering_rad = status.command.map(|command| command.steering_rad);
-        summary
     }
 
     /// Takes from an answer to `status` all that the states do not have.
-    pub(super) fn take_status(&mut self, status: &Status) {
-        self.mode = status.mode.clone();
-        self.reason.clone_from(&status.reason);
-        self.preflight.clone_from(&status.preflight);
-        self.link.clone_from(&status.link);
-        let board = status.board.as_ref();
-        self.stop_cause = board.map(|board| board.stop_cause.clone());
-        self.battery_v = board
-            .and_then(|board| board.battery_mv)
-            .map(|battery_mv| f64::from(battery_mv) / 1_000.0);
-        let cameras = &status.cameras;
-        let is_trouble = !matches!(&*cameras.diagnosis, "good" | "starting");
-        self.cameras = is_trouble.then(|| cameras.text.clone());
-        self.neighbour.clone_from(&cameras.neighbour);
-        self.record_error.clone_from(&status.record_error);
-        self.tuned = status.tuning.as_ref().and_then(|tuning| {
-            let configured = tuning.configured.as_deref()?;
-            tuning
-                .differs?
-                .then(|| [tuning, configured].map(tune::in_words))
-        });
+    pub(super) fn take_status(&mut self, status: Status) {
+        self.status = Status {
+            command: self.status.command,
+            drive_time_s: self.status.drive_time_s,
+            estimate: self.status.estimate,
+            point_m: self.status.point_m,
+            reference_m: self.status.reference_m,
+            ..status
+        };
     }
 
     /// Takes a state of the stream.
     pub(super) fn take_state(&mut self, state: State) {
-        self.mode = state.mode;
-        self.reason = state.reason;
-        self.drive_time_s = state.drive_time;
-        self.pose_age_s = state.pose_age;
-        self.speed_m_s = state.speed;
-        self.yaw_rad = state.yaw;
-        self.position_m = state.x.zip(state.y).map(Into::into);
-        self.point_m = state.point;
-        self.reference_m = state.reference;
-        self.commanded_speed_m_s = Some(state.commanded_speed);
-        self.steering_rad = Some(state.steering);
-        self.telemetry_age_s = state.board_age;
+        self.telemetry_age_ms = state.board_age.map(|age_s| age_s * 1_000.0);
+        let status = &mut self.status;
+        status.estimate = estimate(&state);
+        status.mode = state.mode;
+        status.reason = state.reason;
+        status.drive_time_s = state.drive_time;
+        status.point_m = state.point;
+        status.reference_m = state.reference;
+        status.command = Some(Command {
+            speed_m_s: state.commanded_speed,
+            steering_rad: state.steering,
+        });
     }
 
     /// The status as one line.
     pub(super) fn line(&self) -> String {
         let why = self.why();
-        let mut line = self.mode.to_string();
-        if let Some(time_s) = self.drive_time_s {
+        let mut line = self.status.mode.to_string();
+        if let Some(time_s) = self.status.drive_time_s {
             line += &format!(" {time_s:.1} s");
         }
         if let Some(why) = &why {
@@ -119,18 +74,18 @@ impl Summary {
         }
         line += &format!(
             "; pose {}, battery {}, link {}, speed {}",
-            age(self.pose_age_s),
+            age(self.pose_age_ms()),
             self.battery(),
-            self.link.as_deref().unwrap_or("unknown"),
-            metres_per_second(self.speed_m_s),
+            self.link(),
+            self.speed(),
         );
-        if let Some([tuned, configured]) = &self.tuned {
-            line += &format!("; tuned: {tuned} (configured: {configured})");
+        if let Some(tuned) = self.tuned() {
+            line += &format!("; tuned: {tuned}");
         }
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
         }
-        if let Some(error) = &self.record_error {
+        if let Some(error) = &self.status.record_error {
             line += &format!(" The record has ended: {error}");
         }
         line
@@ -139,27 +94,24 @@ impl Summary {
     /// The status as lines no wider than `columns`.
     pub(super) fn lines(&self, columns: usize) -> Vec<String> {
         let why = self.why();
+        let status = &self.status;
         let mut lines = Vec::new();
         let mut field = |name: &str, first: &str, second: &str| {
             let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
             lines.push(text.trim_end().to_owned());
         };
-        let time = self.drive_time_s.map(|time_s| format!("{time_s:.1} s"));
-        field("mode", &self.mode, &time.unwrap_or_default());
-        field("pose", &age(self.pose_age_s), &self.place());
-        field(
-            "speed",
-            &metres_per_second(self.speed_m_s),
-            &format!("commanded {}", metres_per_second(self.commanded_speed_m_s)),
-        );
-        let steering = self.steering_rad.map(f64::to_degrees);
+        let time = status.drive_time_s.map(|time_s| format!("{time_s:.1} s"));
+        field("mode", &status.mode, &time.unwrap_or_default());
+        field("pose", &age(self.pose_age_ms()), &self.place());
+        let commanded = metres_per_second(status.command.map(|command| command.speed_m_s));
+        field("speed", &self.speed(), &format!("commanded {commanded}"));
+        let steering = status
+            .command
+            .map(|command| command.steering_rad.to_degrees());
         field("steering", &with_unit(steering, 1, "degrees"), "");
         field("P", &self.error(), "");
-        field(
-            "link",
-            self.link.as_deref().unwrap_or("unknown"),
-            &format!("telemetry {}", age(self.telemetry_age_s)),
-        );
+        let telemetry = format!("telemetry {}", age(self.telemetry_age_ms));
+        field("link", self.link(), &telemetry);
         field("battery", &self.battery(), "");
         let mut paragraph = |name: &str, text: &str| {
             for (index, part) in wrap(text, columns.saturating_sub(NAMES)).enumerate() {
@@ -167,14 +119,14 @@ impl Summary {
                 lines.push(format!("{name:<NAMES$}{part}"));
             }
         };
-        if let Some([tuned, configured]) = &self.tuned {
-            paragraph("tuned", &format!("{tuned} (configured: {configured})"));
+        if let Some(tuned) = self.tuned() {
+            paragraph("tuned", &tuned);
         }
         if let Some(why) = why {
             paragraph("why", &why.text);
             paragraph("to do", why.advice.as_deref().unwrap_or("-"));
         }
-        if let Some(error) = &self.record_error {
+        if let Some(error) = &status.record_error {
             paragraph("record", &format!("has ended: {error}"));
         }
         lines
@@ -183,9 +135,10 @@ impl Summary {
     /// Why the car does not drive: of a car that stands, why it can't be armed now, and not why
     /// the last drive ended.
     fn why(&self) -> Option<Why> {
-        let stands = matches!(&*self.mode, "idle" | "ready");
-        let preflight = self.preflight.as_ref().filter(|_| stands);
-        let word = preflight.or(self.reason.as_ref())?;
+        let status = &self.status;
+        let stands = matches!(&*status.mode, "idle" | "ready");
+        let preflight = status.preflight.as_ref().filter(|_| stands);
+        let word = preflight.or(status.reason.as_ref())?;
         let Some(entry) = Entry::find("host", word) else {
             return Some(Why {
                 text: word.to_string(),
@@ -193,55 +146,92 @@ impl Summary {
             });
         };
         let mut text = format!("{} ({word})", entry.brief());
-        if self.mode == "ready" {
+        if status.mode == "ready" {
             text.insert_str(0, "the last drive ended, ");
         }
         let mut advice = entry.advice;
-        if let Some((cause, stop)) = self
-            .stop_cause
-            .as_ref()
-            .filter(|_| word == "board-failsafe")
-            .and_then(|cause| Some((cause, Entry::find("board stop", cause)?)))
+        if word == "board-failsafe"
+            && let Some(board) = &status.board
+            && let Some(stop) = Entry::find("board stop", &board.stop_cause)
         {
-            text += &format!(": {} ({cause})", stop.brief());
+            text += &format!(": {} ({})", stop.brief(), board.stop_cause);
             advice = stop.advice;
         }
-        // The daemon knows better what is wrong with its cameras than the table does.
-        let is_about_poses = matches!(&**word, "no-pose" | "pose-too-old" | "pose-implausible");
-        if let Some(cameras) = self.cameras.as_ref().filter(|_| is_about_poses) {
-            advice = Some(format!("{cameras}."));
-        }
-        if let Some(neighbour) = self.neighbour.as_ref().filter(|_| is_about_poses) {
-            text += &format!("; {neighbour}");
+        if matches!(&**word, "no-pose" | "pose-too-old" | "pose-implausible") {
+            let cameras = &status.cameras;
+            // The daemon knows better what is wrong with its cameras than the table does.
+            if !matches!(&*cameras.diagnosis, "good" | "starting") {
+                advice = Some(format!("{}.", cameras.text));
+            }
+            if let Some(neighbour) = &cameras.neighbour {
+                text += &format!("; {neighbour}");
+            }
         }
         Some(Why { text, advice })
     }
 
+    /// Tuned values that differ from the configuration, and those of the configuration.
+    fn tuned(&self) -> Option<String> {
+        let tuning = self.status.tuning.as_ref()?;
+        let configured = tuning.configured.as_deref()?;
+        let [tuned, was] = [tuning, configured].map(tune::in_words);
+        tuning
+            .differs?
+            .then(|| format!("{tuned} (configured: {was})"))
+    }
+
+    fn pose_age_ms(&self) -> Option<f64> {
+        self.status.estimate.map(|estimate| estimate.pose_age_ms)
+    }
+
+    fn speed(&self) -> String {
+        metres_per_second(self.status.estimate.map(|estimate| estimate.speed_m_s))
+    }
+
+    fn link(&self) -> &str {
+        self.status.link.as_deref().unwrap_or("unknown")
+    }
+
     fn battery(&self) -> String {
-        with_unit(self.battery_v, 2, "V")
+        let board = self.status.board.as_ref();
+        let battery_mv = board.and_then(|board| board.battery_mv);
+        with_unit(battery_mv.map(|mv| f64::from(mv) / 1_000.0), 2, "V")
     }
 
     fn place(&self) -> String {
-        let Some([x_m, y_m]) = self.position_m else {
+        let Some(Estimate {
+            x_m, y_m, yaw_rad, ..
+        }) = self.status.estimate
+        else {
             return String::new();
         };
-        let yaw = self.yaw_rad.map(f64::to_degrees);
-        format!(
-            "at ({x_m:.2}, {y_m:.2}) m, yaw {}",
-            with_unit(yaw, 0, "degrees")
-        )
+        let yaw = with_unit(Some(yaw_rad.to_degrees()), 0, "degrees");
+        format!("at ({x_m:.2}, {y_m:.2}) m, yaw {yaw}")
     }
 
     /// How far P is from its reference.
     fn error(&self) -> String {
         let (Some([x_m, y_m]), Some([reference_x_m, reference_y_m])) =
-            (self.point_m, self.reference_m)
+            (self.status.point_m, self.status.reference_m)
         else {
             return "-".to_owned();
         };
         let error_m = (x_m - reference_x_m).hypot(y_m - reference_y_m);
         format!("{:.0} mm from its reference", error_m * 1_000.0)
     }
+}
+
+/// The estimate of a state.
+fn estimate(state: &State) -> Option<Estimate> {
+    Some(Estimate {
+        pose_age_ms: state.pose_age? * 1_000.0,
+        sideslip_rad: state.sideslip.unwrap_or_default(),
+        speed_m_s: state.speed?,
+        x_m: state.x?,
+        y_m: state.y?,
+        yaw_rad: state.yaw?,
+        yaw_rate_rad_s: state.yaw_rate.unwrap_or_default(),
+    })
 }
 
 fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {
@@ -262,11 +252,11 @@ fn metres_per_second(speed_m_s: Option<f64>) -> String {
 }
 
 /// An age; none of what has never come.
-fn age(age_s: Option<f64>) -> String {
-    match age_s {
+fn age(age_ms: Option<f64>) -> String {
+    match age_ms {
         None => "none".to_owned(),
-        Some(age_s) if age_s < 1.0 => format!("{:.0} ms old", age_s * 1_000.0),
-        Some(age_s) => format!("{age_s:.1} s old"),
+        Some(age_ms) if age_ms < 1_000.0 => format!("{age_ms:.0} ms old"),
+        Some(age_ms) => format!("{:.1} s old", age_ms / 1_000.0),
     }
 }
 
@@ -296,7 +286,7 @@ mod tests {
     use super::*;
 
     fn of(status: &Value) -> Summary {
-        Summary::of(&serde_json::from_value(status.clone()).unwrap())
+        Summary::of(serde_json::from_value(status.clone()).unwrap())
     }
 
     fn standing() -> Value {
@@ -389,7 +379,7 @@ mod tests {
             assert!(lines.contains(part), "{part} is missing in {lines}");
         }
         // A state has no battery; the answer to a later question has no newer pose.
-        summary.take_status(&serde_json::from_value(standing()).unwrap());
+        summary.take_status(serde_json::from_value(standing()).unwrap());
         assert!(summary.line().contains("pose 12 ms old"));
     }
 

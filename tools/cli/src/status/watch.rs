@@ -40,7 +40,6 @@ impl Feed {
         let answer: Answer = questions
             .receive_within(PATIENCE)?
             .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
-        let status = answer.agreed()?.status;
         let mut states = Connection::open(socket, PATIENCE)?;
         states.send(&Request::Watch {
             topics: vec!["state".to_owned()],
@@ -48,7 +47,7 @@ impl Feed {
         Ok(Self {
             states,
             questions,
-            summary: status.as_ref().map(Summary::of).unwrap_or_default(),
+            summary: super::summary(answer.agreed()?)?,
             asked: Instant::now(),
             is_answered: true,
             heard: Instant::now(),
@@ -58,7 +57,7 @@ impl Feed {
     /// Takes what has come, and waits a little if nothing has.
     fn renew(&mut self) -> Result<(), ControlError> {
         if let Some(answer) = self.questions.receive::<Answer>()? {
-            if let Some(status) = &answer.agreed()?.status {
+            if let Some(status) = answer.agreed()?.status {
                 self.summary.take_status(status);
             }
             self.is_answered = true;

@@ -7,7 +7,7 @@ use std::{
     os::fd::{AsFd, BorrowedFd},
     path::Path,
     thread,
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::Instant,
 };
 
 use rustix::{
@@ -20,6 +20,7 @@ use singletrackd::serial_port::{self, ReadHalf};
 use super::{
     Close, Direction, Next, PATIENCE, Row, Source,
     frames::{Found, Frames},
+    wall_ns,
 };
 use crate::dump::{
     DumpError,
@@ -77,10 +78,7 @@ impl Line {
         let (read, _) = serial_port::open(path, baud)?;
         let clock = Clock::Arrival {
             start: Instant::now(),
-            start_wall_ns: SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .ok()
-                .and_then(|wall| u64::try_from(wall.as_nanos()).ok()),
+            start_wall_ns: wall_ns(),
         };
         let name = path.display().to_string();
         Ok(Self::new(

@@ -4,14 +4,14 @@ use std::{
     io::{self, Read, Write},
     os::unix::net::UnixStream,
     path::{Path, PathBuf},
-    time::{Instant, SystemTime, UNIX_EPOCH},
+    time::Instant,
 };
 
 use singletrack_api::Request;
 use singletrack_record::{ParseEntryError, Shown, Topic, Value};
 use singletrackd::monotonic_ns;
 
-use super::{Close, Next, PATIENCE, Row, Source};
+use super::{Close, Next, PATIENCE, Row, Source, wall_ns};
 use crate::dump::{DumpError, kind::Kind};
 
 /// How long the daemon may take to answer.
@@ -57,13 +57,9 @@ impl Live {
             .map(|kind| kind.name.to_string())
             .collect();
         let request = Request::Watch { topics }.to_line();
-        stream
-            .write_all(
-                request
-                    .map_err(io::Error::from)
-                    .map_err(unreachable)?
-                    .as_bytes(),
-            )
+        request
+            .map_err(io::Error::from)
+            .and_then(|line| stream.write_all(line.as_bytes()))
             .map_err(unreachable)?;
         let times = kinds
             .iter()
@@ -83,10 +79,7 @@ impl Live {
             values: Vec::new(),
             times,
             start_ns: monotonic_ns(),
-            start_wall_ns: SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .ok()
-                .and_then(|wall| u64::try_from(wall.as_nanos()).ok()),
+            start_wall_ns: wall_ns(),
             missed: 0,
         };
         live.expect_agreement()?;
@@ -227,8 +220,7 @@ impl Source for Live {
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
-        values.clear();
-        values.append(&mut self.values.clone());
+        values.clone_from(&self.values);
         Ok(())
     }
 

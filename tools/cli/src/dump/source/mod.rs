@@ -11,7 +11,7 @@ use std::{
     io::Read,
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use singletrack_record::Value;
@@ -26,6 +26,12 @@ use super::{DumpError, range::Span};
 
 /// The longest time that a source waits for more.
 const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Now, in ns since 1970; none if the wall clock is before that.
+fn wall_ns() -> Option<u64> {
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    u64::try_from(wall.as_nanos()).ok()
+}
 
 /// A row before its fields are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
