@@ -131,6 +131,18 @@ impl Refused {
     }
 }
 
+impl Jog {
+    /// With another pulse of the ESC.
+    pub(crate) const fn with_esc(self, esc_us: u16) -> Self {
+        Self { esc_us, ..self }
+    }
+
+    /// With another pulse of the servo.
+    pub(crate) const fn with_servo(self, servo_us: u16) -> Self {
+        Self { servo_us, ..self }
+    }
+}
+
 /// Something that was observed. Times are those of the host's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observation {
@@ -174,6 +186,13 @@ pub struct BoardReading {
     pub mode: BoardMode,
     /// Why it last went to neutral.
     pub stop_cause: StopCause,
+}
+
+impl BoardReading {
+    /// Whether the wheels turn.
+    pub(crate) fn turns(&self) -> bool {
+        self.motor_speed != 0.0
+    }
 }
 
 /// A sample of the IMU.

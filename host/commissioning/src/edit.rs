@@ -152,7 +152,7 @@ impl Edit {
     /// It can't be written.
     pub fn take_back(&self, path: &Path) -> Result<(), EditError> {
         let path = fs::canonicalize(path).map_err(EditError::of(path))?;
-        let staged = with_suffix(&path, ".new");
+        let staged = path.with_added_extension("new");
         stage(&path, &staged, &self.old)?;
         replace(&staged, &path)
     }
@@ -164,7 +164,7 @@ impl Edit {
     /// It can't be written.
     pub fn rehearse(&self, path: &Path) -> Result<(), EditError> {
         let path = fs::canonicalize(path).map_err(EditError::of(path))?;
-        let staged = with_suffix(&path, ".new");
+        let staged = path.with_added_extension("new");
         let result = stage(&path, &staged, &self.new);
         let _ = fs::remove_file(&staged);
         result
@@ -193,7 +193,7 @@ impl Edit {
         // A link stays a link.
         let path = fs::canonicalize(path).map_err(EditError::of(path))?;
         let kept = kept_name(&path, date);
-        let staged = with_suffix(&path, ".new");
+        let staged = path.with_added_extension("new");
         let result = stage(&path, &staged, &self.new)
             .and_then(|()| {
                 // In the file's folder: its relative paths start there.
@@ -262,20 +262,14 @@ fn replace(staged: &Path, path: &Path) -> Result<(), EditError> {
 
 /// An unused name for the old file.
 fn kept_name(path: &Path, date: &str) -> PathBuf {
-    let first = with_suffix(path, &format!(".old-{date}"));
+    let first = path.with_added_extension(format!("old-{date}"));
     if !first.exists() {
         return first;
     }
     (2..u32::MAX)
-        .map(|number| with_suffix(path, &format!(".old-{date}-{number}")))
+        .map(|number| path.with_added_extension(format!("old-{date}-{number}")))
         .find(|name| !name.exists())
         .unwrap_or(first)
-}
-
-fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(suffix);
-    PathBuf::from(name)
 }
 
 /// The value of a key; none if it is not written.

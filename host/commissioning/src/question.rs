@@ -23,6 +23,17 @@ impl Question {
             answers,
         }
     }
+
+    /// With [`Answers::Begin`].
+    #[must_use]
+    pub const fn begin(id: &'static str, text: &'static str) -> Self {
+        Self::new(id, text, Answers::Begin)
+    }
+
+    /// With [`Answers::YesNo`].
+    pub(crate) const fn yes_no(id: &'static str, text: &'static str) -> Self {
+        Self::new(id, text, Answers::YesNo)
+    }
 }
 
 /// The answers that a question takes. Every question can also be skipped.

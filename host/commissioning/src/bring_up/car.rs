@@ -409,7 +409,7 @@ impl<'a> Car<'a> {
 
     /// Waits until the motor's pulses have ceased.
     fn until_standing(&mut self, seconds: f64) -> Result<(), Trouble> {
-        let turns = |car: &Self| car.board.is_some_and(|board| board.motor_speed != 0.0);
+        let turns = |car: &Self| car.board.is_some_and(|board| board.turns());
         self.wait_while(seconds, turns, |_| {
             failed(
                 format!("the motor still turns {seconds} s after its pulse went to neutral"),

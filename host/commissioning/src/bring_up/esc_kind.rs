@@ -5,11 +5,12 @@ use singletrack_protocol::JOG_LIMIT_US;
 
 use super::{
     car::{Car, armed},
-    kill::never_turned,
     request::change,
     spin::{CREEPS, beyond, way},
 };
-use crate::{Bench, Finding, Interval, Jog, Parameter, Step, Trouble, finding::failed};
+use crate::{
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble, finding::failed,
+};
 
 pub(super) const STEP: Step = Step::new(
     "esc-kind",
@@ -145,15 +146,12 @@ const fn turned(turned: bool) -> &'static str {
 /// Whether the first and the second pulse below neutral turn wheels at rest.
 fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
     let rest = car.rest();
-    let below = Jog {
-        esc_us: below_us,
-        ..rest
-    };
+    let below = rest.with_esc(below_us);
     car.hold_until_standing(rest, 1.0)?;
     let mut at_rest = [false; 2];
     for turned in &mut at_rest {
         let readings = car.hold(below, PULSE_S, "below neutral, at rest")?;
-        *turned = readings.iter().any(|reading| reading.motor_speed != 0.0);
+        *turned = readings.iter().any(BoardReading::turns);
         car.hold_until_standing(rest, 0.8)?;
     }
     Ok(at_rest)
@@ -162,10 +160,7 @@ fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
 /// What a pulse below neutral does to wheels that turn.
 fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen, Trouble> {
     let rest = car.rest();
-    let brake = Jog {
-        esc_us: brake_us,
-        ..rest
-    };
+    let brake = rest.with_esc(brake_us);
     let mut seen = Seen {
         at_rest,
         turned_round: false,
@@ -185,10 +180,7 @@ fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen
 /// the wheels turned round.
 fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
     let rest = car.rest();
-    let deadband_us = car.bench().configuration().board.esc.deadband_us;
-    let Some(drive) = car.spin_at(FROM_M_S, deadband_us + 4)? else {
-        return Err(never_turned(JOG_LIMIT_US));
-    };
+    let drive = car.spin(FROM_M_S)?;
     car.hold(drive, 0.3, "turning")?;
     let mut slow_since: Option<Time> = None;
     let mut slowest = f64::INFINITY;

@@ -1,17 +1,15 @@
 //! The noise of the IMU at rest and with the wheels turning: a step of the doctor, which relies on
 //! the stand and on the kill switch.
 
-use singletrack_protocol::JOG_LIMIT_US;
-
 use super::{
     car::{Car, armed},
-    kill::{self, never_turned},
+    kill,
     request::change,
     spin::mean_speed,
     stand,
 };
 use crate::{
-    Bench, BoardReading, Finding, Inertial, Jog, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
+    Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
     finding::failed,
     imu_noise::{Comparison, NoiseLevel, compare},
 };
@@ -61,10 +59,7 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 
 /// The telemetry of some runs at about this speed, m/s.
 fn runs(car: &mut Car<'_>, wanted: f64) -> Result<Vec<Vec<BoardReading>>, Trouble> {
-    let deadband_us = car.bench().configuration().board.esc.deadband_us;
-    let jog: Jog = car
-        .spin_at(wanted, deadband_us + 4)?
-        .ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+    let jog = car.spin(wanted)?;
     let rest = car.rest();
     let mut runs = Vec::new();
     for _ in 0..RUNS {

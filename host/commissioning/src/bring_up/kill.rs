@@ -1,5 +1,7 @@
 //! The kill switch, before a step depends on it.
 
+use singletrack_protocol::JOG_LIMIT_US;
+
 use super::{
     car::armed,
     questions,
@@ -104,10 +106,10 @@ fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
     }
 }
 
-/// The trouble of a motor that gave no pulse up to this distance from neutral.
-pub(super) fn never_turned(limit_us: u16) -> Trouble {
+/// The trouble of a motor that gave no pulse as far from neutral as the board allows.
+pub(super) fn never_turned() -> Trouble {
     failed(
-        format!("no motor pulse up to {limit_us} us beyond neutral"),
+        format!("no motor pulse up to {JOG_LIMIT_US} us beyond neutral"),
         "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
          swapped? Does the pulse sensor count when the wheels are turned by hand \
          (`singletrack doctor`)?",

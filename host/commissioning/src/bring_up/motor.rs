@@ -13,10 +13,10 @@ use super::{
     kill::never_turned,
     questions::{self, WAYS},
     request::{ask_word, change},
-    spin::{CREEPS, beyond, mean_speed, way},
+    spin::{CREEPS, SPIN_M_S, beyond, mean_speed, way},
 };
 use crate::{
-    Bench, Finding, Interval, Jog, Parameter, Step, Trouble,
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
     finding::failed,
     fit::{
         LeastSquares, least_squares, mean,
@@ -100,7 +100,7 @@ const WIDEST_US: f64 = 60.0;
 
 fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let turned = armed(bench, |car| {
-        let Some(jog) = car.spin(FROM_US)? else {
+        let Some(jog) = car.spin_from(FROM_US, SPIN_M_S)? else {
             return Ok(None);
         };
         // For the operator to see.
@@ -129,7 +129,7 @@ fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             "motor pulses came, and the driven wheels did not turn",
             "Does the drive train slip? Is D2 connected to the motor's sensor, and no other wire?",
         )),
-        (None, "stood") => Err(never_turned(JOG_LIMIT_US)),
+        (None, "stood") => Err(never_turned()),
         (None, _) => Err(failed(
             "the wheels turned, and no motor pulse came",
             "Check the pulse sensor on D2: magnet, distance, supply.",
@@ -149,7 +149,7 @@ enum Below {
 
 fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let (ahead, below) = armed(bench, |car| {
-        let ahead = curve(car, true)?.ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+        let ahead = curve(car, true)?.ok_or_else(never_turned)?;
         let below = match curve(car, false)? {
             Some(curve) => Below::Reverse(curve),
             None => brake_edge(car, &ahead)?.map_or(Below::Nothing, Below::Brake),
@@ -353,10 +353,7 @@ fn settled(
         car.hold_until_standing(rest, 0.8)?;
         *since = car.now()?;
     }
-    let jog = Jog {
-        esc_us: beyond(rest.esc_us, offset_us, forward),
-        ..rest
-    };
+    let jog = rest.with_esc(beyond(rest.esc_us, offset_us, forward));
     car.hold(jog, SETTLE_S, "settling")?;
     Ok(mean_speed(&car.hold(jog, MEASURE_S, "measuring")?))
 }
@@ -447,22 +444,14 @@ fn slows_down(
 ) -> Result<Option<Slowing>, Trouble> {
     let rest = car.rest();
     car.hold_until_standing(rest, 0.8)?;
-    let drive = Jog {
-        esc_us: beyond(rest.esc_us, ahead_us, true),
-        ..rest
-    };
+    let drive = rest.with_esc(beyond(rest.esc_us, ahead_us, true));
     let readings = car.hold(drive, 1.2, "turning")?;
     let speed = mean_speed(&readings[readings.len() / 2..]);
-    let slow = Jog {
-        esc_us: beyond(rest.esc_us, offset_us, false),
-        ..rest
-    };
+    let slow = rest.with_esc(beyond(rest.esc_us, offset_us, false));
     // Wheels that stand at once must not look like a dead sensor to the board.
     let mut all = car.hold(slow, 0.5, "slowing down")?;
-    if all.last().is_some_and(|last| last.motor_speed != 0.0) {
-        all.extend(car.hold_until(rest, 4.0, "slowing down", |reading| {
-            reading.motor_speed == 0.0
-        })?);
+    if all.last().is_some_and(BoardReading::turns) {
+        all.extend(car.hold_until(rest, 4.0, "slowing down", |reading| !reading.turns())?);
     }
     let way = way(&all);
     Ok((speed > 0.2).then_some(Slowing { speed, way }))

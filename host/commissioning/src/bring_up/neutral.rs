@@ -76,11 +76,7 @@ fn check(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
             "Check the serial line with `singletrack doctor`.",
         ));
     };
-    let turned = readings
-        .iter()
-        .filter(|reading| reading.motor_speed != 0.0)
-        .count();
-    if turned == 0 {
+    if !readings.iter().any(BoardReading::turns) {
         return Ok(());
     }
     Err(failed(

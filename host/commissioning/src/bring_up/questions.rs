@@ -6,71 +6,62 @@
 use crate::{Answers, Question};
 
 /// The car is lifted onto its stand. It stays there to the end of the bring-up.
-pub(super) const ON_STAND: Question = Question::new(
+pub(super) const ON_STAND: Question = Question::yes_no(
     "on-stand",
     "Put the car on a stand in view of the cameras, all wheels clear of everything, and take \
          your hands off. Does it stand so?",
-    Answers::YesNo,
 );
 
 /// With a kill output: whether the ESC is without supply now.
-pub(super) const ESC_DARK: Question = Question::new(
+pub(super) const ESC_DARK: Question = Question::yes_no(
     "esc-dark",
     "The car is disarmed. Is the ESC off: no light, no sound?",
-    Answers::YesNo,
 );
 
 /// With a kill output: whether the ESC had its supply in the last armed jog.
-pub(super) const ESC_WOKE: Question = Question::new(
+pub(super) const ESC_WOKE: Question = Question::yes_no(
     "esc-woke",
     "The car was armed until a moment ago. Was the ESC on during that time?",
-    Answers::YesNo,
 );
 
 /// Without a kill output: whether there is a switch in the ESC's supply.
-pub(super) const KILL_SWITCH: Question = Question::new(
+pub(super) const KILL_SWITCH: Question = Question::yes_no(
     "kill-switch",
     "Can you cut the supply of the ESC without the board: a radio relay, a plug that you \
          reach with the wheels turning?",
-    Answers::YesNo,
 );
 
 /// The operator cuts the supply of the ESC about a second after the wheels begin to turn.
-pub(super) const CUT_SUPPLY: Question = Question::new(
+pub(super) const CUT_SUPPLY: Question = Question::begin(
     "cut-supply",
     "The wheels will turn. Cut the supply of the ESC a second after they begin. Ready?",
-    Answers::Begin,
 );
 
 /// The supply of the ESC is on again, and the ESC ready, when this is answered.
-pub(super) const RESTORE_SUPPLY: Question = Question::new(
+pub(super) const RESTORE_SUPPLY: Question = Question::begin(
     "restore-supply",
     "Switch the supply of the ESC on again, and wait until the ESC has started. Done?",
-    Answers::Begin,
 );
 
 /// The operator switches the ESC off, presses the board's reset, waits for two seconds,
 /// and switches the ESC on.
-pub(super) const ESC_AFTER_BOARD: Question = Question::new(
+pub(super) const ESC_AFTER_BOARD: Question = Question::begin(
     "esc-after-board",
     "Switch the ESC off. Press the reset of the board, wait for three seconds, switch the \
          ESC on. Done?",
-    Answers::Begin,
 );
 
 /// The operator presses the board's reset while the ESC stays on, and waits for three
 /// seconds.
-pub(super) const BOARD_AFTER_ESC: Question = Question::new(
+pub(super) const BOARD_AFTER_ESC: Question = Question::begin(
     "board-after-esc",
     "Leave the ESC on, and press the reset of the board. Done?",
-    Answers::Begin,
 );
 
 /// Whether the driven wheels stood still since the last `Begin`.
-pub(super) const WHEELS_STILL: Question = Question::new(
+pub(super) const WHEELS_STILL: Question = Question::yes_no(
     "wheels-still",
     "Did the driven wheels stand still all the time?",
-    Answers::YesNo,
 );
 
 /// To which side the front wheels point now, seen from behind the car.
@@ -119,45 +110,37 @@ pub(super) const DRIVEN_WHEELS: Question = Question::new(
 );
 
 /// The operator opens the stop switch about a second after the wheels begin to turn.
-pub(super) const OPEN_SWITCH: Question = Question::new(
+pub(super) const OPEN_SWITCH: Question = Question::begin(
     "open-switch",
     "The wheels will turn. Press the stop switch a second after they begin. Ready?",
-    Answers::Begin,
 );
 
 /// The stop switch is closed again, and the board was reset.
-pub(super) const CLOSE_SWITCH: Question = Question::new(
+pub(super) const CLOSE_SWITCH: Question = Question::begin(
     "close-switch",
     "Release the stop switch and press the reset of the board. Done?",
-    Answers::Begin,
 );
 
 /// The operator pulls the serial cable about a second after the wheels begin to turn.
-pub(super) const UNPLUG: Question = Question::new(
+pub(super) const UNPLUG: Question = Question::begin(
     "unplug",
     "The wheels will turn. Pull the USB cable of the board a second after they begin. Ready?",
-    Answers::Begin,
 );
 
 /// The cable is plugged in again.
-pub(super) const PLUG_IN: Question = Question::new(
-    "plug-in",
-    "Plug the USB cable in again. Done?",
-    Answers::Begin,
-);
+pub(super) const PLUG_IN: Question =
+    Question::begin("plug-in", "Plug the USB cable in again. Done?");
 
 /// The operator presses the board's reset about a second after the wheels begin to turn.
-pub(super) const RESET_AT_SPEED: Question = Question::new(
+pub(super) const RESET_AT_SPEED: Question = Question::begin(
     "reset-at-speed",
     "The wheels will turn. Press the reset of the board a second after they begin. Ready?",
-    Answers::Begin,
 );
 
 /// The board was reset: an emergency stop is latched until then.
-pub(super) const CLEAR_LATCH: Question = Question::new(
+pub(super) const CLEAR_LATCH: Question = Question::begin(
     "clear-latch",
     "Press the reset of the board: the emergency stop is latched until then. Done?",
-    Answers::Begin,
 );
 
 /// The answers to [`STOPPED_HOW`].

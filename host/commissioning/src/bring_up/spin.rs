@@ -5,21 +5,30 @@ use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 use super::{car::Car, kill::never_turned};
 use crate::{BoardReading, Jog, Trouble};
 
+/// Speed of the wheels in most steps, m/s: it comes to about 0.5.
+pub(super) const SPIN_M_S: f64 = 0.4;
+
 /// Speed below which wheels that slow down count as standing, m/s.
 pub(super) const CREEPS: f64 = 0.12;
 
 impl Car<'_> {
-    /// Turns the motor forward at about 0.5 m/s of its wheels, beginning `from_us` beyond
-    /// neutral; gives the pulse, or nothing if it does not turn.
+    /// Turns the motor forward, beginning just beyond its deadband, at this speed of its wheels at
+    /// least if 150 us reach it; gives the pulse.
+    pub(super) fn spin(&mut self, wanted: f64) -> Result<Jog, Trouble> {
+        let from_us = self.beyond_deadband();
+        self.spin_from(from_us, wanted)?.ok_or_else(never_turned)
+    }
+
+    /// Where the search for the first turn begins once the deadband is known, beyond neutral, us.
+    pub(super) fn beyond_deadband(&mut self) -> u16 {
+        self.bench().configuration().board.esc.deadband_us + 4
+    }
+
+    /// As [`Self::spin`], beginning `from_us` beyond neutral; nothing if the motor does not turn.
     ///
     /// The ESC is driven in bursts until the first pulses come: after 0.6 s of driving without a
     /// pulse the board assumes a dead sensor.
-    pub(super) fn spin(&mut self, from_us: u16) -> Result<Option<Jog>, Trouble> {
-        self.spin_at(0.4, from_us)
-    }
-
-    /// As [`Self::spin`], at this speed at least if 150 us reach it.
-    pub(super) fn spin_at(&mut self, wanted: f64, from_us: u16) -> Result<Option<Jog>, Trouble> {
+    pub(super) fn spin_from(&mut self, from_us: u16, wanted: f64) -> Result<Option<Jog>, Trouble> {
         let Some(mut jog) = self.first_turn(true, from_us)? else {
             return Ok(None);
         };
@@ -48,14 +57,13 @@ impl Car<'_> {
         seconds: f64,
         what: &str,
     ) -> Result<Spun, Trouble> {
-        let mut jog = self
-            .first_turn(true, from_us)?
-            .ok_or_else(|| never_turned(JOG_LIMIT_US))?;
+        let first = self.first_turn(true, from_us)?;
+        let mut jog = first.ok_or_else(never_turned)?;
         let highest = self.rest().esc_us + JOG_LIMIT_US;
         let begin = self.now()?;
         let mut spun = Spun::default();
         while self.now()?.seconds_since(begin) < seconds {
-            let held = self.hold_until(jog, 0.1, what, |reading| reading.motor_speed == 0.0);
+            let held = self.hold_until(jog, 0.1, what, |reading| !reading.turns());
             match held {
                 Ok(readings) => spun.readings.extend(readings),
                 Err(Trouble::Ended { cause, .. }) => {
@@ -91,14 +99,10 @@ impl Car<'_> {
             // The board forgets the burst before after 0.6 s, and a car's ESC takes a second
             // pulse below neutral for reverse.
             self.hold_until_standing(rest, 0.7)?;
-            let jog = Jog {
-                esc_us: beyond(rest.esc_us, offset_us, forward),
-                ..rest
-            };
-            let readings = self.hold_until(jog, 0.5, "looking for the first turn", |reading| {
-                reading.motor_speed != 0.0
-            })?;
-            if readings.iter().any(|reading| reading.motor_speed != 0.0) {
+            let jog = rest.with_esc(beyond(rest.esc_us, offset_us, forward));
+            let what = "looking for the first turn";
+            let readings = self.hold_until(jog, 0.5, what, BoardReading::turns)?;
+            if readings.iter().any(BoardReading::turns) {
                 return Ok(Some(jog));
             }
             if offset_us >= JOG_LIMIT_US {
@@ -112,10 +116,8 @@ impl Car<'_> {
     /// Holds these pulses for a time at least, and until the wheels stand, 8 s at most.
     pub(super) fn hold_until_standing(&mut self, jog: Jog, seconds: f64) -> Result<(), Trouble> {
         self.hold(jog, seconds, "neutral")?;
-        if self.board.is_some_and(|board| board.motor_speed != 0.0) {
-            self.hold_until(jog, 8.0, "rolling out", |reading| {
-                reading.motor_speed == 0.0
-            })?;
+        if self.board.is_some_and(|board| board.turns()) {
+            self.hold_until(jog, 8.0, "rolling out", |reading| !reading.turns())?;
             // The reported speed is zero half a second after the last pulse. Where pulses are far
             // apart, the board needs longer to take the wheels for standing.
             self.hold(jog, 0.3, "neutral")?;
@@ -151,15 +153,9 @@ impl Spun {
 
     /// Whether the wheels came to rest while their pulse still drove them.
     pub(super) fn stopped_under_drive(&self) -> bool {
-        let stands = self
-            .readings
-            .last()
-            .is_some_and(|reading| reading.motor_speed == 0.0);
+        let stands = self.readings.last().is_some_and(|last| !last.turns());
         // The board can't distinguish a motor that does not turn from a dead sensor.
-        stands
-            || self
-                .ended
-                .is_some_and(|cause| cause == StopCause::MotorSensor)
+        stands || self.ended == Some(StopCause::MotorSensor)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The car is on its stand, at rest and in view of the cameras.
 
 use super::{car::Car, questions, request::ask_yes};
-use crate::{Bench, Finding, Step, Trouble, finding::failed};
+use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
 
 /// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
@@ -22,7 +22,7 @@ pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let mut car = Car::look(bench)?;
     let readings = car.watch(WATCHED_S, "standing")?;
-    if readings.iter().any(|reading| reading.motor_speed != 0.0) {
+    if readings.iter().any(BoardReading::turns) {
         return Err(failed(
             "the motor turns although the car is not armed",
             "Cut the supply of the ESC. Its neutral is not at 1500 us, or the pulse sensor \

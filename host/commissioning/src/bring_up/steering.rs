@@ -88,19 +88,15 @@ fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> 
     let rest = car.rest();
     let from = f64::from(rest.servo_us);
     let way = f64::from(pulse_us) - from;
-    let turns = |reading: &BoardReading| reading.motor_speed != 0.0;
     let begin = car.now()?;
     loop {
         let part = car.now()?.seconds_since(begin) * us_per_s / way.abs().max(1.0);
         let arrived = part >= 1.0;
-        let jog = Jog {
-            servo_us: (from + way * part.min(1.0)).round() as u16,
-            ..rest
-        };
+        let jog = rest.with_servo((from + way * part.min(1.0)).round() as u16);
         // At its end the servo needs a moment.
         let seconds = if arrived { 0.4 } else { 0.03 };
-        let readings = car.hold_until(jog, seconds, "steering", turns)?;
-        if readings.iter().any(turns) {
+        let readings = car.hold_until(jog, seconds, "steering", BoardReading::turns)?;
+        if readings.iter().any(BoardReading::turns) {
             return Err(swapped(car, jog));
         }
         if arrived {
@@ -112,12 +108,8 @@ fn turn(car: &mut Car<'_>, pulse_us: u16, us_per_s: f64) -> Result<(), Trouble> 
 /// The motor turns with the servo's pulse: back to where it stood still, and no farther.
 fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
     let centre_us = car.bench().configuration().board.servo.centre_us;
-    let back = Jog {
-        servo_us: centre_us,
-        ..jog
-    };
     // The trouble below is reported, not the end of this jog.
-    let _ = car.hold(back, 2.0, "back to the centre");
+    let _ = car.hold(jog.with_servo(centre_us), 2.0, "back to the centre");
     failed(
         format!(
             "the motor turned while the servo's pulse was {} us and the ESC at neutral",

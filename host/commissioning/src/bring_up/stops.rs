@@ -6,14 +6,13 @@
 //! counts, or what the operator sees.
 
 use singletrack_control::Time;
-use singletrack_protocol::{BoardMode, JOG_LIMIT_US};
+use singletrack_protocol::BoardMode;
 
 use super::{
     car::{Car, armed},
-    kill::never_turned,
     questions::{self, STOPS},
     request::{ask, ask_word},
-    spin::{Spun, mean_speed},
+    spin::{SPIN_M_S, Spun, mean_speed},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Parameter, Question, Step, Trouble, Verdict,
@@ -95,10 +94,7 @@ struct Stop {
 
 /// Turns the motor at about 0.5 m/s; returns the speed.
 fn turn(car: &mut Car<'_>) -> Result<f64, Trouble> {
-    let deadband_us = car.bench().configuration().board.esc.deadband_us;
-    let Some(jog) = car.spin(deadband_us + 4)? else {
-        return Err(never_turned(JOG_LIMIT_US));
-    };
+    let jog = car.spin(SPIN_M_S)?;
     Ok(mean_speed(&car.hold(jog, 0.4, "turning")?))
 }
 
@@ -270,8 +266,8 @@ fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
 
 /// Turns the motor until a hand stops it.
 fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
-    let deadband_us = car.bench().configuration().board.esc.deadband_us;
-    car.spin_for_hand(deadband_us + 4, HAND_S, what)
+    let from_us = car.beyond_deadband();
+    car.spin_for_hand(from_us, HAND_S, what)
 }
 
 fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {

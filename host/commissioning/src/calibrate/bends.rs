@@ -44,9 +44,7 @@ pub(super) const STEP: Step = Step::new(
 );
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    floor::place(bench)?;
-    floor::limit_speed(bench, SLOW)?;
-    let stands = floor::ready(bench)?;
+    let stands = floor::begin(bench, SLOW)?;
     let figure = Figure::find(bench, &stands)?;
     let lead = figure.approach() + LEAD;
     let seconds = (lead + 2.0 * PASSES as f64 * figure.lap()) / SLOW;
@@ -121,8 +119,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         plot(bench, motion, &pulses, vehicle, first);
     }
     let interval = |of: &dyn Fn(&(Body, Wheels)) -> f64, systematic: f64| {
-        let values: Vec<f64> = passes.iter().map(of).collect();
-        fit::mean_interval(&values, systematic).ok_or_else(undetermined)
+        fit::mean_interval(passes.iter().map(of), systematic).ok_or_else(undetermined)
     };
     let speed = SLOW;
     let slip = STIFFNESS * rear_slip(vehicle) * speed * speed;

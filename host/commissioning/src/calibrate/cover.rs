@@ -3,7 +3,7 @@
 use singletrack_pilot::Reason;
 
 use super::floor::{self, Drive, Figure, SLOW};
-use crate::{Answer, Answers, Bench, Finding, Question, Step, Trouble, Verdict};
+use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict};
 
 /// How long the operator has to cover the markers, s.
 const SECONDS: f64 = 30.0;
@@ -26,11 +26,10 @@ pub(super) const STEP: Step = Step::new(
 .optional();
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let answer = bench.ask(&Question::new(
+    let answer = bench.ask(&Question::begin(
         "cover-markers",
         "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
                from above, and keep them covered until it stands.",
-        Answers::Begin,
     ))?;
     if answer == Answer::Skip {
         return Ok(Finding::new(Verdict::Skipped, "not done", ""));
@@ -40,11 +39,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
         figure.at(SLOW * time, SLOW)
     })?;
-    let _ = bench.ask(&Question::new(
-        "uncover-markers",
-        "Uncover the markers.",
-        Answers::Begin,
-    ))?;
+    let _ = bench.ask(&Question::begin("uncover-markers", "Uncover the markers."))?;
     let Some(reason) = drive.reason else {
         return Ok(Finding::new(
             Verdict::Warning,

@@ -6,8 +6,8 @@ use singletrack_pilot::{Fence, Mode};
 use singletrack_protocol::BoardMode;
 
 use crate::{
-    Answer, Answers, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading,
-    Trouble, finding::failed, fit::Track,
+    Answer, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading, Trouble,
+    finding::failed, fit::Track,
 };
 
 /// The speed of the first drives, m/s.
@@ -125,14 +125,21 @@ pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Trouble> {
     ))
 }
 
+/// Waits for a car on the floor that can be armed for a drive of at most this speed, m/s, and gives
+/// where it stands.
+pub(super) fn begin(bench: &mut dyn Bench, speed: f64) -> Result<TickReading, Trouble> {
+    place(bench)?;
+    limit_speed(bench, speed)?;
+    ready(bench)
+}
+
 /// Asks the operator to put the car on the floor.
 pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Trouble> {
-    let answer = bench.ask(&Question::new(
+    let answer = bench.ask(&Question::begin(
         "place-on-floor",
         "Put the car on the floor in the middle of the geofence, looking along its longer \
                side. Keep everybody out of the geofence. The car drives by itself while you hold \
                the key, and stops when you let it go.",
-        Answers::Begin,
     ))?;
     match answer {
         Answer::Skip => Err(failed(

@@ -43,9 +43,7 @@ fn profile(time: f64) -> [f64; 2] {
 }
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    floor::place(bench)?;
-    floor::limit_speed(bench, SLOW)?;
-    let stands = floor::ready(bench)?;
+    let stands = floor::begin(bench, SLOW)?;
     let figure = Figure::find(bench, &stands)?;
     // P reaches the figure at the higher speed.
     let approach = (figure.approach() + 0.9) / SLOW;
@@ -217,8 +215,8 @@ fn typical(values: Vec<f64>) -> Vec<f64> {
     let Some(middle) = fit::median(&values) else {
         return values;
     };
-    let off: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
-    let reach = 5.0 * fit::median(&off).unwrap_or(0.0);
+    let off = values.iter().map(|value| (value - middle).abs());
+    let reach = 5.0 * fit::median(off).unwrap_or(0.0);
     values
         .into_iter()
         .filter(|value| (value - middle).abs() <= reach)

@@ -64,12 +64,8 @@ pub(super) fn bent(
     passes: &[(Body, Wheels)],
     servo: &ServoSection,
 ) -> Option<Bent> {
-    let mean = |of: fn(&Wheels) -> f64| {
-        let values: Vec<f64> = passes.iter().map(|(_, wheels)| of(wheels)).collect();
-        fit::mean(&values)
-    };
-    let centre_us = mean(|wheels| wheels.centre_us)?;
-    let gain_us_per_rad = mean(|wheels| wheels.gain_us_per_rad)?;
+    let centre_us = fit::mean(passes.iter().map(|(_, wheels)| wheels.centre_us))?;
+    let gain_us_per_rad = fit::mean(passes.iter().map(|(_, wheels)| wheels.gain_us_per_rad))?;
     let begin = *motions.first()?.time.first()?;
     let end = *motions.last()?.time.last()?;
     let driven = pulses
@@ -99,13 +95,9 @@ pub(super) fn bent(
                 fit::wheel_angles(motion, pulses, &speed, vehicle, wheels, &at_us)
             })
             .collect::<Option<_>>()?;
-        let mean = |index: usize| {
-            let values: Vec<f64> = angles.iter().map(|angles| angles[index]).collect();
-            fit::mean(&values)
-        };
         let mut pairs = Vec::with_capacity(at_us.len() + 2);
         for (index, pulse) in at_us.into_iter().enumerate() {
-            pairs.push([pulse, mean(index)?]);
+            pairs.push([pulse, fit::mean(angles.iter().map(|angles| angles[index]))?]);
         }
         Some((pairs, angles))
     };
@@ -116,8 +108,7 @@ pub(super) fn bent(
     let mut off: Option<Interval> = None;
     for (index, [pulse, _]) in pairs.iter().enumerate() {
         let line = (pulse - centre_us) / gain_us_per_rad;
-        let values: Vec<f64> = angles.iter().map(|angles| angles[index] - line).collect();
-        let this = fit::mean_interval(&values, 0.0)?;
+        let this = fit::mean_interval(angles.iter().map(|angles| angles[index] - line), 0.0)?;
         if off.is_none_or(|off| this.value.abs() > off.value.abs()) {
             off = Some(this);
         }

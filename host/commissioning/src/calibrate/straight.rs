@@ -21,9 +21,7 @@ pub(super) const STEP: Step = Step::new(
 );
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    floor::place(bench)?;
-    floor::limit_speed(bench, SLOW)?;
-    let stands = floor::ready(bench)?;
+    let stands = floor::begin(bench, SLOW)?;
     let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
     let Some(point) = stands.point else {
         return Err(failed("no estimate", "run it again"));

@@ -137,30 +137,23 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
         format!("below {:.0} ms", 1e3 * limit),
         "use a server of NatNet 3.0 or later on a wired network",
     );
-    let errors: Vec<f64> = readings.poses.iter().map(|pose| pose.mean_error).collect();
-    let error = mean(&errors).unwrap_or(0.0);
+    let poses = readings.poses.iter();
+    let error = mean(poses.clone().map(|pose| pose.mean_error)).unwrap_or(0.0);
     let noise = |axis: usize| {
-        let values: Vec<f64> = readings
-            .poses
-            .iter()
-            .map(|pose| pose.position[axis])
-            .collect();
-        standard_deviation(&values).unwrap_or(0.0)
+        let values = poses.clone().map(|pose| pose.position[axis]);
+        standard_deviation(values).unwrap_or(0.0)
     };
     let found = format!(
         "marker error {:.2} mm, noise {:.2} mm",
         1e3 * error,
         1e3 * noise(0).max(noise(1))
     );
-    if error < config.motion_capture.pose.max_mean_error_m / 2.0 {
-        checks.good(found, "half of motion_capture.pose.max_mean_error_m");
-    } else {
-        checks.warning(
-            found,
-            "half of motion_capture.pose.max_mean_error_m",
-            "calibrate the cameras, and define the body again with the markers as they are now",
-        );
-    }
+    checks.prefer(
+        error < config.motion_capture.pose.max_mean_error_m / 2.0,
+        found,
+        "half of motion_capture.pose.max_mean_error_m",
+        "calibrate the cameras, and define the body again with the markers as they are now",
+    );
 }
 
 /// A push forward: body and wheels move together.
@@ -293,14 +286,7 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .unzip();
     let samples = sample_times(&read);
     let velocities: Vec<(f64, f64)> = samples.times.into_iter().zip(rates).collect();
-    let uncertainty = median(
-        &readings
-            .poses
-            .iter()
-            .map(|pose| pose.uncertainty)
-            .collect::<Vec<_>>(),
-    )
-    .unwrap_or(0.0);
+    let uncertainty = median(readings.poses.iter().map(|pose| pose.uncertainty)).unwrap_or(0.0);
     let delay = stamp_delay(&angles, &velocities, samples.systematic.hypot(uncertainty));
     let Some(delay) = delay.filter(|_| is_done) else {
         checks.failed("the car was not twisted", "10 s to and fro", again);

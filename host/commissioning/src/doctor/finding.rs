@@ -60,6 +60,21 @@ impl Checks {
         }
     }
 
+    /// A check that passed, or of something that could be better.
+    pub(super) fn prefer(
+        &mut self,
+        is_good: bool,
+        found: impl Into<String>,
+        expected: impl Into<String>,
+        fix: impl Into<String>,
+    ) {
+        if is_good {
+            self.good(found, expected);
+        } else {
+            self.warning(found, expected, fix);
+        }
+    }
+
     /// The board has latched, because it mistook wheels that a hand rolled for a running motor.
     pub(super) fn latched(&mut self) {
         self.warning(

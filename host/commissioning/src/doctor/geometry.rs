@@ -47,11 +47,8 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let Some(origins) = turns(bench, &mut checks)? else {
         return checks.finding(bench);
     };
-    let axis = |index: usize| -> Vec<f64> { origins.iter().map(|origin| origin[index]).collect() };
-    let (Some(along), Some(across)) = (
-        mean_interval(&axis(0), AXLE_M),
-        mean_interval(&axis(1), AXLE_M),
-    ) else {
+    let axis = |index: usize| mean_interval(origins.iter().map(|origin| origin[index]), AXLE_M);
+    let (Some(along), Some(across)) = (axis(0), axis(1)) else {
         return checks.finding(bench);
     };
     let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
@@ -61,7 +58,7 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let yaws = passes
         .iter()
         .map(|pass| unwrap_near(-pass.direction, first));
-    if let Some(yaw) = mean_interval(&yaws.collect::<Vec<_>>(), TOE_RAD) {
+    if let Some(yaw) = mean_interval(yaws, TOE_RAD) {
         place(bench, [along, across], yaw, &mut checks);
     }
     pulses(bench, &passes, &mut checks);
@@ -177,7 +174,7 @@ fn rolls(
     if is_latched {
         checks.latched();
     }
-    let way = mean(&passes.iter().map(|pass| pass.way).collect::<Vec<_>>()).unwrap_or(0.0);
+    let way = mean(passes.iter().map(|pass| pass.way)).unwrap_or(0.0);
     let turn = passes
         .iter()
         .map(|pass| pass.turn.abs())
@@ -186,12 +183,8 @@ fn rolls(
         "{ROLLS} rolls of {way:.2} m, turned by {:.0} degrees at most",
         turn.to_degrees()
     );
-    let expected = "below 34 degrees";
-    if turn < STRAIGHT_RAD {
-        checks.good(found, expected);
-    } else {
-        checks.warning(found, expected, "put the front wheels straight, and repeat");
-    }
+    let fix = "put the front wheels straight, and repeat";
+    checks.prefer(turn < STRAIGHT_RAD, found, "below 34 degrees", fix);
     Ok(Some(passes))
 }
 
@@ -274,8 +267,7 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     let ratio = ratio.widened(SLIP * ratio.value);
     let distance = ratio.scaled(believed);
     // The board divides by its own seconds: with this distance its speed is right.
-    let clocks: Vec<f64> = passes.iter().map(|pass| pass.clock).collect();
-    let clock = mean(&clocks).unwrap_or(1.0);
+    let clock = mean(passes.iter().map(|pass| pass.clock)).unwrap_or(1.0);
     let written = (distance.value * clock).round();
     checks.good(
         format!(

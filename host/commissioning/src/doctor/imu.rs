@@ -170,9 +170,7 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
 }
 
 fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {
-    let average = |part: fn(&Inertial) -> f64| {
-        mean(&samples.iter().map(part).collect::<Vec<_>>()).unwrap_or(0.0)
-    };
+    let average = |part: fn(&Inertial) -> f64| mean(samples.iter().map(part)).unwrap_or(0.0);
     let (roll, pitch) = (
         average(|sample| sample.roll),
         average(|sample| sample.pitch),
@@ -191,32 +189,21 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
         return;
     }
     let limit = bench.configuration().watch.max_tilt_difference_rad;
-    let body = |part: fn(&crate::PoseReading) -> f64| {
-        mean(&readings.poses.iter().map(part).collect::<Vec<_>>()).unwrap_or(0.0)
-    };
+    let body =
+        |part: fn(&crate::PoseReading) -> f64| mean(readings.poses.iter().map(part)).unwrap_or(0.0);
     let difference = (roll - body(|pose| pose.roll)).hypot(pitch - body(|pose| pose.pitch));
-    if difference < limit {
-        checks.good(
-            format!("{:.1} degrees from the cameras", difference.to_degrees()),
-            format!("below {:.1}", limit.to_degrees()),
-        );
-    } else {
-        // The next steps show which of them is wrong.
-        checks.warning(
-            format!("{:.1} degrees from the cameras", difference.to_degrees()),
-            format!("below {:.1}", limit.to_degrees()),
-            "define the rigid body in the cameras' program with the car level",
-        );
-    }
+    // The next steps show which of them is wrong.
+    checks.prefer(
+        difference < limit,
+        format!("{:.1} degrees from the cameras", difference.to_degrees()),
+        format!("below {:.1}", limit.to_degrees()),
+        "define the rigid body in the cameras' program with the car level",
+    );
 }
 
 /// Wheels at rest must give no pulses.
 fn check_wheels(readings: &Readings, checks: &mut Checks) {
-    let moving = readings
-        .boards
-        .iter()
-        .filter(|board| board.motor_speed != 0.0)
-        .count();
+    let moving = readings.boards.iter().filter(|board| board.turns()).count();
     let refused = match (readings.health.first(), readings.health.last()) {
         (Some(first), Some(last)) => last
             .status

@@ -5,12 +5,8 @@
 
 use crate::{Answers, Question};
 
-const fn begin(id: &'static str, text: &'static str) -> Question {
-    Question::new(id, text, Answers::Begin)
-}
-
 /// The operator presses the reset button of the board once, right after the answer.
-pub(super) const PRESS_RESET: Question = begin(
+pub(super) const PRESS_RESET: Question = Question::begin(
     "press-reset",
     "Press Enter, then press the reset button of the board once.",
 );
@@ -26,38 +22,38 @@ pub(super) const VOLTMETER: Question = Question::new(
 );
 
 /// The operator unplugs the battery; the board stays on USB.
-pub(super) const UNPLUG_BATTERY: Question = begin(
+pub(super) const UNPLUG_BATTERY: Question = Question::begin(
     "unplug-battery",
     "Press Enter, then unplug the battery. The board stays on USB.",
 );
 
 /// The operator plugs the battery in again.
-pub(super) const PLUG_BATTERY: Question = begin(
+pub(super) const PLUG_BATTERY: Question = Question::begin(
     "plug-battery",
     "Press Enter, then plug the battery in again.",
 );
 
 /// The operator opens the stop switch.
-pub(super) const OPEN_STOP_SWITCH: Question = begin(
+pub(super) const OPEN_STOP_SWITCH: Question = Question::begin(
     "open-stop-switch",
     "Press Enter, then open the stop switch (press the red button).",
 );
 
 /// The operator closes the stop switch.
-pub(super) const CLOSE_STOP_SWITCH: Question = begin(
+pub(super) const CLOSE_STOP_SWITCH: Question = Question::begin(
     "close-stop-switch",
     "Press Enter, then close the stop switch again.",
 );
 
 /// The operator turns the front wheels against the servo for five seconds.
-pub(super) const PUSH_WHEELS: Question = begin(
+pub(super) const PUSH_WHEELS: Question = Question::begin(
     "push-wheels",
     "Press Enter, then push the front wheels to the left and to the right by hand, against \
          the servo, for five seconds. Do not force them.",
 );
 
 /// The car stands on the floor, level, and is not touched for a minute.
-pub(super) const STAND_STILL: Question = begin(
+pub(super) const STAND_STILL: Question = Question::begin(
     "stand-still",
     "Put the car on a level floor, where the cameras see it. Press Enter, and do not touch it \
          for a minute.",
@@ -65,35 +61,35 @@ pub(super) const STAND_STILL: Question = begin(
 
 /// The operator lifts the front of the car by about 45 degrees, holds it for a second, and puts
 /// it down again.
-pub(super) const NOSE_UP: Question = begin(
+pub(super) const NOSE_UP: Question = Question::begin(
     "nose-up",
     "Press Enter, then lift the front of the car until its nose points up by about 45 \
          degrees, hold it for a second, and put it down again.",
 );
 
 /// The same for the left side.
-pub(super) const LEFT_SIDE_UP: Question = begin(
+pub(super) const LEFT_SIDE_UP: Question = Question::begin(
     "left-side-up",
     "Press Enter, then lift the left side of the car by about 45 degrees, hold it for a \
          second, and put it down again.",
 );
 
 /// The operator turns the car to the left by about 90 degrees, flat on the floor.
-pub(super) const TURN_LEFT: Question = begin(
+pub(super) const TURN_LEFT: Question = Question::begin(
     "turn-left",
     "Press Enter, then turn the car to the left (counter-clockwise from above) by about 90 \
          degrees, flat on the floor, and let go.",
 );
 
 /// The operator rolls the car straight forward by half a metre.
-pub(super) const PUSH_FORWARD: Question = begin(
+pub(super) const PUSH_FORWARD: Question = Question::begin(
     "push-forward",
     "Press Enter, then roll the car forward by half a metre, wheels on the floor.",
 );
 
 /// The operator twists the car to and fro, about 30 degrees to either side, about once a second,
 /// for 12 seconds.
-pub(super) const TWIST: Question = begin(
+pub(super) const TWIST: Question = Question::begin(
     "twist",
     "Press Enter, then twist the car to and fro, 30 degrees to either side, about once a \
          second, flat on the floor, for 12 seconds.",
@@ -101,7 +97,7 @@ pub(super) const TWIST: Question = begin(
 
 /// The operator turns the car by a whole turn (at least 270 degrees) to the left, about the
 /// middle of its rear axle.
-pub(super) const TURN_LEFT_ABOUT_REAR_AXLE: Question = begin(
+pub(super) const TURN_LEFT_ABOUT_REAR_AXLE: Question = Question::begin(
     "turn-left-about-rear-axle",
     "Mark a point on the floor and put the middle of the rear axle over it. Press Enter, then \
          turn the car to the left by a whole turn, in about ten seconds, and keep the middle of \
@@ -109,7 +105,7 @@ pub(super) const TURN_LEFT_ABOUT_REAR_AXLE: Question = begin(
 );
 
 /// The same to the right.
-pub(super) const TURN_RIGHT_ABOUT_REAR_AXLE: Question = begin(
+pub(super) const TURN_RIGHT_ABOUT_REAR_AXLE: Question = Question::begin(
     "turn-right-about-rear-axle",
     "Put the middle of the rear axle over the point again. Press Enter, then turn the car to \
          the right by a whole turn, in about ten seconds, and keep the middle of the rear axle \
@@ -119,7 +115,7 @@ pub(super) const TURN_RIGHT_ABOUT_REAR_AXLE: Question = begin(
 /// The operator rolls the car straight forward by two metres (1.5 m at least), at about 0.4 m/s,
 /// on all wheels and without a push to the side, in stretches of half a metre with a pause of a
 /// second after each: the board takes wheels that turn for longer for a motor that runs.
-pub(super) const ROLL_FORWARD: Question = begin(
+pub(super) const ROLL_FORWARD: Question = Question::begin(
     "roll-forward",
     "Put the car where the cameras see the next two metres in front of it, wheels straight. \
          Press Enter, then roll it forward by two metres, in stretches of half a metre that take a \

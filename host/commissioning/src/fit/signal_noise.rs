@@ -67,10 +67,7 @@ fn windows(run: &[[f64; 2]], period: f64) -> Vec<[f64; 2]> {
             (Some([first, _]), Some([last, _])) => last - first + period < 1.2 * length,
             _ => false,
         })
-        .filter_map(|chunk| {
-            let values: Vec<f64> = chunk.iter().map(|[_, value]| *value).collect();
-            Some([length, mean(&values)?])
-        })
+        .filter_map(|chunk| Some([length, mean(chunk.iter().map(|[_, value]| *value))?]))
         .collect()
 }
 

@@ -1,5 +1,7 @@
 //! Means and their intervals.
 
+use core::borrow::Borrow;
+
 use crate::Interval;
 
 /// 97.5 % quantiles of Student's distribution, by degrees of freedom, from one.
@@ -22,22 +24,29 @@ pub(crate) fn student_quantile(degrees_of_freedom: usize) -> f64 {
     })
 }
 
+/// The values as a list.
+fn listed(values: impl IntoIterator<Item: Borrow<f64>>) -> Vec<f64> {
+    values.into_iter().map(|value| *value.borrow()).collect()
+}
+
 /// The mean; none of no values.
-pub(crate) fn mean(values: &[f64]) -> Option<f64> {
+pub(crate) fn mean(values: impl IntoIterator<Item: Borrow<f64>>) -> Option<f64> {
+    let values = listed(values);
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// The standard deviation of the values around their mean; none of fewer than two.
-pub(crate) fn standard_deviation(values: &[f64]) -> Option<f64> {
-    let mean = mean(values)?;
+pub(crate) fn standard_deviation(values: impl IntoIterator<Item: Borrow<f64>>) -> Option<f64> {
+    let values = listed(values);
+    let mean = mean(&values)?;
     let freedom = values.len().checked_sub(1).filter(|freedom| *freedom > 0)?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     Some((squares / freedom as f64).sqrt())
 }
 
 /// The median; none of no values.
-pub(crate) fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
+pub(crate) fn median(values: impl IntoIterator<Item: Borrow<f64>>) -> Option<f64> {
+    let mut sorted = listed(values);
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
     let upper = *sorted.get(middle)?;
@@ -50,10 +59,14 @@ pub(crate) fn median(values: &[f64]) -> Option<f64> {
 /// The mean of values with independent errors, such as those of separate passes, with its 95 %
 /// interval. `systematic` bounds the error that all of them share. None of fewer than two
 /// values: one pass says nothing of its error.
-pub(crate) fn mean_interval(values: &[f64], systematic: f64) -> Option<Interval> {
-    let deviation = standard_deviation(values)?;
+pub(crate) fn mean_interval(
+    values: impl IntoIterator<Item: Borrow<f64>>,
+    systematic: f64,
+) -> Option<Interval> {
+    let values = listed(values);
+    let deviation = standard_deviation(&values)?;
     let statistical = student_quantile(values.len() - 1) * deviation / (values.len() as f64).sqrt();
-    Some(Interval::around(mean(values)?, statistical).widened(systematic))
+    Some(Interval::around(mean(&values)?, statistical).widened(systematic))
 }
 
 /// The means of `count` blocks of equal length; values that are left over are dropped. Long

@@ -151,18 +151,7 @@ impl Track {
                 gyro[index] + near.iter().sum::<f64>() / near.len() as f64
             })
             .collect();
-        let yaw_rate = (0..yaw.len())
-            .map(|index| {
-                let before = index.saturating_sub(1);
-                let after = (index + 1).min(yaw.len() - 1);
-                let span = time[after] - time[before];
-                if span > 0.0 {
-                    (yaw[after] - yaw[before]) / span
-                } else {
-                    0.0
-                }
-            })
-            .collect();
+        let yaw_rate = slopes(&time, &yaw, 1);
         Motion {
             position: self
                 .poses
@@ -174,6 +163,22 @@ impl Track {
             yaw_rate,
         }
     }
+}
+
+/// The change of values over the time, over `span` of them on both sides.
+fn slopes(time: &[f64], values: &[f64], span: usize) -> Vec<f64> {
+    (0..time.len())
+        .map(|index| {
+            let before = index.saturating_sub(span);
+            let after = (index + span).min(time.len() - 1);
+            let passed = time[after] - time[before];
+            if passed > 0.0 {
+                (values[after] - values[before]) / passed
+            } else {
+                0.0
+            }
+        })
+        .collect()
 }
 
 /// Values without their mean and trend over time.
@@ -249,18 +254,6 @@ impl Motion {
 
     /// The speed of the rear axle at every pose, over `span` poses on both sides, m/s.
     pub(crate) fn rear_speed(&self, body_yaw: f64, left: f64, span: usize) -> Vec<f64> {
-        let way = self.rear_way(body_yaw, left);
-        (0..self.time.len())
-            .map(|index| {
-                let before = index.saturating_sub(span);
-                let after = (index + span).min(self.time.len() - 1);
-                let time = self.time[after] - self.time[before];
-                if time > 0.0 {
-                    (way[after] - way[before]) / time
-                } else {
-                    0.0
-                }
-            })
-            .collect()
+        slopes(&self.time, &self.rear_way(body_yaw, left), span)
     }
 }

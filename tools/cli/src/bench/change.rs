@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde_json::json;
 use singletrack_api::{ClientError, Request, ask};
 use singletrack_commissioning::{
-    Answer, Answers, Question, Refused,
+    Answer, Question, Refused,
     edit::{Edit, EditError},
 };
 
@@ -75,11 +75,10 @@ impl LiveBench {
 
     /// Asks the operator to restart the daemon, until it is there again.
     fn restart(&mut self) -> Result<(), Refused> {
-        let question = Question::new(
+        let question = Question::begin(
             "restart-daemon",
             "These values take a restart of the daemon: sudo systemctl restart \
                    singletrackd. Press Enter when that is done.",
-            Answers::Begin,
         );
         match self.ask_of(&question, false).map_err(Refused::because)? {
             Answer::Skip => return Err(Refused("the daemon was not restarted".to_owned())),

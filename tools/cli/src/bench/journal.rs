@@ -116,8 +116,7 @@ pub(super) fn remove(path: &Path) -> io::Result<()> {
 
 /// Replaces a file as a whole, down to the disk.
 pub(super) fn write(path: &Path, text: &str) -> io::Result<()> {
-    let mut staged = path.as_os_str().to_owned();
-    staged.push(".new");
+    let staged = path.with_added_extension("new");
     let mut file = File::create(&staged)?;
     file.write_all(text.as_bytes())?;
     file.sync_all()?;

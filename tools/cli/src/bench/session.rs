@@ -49,7 +49,8 @@ const FAILED: u8 = 3;
 pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchError> {
     let reported = procedure.required.then_some(procedure.name);
     let mut bench = LiveBench::open(reported, args)?;
-    let folder = args.state.clone().unwrap_or_else(|| beside(&args.config));
+    let folder = args.state.clone();
+    let folder = folder.unwrap_or_else(|| args.config.with_added_extension("commissioning"));
     let lock = lock(&folder);
     if matches!(lock, Ok(None)) {
         return Err(BenchError::Busy);
@@ -136,13 +137,6 @@ fn lock(folder: &Path) -> io::Result<Option<File>> {
         Err(TryLockError::WouldBlock) => Ok(None),
         Err(TryLockError::Error(error)) => Err(error),
     }
-}
-
-/// The folder for a configuration.
-fn beside(config: &Path) -> PathBuf {
-    let mut name = config.as_os_str().to_owned();
-    name.push(".commissioning");
-    PathBuf::from(name)
 }
 
 fn write_page(
