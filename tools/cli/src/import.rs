@@ -1,12 +1,11 @@
 //! `singletrack import`: makes a record of the log of another program.
 
-use std::{io, path::PathBuf};
+use std::{error::Error, path::PathBuf};
 
 use clap::Args;
-use singletrack_figures::output::print;
-use singletrack_logs::import::{ImportError, import};
+use singletrack_logs::import::import;
 
-use crate::progress::progress_bar;
+use crate::{control::print, progress::progress_bar};
 
 /// Options of `singletrack import`.
 #[derive(Args)]
@@ -23,23 +22,12 @@ pub struct ImportArgs {
     out: PathBuf,
 }
 
-/// Nothing was imported, or the result could not be printed.
-#[derive(Debug, thiserror::Error)]
-pub enum ImportFailure {
-    /// The import.
-    #[error(transparent)]
-    Import(#[from] ImportError),
-    /// The output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
 /// Runs the command.
 ///
 /// # Errors
 ///
 /// When map or log can't be read or the record can't be written. Then no record is left.
-pub fn run(args: &ImportArgs) -> Result<(), ImportFailure> {
+pub fn run(args: &ImportArgs) -> Result<(), Box<dyn Error>> {
     let bar = progress_bar(0, "{bar:30} {percent:>3} %  {pos} ticks");
     let result = import(&args.log, &args.map, &args.out, |done, of| {
         bar.set_length(of);
@@ -47,5 +35,5 @@ pub fn run(args: &ImportArgs) -> Result<(), ImportFailure> {
     });
     bar.finish_and_clear();
     let summary = result?;
-    Ok(print(&format!("{}: {summary}\n", args.out.display()))?)
+    Ok(print(&format!("{}: {summary}", args.out.display()))?)
 }

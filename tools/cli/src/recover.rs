@@ -1,15 +1,14 @@
 //! `singletrack recover`: repairs an unfinished or damaged record.
 
 use std::{
-    io,
+    error::Error,
     path::{Path, PathBuf},
 };
 
 use clap::Args;
-use singletrack_figures::output::print;
 use singletrack_record::{RecordError, Recovery};
 
-use crate::progress::progress_bar;
+use crate::{control::print, progress::progress_bar};
 
 /// Options of `singletrack recover`.
 #[derive(Args)]
@@ -22,30 +21,19 @@ pub struct RecoverArgs {
     out: Option<PathBuf>,
 }
 
-/// Nothing was recovered, or the result could not be printed.
-#[derive(Debug, thiserror::Error)]
-pub enum RecoverError {
-    /// The record.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The output can't be written.
-    #[error("can't write to standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
 /// Runs the command.
 ///
 /// # Errors
 ///
 /// When the record can't be read, holds nothing, or the new one can't be
 /// written.
-pub fn run(args: &RecoverArgs) -> Result<(), RecoverError> {
+pub fn run(args: &RecoverArgs) -> Result<(), Box<dyn Error>> {
     let output = match &args.out {
         Some(output) => output.clone(),
         None => default_output(&args.record),
     };
     let recovery = recover(&args.record, &output)?;
-    Ok(print(&format!("{}: {recovery}\n", output.display()))?)
+    Ok(print(&format!("{}: {recovery}", output.display()))?)
 }
 
 fn recover(record: &Path, output: &Path) -> Result<Recovery, RecordError> {

@@ -147,6 +147,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let mut deviations = Deviations::default();
     let mut span = Span::default();
     let foreign = controller(&meta) != singletrack_pilot::CONTROLLER.to_string();
+    let is_verified = args.set.is_empty();
     // Ticks that differ, and when the first did.
     let mut differ: (u64, f64) = (0, 0.0);
     for entry in ticks.by_ref() {
@@ -156,16 +157,8 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
             ticks: span.ticks,
             source,
         })?;
-        if args.set.is_empty() && foreign {
-            if !tick.is_output(&output) {
-                if differ.0 == 0 {
-                    differ.1 = span.seconds_to(&tick);
-                }
-                differ.0 += 1;
-            }
-            deviations.add(&tick, &output);
-        } else if args.set.is_empty() {
-            if !tick.is_output(&output) {
+        if is_verified && !tick.is_output(&output) {
+            if !foreign {
                 progress.finish_and_clear();
                 return Err(ReplayFailure::Differs(verdict::first_difference(
                     &args.record,
@@ -175,7 +168,12 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
                     &span,
                 )));
             }
-        } else {
+            if differ.0 == 0 {
+                differ.1 = span.seconds_to(&tick);
+            }
+            differ.0 += 1;
+        }
+        if foreign || !is_verified {
             deviations.add(&tick, &output);
         }
         span.add(&tick);
@@ -198,7 +196,7 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         });
     }
     let pace = span.pace(start.elapsed());
-    let told = if args.set.is_empty() {
+    let told = if is_verified {
         let log = args.record.display();
         format!(
             "{log}: {} ticks, every output the same to the bit\n",

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::{Answer, ClientError, Request, ask};
+use singletrack_api::{Request, ask};
 
 use crate::control::{ControlArgs, ControlError, print};
 use summary::Summary;
@@ -47,11 +47,9 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
         let status = answer.get_mut("status").map(Value::take);
         return print(&serde_json::to_string_pretty(&status.unwrap_or(answer))?);
     }
-    print(&summary(ask(&Request::Status {}, socket)?)?.line())
+    let status = ask(&Request::Status {}, socket)?.status;
+    print(&status.map_or_else(|| UNKNOWN.to_owned(), |status| Summary::of(status).line()))
 }
 
-/// The status in an answer.
-fn summary(answer: Answer) -> Result<Summary, ClientError> {
-    let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
-    answer.status.map(Summary::of).ok_or_else(missing)
-}
+/// The line for an answer that has no status.
+const UNKNOWN: &str = "; pose none, battery unknown, link unknown, speed unknown";

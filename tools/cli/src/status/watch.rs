@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use singletrack_api::{Answer, Connection, Reply, Request};
+use singletrack_api::{Answer, ClientError, Connection, Reply, Request};
 
 use super::Summary;
 use crate::{control::ControlError, interrupt::Interrupt, terminal::Screen};
@@ -40,6 +40,8 @@ impl Feed {
         let answer: Answer = questions
             .receive_within(PATIENCE)?
             .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
+        let status = answer.agreed()?.status;
+        let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
         let mut states = Connection::open(socket, PATIENCE)?;
         states.send(&Request::Watch {
             topics: vec!["state".to_owned()],
@@ -47,7 +49,7 @@ impl Feed {
         Ok(Self {
             states,
             questions,
-            summary: super::summary(answer.agreed()?)?,
+            summary: status.map(Summary::of).ok_or_else(missing)?,
             asked: Instant::now(),
             is_answered: true,
             heard: Instant::now(),
