@@ -1,10 +1,6 @@
 //! The command line of Singletrack.
 
-use std::{
-    io::{self, BufWriter, Write},
-    path::PathBuf,
-    process::ExitCode,
-};
+use std::{path::PathBuf, process::ExitCode};
 
 use clap::{
     ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
@@ -22,7 +18,7 @@ use singletrack::{
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
-use singletrack_figures::plot;
+use singletrack_figures::{output, plot};
 #[cfg(feature = "operator")]
 use singletrack_logs::judge;
 #[cfg(feature = "paper")]
@@ -309,12 +305,9 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                 println!("{}", serde_json::to_string(&simulation.summary)?);
                 return Ok(ExitCode::SUCCESS);
             }
-            match simulate::write_csv(&simulation.rows, &mut BufWriter::new(io::stdout().lock())) {
-                // The reader of a pipe may close it at any time.
-                Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
-                result => result?,
-            }
-            Ok(io::stdout().flush()?)
+            let mut csv = Vec::new();
+            simulate::write_csv(&simulation.rows, &mut csv)?;
+            Ok(output::print(&String::from_utf8(csv)?)?)
         }
     };
     done.map(|()| ExitCode::SUCCESS)

@@ -173,11 +173,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         ),
         (
             "motion_capture.marker_offset_m",
-            [ahead.value, left.value]
-                .map(|value| round(value, 5))
-                .into_iter()
-                .collect::<toml_edit::Array>()
-                .into(),
+            toml_edit::Value::from_iter([ahead.value, left.value].map(|value| round(value, 5))),
         ),
         ("actuators.steering_lag_ms", round(lag.value, 1).into()),
         (

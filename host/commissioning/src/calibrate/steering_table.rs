@@ -30,11 +30,7 @@ impl Bent {
 
     /// The pairs as TOML.
     pub(super) fn value(&self) -> toml_edit::Value {
-        let pairs = self.table.pairs().iter();
-        pairs
-            .map(|&[pulse, angle]| [pulse, angle].into_iter().collect::<toml_edit::Array>())
-            .collect::<toml_edit::Array>()
-            .into()
+        pairs(self.table.pairs().iter().copied())
     }
 }
 
@@ -45,14 +41,13 @@ pub(crate) fn straight_line(
     gain_us_per_rad: f64,
     [min_us, max_us]: [f64; 2],
 ) -> toml_edit::Value {
-    [min_us, max_us]
-        .into_iter()
-        .map(|pulse_us| {
-            let angle = round((pulse_us - centre_us) / gain_us_per_rad, 4);
-            [pulse_us, angle].into_iter().collect::<toml_edit::Array>()
-        })
-        .collect::<toml_edit::Array>()
-        .into()
+    let angle = |pulse_us: f64| round((pulse_us - centre_us) / gain_us_per_rad, 4);
+    pairs([min_us, max_us].map(|pulse_us| [pulse_us, angle(pulse_us)]))
+}
+
+/// Pairs of pulse and angle as TOML.
+fn pairs(pairs: impl IntoIterator<Item = [f64; 2]>) -> toml_edit::Value {
+    toml_edit::Value::from_iter(pairs.into_iter().map(toml_edit::Value::from_iter))
 }
 
 /// Fits two straight parts to either side to every pass. None if the passes don't determine them,

@@ -37,7 +37,7 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         );
         return checks.finding(bench);
     }
-    let Some(status) = readings.health.last().map(|health| health.status) else {
+    let Some(status) = readings.status() else {
         checks.failed(
             "the board is silent",
             "telemetry 100 times a second",
@@ -75,12 +75,8 @@ fn refusal(readings: &Readings) -> Option<(&'static str, &'static str)> {
 }
 
 fn check_line(readings: &Readings, checks: &mut Checks) {
-    let (Some(first), Some(last)) = (readings.health.first(), readings.health.last()) else {
-        return;
-    };
-    let lost = |key: fn(&Status) -> u16| key(&last.status).wrapping_sub(key(&first.status));
-    let damaged = lost(|status| status.frames_damaged);
-    let overrun = lost(|status| status.bytes_overrun);
+    let damaged = readings.risen(|status| status.frames_damaged);
+    let overrun = readings.risen(|status| status.bytes_overrun);
     checks.check(
         damaged <= 1 && overrun == 0,
         format!("{damaged} frames damaged, {overrun} bytes lost"),
@@ -172,7 +168,7 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     );
     let has_switch = config.board.stop_input;
     let readings = for_time(bench, 1.0, "supply")?;
-    let Some(status) = readings.health.last().map(|health| health.status) else {
+    let Some(status) = readings.status() else {
         checks.failed(
             "the board is silent",
             "a status five times a second",

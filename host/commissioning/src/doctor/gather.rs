@@ -1,7 +1,7 @@
 //! Gathers readings for a time, or until a hand has finished a motion.
 
 use singletrack_control::{Time, wrap};
-use singletrack_protocol::{BoardMode, StopCause};
+use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use super::questions;
 use crate::{
@@ -88,6 +88,19 @@ impl Readings {
             board.mode == BoardMode::EmergencyStopped
                 && board.stop_cause == StopCause::RunsAtNeutral
         })
+    }
+
+    /// The board's newest condition.
+    pub(super) fn status(&self) -> Option<Status> {
+        self.health.last().map(|health| health.status)
+    }
+
+    /// By how much one of the board's counters rose, which wrap.
+    pub(super) fn risen(&self, counter: fn(&Status) -> u16) -> u16 {
+        match (self.health.first(), self.health.last()) {
+            (Some(first), Some(last)) => counter(&last.status).wrapping_sub(counter(&first.status)),
+            _ => 0,
+        }
     }
 
     /// The samples of the IMU.

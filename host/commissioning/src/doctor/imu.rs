@@ -70,14 +70,12 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 }
 
 fn check_registers(readings: &Readings, checks: &mut Checks) {
-    let Some(status) = readings.health.last().map(|health| health.status) else {
+    let Some(status) = readings.status() else {
         return;
     };
     let [system, gyro, accelerometer] =
         [6, 4, 2].map(|shift| status.imu_calibration >> shift & 0b11);
-    let errors = readings.health.first().map_or(0, |first| {
-        status.imu_errors.wrapping_sub(first.status.imu_errors)
-    });
+    let errors = readings.risen(|status| status.imu_errors);
     // Accelerometer, gyro and controller; the magnetometer is not used. Zero: not read yet.
     let has_passed = matches!(status.imu_self_test & 0b1101, 0 | 0b1101);
     checks.check(
@@ -204,13 +202,7 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
 /// Wheels at rest must give no pulses.
 fn check_wheels(readings: &Readings, checks: &mut Checks) {
     let moving = readings.boards.iter().filter(|board| board.turns()).count();
-    let refused = match (readings.health.first(), readings.health.last()) {
-        (Some(first), Some(last)) => last
-            .status
-            .edges_refused
-            .wrapping_sub(first.status.edges_refused),
-        _ => 0,
-    };
+    let refused = readings.risen(|status| status.edges_refused);
     checks.check(
         moving == 0 && refused == 0,
         if moving == 0 && refused == 0 {

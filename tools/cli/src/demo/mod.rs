@@ -47,17 +47,11 @@ const POLL: Duration = Duration::from_millis(50);
 /// Why the car did not drive to the end; the record and the figures so far are
 /// written all the same.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
+    let lacks_live = args.live.is_some() && !cfg!(feature = "live");
+    let lacks_page = args.watch.is_some() && !cfg!(feature = "page");
     for (option, feature, lacks) in [
-        (
-            "--live",
-            "live",
-            args.live.is_some() && !cfg!(feature = "live"),
-        ),
-        (
-            "--watch",
-            "page",
-            args.watch.is_some() && !cfg!(feature = "page"),
-        ),
+        ("--live", "live", lacks_live),
+        ("--watch", "page", lacks_page),
     ] {
         if lacks {
             return Err(DemoError::NotBuilt { option, feature });

@@ -140,27 +140,15 @@ impl DumpArgs {
 
     /// Whether the source is all that was said.
     fn is_bare(&self) -> bool {
-        let Self {
-            topic,
-            format,
-            fields,
-            conditions,
-            from,
-            to,
-            stats,
-            follow,
-            duration,
-            ..
-        } = self;
-        topic.is_empty()
-            && fields.is_empty()
-            && conditions.is_empty()
-            && format.is_none()
-            && from.is_none()
-            && to.is_none()
-            && duration.is_none()
-            && !stats
-            && !follow
+        self.topic.is_empty()
+            && self.fields.is_empty()
+            && self.conditions.is_empty()
+            && self.format.is_none()
+            && self.from.is_none()
+            && self.to.is_none()
+            && self.duration.is_none()
+            && !self.stats
+            && !self.follow
     }
 }
 

@@ -1,5 +1,7 @@
 //! What a log says, on the clock of the record.
 
+use singletrack_mocap::Observation;
+
 use super::samples::Series;
 
 /// The contents of a log, each in the order of time.
@@ -9,8 +11,8 @@ pub(super) struct Log {
     pub(super) start_wall_ns: u64,
     /// The time of the last row.
     pub(super) end_ns: u64,
-    /// Every pose of the log, usable or not.
-    pub(super) poses: Vec<LoggedPose>,
+    /// Every pose of the log, usable or not, with its place as the number of its frame.
+    pub(super) poses: Vec<Observation>,
     /// Forward and left acceleration in m/s², yaw rate in rad/s. `None` if the log has no IMU.
     pub(super) inertial: Option<Series<3>>,
     /// Speed of the rear axle from the motor, in m/s.
@@ -26,33 +28,6 @@ pub(super) struct Log {
     /// From the first row to the first tick: with regular exposures, ticks come a fifth of a period
     /// after them, so that a pose is in the tick that follows it whatever its jitter.
     pub(super) phase_ns: u64,
-}
-
-/// One pose of a log.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct LoggedPose {
-    /// The time of its row.
-    pub(super) receive_ns: u64,
-    /// When it was measured.
-    pub(super) capture_ns: u64,
-    /// The pose itself.
-    pub(super) state: LoggedState,
-}
-
-/// What a row says of the body.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum LoggedState {
-    /// Position in m, and yaw in rad.
-    Valid {
-        /// In the frame of the cameras.
-        position_m: [f64; 2],
-        /// In -pi to pi.
-        yaw_rad: f64,
-    },
-    /// A number is missing or not finite.
-    NotFinite,
-    /// The log marks the body as not tracked.
-    Untracked,
 }
 
 impl Log {

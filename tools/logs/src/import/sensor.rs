@@ -1,10 +1,10 @@
 //! The samples of the sensors in the rows of a log.
 
 use singletrack_control::{direction, wrap};
+use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
 
 use super::{
     error::ImportError,
-    log::{LoggedPose, LoggedState},
     map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
     samples::Sample,
@@ -31,17 +31,10 @@ impl NewRows {
             return true;
         };
         let cell = row.text(place);
-        match &mut self.before {
-            Some(before) if *before == cell => false,
-            Some(before) => {
-                *before = cell.into_owned();
-                true
-            }
-            None => {
-                self.before = Some(cell.into_owned());
-                false
-            }
+        if self.before.as_deref() == Some(&*cell) {
+            return false;
         }
+        self.before.replace(cell.into_owned()).is_some()
     }
 }
 
@@ -176,7 +169,7 @@ pub(super) struct Poses<'a> {
     new_rows: NewRows,
     delay_ns: u64,
     exposures: Option<Exposures>,
-    pub(super) poses: Vec<LoggedPose>,
+    pub(super) poses: Vec<Observation>,
 }
 
 impl<'a> Poses<'a> {
@@ -213,37 +206,57 @@ impl<'a> Poses<'a> {
             let exposures = self.exposures.as_mut();
             let regular_ns = exposures.map_or(time_ns, |exposures| exposures.of(time_ns));
             let capture_ns = regular_ns - self.delay_ns;
-            self.poses.push(LoggedPose {
-                // No message is earlier than its exposure.
-                receive_ns: time_ns.max(capture_ns),
-                capture_ns,
-                state: self.state(row)?,
-            });
+            // No message is earlier than its exposure.
+            let receive_ns = time_ns.max(capture_ns);
+            let observation = self.observation(row, capture_ns, receive_ns)?;
+            self.poses.push(observation);
         }
         Ok(())
     }
 
-    fn state(&self, row: &impl Row) -> Result<LoggedState, ImportError> {
+    /// What a row says of the body, which was measured and arrived at these times.
+    fn observation(
+        &self,
+        row: &impl Row,
+        capture_time_ns: u64,
+        receive_time_ns: u64,
+    ) -> Result<Observation, ImportError> {
+        let frame_number = i32::try_from(self.poses.len()).unwrap_or(i32::MAX);
+        let observed = |state| Observation {
+            frame_number,
+            receive_time_ns,
+            state,
+        };
         if let Some(place) = self.tracked
             && !row.flag(place)?
         {
-            return Ok(LoggedState::Untracked);
+            return Ok(observed(PoseState::Untracked));
         }
         let [x, y, yaw] = &self.columns;
         let (x, y) = (x.number(row)?, y.number(row)?);
         let yaw_rad = wrap(yaw.number(row)? - self.section.yaw_rad);
         let [forward, left] = self.section.point_m;
         let axis = direction(yaw_rad);
-        let position_m = [
-            x - (axis.x * forward - axis.y * left),
-            y - (axis.y * forward + axis.x * left),
-        ];
-        Ok(match position_m.iter().all(|one| one.is_finite()) {
-            true if yaw_rad.is_finite() => LoggedState::Valid {
-                position_m,
-                yaw_rad,
-            },
-            _ => LoggedState::NotFinite,
-        })
+        let x_m = x - (axis.x * forward - axis.y * left);
+        let y_m = y - (axis.y * forward + axis.x * left);
+        if ![x_m, y_m, yaw_rad].into_iter().all(f64::is_finite) {
+            return Ok(observed(PoseState::Rejected(RejectReason::NotFinite)));
+        }
+        Ok(observed(PoseState::Valid(Pose {
+            x_m,
+            y_m,
+            z_m: 0.0,
+            yaw_rad,
+            tilt_rad: 0.0,
+            roll_rad: 0.0,
+            pitch_rad: 0.0,
+            capture_time_ns,
+            capture_uncertainty_ns: 0,
+            capture_source: CaptureTimeSource::FrameTimestamp,
+            receive_time_ns,
+            frame_number,
+            mean_error_m: 0.0,
+            reacquired: false,
+        })))
     }
 }

@@ -1,23 +1,15 @@
 //! The ticks of a record, with the events that came since the tick before.
 
 use singletrack_control::{Actuation, PoseSample, Position, Time};
-use singletrack_mocap::{
-    CaptureTimeSource, Observation, Pose as PlanarPose, PoseState, RejectReason,
-};
+use singletrack_mocap::{Observation, PoseState, RejectReason};
 use singletrack_pilot::{DriveCommand, Event, Filtering, LinkState, Mode, Output, PoseMissing};
 use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 
-use super::{
-    FIRST_ROW_NS,
-    board::BoardSamples,
-    log::{Log, LoggedPose, LoggedState},
-    summary::Summary,
-};
+use super::{FIRST_ROW_NS, board::BoardSamples, log::Log, summary::Summary};
 
 /// The observations and the board samples of a log, tick by tick.
 pub(super) struct Timeline<'a> {
     log: &'a Log,
-    observations: Vec<Observation>,
     board: BoardSamples,
     ticks: u64,
     index: u64,
@@ -31,10 +23,8 @@ pub(super) struct Timeline<'a> {
 
 impl<'a> Timeline<'a> {
     pub(super) fn new(log: &'a Log) -> Self {
-        let observations = (0..).zip(&log.poses).map(observation);
         Self {
             log,
-            observations: observations.collect(),
             board: BoardSamples::new(log),
             // The last tick is not before the last row.
             ticks: log
@@ -103,7 +93,8 @@ impl<'a> Timeline<'a> {
 
     /// The observations that arrived since the tick before the last one that was returned.
     pub(super) fn arrived(&self) -> &[Observation] {
-        self.observations
+        let poses = &self.log.poses;
+        poses
             .get(self.arrived_from..self.next_observation)
             .unwrap_or_default()
     }
@@ -111,14 +102,19 @@ impl<'a> Timeline<'a> {
     /// What is made of the log.
     pub(super) fn summary(&self) -> Summary {
         let Log { poses, .. } = self.log;
-        let is_valid = |pose: &&LoggedPose| matches!(pose.state, LoggedState::Valid { .. });
+        let is_valid = |pose: &&Observation| matches!(pose.state, PoseState::Valid(_));
         let count = |state| poses.iter().filter(|pose| pose.state == state).count() as u64;
         let inertial = self.log.inertial.as_ref();
         Summary {
             duration_ns: self.log.end_ns - FIRST_ROW_NS,
-            poses: Summary::arrivals(poses.iter().filter(is_valid).map(|pose| pose.receive_ns)),
-            rejected: count(LoggedState::NotFinite),
-            untracked: count(LoggedState::Untracked),
+            poses: Summary::arrivals(
+                poses
+                    .iter()
+                    .filter(is_valid)
+                    .map(|pose| pose.receive_time_ns),
+            ),
+            rejected: count(PoseState::Rejected(RejectReason::NotFinite)),
+            untracked: count(PoseState::Untracked),
             inertial: inertial.map(|series| Summary::arrivals(series.times_ns())),
             motor: Summary::arrivals(self.log.motor_speed.times_ns()),
             board: Summary::arrivals(self.board.samples.iter().map(|sample| sample.time.0)),
@@ -130,7 +126,7 @@ impl<'a> Timeline<'a> {
     /// The next event that is not after `time`. Of one time, the board's comes first: a pose
     /// corrects what the inertial samples up to it have predicted.
     fn next_event(&mut self, time: Time) -> Option<Event> {
-        let observation = self.observations.get(self.next_observation);
+        let observation = self.log.poses.get(self.next_observation);
         let observation = observation.filter(|one| one.receive_time_ns <= time.0);
         let sample = self.board.samples.get(self.next_sample);
         let is_first = |one: Time| observation.is_none_or(|other| one.0 <= other.receive_time_ns);
@@ -185,37 +181,6 @@ impl<'a> Timeline<'a> {
             command: command.filter(|_| is_driving),
             ..neutral()
         }
-    }
-}
-
-fn observation((frame_number, pose): (i32, &LoggedPose)) -> Observation {
-    let state = match pose.state {
-        LoggedState::NotFinite => PoseState::Rejected(RejectReason::NotFinite),
-        LoggedState::Untracked => PoseState::Untracked,
-        LoggedState::Valid {
-            position_m: [x_m, y_m],
-            yaw_rad,
-        } => PoseState::Valid(PlanarPose {
-            x_m,
-            y_m,
-            z_m: 0.0,
-            yaw_rad,
-            tilt_rad: 0.0,
-            roll_rad: 0.0,
-            pitch_rad: 0.0,
-            capture_time_ns: pose.capture_ns,
-            capture_uncertainty_ns: 0,
-            capture_source: CaptureTimeSource::FrameTimestamp,
-            receive_time_ns: pose.receive_ns,
-            frame_number,
-            mean_error_m: 0.0,
-            reacquired: false,
-        }),
-    };
-    Observation {
-        frame_number,
-        receive_time_ns: pose.receive_ns,
-        state,
     }
 }
 

@@ -160,7 +160,8 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
     });
     bar.finish_and_clear();
     let (verdict, figure) = result?;
-    let path = figure_path(args);
+    let beside = || args.record.with_extension("judge.svg");
+    let path = args.figure.clone().unwrap_or_else(beside);
     std::fs::write(&path, figure.to_svg()).map_err(|source| JudgeError::Figure {
         path: path.clone(),
         source,
@@ -182,11 +183,6 @@ fn recorded(record: &Path) -> Result<Config, JudgeError> {
         path: record.to_owned(),
         source: Box::new(source),
     })
-}
-
-fn figure_path(args: &JudgeArgs) -> PathBuf {
-    let beside = || args.record.with_extension("judge.svg");
-    args.figure.clone().unwrap_or_else(beside)
 }
 
 /// The verdict for a person.

@@ -76,18 +76,8 @@ impl Line {
     ) -> Result<Self, DumpError> {
         // The half that writes is closed unused.
         let (read, _) = serial_port::open(path, baud)?;
-        let clock = Clock::Arrival {
-            start: Instant::now(),
-            start_wall_ns: wall_ns(),
-        };
         let name = path.display().to_string();
-        Ok(Self::new(
-            name,
-            Input::Serial(read),
-            clock,
-            direction,
-            kinds,
-        ))
+        Ok(Self::new(name, Input::Serial(read), direction, kinds))
     }
 
     /// Opens a capture of the line's bytes.
@@ -97,14 +87,14 @@ impl Line {
         kinds: Vec<Kind>,
         follow: bool,
     ) -> Result<Self, DumpError> {
-        let file = File::open(path).map_err(|source| DumpError::Capture {
-            name: path.display().to_string(),
-            source,
-        })?;
         let name = path.display().to_string();
-        let mut line = Self::captured(name, file, direction, kinds);
-        line.follow = follow;
-        Ok(line)
+        match File::open(path) {
+            Ok(file) => Ok(Self {
+                follow,
+                ..Self::new(name, Input::File(file), direction, kinds)
+            }),
+            Err(source) => Err(DumpError::Capture { name, source }),
+        }
     }
 
     /// Takes the line's bytes from standard input.
@@ -114,26 +104,22 @@ impl Line {
     ) -> Result<Self, DumpError> {
         let name = "standard input".to_owned();
         match io::stdin().as_fd().try_clone_to_owned() {
-            Ok(file) => Ok(Self::captured(name, file.into(), direction, kinds)),
+            Ok(file) => Ok(Self::new(name, Input::File(file.into()), direction, kinds)),
             Err(source) => Err(DumpError::Capture { name, source }),
         }
     }
 
-    fn captured(name: String, file: File, direction: Direction, kinds: Vec<Kind>) -> Self {
-        let clock = Clock::Board {
-            last_us: None,
-            since_us: 0,
+    fn new(name: String, input: Input, direction: Direction, kinds: Vec<Kind>) -> Self {
+        let clock = match input {
+            Input::Serial(_) => Clock::Arrival {
+                start: Instant::now(),
+                start_wall_ns: wall_ns(),
+            },
+            Input::File(_) => Clock::Board {
+                last_us: None,
+                since_us: 0,
+            },
         };
-        Self::new(name, Input::File(file), clock, direction, kinds)
-    }
-
-    fn new(
-        name: String,
-        input: Input,
-        clock: Clock,
-        direction: Direction,
-        kinds: Vec<Kind>,
-    ) -> Self {
         Self {
             name,
             input,

@@ -13,9 +13,7 @@ use super::{
     kind::Kind,
     source::{BROKEN, Close, Row},
 };
-use report::{
-    BoardCounters, Count, Durations, ModeSpan, PoseReport, Report, TickReport, TopicReport,
-};
+use report::{BoardCounters, Durations, ModeSpan, PoseReport, Report, TickReport, TopicReport};
 
 /// Counts rows.
 pub(super) struct Stats {
@@ -33,8 +31,8 @@ enum Counter {
     Telemetry(Telemetry),
     Status(Status),
     Poses(Poses),
-    Broken(Broken),
-    Drops(Option<usize>, u64),
+    Broken(Fields<1>, BTreeMap<String, u64>),
+    Drops(Fields<1>, u64),
     Nothing,
 }
 
@@ -108,26 +106,31 @@ impl Stats {
     }
 }
 
+/// Where some fields of a kind are.
+struct Fields<const N: usize>([Option<usize>; N]);
+
+impl<const N: usize> Fields<N> {
+    fn of(kind: &Kind, names: [&str; N]) -> Self {
+        Self(names.map(|name| kind.index(name)))
+    }
+
+    /// Their values in a row.
+    fn read<'a>(&self, values: &'a [Value]) -> [&'a Value; N] {
+        let value = |field: Option<usize>| values.get(field?);
+        self.0.map(|field| value(field).unwrap_or(&Value::Absent))
+    }
+}
+
 impl Counter {
     fn of(kind: &Kind) -> Self {
-        let name = kind.name;
-        if name == Topic::Tick.name() {
-            Self::Ticks(Box::new(Ticks::new(kind)))
-        } else if name == Topic::Telemetry.name() {
-            Self::Telemetry(Telemetry::new(kind))
-        } else if name == Topic::Status.name() {
-            Self::Status(Status::new(kind))
-        } else if name == Topic::Pose.name() {
-            Self::Poses(Poses::new(kind))
-        } else if name == Topic::Drops.name() {
-            Self::Drops(kind.index("entries"), 0)
-        } else if name == BROKEN {
-            Self::Broken(Broken {
-                reason: kind.index("reason"),
-                counts: BTreeMap::new(),
-            })
-        } else {
-            Self::Nothing
+        match kind.name.parse() {
+            Ok(Topic::Tick) => Self::Ticks(Box::new(Ticks::new(kind))),
+            Ok(Topic::Telemetry) => Self::Telemetry(Telemetry::new(kind)),
+            Ok(Topic::Status) => Self::Status(Status::new(kind)),
+            Ok(Topic::Pose) => Self::Poses(Poses::new(kind)),
+            Ok(Topic::Drops) => Self::Drops(Fields::of(kind, ["entries"]), 0),
+            _ if kind.name == BROKEN => Self::Broken(Fields::of(kind, ["reason"]), BTreeMap::new()),
+            _ => Self::Nothing,
         }
     }
 
@@ -137,10 +140,14 @@ impl Counter {
             Self::Telemetry(telemetry) => telemetry.add(time_ns, values),
             Self::Status(status) => status.add(values),
             Self::Poses(poses) => poses.add(time_ns, values),
-            Self::Broken(broken) => count(&mut broken.counts, word(values, broken.reason)),
+            Self::Broken(fields, counts) => {
+                let [reason] = fields.read(values);
+                count(counts, word(reason).to_owned());
+            }
             // The count since the record began.
-            Self::Drops(field, entries) => {
-                *entries = (*entries).max(number(values, *field).unwrap_or_default() as u64);
+            Self::Drops(fields, entries) => {
+                let [now] = fields.read(values);
+                *entries = (*entries).max(number(now).unwrap_or_default() as u64);
             }
             Self::Nothing => {}
         }
@@ -152,7 +159,7 @@ impl Counter {
             Self::Telemetry(telemetry) => telemetry.report(end_ns, report),
             Self::Status(status) => report.board.clone_from(&status.counters),
             Self::Poses(poses) => report.poses = poses.report(),
-            Self::Broken(broken) => report.line.broken = counts(&broken.counts),
+            Self::Broken(_, counts) => report.line.broken.clone_from(counts),
             Self::Drops(_, entries) => report.entries_dropped = *entries,
             Self::Nothing => {}
         }
@@ -207,7 +214,7 @@ impl Modes {
 
 /// Ticks of the control thread.
 struct Ticks {
-    fields: TickFields,
+    fields: Fields<8>,
     counts: TickReport,
     /// In us, as all that is reported of them.
     lateness_us: Vec<f64>,
@@ -215,30 +222,20 @@ struct Ticks {
     modes: Modes,
 }
 
-struct TickFields {
-    mode: Option<usize>,
-    reason: Option<usize>,
-    held: Option<usize>,
-    skipped: Option<usize>,
-    events_dropped: Option<usize>,
-    written: Option<usize>,
-    lateness: Option<usize>,
-    capture_to_command: Option<usize>,
-}
-
 impl Ticks {
     fn new(kind: &Kind) -> Self {
+        let fields = [
+            "mode",
+            "reason",
+            "held",
+            "skipped",
+            "events_dropped",
+            "drive.written",
+            "lateness_ns",
+            "capture_to_command_ns",
+        ];
         Self {
-            fields: TickFields {
-                mode: kind.index("mode"),
-                reason: kind.index("reason"),
-                held: kind.index("held"),
-                skipped: kind.index("skipped"),
-                events_dropped: kind.index("events_dropped"),
-                written: kind.index("drive.written"),
-                lateness: kind.index("lateness_ns"),
-                capture_to_command: kind.index("capture_to_command_ns"),
-            },
+            fields: Fields::of(kind, fields),
             counts: TickReport::default(),
             lateness_us: Vec::new(),
             capture_to_command_us: Vec::new(),
@@ -247,22 +244,30 @@ impl Ticks {
     }
 
     fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let fields = &self.fields;
+        let [
+            mode,
+            reason,
+            held,
+            skipped,
+            dropped,
+            written,
+            lateness,
+            latency,
+        ] = self.fields.read(values);
         let counts = &mut self.counts;
-        let held = truth(values, fields.held) == Some(true);
-        counts.skipped += number(values, fields.skipped).unwrap_or_default() as u64;
-        counts.events_dropped += number(values, fields.events_dropped).unwrap_or_default() as u64;
+        let held = *held == Value::Bool(true);
+        counts.skipped += number(skipped).unwrap_or_default() as u64;
+        counts.events_dropped += number(dropped).unwrap_or_default() as u64;
         counts.without_new_pose += u64::from(held);
-        counts.commands_not_written += u64::from(truth(values, fields.written) == Some(false));
-        self.lateness_us
-            .extend(number(values, fields.lateness).map(microseconds));
+        counts.commands_not_written += u64::from(*written == Value::Bool(false));
+        self.lateness_us.extend(number(lateness).map(microseconds));
         // In a held tick the pose is an old one, which says nothing of the latency.
         if !held {
             self.capture_to_command_us
-                .extend(number(values, fields.capture_to_command).map(microseconds));
+                .extend(number(latency).map(microseconds));
         }
-        if let Some(mode) = text(values, fields.mode) {
-            self.modes.add(time_ns, mode, text(values, fields.reason));
+        if let Some(mode) = text(mode) {
+            self.modes.add(time_ns, mode, text(reason));
         }
     }
 
@@ -276,9 +281,7 @@ impl Ticks {
 
 /// Lost telemetry, by the board's clock.
 struct Telemetry {
-    board_time: Option<usize>,
-    mode: Option<usize>,
-    cause: Option<usize>,
+    fields: Fields<3>,
     last: Option<(i64, u32)>,
     lost: u64,
     gaps: u64,
@@ -290,9 +293,7 @@ struct Telemetry {
 impl Telemetry {
     fn new(kind: &Kind) -> Self {
         Self {
-            board_time: kind.index("board_time_us"),
-            mode: kind.index("mode"),
-            cause: kind.index("stop_cause"),
+            fields: Fields::of(kind, ["board_time_us", "mode", "stop_cause"]),
             last: None,
             lost: 0,
             gaps: 0,
@@ -303,7 +304,8 @@ impl Telemetry {
     }
 
     fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let Some(board_us) = number(values, self.board_time) else {
+        let [board_time, mode, cause] = self.fields.read(values);
+        let Some(board_us) = number(board_time) else {
             return;
         };
         let board_us = board_us as u32;
@@ -325,8 +327,8 @@ impl Telemetry {
             }
         }
         self.last = Some((time_ns, board_us));
-        if let Some(mode) = text(values, self.mode) {
-            let cause = text(values, self.cause).filter(|cause| *cause != "none");
+        if let Some(mode) = text(mode) {
+            let cause = text(cause).filter(|cause| *cause != "none");
             self.modes.add(time_ns, mode, cause);
         }
     }
@@ -348,9 +350,8 @@ impl Telemetry {
 
 /// The board's counters, which wrap, and start at zero when the board restarts.
 struct Status {
-    board_time: Option<usize>,
-    refusal: Option<usize>,
-    fields: [Option<usize>; BoardCounters::NAMES.len()],
+    fields: Fields<2>,
+    counts: Fields<{ BoardCounters::NAMES.len() }>,
     last: Option<(u32, [u16; BoardCounters::NAMES.len()])>,
     counters: Option<BoardCounters>,
 }
@@ -358,19 +359,18 @@ struct Status {
 impl Status {
     fn new(kind: &Kind) -> Self {
         Self {
-            board_time: kind.index("board_time_us"),
-            refusal: kind.index("last_refusal"),
-            fields: BoardCounters::NAMES.map(|name| kind.index(name)),
+            fields: Fields::of(kind, ["board_time_us", "last_refusal"]),
+            counts: Fields::of(kind, BoardCounters::NAMES),
             last: None,
             counters: None,
         }
     }
 
     fn add(&mut self, values: &[Value]) {
-        let board_us = number(values, self.board_time).unwrap_or_default() as u32;
-        let now = self
-            .fields
-            .map(|field| number(values, field).unwrap_or_default() as u16);
+        let [board_time, refusal] = self.fields.read(values);
+        let board_us = number(board_time).unwrap_or_default() as u32;
+        let now = self.counts.read(values);
+        let now = now.map(|count| number(count).unwrap_or_default() as u16);
         let counters = self.counters.get_or_insert_default();
         let before = match self.last {
             Some((last_us, _)) if board_us.wrapping_sub(last_us).cast_signed() < 0 => [0; _],
@@ -381,18 +381,15 @@ impl Status {
         for ((sum, now), before) in counters.counts.iter_mut().zip(now).zip(before) {
             *sum += u64::from(now.wrapping_sub(before));
         }
-        counters.last_refusal = text(values, self.refusal)
-            .filter(|refusal| *refusal != "none")
-            .map(ToOwned::to_owned);
+        let refusal = text(refusal).filter(|refusal| *refusal != "none");
+        counters.last_refusal = refusal.map(ToOwned::to_owned);
         self.last = Some((board_us, now));
     }
 }
 
 /// Poses and frames of the motion capture.
 struct Poses {
-    frame_number: Option<usize>,
-    state: Option<usize>,
-    rejected: Option<usize>,
+    fields: Fields<3>,
     last_frame: Option<i64>,
     last_valid_ns: Option<i64>,
     frames_missing: u64,
@@ -403,9 +400,7 @@ struct Poses {
 impl Poses {
     fn new(kind: &Kind) -> Self {
         Self {
-            frame_number: kind.index("frame_number"),
-            state: kind.index("state"),
-            rejected: kind.index("rejected"),
+            fields: Fields::of(kind, ["frame_number", "state", "rejected"]),
             last_frame: None,
             last_valid_ns: None,
             frames_missing: 0,
@@ -415,8 +410,9 @@ impl Poses {
     }
 
     fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let state = word(values, self.state);
-        if let Some(number) = number(values, self.frame_number) {
+        let [frame_number, state, rejected] = self.fields.read(values);
+        let state = word(state);
+        if let Some(number) = number(frame_number) {
             // Numbers that go back belong to another stream.
             let missing = self.last_frame.map_or(0, |last| number - last - 1);
             self.frames_missing += u64::try_from(missing).unwrap_or_default();
@@ -428,16 +424,16 @@ impl Poses {
             }
             self.last_valid_ns = Some(time_ns);
         }
-        match text(values, self.rejected) {
+        match text(rejected) {
             Some(why) => count(&mut self.states, format!("{state}: {why}")),
-            None => count(&mut self.states, state),
+            None => count(&mut self.states, state.to_owned()),
         }
     }
 
     fn report(&self) -> Option<PoseReport> {
         let between = (self.between_valid.longest_ns > 0).then_some(self.between_valid);
         (!self.states.is_empty()).then(|| PoseReport {
-            states: counts(&self.states),
+            states: self.states.clone(),
             frames_missing: self.frames_missing,
             longest_between_valid_ms: between.map(|gap| milliseconds(gap.longest_ns)),
             longest_between_valid_at_s: between.map(|gap| seconds(gap.begin_ns)),
@@ -445,50 +441,27 @@ impl Poses {
     }
 }
 
-/// Bytes that are not a frame.
-struct Broken {
-    reason: Option<usize>,
-    counts: BTreeMap<String, u64>,
-}
-
 fn count(counts: &mut BTreeMap<String, u64>, what: String) {
     *counts.entry(what).or_default() += 1;
 }
 
-fn counts(counts: &BTreeMap<String, u64>) -> Vec<Count> {
-    counts
-        .iter()
-        .map(|(what, count)| Count {
-            what: what.clone(),
-            count: *count,
-        })
-        .collect()
-}
-
-fn number(values: &[Value], field: Option<usize>) -> Option<i64> {
-    match values.get(field?)? {
+fn number(value: &Value) -> Option<i64> {
+    match value {
         Value::Unsigned(value) => i64::try_from(*value).ok(),
         Value::Signed(value) => Some(*value),
         _ => None,
     }
 }
 
-fn truth(values: &[Value], field: Option<usize>) -> Option<bool> {
-    match values.get(field?)? {
-        Value::Bool(value) => Some(*value),
-        _ => None,
-    }
-}
-
-fn text(values: &[Value], field: Option<usize>) -> Option<&str> {
-    match values.get(field?)? {
+fn text(value: &Value) -> Option<&str> {
+    match value {
         Value::Text(text) => Some(text),
         _ => None,
     }
 }
 
-fn word(values: &[Value], field: Option<usize>) -> String {
-    text(values, field).unwrap_or("unknown").to_owned()
+fn word(value: &Value) -> &str {
+    text(value).unwrap_or("unknown")
 }
 
 fn seconds(ns: i64) -> f64 {

@@ -1,5 +1,7 @@
 //! The statistics for a program; `table` prints them for a person.
 
+use std::collections::BTreeMap;
+
 use serde::{Serialize, Serializer, ser::SerializeMap};
 use singletrack_statistics::Distribution;
 
@@ -68,21 +70,9 @@ pub(super) struct LineReport {
     pub(super) longest_gap_at_s: Option<f64>,
     pub(super) board_restarts: u64,
     /// Bytes that are not a frame, by reason.
-    #[serde(serialize_with = "as_map")]
-    pub(super) broken: Vec<Count>,
+    pub(super) broken: BTreeMap<String, u64>,
     pub(super) bytes: Option<u64>,
     pub(super) bytes_per_s: Option<f64>,
-}
-
-/// A number of occurrences.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Count {
-    pub(super) what: String,
-    pub(super) count: u64,
-}
-
-fn as_map<S: Serializer>(counts: &[Count], serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_map(counts.iter().map(|count| (&count.what, count.count)))
 }
 
 /// The board's counters, by how much they rose.
@@ -130,8 +120,7 @@ impl Serialize for BoardCounters {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct PoseReport {
     /// Frames by the state of the car in them.
-    #[serde(serialize_with = "as_map")]
-    pub(super) states: Vec<Count>,
+    pub(super) states: BTreeMap<String, u64>,
     /// Frame numbers that never arrived.
     pub(super) frames_missing: u64,
     /// The longest time between two valid poses, if there are two.

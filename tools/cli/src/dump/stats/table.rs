@@ -1,8 +1,9 @@
 //! The statistics as a page for a person.
 
 use core::fmt;
+use std::collections::BTreeMap;
 
-use super::report::{BoardCounters, Count, Durations, ModeSpan, Report};
+use super::report::{BoardCounters, Durations, ModeSpan, Report};
 
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
@@ -160,11 +161,11 @@ impl Report {
     }
 }
 
-fn counts(page: &mut fmt::Formatter<'_>, counts: &[Count]) -> fmt::Result {
+fn counts(page: &mut fmt::Formatter<'_>, counts: &BTreeMap<String, u64>) -> fmt::Result {
     if counts.is_empty() {
         return page.write_str("none");
     }
-    for (index, Count { what, count }) in counts.iter().enumerate() {
+    for (index, (what, count)) in counts.iter().enumerate() {
         let comma = if index == 0 { "" } else { ", " };
         write!(page, "{comma}{count} {what}")?;
     }
