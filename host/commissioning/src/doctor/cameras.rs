@@ -47,7 +47,7 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     check_stream(bench, &readings, &mut checks);
     check_push(bench, &mut checks)?;
     if !checks.has_failed()
-        && let Some(height) = median(&heights(&readings))
+        && let Some(height) = median(heights(&readings))
     {
         // To the centimetre, so that a repeated doctor changes nothing.
         let round = |value: f64| (value * 100.0).round() / 100.0;

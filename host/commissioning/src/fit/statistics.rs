@@ -141,13 +141,13 @@ mod tests {
     #[test]
     fn mean_deviation_and_median_are_those_of_the_book() {
         let values = [2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0];
-        assert_eq!(mean(&values), Some(5.0));
-        let deviation = standard_deviation(&values).unwrap();
+        assert_eq!(mean(values), Some(5.0));
+        let deviation = standard_deviation(values).unwrap();
         assert!((deviation - (32.0_f64 / 7.0).sqrt()).abs() < 1e-12);
-        assert_eq!(median(&values), Some(4.5));
-        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
-        assert_eq!((mean(&[]), median(&[])), (None, None));
-        assert_eq!(standard_deviation(&[1.0]), None);
+        assert_eq!(median(values), Some(4.5));
+        assert_eq!(median([3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!((mean([0.0; 0]), median([0.0; 0])), (None, None));
+        assert_eq!(standard_deviation([1.0]), None);
     }
 
     #[test]
@@ -164,10 +164,10 @@ mod tests {
 
     #[test]
     fn one_pass_gives_no_interval() {
-        assert_eq!(mean_interval(&[1.0], 0.1), None);
+        assert_eq!(mean_interval([1.0], 0.1), None);
         assert!(
             jackknife(&[1.0], [0.1], |all| {
-                Some([mean(&all.iter().map(|v| **v).collect::<Vec<_>>())?])
+                Some([mean(all.iter().map(|v| **v))?])
             })
             .is_none()
         );
@@ -187,7 +187,7 @@ mod tests {
                 .collect::<Vec<f64>>()
         };
         let single = coverage(500, |trial| {
-            (mean_interval(&readings(trial), 0.0).unwrap(), 0.0)
+            (mean_interval(readings(trial), 0.0).unwrap(), 0.0)
         });
         let blocks = coverage(500, |trial| {
             let means = block_means(&readings(trial), 10);
@@ -211,7 +211,7 @@ mod tests {
             Some([mean(&chosen)?])
         })
         .unwrap();
-        let expected = mean_interval(&values, 0.0).unwrap();
+        let expected = mean_interval(values, 0.0).unwrap();
         assert!((found.low - expected.low).abs() < 1e-12);
         assert!((found.high - expected.high).abs() < 1e-12);
     }
