@@ -176,8 +176,8 @@ fn start(
 }
 
 fn drive_start_ns(snapshot: &Snapshot) -> Option<u64> {
-    let tick = snapshot.tick?;
-    let driven_ns = (tick.drive_time_s? * 1e9) as u64;
+    let tick = snapshot.tick.as_ref()?;
+    let driven_ns = (tick.output.drive_time? * 1e9) as u64;
     Some(tick.start_ns.saturating_sub(driven_ns))
 }
 

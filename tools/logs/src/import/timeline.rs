@@ -2,7 +2,7 @@
 
 use singletrack_control::{Actuation, PoseSample, Position, Time};
 use singletrack_mocap::{Observation, PoseState, RejectReason};
-use singletrack_pilot::{DriveCommand, Event, Filtering, LinkState, Mode, Output, PoseMissing};
+use singletrack_pilot::{DriveCommand, Event, LinkState, Mode, Output, PoseMissing};
 use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 
 use super::{FIRST_ROW_NS, board::BoardSamples, log::Log, summary::Summary};
@@ -61,7 +61,7 @@ impl<'a> Timeline<'a> {
             pilot_time: time,
             events: Default::default(),
             events_dropped: 0,
-            output: neutral(),
+            output: Output::neutral(Mode::Ready),
             drive: None,
             link: LinkPhase::Ready,
         };
@@ -167,50 +167,19 @@ impl<'a> Timeline<'a> {
                 pose_time,
                 brake: false,
             });
+        let mode = if is_driving {
+            Mode::Driving
+        } else {
+            Mode::Ready
+        };
         Output {
-            mode: if is_driving {
-                Mode::Driving
-            } else {
-                Mode::Ready
-            },
             actuation: Actuation {
                 speed: speed.unwrap_or_default(),
                 steering,
                 steering_rate: 0.0,
             },
             command: command.filter(|_| is_driving),
-            ..neutral()
+            ..Output::neutral(mode)
         }
-    }
-}
-
-/// The output of a pilot that has no estimate and commands nothing.
-fn neutral() -> Output {
-    Output {
-        mode: Mode::Ready,
-        reason: None,
-        estimate: None,
-        held: true,
-        drive_time: None,
-        reference: None,
-        point: None,
-        point_velocity: None,
-        actuation: Actuation::default(),
-        turning_round: false,
-        looked_ahead: None,
-        path: None,
-        slowed_by: None,
-        command: None,
-        request: None,
-        proved: false,
-        disproved: false,
-        braking_measured: None,
-        setpoint_refused: None,
-        filtering: Filtering::None,
-        filtered_ticks: 0,
-        tuned: None,
-        preflight: None,
-        jog: None,
-        setpoint: None,
     }
 }
