@@ -2,11 +2,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
+mod steady;
+
 use nalgebra::Complex;
-use singletrack_analysis::stability::{Circle, SteadyCircle};
 use singletrack_control::{
     FrontPointLaw, Motion, RelaxedSingleTrack, SingleTrackState, VehicleParameters, direction,
 };
+
+use steady::{Circle, SteadyCircle};
 
 const P: f64 = 0.35;
 /// The step of the simulation, in s.

@@ -8,7 +8,7 @@ use std::{collections::VecDeque, f64::consts::PI};
 
 use nalgebra::{Complex, Vector2};
 use singletrack_analysis::stability::{
-    ClosedLoop, Law, MarginLimits, Prediction, SampledLoop, Search, Servo, first_unstable_speed,
+    ClosedLoop, Law, MarginLimits, Prediction, SampledLoop, Servo, first_unstable_speed,
     least_point_distance,
 };
 use singletrack_control::{
@@ -21,10 +21,7 @@ const SERVO: Servo = Servo {
     dead_time: 0.012,
 };
 const DELAY: f64 = 0.006;
-const SPEEDS: Search = Search {
-    from: 0.1,
-    to: 20.0,
-};
+const SPEEDS: [f64; 2] = [0.1, 20.0];
 
 fn closed_loop(p: f64, speed: f64, deviation: f64) -> ClosedLoop {
     ClosedLoop::new(
@@ -392,10 +389,7 @@ fn a_prediction_by_models_that_are_a_fifth_wrong_still_helps() {
 
 #[test]
 fn the_least_p_grows_with_the_speed_and_the_delay() {
-    let distances = Search {
-        from: 0.01,
-        to: 2.0,
-    };
+    let distances = [0.01, 2.0];
     let least = |speed: f64, delay: f64| {
         let sampled = SampledLoop::new(closed_loop(0.35, speed, 0.0), 0.01, delay)
             .unwrap()

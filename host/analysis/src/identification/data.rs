@@ -1,6 +1,8 @@
 //! The data of a drive: poses, inertial samples and servo targets, and the stretches of
 //! it that can be used.
 
+use singletrack_words::words;
+
 use super::error::IdentificationError;
 
 /// A pose of the centre of mass from the motion capture.
@@ -86,24 +88,22 @@ impl Span {
     }
 }
 
-/// Which of the board's control periods begin a pulse of the servo.
-///
-/// The board records its target at 100 Hz and sends a pulse every 20 ms. The record does
-/// not contain which of two periods begins a pulse.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ServoFrames {
-    /// Periods with even numbers.
-    Even,
-    /// Periods with odd numbers.
-    Odd,
-    /// Every period: a digital servo at 100 Hz.
-    Every,
+words! {
+    /// Which of the board's control periods begin a pulse of the servo.
+    ///
+    /// The board records its target at 100 Hz and sends a pulse every 20 ms. The record does
+    /// not contain which of two periods begins a pulse.
+    pub enum ServoFrames {
+        /// Periods with even numbers.
+        Even = "even",
+        /// Periods with odd numbers.
+        Odd = "odd",
+        /// Every period: a digital servo at 100 Hz.
+        Every = "every",
+    }
 }
 
 impl ServoFrames {
-    /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Even, Self::Odd, Self::Every];
-
     const fn begins(self, period: u64) -> bool {
         match self {
             Self::Even => period.is_multiple_of(2),

@@ -44,30 +44,19 @@ pub(super) struct Innovation {
 }
 
 /// The estimate of the filter after an inertial sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct TrackPoint {
-    /// Time, in s.
-    pub time_s: f64,
     /// Index of the inertial sample.
-    pub inertial: usize,
-    /// Position of G along x, in m.
-    pub x_m: f64,
-    /// Position of G along y, in m.
-    pub y_m: f64,
-    /// Yaw, in rad, not wrapped.
-    pub yaw_rad: f64,
-    /// Yaw rate, in rad/s.
-    pub yaw_rate_rad_s: f64,
-    /// Sideslip, in rad.
-    pub sideslip_rad: f64,
+    pub(super) inertial: usize,
+    pub(super) estimate: StateEstimate<f64>,
+}
+
+impl TrackPoint {
     /// Speed of G, in m/s.
-    pub speed_m_s: f64,
-    /// Steering angle, in rad.
-    pub steering_rad: f64,
-    /// Bias of the gyro, in rad/s.
-    pub gyro_bias_rad_s: f64,
-    /// Bias of the forward acceleration, in m/s².
-    pub forward_bias_m_s2: f64,
+    #[must_use]
+    pub const fn speed_m_s(&self) -> f64 {
+        self.estimate.motion.speed
+    }
 }
 
 /// The result of a run of the filter along a drive.
@@ -247,28 +236,9 @@ impl EventHandler<f64> for Filter<'_> {
         if let Some(gains) = self.run.gains.inertial.get_mut(index) {
             *gains = [yaw_rate, left];
         }
-        let [
-            x,
-            y,
-            yaw,
-            yaw_rate,
-            sideslip,
-            speed,
-            gyro_bias,
-            forward_bias,
-        ] = self.state.into();
         self.run.track.push(TrackPoint {
-            time_s: self.time,
             inertial: index,
-            x_m: x,
-            y_m: y,
-            yaw_rad: yaw,
-            yaw_rate_rad_s: yaw_rate,
-            sideslip_rad: sideslip,
-            speed_m_s: speed,
-            steering_rad: self.steering,
-            gyro_bias_rad_s: gyro_bias,
-            forward_bias_m_s2: forward_bias,
+            estimate: StateEstimate::of(self.state.into(), self.steering),
         });
     }
 

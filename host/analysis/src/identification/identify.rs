@@ -16,12 +16,12 @@ use super::{
     residuals::{self, Residuals},
     score::Score,
     settings::{Criterion, Settings},
-    simulation::{self, Inputs, Simulation},
+    simulation::{self, Inputs, SimulationPoint},
     warning::{self, Warning},
 };
 
 /// The smallest usable duration of a drive, in s.
-pub const LEAST_SECONDS: f64 = 5.0;
+const LEAST_SECONDS: f64 = 5.0;
 
 /// The result of an identification.
 #[derive(Clone, Debug)]
@@ -45,7 +45,7 @@ pub struct Identification {
     /// The prediction errors.
     pub residuals: Vec<Residuals>,
     /// A simulation of the model without corrections, with the measurements.
-    pub simulation: Simulation,
+    pub simulation: Vec<SimulationPoint>,
     /// How well the simulation fits.
     pub score: Score,
     /// Reasons to doubt the estimates.
@@ -88,20 +88,7 @@ pub fn identify(
     vehicle: &VehicleParameters,
     settings: &Settings,
 ) -> Result<Identification, IdentificationError> {
-    identify_from(data, &Values::of(vehicle), settings)
-}
-
-/// Identifies as [`identify`] does, from start values of all parameters.
-///
-/// # Errors
-///
-/// As [`identify`].
-pub fn identify_from(
-    data: &DriveData,
-    start: &Values,
-    settings: &Settings,
-) -> Result<Identification, IdentificationError> {
-    identified(data, start, settings, check)
+    identified(data, &Values::of(vehicle), settings, check)
 }
 
 /// Identifies, and refuses what `check` refuses.
@@ -168,7 +155,7 @@ fn identified(
 /// A fit with its simulation.
 struct Chosen {
     fit: Fit,
-    simulation: Simulation,
+    simulation: Vec<SimulationPoint>,
     criterion: Criterion,
     warning: Option<Warning>,
 }

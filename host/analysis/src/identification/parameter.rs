@@ -1,77 +1,64 @@
 //! The parameters that can be estimated, and their prior distributions.
 
-use core::{fmt, str::FromStr};
+use core::str::FromStr;
 
 use singletrack_control::VehicleParameters;
+use singletrack_words::words;
 
 use crate::dual::Dual;
 
-/// A parameter of the car or of its sensors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Parameter {
-    /// Cornering stiffness `C_f` of the front axle, in N/rad.
-    FrontStiffness,
-    /// Cornering stiffness `C_r` of the rear axle, in N/rad.
-    RearStiffness,
-    /// Yaw moment of inertia `I_z`, in kg m².
-    YawInertia,
-    /// Distance `l_f` from G to the front axle with the wheelbase fixed, in m.
-    FrontAxleDistance,
-    /// Friction coefficient μ.
-    Friction,
-    /// Ratio of the true steering angle to the target.
-    SteeringGain,
-    /// Time constant of the servo, in s.
-    ServoLag,
-    /// Delay from a servo pulse in the board's record to the motion of the servo, in s.
-    SteeringDelay,
-    /// Steering angle at the pulse for straight on, in rad.
-    SteeringTrim,
-    /// Delay from the measurement of an inertial sample to its time stamp, in s.
-    InertialDelay,
-    /// Bias of the acceleration to the left, in m/s².
-    LateralBias,
-    /// Ratio of the gyro's yaw rate, without its bias, to the true one.
-    GyroScale,
+words! {
+    /// A parameter of the car or of its sensors.
+    #[derive(PartialOrd, Ord, Hash)]
+    pub enum Parameter {
+        /// Cornering stiffness `C_f` of the front axle, in N/rad.
+        FrontStiffness = "c_f",
+        /// Cornering stiffness `C_r` of the rear axle, in N/rad.
+        RearStiffness = "c_r",
+        /// Yaw moment of inertia `I_z`, in kg m².
+        YawInertia = "i_z",
+        /// Distance `l_f` from G to the front axle with the wheelbase fixed, in m.
+        FrontAxleDistance = "l_f",
+        /// Friction coefficient μ.
+        Friction = "friction",
+        /// Ratio of the true steering angle to the target.
+        SteeringGain = "steering_gain",
+        /// Time constant of the servo, in s.
+        ServoLag = "servo_lag",
+        /// Delay from a servo pulse in the board's record to the motion of the servo, in s.
+        SteeringDelay = "delay",
+        /// Steering angle at the pulse for straight on, in rad.
+        SteeringTrim = "trim",
+        /// Delay from the measurement of an inertial sample to its time stamp, in s.
+        InertialDelay = "imu_delay",
+        /// Bias of the acceleration to the left, in m/s².
+        LateralBias = "lateral_bias",
+        /// Ratio of the gyro's yaw rate, without its bias, to the true one.
+        GyroScale = "gyro_scale",
+    }
 }
 
 /// Number of parameters.
-pub(super) const COUNT: usize = 12;
+pub(super) const COUNT: usize = Parameter::ALL.len();
 
-/// Short names, units and prior distributions, in the order of the discriminants.
-const TABLE: [(&str, &str, Prior); COUNT] = [
+/// Units, empty for a ratio, and prior distributions, in the order of the discriminants.
+const TABLE: [(&str, Prior); COUNT] = [
     // Two thirds of all cars are within a factor of four of the start value.
-    ("c_f", "N/rad", Prior::factor(1.4)),
-    ("c_r", "N/rad", Prior::factor(1.4)),
-    ("i_z", "kg m²", Prior::factor(1.4)),
-    ("l_f", "m", Prior::factor(0.5)),
-    ("friction", "", Prior::factor(0.5)),
-    ("steering_gain", "", Prior::factor(0.2)),
-    ("servo_lag", "s", Prior::factor(1.0)),
-    ("delay", "s", Prior::shift(0.03)),
-    ("trim", "rad", Prior::shift(0.1)),
-    ("imu_delay", "s", Prior::shift(0.03)),
-    ("lateral_bias", "m/s²", Prior::shift(0.3)),
-    ("gyro_scale", "", Prior::factor(0.05)),
+    ("N/rad", Prior::factor(1.4)),
+    ("N/rad", Prior::factor(1.4)),
+    ("kg m²", Prior::factor(1.4)),
+    ("m", Prior::factor(0.5)),
+    ("", Prior::factor(0.5)),
+    ("", Prior::factor(0.2)),
+    ("s", Prior::factor(1.0)),
+    ("s", Prior::shift(0.03)),
+    ("rad", Prior::shift(0.1)),
+    ("s", Prior::shift(0.03)),
+    ("m/s²", Prior::shift(0.3)),
+    ("", Prior::factor(0.05)),
 ];
 
 impl Parameter {
-    /// All parameters, in the order of the discriminants.
-    pub const ALL: [Self; COUNT] = [
-        Self::FrontStiffness,
-        Self::RearStiffness,
-        Self::YawInertia,
-        Self::FrontAxleDistance,
-        Self::Friction,
-        Self::SteeringGain,
-        Self::ServoLag,
-        Self::SteeringDelay,
-        Self::SteeringTrim,
-        Self::InertialDelay,
-        Self::LateralBias,
-        Self::GyroScale,
-    ];
-
     /// The parameters that the paper identifies.
     pub const VEHICLE: [Self; 3] = [Self::FrontStiffness, Self::RearStiffness, Self::YawInertia];
 
@@ -89,31 +76,19 @@ impl Parameter {
     /// the linkage has play.
     pub const OF_A_DRIVE: [Self; 3] = [Self::InertialDelay, Self::LateralBias, Self::SteeringTrim];
 
-    /// The short name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        TABLE[self.index()].0
-    }
-
     /// The unit; empty for a ratio.
     #[must_use]
     pub const fn unit(self) -> &'static str {
-        TABLE[self.index()].1
+        TABLE[self.index()].0
     }
 
     /// The prior distribution, in the coordinate of the optimiser.
     pub(super) const fn prior(self) -> Prior {
-        TABLE[self.index()].2
+        TABLE[self.index()].1
     }
 
     const fn index(self) -> usize {
         self as usize
-    }
-}
-
-impl fmt::Display for Parameter {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.pad(self.name())
     }
 }
 
@@ -131,12 +106,10 @@ impl FromStr for Parameter {
     type Err = UnknownParameter;
 
     fn from_str(text: &str) -> Result<Self, UnknownParameter> {
-        let mut all = Self::ALL.into_iter();
-        all.find(|parameter| parameter.name() == text)
-            .ok_or_else(|| UnknownParameter {
-                name: text.to_owned(),
-                known: Self::ALL.map(Self::name).join(", "),
-            })
+        Self::named(text).ok_or_else(|| UnknownParameter {
+            name: text.to_owned(),
+            known: Self::ALL.map(Self::name).join(", "),
+        })
     }
 }
 

@@ -1,35 +1,22 @@
 //! How well a simulation without corrections fits a drive.
 
-use super::{
-    data::Span,
-    simulation::{Simulation, SimulationPoint},
-};
+use singletrack_words::words;
 
-/// A compared output of the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Output {
-    /// Yaw rate against the gyro.
-    YawRate,
-    /// Sideslip against the cameras.
-    Sideslip,
-    /// Acceleration to the left against the IMU.
-    Left,
+use super::{data::Span, simulation::SimulationPoint};
+
+words! {
+    /// A compared output of the model.
+    pub enum Output {
+        /// Yaw rate against the gyro.
+        YawRate = "yaw_rate",
+        /// Sideslip against the cameras.
+        Sideslip = "sideslip",
+        /// Acceleration to the left against the IMU.
+        Left = "left_acceleration",
+    }
 }
 
 impl Output {
-    /// All outputs.
-    pub const ALL: [Self; 3] = [Self::YawRate, Self::Sideslip, Self::Left];
-
-    /// The name in tables and files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::YawRate => "yaw_rate",
-            Self::Sideslip => "sideslip",
-            Self::Left => "left_acceleration",
-        }
-    }
-
     /// The measured and the simulated value.
     #[must_use]
     pub const fn of(self, point: &SimulationPoint) -> [f64; 2] {
@@ -65,7 +52,7 @@ pub struct Score {
 }
 
 impl Score {
-    pub(super) fn of(simulation: &Simulation) -> Self {
+    pub(super) fn of(simulation: &[SimulationPoint]) -> Self {
         let all = Span {
             start_s: f64::NEG_INFINITY,
             end_s: f64::INFINITY,
@@ -75,9 +62,9 @@ impl Score {
 
     /// The score of a part of a simulation.
     #[must_use]
-    pub fn within(simulation: &Simulation, span: Span) -> Self {
+    pub fn within(simulation: &[SimulationPoint], span: Span) -> Self {
         let outputs = Output::ALL.map(|output| {
-            let points = simulation.points.iter();
+            let points = simulation.iter();
             let points = points.filter(|point| span.contains(point.time_s));
             let pairs = points.map(|point| output.of(point));
             let pairs: Vec<_> = pairs

@@ -1,28 +1,19 @@
 //! The choices of an identification.
 
 use singletrack_control::Tyres;
+use singletrack_words::words;
 
 use super::{data::ServoFrames, noise::NoiseLevels, parameter::Parameter};
 
-/// What a fit minimises.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Criterion {
-    /// The errors of the prediction of each sample from those before it: the most exact, if the model
-    /// is right.
-    Prediction,
-    /// The errors of the model alone, without a correction since the stretch began: what a simulation of
-    /// the car needs, and robust against behaviour that the model lacks.
-    Simulation,
-}
-
-impl Criterion {
-    /// The name in tables and files.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Prediction => "prediction",
-            Self::Simulation => "simulation",
-        }
+words! {
+    /// What a fit minimises.
+    pub enum Criterion {
+        /// The errors of the prediction of each sample from those before it: the most exact, if the
+        /// model is right.
+        Prediction = "prediction",
+        /// The errors of the model alone, without a correction since the stretch began: what a
+        /// simulation of the car needs, and robust against behaviour that the model lacks.
+        Simulation = "simulation",
     }
 }
 

@@ -16,8 +16,7 @@ use crate::dual::Dual;
 /// Measured and simulated values at an inertial sample.
 ///
 /// Yaw rate, sideslip and acceleration of the model are never corrected. Its position and
-/// yaw integrate every error and drift; they restart from the filter's after each
-/// [`Simulation::RESTART_S`].
+/// yaw integrate every error and drift; they restart from the filter's every ten seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationPoint {
     /// Time, in s.
@@ -50,17 +49,8 @@ pub struct SimulationPoint {
     pub restarted: bool,
 }
 
-/// The simulated and the measured drive.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Simulation {
-    /// One point per inertial sample of the stretches.
-    pub points: Vec<SimulationPoint>,
-}
-
-impl Simulation {
-    /// The time after which position and yaw of the model restart, in s.
-    pub const RESTART_S: f64 = 10.0;
-}
+/// The time after which position and yaw of the model restart, in s.
+const RESTART_S: f64 = 10.0;
 
 /// What is simulated: a drive, and the filter's estimate of its speed and of the biases.
 #[derive(Clone, Copy, Debug)]
@@ -114,8 +104,13 @@ impl Inputs<'_> {
     }
 }
 
-/// Simulates the stretches of a drive, beside what was measured. None where the model is not defined.
-pub(super) fn simulate(inputs: &Inputs<'_>, values: &Values, tyres: Tyres) -> Option<Simulation> {
+/// Simulates the stretches of a drive, beside what was measured: a point per inertial sample. None
+/// where the model is not defined.
+pub(super) fn simulate(
+    inputs: &Inputs<'_>,
+    values: &Values,
+    tyres: Tyres,
+) -> Option<Vec<SimulationPoint>> {
     let model = Model::new(values, *values.all(), tyres);
     let points = inputs.simulate(&model)?.into_iter();
     let points = points.filter_map(|simulated| {
@@ -124,7 +119,8 @@ pub(super) fn simulate(inputs: &Inputs<'_>, values: &Values, tyres: Tyres) -> Op
             return None;
         };
         let sample = inputs.data.inertial.get(track.inertial)?;
-        let unbiased = sample.yaw_rate_rad_s - track.gyro_bias_rad_s;
+        let estimate = track.estimate;
+        let unbiased = sample.yaw_rate_rad_s - estimate.gyro_bias;
         Some(SimulationPoint {
             time_s: simulated.time_s,
             steering_rad: motion.steering,
@@ -135,16 +131,14 @@ pub(super) fn simulate(inputs: &Inputs<'_>, values: &Values, tyres: Tyres) -> Op
             sideslip_rad: motion.sideslip,
             measured_left_m_s2: sample.left_m_s2 - values.get(Parameter::LateralBias),
             left_m_s2: left,
-            measured_yaw_rad: track.yaw_rad,
+            measured_yaw_rad: estimate.motion.yaw,
             yaw_rad: motion.yaw,
-            measured_m: [track.x_m, track.y_m],
+            measured_m: [estimate.motion.x, estimate.motion.y],
             position_m: [motion.x, motion.y],
             restarted: simulated.restarted,
         })
     });
-    Some(Simulation {
-        points: points.collect(),
-    })
+    Some(points.collect())
 }
 
 struct Simulator<'a, D> {
@@ -179,12 +173,13 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
             return;
         };
         let motion = &mut estimate.motion;
-        motion.speed = D::from(track.speed_m_s);
-        self.forward_bias = track.forward_bias_m_s2;
-        let restarted = self.since > Simulation::RESTART_S;
+        let seen = track.estimate.motion;
+        motion.speed = D::from(seen.speed);
+        self.forward_bias = track.estimate.forward_bias;
+        let restarted = self.since > RESTART_S;
         if restarted {
             self.since = 0.0;
-            [motion.x, motion.y, motion.yaw] = [track.x_m, track.y_m, track.yaw_rad].map(D::from);
+            [motion.x, motion.y, motion.yaw] = [seen.x, seen.y, seen.yaw].map(D::from);
         }
         let left = self
             .model

@@ -89,7 +89,7 @@ impl Simulated<'_> {
                     push(
                         0,
                         time,
-                        gyro + track.gyro_bias_rad_s - sample.yaw_rate_rad_s,
+                        gyro + track.estimate.gyro_bias - sample.yaw_rate_rad_s,
                     );
                     let left = simulated.left + model.get(Parameter::LateralBias);
                     push(2, time, left - sample.left_m_s2);

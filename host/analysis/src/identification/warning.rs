@@ -161,7 +161,8 @@ pub(super) fn of_fit(fit: &Fit, tyres: Tyres, criterion: Criterion) -> Vec<Warni
     }
     if tyres == Tyres::Linear {
         let track = fit.run.track.iter();
-        let aside = track.map(|point| (point.speed_m_s * point.yaw_rate_rad_s).abs());
+        let motions = track.map(|point| point.estimate.motion);
+        let aside = motions.map(|motion| (motion.speed * motion.yaw_rate).abs());
         let share = aside.fold(0.0, f64::max) / (vehicle.friction * GRAVITY);
         warnings.push(Warning::LinearTyres { share });
     }
@@ -222,7 +223,7 @@ pub(super) fn warnings(
         warnings.push(Warning::Short { seconds });
     }
     let count = track.len().max(1) as f64;
-    let speed = track.iter().map(|point| point.speed_m_s).sum::<f64>() / count;
+    let speed = track.iter().map(TrackPoint::speed_m_s).sum::<f64>() / count;
     if speed < SLOW {
         warnings.push(Warning::Slow { speed });
     }

@@ -1,27 +1,29 @@
 //! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
 
 use singletrack_control::{VehicleParameterError, VehicleParameters};
+use singletrack_words::words;
 
-/// A linearising law.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Law {
-    /// The proposed law, equation 8: P is ahead of the front axle.
-    FrontPoint,
-    /// The law of the appendix: P is ahead of G in the direction of its velocity.
-    VelocityPoint,
+words! {
+    /// A linearising law.
+    pub enum Law {
+        /// The proposed law, equation 8: P is ahead of the front axle.
+        FrontPoint = "front-point",
+        /// The law of the appendix: P is ahead of G in the direction of its velocity.
+        VelocityPoint = "velocity-point",
+    }
 }
 
-/// The distances that are wrong in the law.
-///
-/// The [`Law::FrontPoint`] has only `l_f`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Belief {
-    /// The position of the centre of mass on a known wheelbase: `l_f + dl` and `l_r - dl`.
-    /// The paper's threshold of 0.136 mm is of this kind.
-    #[default]
-    CentreOfMass,
-    /// The position of the front axle alone: `l_f + dl`, with the true `l_r`.
-    FrontAxle,
+words! {
+    /// The distances that are wrong in the law.
+    ///
+    /// The [`Law::FrontPoint`] has only `l_f`.
+    pub enum Belief {
+        /// The position of the centre of mass on a known wheelbase: `l_f + dl` and `l_r - dl`.
+        /// The paper's threshold of 0.136 mm is of this kind.
+        CentreOfMass = "centre-of-mass",
+        /// The position of the front axle alone: `l_f + dl`, with the true `l_r`.
+        FrontAxle = "front-axle",
+    }
 }
 
 /// A car under a law that may assume a wrong centre of mass.
@@ -86,7 +88,7 @@ impl ClosedLoop {
         Self {
             vehicle,
             law,
-            belief: Belief::default(),
+            belief: Belief::CentreOfMass,
             point_distance,
             speed,
             deviation,
@@ -172,36 +174,6 @@ impl ClosedLoop {
             ..self
         }
         .checked()
-    }
-
-    /// The car.
-    #[must_use]
-    pub const fn vehicle(&self) -> &VehicleParameters {
-        &self.vehicle
-    }
-
-    /// The law.
-    #[must_use]
-    pub const fn law(&self) -> Law {
-        self.law
-    }
-
-    /// The distance p, in m.
-    #[must_use]
-    pub const fn point_distance(&self) -> f64 {
-        self.point_distance
-    }
-
-    /// The speed of the steady motion, in m/s.
-    #[must_use]
-    pub const fn speed(&self) -> f64 {
-        self.speed
-    }
-
-    /// The deviation `dl` of the centre of mass, in m.
-    #[must_use]
-    pub const fn deviation(&self) -> f64 {
-        self.deviation
     }
 
     /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed

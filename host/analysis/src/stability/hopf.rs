@@ -2,6 +2,7 @@
 
 use nalgebra::Complex;
 use singletrack_control::VehicleParameters;
+use singletrack_words::words;
 
 use super::{
     characteristic::{CharacteristicPolynomial, front_point_quadratic, front_point_quadratic_in_p},
@@ -28,16 +29,17 @@ pub struct HopfPoint {
     pub largest_other_real_part: f64,
 }
 
-/// The kind of limit cycle at a Hopf bifurcation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Criticality {
-    /// A stable limit cycle, on the unstable side.
-    Supercritical,
-    /// An unstable limit cycle, on the stable side: after a large enough disturbance the car
-    /// does not return to the stable motion.
-    Subcritical,
-    /// The first Lyapunov coefficient is zero; higher ones decide.
-    Degenerate,
+words! {
+    /// The kind of limit cycle at a Hopf bifurcation.
+    pub enum Criticality {
+        /// A stable limit cycle, on the unstable side.
+        Supercritical = "supercritical",
+        /// An unstable limit cycle, on the stable side: after a large enough disturbance the car
+        /// does not return to the stable motion.
+        Subcritical = "subcritical",
+        /// The first Lyapunov coefficient is zero; higher ones decide.
+        Degenerate = "degenerate",
+    }
 }
 
 impl HopfPoint {
@@ -175,8 +177,8 @@ impl ClosedLoop {
         }
         let frequency = libm::sqrt(squared);
         Some(HopfPoint {
-            speed: self.speed(),
-            deviation: self.deviation(),
+            speed: self.speed,
+            deviation: self.deviation,
             angular_frequency: frequency,
             lyapunov: Lyapunov::of(self, frequency)?,
             crossing: self.crossing(frequency)?,

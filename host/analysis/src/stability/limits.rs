@@ -9,22 +9,14 @@ use super::{
     sampled::SampledLoop,
 };
 
-/// A range to search, from a value above zero to a larger one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Search {
-    /// The first value.
-    pub from: f64,
-    /// The last value.
-    pub to: f64,
-}
-
 /// The ratio of two values of the search: narrower regions are not found.
 const RATIO: f64 = 1.05;
 /// The relative resolution of the result.
 const RESOLUTION: f64 = 1e-6;
 
 /// The lowest speed in m/s from which the motion is unstable with one of `deviations` (dl, m),
-/// within `speeds`. None if it is stable throughout; the first speed if it is unstable there.
+/// between the ends of a range above zero. None if it is stable throughout; the
+/// first speed if it is unstable there.
 ///
 /// # Errors
 ///
@@ -32,21 +24,17 @@ const RESOLUTION: f64 = 1e-6;
 pub fn first_unstable_speed(
     sampled: &SampledLoop,
     deviations: &[f64],
-    speeds: Search,
+    [from, to]: [f64; 2],
 ) -> Result<Option<f64>, StabilityError> {
-    let Search { from, to } = speeds;
     boundary(from, to, |speed| {
-        is_stable(
-            sampled,
-            sampled.closed_loop().with_speed(speed)?,
-            deviations,
-        )
+        let at = sampled.closed_loop.with_speed(speed)?;
+        is_stable(sampled, at, deviations)
     })
 }
 
 /// The least distance p in m from which on the motion is stable with each of `deviations` (dl,
-/// m), within `distances`. None if it is unstable at the last one; the first one if it is stable
-/// throughout.
+/// m), between the ends of a range above zero. None if it is unstable at the last
+/// one; the first one if it is stable throughout.
 ///
 /// # Errors
 ///
@@ -54,15 +42,11 @@ pub fn first_unstable_speed(
 pub fn least_point_distance(
     sampled: &SampledLoop,
     deviations: &[f64],
-    distances: Search,
+    [from, to]: [f64; 2],
 ) -> Result<Option<f64>, StabilityError> {
-    let Search { from, to } = distances;
     let is_stable = |p: f64| {
-        is_stable(
-            sampled,
-            sampled.closed_loop().with_point_distance(p)?,
-            deviations,
-        )
+        let at = sampled.closed_loop.with_point_distance(p)?;
+        is_stable(sampled, at, deviations)
     };
     if !is_stable(to)? {
         return Ok(None);

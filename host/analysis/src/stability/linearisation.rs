@@ -21,8 +21,8 @@ impl ClosedLoop {
     #[must_use]
     pub fn jacobian(&self) -> DMatrix<f64> {
         match self.law {
-            Law::FrontPoint => jacobian(&FrontPointField(self), [0.0; 4]),
-            Law::VelocityPoint => jacobian(&VelocityPointField(self), [0.0; 3]),
+            Law::FrontPoint => jacobian(&FrontPointField(self)),
+            Law::VelocityPoint => jacobian(&VelocityPointField(self)),
         }
     }
 
@@ -50,21 +50,16 @@ impl ClosedLoop {
                 .map(|_| Complex::new(f64::NAN, f64::NAN))
                 .collect(),
         };
-        in_order(&mut eigenvalues);
+        eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
         eigenvalues
     }
 }
 
-/// Sorts by ascending real part, then imaginary part.
-pub(super) fn in_order(eigenvalues: &mut [Complex<f64>]) {
-    eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
-}
-
-/// The Jacobian at a state, by exact derivatives.
-pub(super) fn jacobian<const N: usize>(field: &impl VectorField<N>, at: [f64; N]) -> DMatrix<f64> {
+/// The Jacobian at the steady motion, by exact derivatives.
+fn jacobian<const N: usize>(field: &impl VectorField<N>) -> DMatrix<f64> {
     let mut jacobian = DMatrix::zeros(N, N);
     for column in 0..N {
-        let mut state = at.map(Dual64::from);
+        let mut state = [Dual64::from(0.0); N];
         if let Some(state) = state.get_mut(column) {
             state.eps = 1.0;
         }

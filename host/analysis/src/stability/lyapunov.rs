@@ -37,7 +37,7 @@ impl Lyapunov {
     /// Jacobian is singular or nearly so.
     pub(super) fn of(closed_loop: &ClosedLoop, frequency: f64) -> Option<Self> {
         let jacobian = closed_loop.jacobian();
-        let kuznetsov = match closed_loop.law() {
+        let kuznetsov = match closed_loop.law {
             Law::FrontPoint => kuznetsov(&FrontPointField(closed_loop), &jacobian, frequency),
             Law::VelocityPoint => kuznetsov(&VelocityPointField(closed_loop), &jacobian, frequency),
         }

@@ -14,7 +14,6 @@
 //! direction.
 
 mod characteristic;
-mod circle;
 mod closed_loop;
 mod hopf;
 mod limits;
@@ -24,13 +23,12 @@ mod sampled;
 mod vector_field;
 
 pub use characteristic::CharacteristicPolynomial;
-pub use circle::{Circle, CircleError, SteadyCircle};
 pub use closed_loop::{Belief, ClosedLoop, Law, StabilityError};
 pub use hopf::{
     Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
-pub use limits::{Search, first_unstable_speed, least_point_distance};
+pub use limits::{first_unstable_speed, least_point_distance};
 pub use linearisation::Eigenvalues;
 pub use lyapunov::Lyapunov;
 pub use sampled::{MarginLimits, Prediction, SampledLoop, SamplingError, Servo};

@@ -36,7 +36,7 @@ pub fn figures(report: &Report) -> Vec<(String, Figure)> {
 }
 
 fn of_drive(prefix: &str, which: &str, identified: &Identified) -> Vec<(String, Figure)> {
-    let points = excerpt(&identified.identification.simulation.points);
+    let points = excerpt(&identified.identification.simulation);
     vec![
         (format!("{prefix}inputs"), inputs(points, which)),
         (format!("{prefix}states"), states(points, which)),

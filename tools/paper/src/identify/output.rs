@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use singletrack_analysis::identification::{
-    Criterion, Identification, Output, Parameter, Score, ServoFrames, Warning,
+    Criterion, Identification, Output, Parameter, Score, TrackPoint, Warning,
 };
 
 use super::{Identified, Report};
@@ -123,7 +123,7 @@ fn identified(identified: &Identified) -> Value {
         "seconds": identification.seconds(),
         "slowest_m_s": slowest,
         "fastest_m_s": fastest,
-        "servo_frames": frames(identification),
+        "servo_frames": identification.frames.name(),
         "estimates": estimates.collect::<Vec<_>>(),
         "correlation": correlation.collect::<Vec<_>>(),
         // The simulation's fit does not estimate them.
@@ -143,14 +143,6 @@ fn identified(identified: &Identified) -> Value {
 
 fn texts(warnings: &[Warning]) -> Vec<String> {
     warnings.iter().map(ToString::to_string).collect()
-}
-
-pub(super) const fn frames(identification: &Identification) -> &'static str {
-    match identification.frames {
-        ServoFrames::Even => "even",
-        ServoFrames::Odd => "odd",
-        ServoFrames::Every => "every",
-    }
 }
 
 fn score(score: &Score) -> Value {
@@ -198,7 +190,7 @@ pub(super) fn vehicle_file(report: &Report) -> Result<String, toml::ser::Error> 
 
 /// Lowest and highest speed of the data, in m/s.
 pub(super) fn speeds(identification: &Identification) -> [f64; 2] {
-    let speeds = identification.track.iter().map(|point| point.speed_m_s);
+    let speeds = identification.track.iter().map(TrackPoint::speed_m_s);
     speeds.fold([f64::INFINITY, 0.0], |[least, most], speed| {
         [least.min(speed), most.max(speed)]
     })

@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use singletrack_analysis::identification::{Criterion, Estimate, Parameter, Score};
+use singletrack_analysis::identification::{Criterion, Estimate, Parameter, Score, ServoFrames};
 
 use super::{
     Identified, Report,
-    output::{frames, speeds, taken_as_exact},
+    output::{speeds, taken_as_exact},
 };
 
 /// How a parameter is shown: its unit there, how many of them make one of its own, and
@@ -46,9 +46,9 @@ fn write(text: &mut String, report: &Report) -> std::fmt::Result {
         speeds[0],
         speeds[1],
         report.tyres.name(),
-        match frames(identification) {
-            "every" => "all",
-            frames => frames,
+        match identification.frames {
+            ServoFrames::Every => "all",
+            frames => frames.name(),
         },
         identification.criterion.name(),
     )?;

@@ -164,7 +164,7 @@ fn measure(setup: &Setup, report: &Report, section: &mut Section) {
     let header = "truth,start,estimate,interval_low,interval_high".to_owned();
     let estimates = Table { header, rows };
     section.table("model-estimates", estimates);
-    let points = validation(report).map(|validation| &validation.simulation.points[..]);
+    let points = validation(report).map(|validation| &validation.simulation[..]);
     let validation = Table::of(
         points.unwrap_or_default(),
         &[

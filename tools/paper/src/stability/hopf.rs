@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use singletrack_analysis::stability::{Criticality, HopfPoint, StabilityError};
+use singletrack_analysis::stability::{HopfPoint, StabilityError};
 use singletrack_figures::output::print;
 
 use super::{
@@ -87,15 +87,6 @@ pub fn hopf_table(curve: &[HopfPoint]) -> Table {
     )
 }
 
-/// The criticality of a point, in a word.
-pub(super) fn criticality(point: &HopfPoint) -> &'static str {
-    match point.criticality() {
-        Criticality::Subcritical => "subcritical",
-        Criticality::Supercritical => "supercritical",
-        Criticality::Degenerate => "degenerate",
-    }
-}
-
 fn document(point: &HopfPoint) -> serde_json::Value {
     json!({
         "speed_m_s": point.speed,
@@ -103,7 +94,7 @@ fn document(point: &HopfPoint) -> serde_json::Value {
         "omega_rad_s": point.angular_frequency,
         "l1_kuznetsov": point.lyapunov.kuznetsov,
         "l1_matcont": point.lyapunov.matcont,
-        "criticality": criticality(point),
+        "criticality": point.criticality().name(),
         "dre_ddl_per_s_m": point.crossing,
         "largest_other_re_per_s": point.largest_other_real_part,
         "ends_stability": point.ends_stability(),

@@ -2,7 +2,7 @@
 
 use clap::Args;
 use serde::Serialize;
-use singletrack_analysis::stability::{Search, first_unstable_speed, least_point_distance};
+use singletrack_analysis::stability::{first_unstable_speed, least_point_distance};
 
 use super::{
     arguments::{Format, LoopArgs, TimingArgs},
@@ -14,15 +14,9 @@ use super::{
 use crate::table::Table;
 
 /// The searched speeds, in m/s.
-pub(super) const SEARCHED_SPEEDS: Search = Search {
-    from: 0.1,
-    to: 20.0,
-};
+pub(super) const SEARCHED_SPEEDS: [f64; 2] = [0.1, 20.0];
 /// The searched distances p, in m.
-pub(super) const SEARCHED_DISTANCES: Search = Search {
-    from: 0.005,
-    to: 5.0,
-};
+pub(super) const SEARCHED_DISTANCES: [f64; 2] = [0.005, 5.0];
 /// Deviations that stand for the meaningful range: with a servo its ends do not decide alone.
 pub(super) const RANGE_POINTS: usize = 9;
 
@@ -183,7 +177,7 @@ pub fn first_unstable(
     point_distance: f64,
 ) -> Result<Option<f64>, StabilityCommandError> {
     let at = subject
-        .at(SEARCHED_SPEEDS.from, 0.0)?
+        .at(SEARCHED_SPEEDS[0], 0.0)?
         .with_point_distance(point_distance)?;
     let sampled = timing.around(at)?;
     Ok(first_unstable_speed(&sampled, deviations, SEARCHED_SPEEDS)?)

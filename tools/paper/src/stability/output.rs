@@ -4,7 +4,7 @@ use std::io;
 
 use serde::Serialize;
 use serde_json::{Value, json};
-use singletrack_analysis::stability::{Belief, ClosedLoop, Law};
+use singletrack_analysis::stability::ClosedLoop;
 use singletrack_figures::output::print;
 
 use super::{arguments::Format, subject::Subject};
@@ -26,14 +26,8 @@ pub(super) fn write(
 /// Writes a document: car, law and `points`.
 pub(super) fn write_json(subject: &Subject, points: &impl Serialize) -> io::Result<()> {
     let document = json!({
-        "law": match subject.law {
-            Law::FrontPoint => "front-point",
-            Law::VelocityPoint => "velocity-point",
-        },
-        "wrong": match subject.belief {
-            Belief::CentreOfMass => "centre-of-mass",
-            Belief::FrontAxle => "front-axle",
-        },
+        "law": subject.law.name(),
+        "wrong": subject.belief.name(),
         "point_distance_m": subject.point_distance,
         "meaningful_dl_m": ClosedLoop::meaningful_deviations(&subject.vehicle),
         "vehicle": subject.vehicle,

@@ -12,7 +12,6 @@ use super::{
     arguments::{CarArgs, TimingArgs},
     error::StabilityCommandError,
     grid::Grid,
-    hopf::criticality,
     limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
     subject::Subject,
 };
@@ -108,7 +107,7 @@ fn hopf_lines(out: &mut impl Write, subject: &Subject) -> Result<(), StabilityCo
                 },
                 point.angular_frequency,
                 point.lyapunov.kuznetsov,
-                criticality(&point),
+                point.criticality(),
             )?;
         }
     }
@@ -184,7 +183,7 @@ fn with_servo(
     )?;
     let up_to = |speed: Option<f64>| {
         speed.map_or_else(
-            || format!("up to {} m/s at least", SEARCHED_SPEEDS.to),
+            || format!("up to {} m/s at least", SEARCHED_SPEEDS[1]),
             |speed| format!("up to {speed:.2} m/s, NOT beyond"),
         )
     };
@@ -211,7 +210,7 @@ fn with_servo(
             out,
             "  {speed} m/s with dl = 0: stable {}",
             least.map_or_else(
-                || format!("with no p up to {} m", SEARCHED_DISTANCES.to),
+                || format!("with no p up to {} m", SEARCHED_DISTANCES[1]),
                 |p| format!("from p = {p:.3} m on"),
             )
         )?;

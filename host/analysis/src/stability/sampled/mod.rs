@@ -27,7 +27,7 @@ use super::closed_loop::ClosedLoop;
 /// A closed loop that runs in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampledLoop {
-    closed_loop: ClosedLoop,
+    pub(super) closed_loop: ClosedLoop,
     period: f64,
     delay: f64,
     position_gain: f64,
@@ -145,14 +145,8 @@ impl SampledLoop {
         Some(Prediction {
             lag: servo.lag,
             delay: self.delay + servo.dead_time,
-            vehicle: *self.closed_loop.vehicle(),
+            vehicle: self.closed_loop.vehicle,
         })
-    }
-
-    /// The steady motion.
-    #[must_use]
-    pub const fn closed_loop(&self) -> &ClosedLoop {
-        &self.closed_loop
     }
 
     /// The same timing around another steady motion.

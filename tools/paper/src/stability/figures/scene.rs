@@ -209,7 +209,7 @@ pub(super) fn band(from: f64, to: f64, shade: Shade, name: &str) -> Band {
 
 #[cfg(test)]
 mod tests {
-    use singletrack_analysis::stability::{Lyapunov, hopf_points};
+    use singletrack_analysis::stability::{Belief, Lyapunov, hopf_points};
     use singletrack_control::VehicleParameters;
 
     use super::*;
@@ -267,7 +267,7 @@ mod tests {
             let subject = Subject {
                 vehicle: VehicleParameters::paper(),
                 law,
-                belief: Default::default(),
+                belief: Belief::CentreOfMass,
                 point_distance: 0.35,
             };
             let hopf: Vec<HopfPoint> = (1..=80)

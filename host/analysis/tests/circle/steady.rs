@@ -11,19 +11,36 @@
 
 use libm::{atan2, atanh, cos, fabs, hypot, sin, sqrt, tanh};
 use nalgebra::{Complex, Matrix4};
+use num_dual::{Dual64, DualNum};
 use singletrack_control::{
-    Axles, GRAVITY, LateralMotion, Tyres, VehicleParameterError, VehicleParameters,
+    Axles, Functions, GRAVITY, LateralMotion, Tyres, VehicleParameterError, VehicleParameters,
 };
 
-use super::{
-    linearisation::{in_order, jacobian},
-    vector_field::VectorField,
-};
-use crate::dual::{Dual, DualFunctions};
+/// A dual number, or `f64`.
+trait Dual: DualNum<Primitive = f64> + Copy {}
+
+impl<D: DualNum<Primitive = f64> + Copy> Dual for D {}
+
+/// The elementary functions of dual numbers.
+enum DualFunctions {}
+
+impl<D: Dual> Functions<D> for DualFunctions {
+    fn sin_cos(angle: D) -> (D, D) {
+        angle.sin_cos()
+    }
+
+    fn tanh(x: D) -> D {
+        x.tanh()
+    }
+
+    fn atan2(y: D, x: D) -> D {
+        y.atan2(x)
+    }
+}
 
 /// A circle of P, and the car that follows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Circle {
+pub(crate) struct Circle {
     vehicle: VehicleParameters,
     point_distance: f64,
     radius: f64,
@@ -31,27 +48,27 @@ pub struct Circle {
 
 /// A steady motion of the car on a [`Circle`], to the left.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SteadyCircle {
+pub(crate) struct SteadyCircle {
     circle: Circle,
     /// Speed of P, in m/s.
-    pub point_speed: f64,
+    pub(crate) point_speed: f64,
     /// Speed of G, in m/s.
-    pub speed: f64,
+    pub(crate) speed: f64,
     /// Yaw rate, in rad/s.
-    pub yaw_rate: f64,
+    pub(crate) yaw_rate: f64,
     /// Sideslip, in rad.
-    pub sideslip: f64,
+    pub(crate) sideslip: f64,
     /// Steering angle, in rad.
-    pub steering: f64,
+    pub(crate) steering: f64,
     /// Yaw less the direction of the velocity of P, in rad.
-    pub yaw_off_velocity: f64,
+    pub(crate) yaw_off_velocity: f64,
     /// The share of the grip that both axles use.
-    pub tyre_use: f64,
+    pub(crate) tyre_use: f64,
 }
 
 /// A circle that no car can follow.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum CircleError {
+pub(crate) enum CircleError {
     /// The parameters of the vehicle are invalid.
     #[error(transparent)]
     Vehicle(#[from] VehicleParameterError),
@@ -79,7 +96,7 @@ impl Circle {
     /// # Errors
     ///
     /// Invalid parameters, or a radius below wheelbase and p.
-    pub fn new(
+    pub(crate) fn new(
         vehicle: VehicleParameters,
         point_distance: f64,
         radius: f64,
@@ -101,7 +118,7 @@ impl Circle {
 
     /// The fastest steady circle, at the fold.
     #[must_use]
-    pub fn fold(&self) -> SteadyCircle {
+    pub(crate) fn fold(&self) -> SteadyCircle {
         // A coarse maximum, and a golden section around it.
         let at = |step: usize| MOST_SLIP * step as f64 / STEPS as f64;
         let speed = |slip: f64| self.at_slip(slip).point_speed;
@@ -124,7 +141,7 @@ impl Circle {
     /// The steady circle with P at `point_speed` (m/s), of the two the one with the smaller
     /// slip angles. None beyond the fold.
     #[must_use]
-    pub fn at_speed(&self, point_speed: f64) -> Option<SteadyCircle> {
+    pub(crate) fn at_speed(&self, point_speed: f64) -> Option<SteadyCircle> {
         let fold = self.fold();
         if !(point_speed > 0.0 && point_speed < fold.point_speed) {
             return None;
@@ -205,16 +222,21 @@ impl SteadyCircle {
     /// The eigenvalues of yaw, yaw rate, sideslip and steering on this circle, in 1/s, by
     /// ascending real part.
     #[must_use]
-    pub fn eigenvalues(&self) -> [Complex<f64>; 4] {
-        let jacobian = Matrix4::from_iterator(jacobian(self, self.state()).iter().copied());
-        let mut eigenvalues = jacobian.complex_eigenvalues();
-        in_order(eigenvalues.as_mut_slice());
-        eigenvalues.into()
+    pub(crate) fn eigenvalues(&self) -> [Complex<f64>; 4] {
+        let columns = [0, 1, 2, 3].map(|column: usize| {
+            let mut state = self.state().map(Dual64::from);
+            state[column].eps = 1.0;
+            self.slope(state).map(|slope| slope.eps)
+        });
+        let jacobian = Matrix4::from_iterator(columns.into_iter().flatten());
+        let mut eigenvalues: [Complex<f64>; 4] = jacobian.complex_eigenvalues().into();
+        eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
+        eigenvalues
     }
 
     /// By how much the steady motion fails its own equations: the largest slope, in rad and s.
     #[must_use]
-    pub fn residual(&self) -> f64 {
+    pub(crate) fn residual(&self) -> f64 {
         self.slope(self.state())
             .into_iter()
             .fold(0.0, |largest, slope: f64| largest.max(fabs(slope)))
@@ -228,9 +250,7 @@ impl SteadyCircle {
             self.steering,
         ]
     }
-}
 
-impl VectorField<4> for SteadyCircle {
     /// Equation 7 and Newton's equations with saturating tyres; yaw is relative to the velocity
     /// of P, which turns.
     fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip, steering]: [D; 4]) -> [D; 4] {
