@@ -388,7 +388,7 @@ fn names_stand_below_their_places_and_long_ones_are_broken() {
             (x - frame.at([place as f64, 1.0])[0]).abs() < 0.02,
             "{name}"
         );
-        let class = format!("mark {}", kinds[place].class());
+        let class = format!("mark {}", kinds[place]);
         let mark = titled(&page, &class, "kind");
         assert!(mark.contains(&format!("d=\"M{x} ")), "{mark}");
     }

@@ -1,5 +1,7 @@
 //! A quantity over two others: shaded by bands of its values, with lines of equal value.
 
+use singletrack_words::words;
+
 use super::look::Column;
 
 /// A quantity at the crossings of a rectangular grid.
@@ -186,32 +188,18 @@ pub struct Band {
     pub shade: Shade,
 }
 
-/// How an area looks: greys that print as such, and one without grey.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shade {
-    /// Nearly white.
-    Palest,
-    /// The paper's light grey.
-    Light,
-    /// Between light and dark.
-    Medium,
-    /// The paper's dark grey.
-    Dark,
-    /// Oblique lines, not grey.
-    Hatched,
-}
-
-impl Shade {
-    /// Its name in a style sheet.
-    #[must_use]
-    pub const fn class(self) -> &'static str {
-        match self {
-            Self::Palest => "palest",
-            Self::Light => "light",
-            Self::Medium => "medium",
-            Self::Dark => "dark",
-            Self::Hatched => "hatched",
-        }
+words! {
+    /// How an area looks: greys that print as such, and one without grey. Its word is its class in a
+    /// style sheet.
+    pub enum Shade {
+        /// Nearly white.
+        Palest = "palest",
+        /// The paper's light grey.
+        Light = "light",
+        /// The paper's dark grey.
+        Dark = "dark",
+        /// Oblique lines, not grey.
+        Hatched = "hatched",
     }
 }
 

@@ -1,7 +1,5 @@
 //! Texts with symbols in them: how they are set and about how wide they are.
 
-use std::fmt::{self, Write as _};
-
 use super::{page::TEXT_SIZE, xml::escaped};
 
 /// A part of a text.
@@ -33,20 +31,12 @@ fn parts(text: &str) -> Vec<Part<'_>> {
 /// The text where nothing can be set: in a title, or beside a picture.
 #[must_use]
 pub fn plain(text: &str) -> String {
-    let mut plain = String::with_capacity(text.len());
-    for part in parts(text) {
-        match part {
-            Part::Plain(text) => plain.push_str(text),
-            Part::Symbol { letter, below } => {
-                plain.push_str(letter);
-                if !below.is_empty() {
-                    plain.push('_');
-                    plain.push_str(below);
-                }
-            }
-        }
-    }
-    plain
+    let parts = parts(text).into_iter().map(|part| match part {
+        Part::Plain(text) => text.to_owned(),
+        Part::Symbol { letter, below: "" } => letter.to_owned(),
+        Part::Symbol { letter, below } => format!("{letter}_{below}"),
+    });
+    parts.collect()
 }
 
 /// A name in lines that are at most `room` wide, broken after hyphens.
@@ -62,31 +52,24 @@ pub(super) fn broken(name: &str, room: f64) -> Vec<String> {
 }
 
 /// The text as the content of an SVG text element.
-pub(super) fn content(svg: &mut String, text: &str) -> fmt::Result {
-    for part in parts(text) {
-        match part {
-            Part::Plain(text) => svg.push_str(&escaped(text)),
-            Part::Symbol { letter, below } => symbol(svg, letter, below)?,
-        }
-    }
-    Ok(())
+pub(super) fn content(text: &str) -> String {
+    let parts = parts(text).into_iter().map(|part| match part {
+        Part::Plain(text) => escaped(text),
+        Part::Symbol { letter, below } => symbol(letter, below),
+    });
+    parts.collect()
 }
 
 /// A letter in italics and what stands below it, upright.
-pub(super) fn symbol(svg: &mut String, letter: &str, below: &str) -> fmt::Result {
-    write!(
-        svg,
-        r#"<tspan font-style="italic">{}</tspan>"#,
-        escaped(letter)
-    )?;
-    if !below.is_empty() {
-        write!(
-            svg,
-            r#"<tspan font-size="70%" dy="0.7">{}</tspan><tspan dy="-0.7">&#8203;</tspan>"#,
-            escaped(below)
-        )?;
+pub(super) fn symbol(letter: &str, below: &str) -> String {
+    let letter = format!(r#"<tspan font-style="italic">{}</tspan>"#, escaped(letter));
+    if below.is_empty() {
+        return letter;
     }
-    Ok(())
+    let below = escaped(below);
+    format!(
+        r#"{letter}<tspan font-size="70%" dy="0.7">{below}</tspan><tspan dy="-0.7">&#8203;</tspan>"#
+    )
 }
 
 /// About how wide a text is in the small size, in mm: no font is known here, and too
@@ -125,16 +108,10 @@ pub fn superscript(digits: &str) -> String {
 mod tests {
     use super::*;
 
-    fn set(text: &str) -> String {
-        let mut svg = String::new();
-        content(&mut svg, text).unwrap();
-        svg
-    }
-
     #[test]
     fn symbols_are_set_and_the_rest_is_as_it_was() {
-        assert_eq!(set("markers lost"), "markers lost");
-        let set = set("−$l_f$ & more");
+        assert_eq!(content("markers lost"), "markers lost");
+        let set = content("−$l_f$ & more");
         let letter = r#"−<tspan font-style="italic">l</tspan><tspan font-size="70%" dy="0.7">f<"#;
         assert!(set.starts_with(letter), "{set}");
         assert!(set.ends_with("</tspan> &amp; more"), "{set}");
@@ -142,7 +119,7 @@ mod tests {
 
     #[test]
     fn a_single_dollar_is_a_dollar() {
-        assert_eq!(set("5 $"), "5 $");
+        assert_eq!(content("5 $"), "5 $");
         assert_eq!(plain("$a$ costs 5 $"), "a costs 5 $");
     }
 

@@ -5,14 +5,13 @@ use std::fmt::{self, Write as _};
 use super::{
     area::Area,
     map::draw_dotted,
-    write::{label, line, mark_shape, number, pen, through},
+    write::{label, line, mark, number, pen, through, title},
 };
 use crate::figure::{
     Estimate, Level, Panel,
     page::{INK, TEXT_SIZE},
     place::{Obstacles, Segment, Slot},
     typeset,
-    xml::escaped,
 };
 
 /// Half the height of a label's slot, in mm: 'x' and figures, not every descender.
@@ -63,12 +62,8 @@ pub(super) fn place<'a>(
     for level in &panel.levels {
         if let Some(slot) = beside(level, area, obstacles) {
             obstacles.label(&slot);
-            let text = level.label.as_str();
-            placed.push(Placed {
-                slot,
-                text,
-                leader: None,
-            });
+            let (text, leader) = (level.label.as_str(), None);
+            placed.push(Placed { slot, text, leader });
         }
     }
     placed
@@ -141,24 +136,21 @@ fn led(
 
 /// The leaders, their points and all the texts.
 pub(super) fn draw_labels(svg: &mut String, placed: &[Placed]) -> fmt::Result {
-    for Placed { slot, text, leader } in placed {
+    placed.iter().try_for_each(|Placed { slot, text, leader }| {
         if let Some(leader) = leader {
             draw_leader(svg, leader)?;
         }
-        label(svg, slot, text)?;
-    }
-    Ok(())
+        label(svg, slot, text)
+    })
 }
 
 /// A dotted line from a point.
 pub(super) fn draw_leader(svg: &mut String, leader: &Segment) -> fmt::Result {
     draw_dotted(svg, "leader", leader)?;
-    let [x, y] = leader[0];
+    let [x, y] = leader[0].map(number);
     writeln!(
         svg,
-        r#"<circle class="point" cx="{}" cy="{}" r="0.62" fill="{INK}"/>"#,
-        number(x),
-        number(y)
+        r#"<circle class="point" cx="{x}" cy="{y}" r="0.62" fill="{INK}"/>"#
     )
 }
 
@@ -168,15 +160,9 @@ pub(super) fn draw_level(svg: &mut String, level: &Level, area: &Area) -> fmt::R
         return Ok(());
     }
     let y = area.y.at(level.value);
-    write!(
-        svg,
-        r#"<path class="{}" {} d=""#,
-        level.look.class(),
-        pen(level.look)
-    )?;
-    through(svg, &[[area.left, y], [area.right, y]])?;
-    let name = escaped(&typeset::plain(&level.name));
-    writeln!(svg, r#""><title>{name}: {}</title></path>"#, level.value)
+    let (pen, data) = (pen(level.look), through(&[[area.left, y], [area.right, y]]));
+    let title = title(&level.name, &format!(": {}", level.value));
+    writeln!(svg, r#"<path {pen} d="{data}">{title}</path>"#)
 }
 
 /// A point with its interval.
@@ -190,14 +176,10 @@ pub(super) fn draw_estimate(svg: &mut String, estimate: &Estimate, area: &Area) 
     if low.is_finite() && high.is_finite() {
         draw_interval(svg, x, [low, high])?;
     }
-    mark_shape(svg, estimate.kind, [x, value])?;
     let [low, high] = estimate.interval;
-    let name = escaped(&typeset::plain(&estimate.name));
-    writeln!(
-        svg,
-        "<title>{name}: {} ({low} to {high})</title></path>",
-        estimate.value
-    )
+    let values = format!(": {} ({low} to {high})", estimate.value);
+    let title = title(&estimate.name, &values);
+    mark(svg, estimate.kind, [x, value], &title)
 }
 
 /// A vertical interval with its ends.

@@ -94,11 +94,7 @@ fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
         let x = Ruler::new(panel.x.scale, x, [inner, right - 1.0]);
         let y = Ruler::new(panel.y.scale, y, [bottom, top]);
         let y_ticks = y.ticks(((bottom - top) / 7.5) as usize);
-        let text = y_ticks
-            .iter()
-            .map(|(_, text)| typeset::width(text))
-            .fold(0.0, f64::max);
-        inner = left + NAME_ROOM + text + TICK_GAP;
+        inner = left + NAME_ROOM + widest(&y_ticks) + TICK_GAP;
         built = Some((x, y, y_ticks));
     }
     let (x, y, y_ticks) = built.unwrap_or_else(|| {
@@ -127,6 +123,12 @@ fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
         x,
         y,
     }
+}
+
+/// The width of the widest text of some ticks, in mm.
+pub(super) fn widest(ticks: &[(f64, String)]) -> f64 {
+    let widths = ticks.iter().map(|(_, text)| typeset::width(text));
+    widths.fold(0.0, f64::max)
 }
 
 /// The ends of a panel's horizontal (0) or vertical (1) axis.

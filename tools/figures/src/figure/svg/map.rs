@@ -4,18 +4,17 @@ use std::fmt::{self, Write as _};
 
 use super::{
     area::Area,
-    write::{label, number, through},
+    write::{label, number, through, title},
 };
 use crate::figure::{
     Isoline, Map, Shade,
     contours::Sheet,
     hatch::hatch,
     legend,
-    page::{INK, TEXT_SIZE},
+    page::TEXT_SIZE,
     place::{Obstacles, RIM, Slot, interrupted, length, segments},
     thin::{Piece, thin},
     typeset,
-    xml::escaped,
 };
 
 /// Of an area's edge nothing smaller than this can be seen, in mm.
@@ -41,31 +40,31 @@ pub(super) fn draw_bands(svg: &mut String, map: &Map, area: &Area, taken: &[Slot
             .iter()
             .map(|ring| thin(ring, TOLERANCE))
             .collect();
-        draw_shade(svg, band.shade, &rings, taken)?;
-        let name = escaped(&typeset::plain(&band.name));
-        writeln!(svg, "<title>{name}</title></path>")?;
+        draw_shade(svg, band.shade, &rings, taken, &title(&band.name, ""))?;
     }
     Ok(())
 }
 
-/// What is in an odd number of the rings, as an open element.
-fn draw_shade(svg: &mut String, shade: Shade, rings: &[Piece], taken: &[Slot]) -> fmt::Result {
-    let (class, paint) = (shade.class(), paint(shade));
-    write!(svg, r#"<path class="shade {class}" {paint} d=""#)?;
-    if shade == Shade::Hatched {
-        for line in hatch(rings) {
-            for piece in interrupted(&line, taken) {
-                through(svg, &piece)?;
-            }
-        }
+/// What is in an odd number of the rings; `title` is its element, or empty.
+fn draw_shade(
+    svg: &mut String,
+    shade: Shade,
+    rings: &[Piece],
+    taken: &[Slot],
+    title: &str,
+) -> fmt::Result {
+    let data: String = if shade == Shade::Hatched {
+        let lines = hatch(rings).into_iter();
+        let pieces = lines.flat_map(|line| interrupted(&line, taken));
+        pieces.map(|piece| through(&piece)).collect()
     } else {
-        for ring in rings {
-            through(svg, ring)?;
-            svg.push('z');
-        }
-    }
-    svg.push_str("\">");
-    Ok(())
+        rings.iter().map(|ring| through(ring) + "z").collect()
+    };
+    let paint = paint(shade);
+    writeln!(
+        svg,
+        r#"<path class="shade {shade}" {paint} d="{data}">{title}</path>"#
+    )
 }
 
 /// A shade's sample in a legend.
@@ -78,33 +77,24 @@ pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -
         [left, bottom],
         [left, top],
     ];
-    draw_shade(svg, shade, &[ring], &[])?;
-    svg.push_str("</path>\n");
-    Ok(())
+    draw_shade(svg, shade, &[ring], &[], "")
 }
 
 /// A dotted line.
 pub(super) fn draw_dotted(svg: &mut String, class: &str, points: &[[f64; 2]]) -> fmt::Result {
-    open_dotted(svg, class)?;
-    through(svg, points)?;
-    svg.push_str("\"/>\n");
-    Ok(())
+    let data = through(points);
+    writeln!(svg, r#"<path class="{class}" {DOTTED} d="{data}"/>"#)
 }
 
-/// The opening of a dotted path, up to its data: dotted in print as on a screen.
-fn open_dotted(svg: &mut String, class: &str) -> fmt::Result {
-    write!(
-        svg,
-        r#"<path class="{class}" stroke="{INK}" stroke-width="0.24" stroke-linecap="round" stroke-dasharray="0.01 0.62" d=""#
-    )
-}
+/// How a dotted path is painted: in print as on a screen.
+const DOTTED: &str =
+    r##"stroke="#1a1a1a" stroke-width="0.24" stroke-linecap="round" stroke-dasharray="0.01 0.62""##;
 
 /// How a shade is painted.
 const fn paint(shade: Shade) -> &'static str {
     match shade {
         Shade::Palest => r##"fill="#f3f3f3" fill-rule="evenodd""##,
         Shade::Light => r##"fill="#e0e0e0" fill-rule="evenodd""##,
-        Shade::Medium => r##"fill="#c6c6c6" fill-rule="evenodd""##,
         Shade::Dark => r##"fill="#a6a6a6" fill-rule="evenodd""##,
         Shade::Hatched => r##"stroke="#1a1a1a" stroke-width="0.15""##,
     }
@@ -162,27 +152,23 @@ pub(super) fn draw_isolines(
         }
     }
     for line in lines {
-        open_dotted(svg, "isoline")?;
-        for piece in &line.pieces {
-            for piece in interrupted(piece, &taken) {
-                through(svg, &thin(&piece, TOLERANCE))?;
-            }
-        }
-        let value = number_or_label(line.isoline);
-        writeln!(svg, r#""><title>{value}</title></path>"#)?;
+        let pieces = line.pieces.iter();
+        let pieces = pieces.flat_map(|piece| interrupted(piece, &taken));
+        let data: String = pieces
+            .map(|piece| through(&thin(&piece, TOLERANCE)))
+            .collect();
+        let title = match line.isoline.label.as_str() {
+            "" => title(&number(line.isoline.value), ""),
+            label => title(label, ""),
+        };
+        writeln!(
+            svg,
+            r#"<path class="isoline" {DOTTED} d="{data}">{title}</path>"#
+        )?;
     }
-    for (slot, text) in labels {
-        label(svg, &slot, text)?;
-    }
-    Ok(())
-}
-
-fn number_or_label(isoline: &Isoline) -> String {
-    if isoline.label.is_empty() {
-        number(isoline.value)
-    } else {
-        escaped(&typeset::plain(&isoline.label))
-    }
+    labels
+        .into_iter()
+        .try_for_each(|(slot, text)| label(svg, &slot, text))
 }
 
 /// The best place for a label of that width in a line between two parts of its

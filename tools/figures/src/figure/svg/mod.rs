@@ -11,8 +11,8 @@ mod write;
 use std::fmt::{self, Write as _};
 
 use self::{
-    area::{Area, areas},
-    write::{line, mark_shape, number, pen, text, through},
+    area::{Area, areas, widest},
+    write::{line, number, pen, rectangle, text, through, title},
 };
 use super::{
     Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
@@ -54,23 +54,13 @@ impl Figure {
         let top = top + if mapped { 0.8 } else { 0.0 };
         let areas = areas(self, top);
         let bottom = areas.iter().map(Area::end).fold(top, f64::max);
-        let height = bottom + MARGIN;
-        let width_text = number(width);
+        let [width, height] = [width, bottom + MARGIN].map(number);
         writeln!(
             svg,
-            r#"<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{width_text}mm" height="{height}mm" viewBox="0 0 {width_text} {height}" font-family="{FONT}" font-size="{TEXT_SIZE}" fill="none" stroke-linejoin="round">"#,
-            height = number(height),
+            r#"<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}" font-family="{FONT}" font-size="{TEXT_SIZE}" fill="none" stroke-linejoin="round">"#,
         )?;
-        writeln!(
-            svg,
-            "<title>{}</title>",
-            escaped(&typeset::plain(&self.title))
-        )?;
-        writeln!(
-            svg,
-            "<desc>{}</desc>",
-            escaped(&typeset::plain(&self.caption))
-        )?;
+        let caption = escaped(&typeset::plain(&self.caption));
+        writeln!(svg, "{}\n<desc>{caption}</desc>", title(&self.title, ""))?;
         writeln!(
             svg,
             r##"<rect class="paper" width="100%" height="100%" fill="#ffffff"/>"##
@@ -82,8 +72,7 @@ impl Figure {
         for (panel, area) in self.panels.iter().zip(&areas) {
             draw_panel(svg, panel, area)?;
         }
-        svg.push_str("</svg>\n");
-        Ok(())
+        writeln!(svg, "</svg>")
     }
 }
 
@@ -116,13 +105,10 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
     for bar in &panel.bars {
         let [from, to] = bar.span.map(|end| area.x.at(end));
         let high = area.y.at(bar.height);
+        let bar = rectangle("bar", [from, high, to - from, bottom - high]);
         writeln!(
             svg,
-            r##"<rect class="bar" x="{}" y="{}" width="{}" height="{}" fill="#7d7d7d" stroke="#ffffff" stroke-width="0.08"/>"##,
-            number(from),
-            number(high),
-            number(to - from),
-            number(bottom - high),
+            r##"<rect {bar} fill="#7d7d7d" stroke="#ffffff" stroke-width="0.08"/>"##
         )?;
     }
     if let Some(map) = &panel.map {
@@ -135,14 +121,8 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
     for curve in &panel.curves {
         draw_curve(svg, curve, area, panel.equal)?;
     }
-    writeln!(
-        svg,
-        r#"<rect class="frame" x="{}" y="{}" width="{}" height="{}" stroke="{INK}" stroke-width="0.2"/>"#,
-        number(left),
-        number(top),
-        number(right - left),
-        number(bottom - top),
-    )?;
+    let frame = rectangle("frame", [left, top, right - left, bottom - top]);
+    writeln!(svg, r#"<rect {frame} stroke="{INK}" stroke-width="0.2"/>"#)?;
     for (index, rule) in panel.rules.iter().enumerate() {
         draw_rule(svg, rule, index, area)?;
     }
@@ -166,27 +146,15 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         text(svg, [left - TICK_GAP, y + 0.85], "end", label)?;
     }
     if panel.names.is_empty() {
-        let place = format!(
-            r#"x="{}" y="{}""#,
-            number(0.5 * (left + right)),
-            number(bottom + 7.8)
-        );
-        axis_name(svg, &panel.x, &place)?;
+        let [x, y] = [0.5 * (left + right), bottom + 7.8].map(number);
+        axis_name(svg, &panel.x, &format!(r#"x="{x}" y="{y}""#))?;
     }
-    let ticks = area.y_ticks.iter();
-    let widest = ticks
-        .map(|(_, text)| typeset::width(text))
-        .fold(0.0, f64::max);
-    let (x, y) = (left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom));
-    let place = format!(
-        r#"transform="translate({} {}) rotate(-90)""#,
-        number(x),
-        number(y)
-    );
+    let widest = widest(&area.y_ticks);
+    let [x, y] = [left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom)].map(number);
+    let place = format!(r#"transform="translate({x} {y}) rotate(-90)""#);
     axis_name(svg, &panel.y, &place)?;
     annotate::draw_labels(svg, &labels)?;
-    svg.push_str("</g>\n");
-    Ok(())
+    writeln!(svg, "</g>")
 }
 
 fn draw_grid(svg: &mut String, area: &Area) -> fmt::Result {
@@ -237,15 +205,9 @@ fn draw_span(svg: &mut String, name: &str, [from, to]: [f64; 2], area: &Area) ->
     let (left, right) = (area.x.at(from.max(low)), area.x.at(to.min(high)));
     // Even the shortest can be seen.
     let width = (right - left).max(0.15);
-    writeln!(
-        svg,
-        r#"<rect class="span" x="{}" y="{}" width="{}" height="{}" fill="{SHADE}"><title>{}: {from:.3} to {to:.3}</title></rect>"#,
-        number(left),
-        number(area.top),
-        number(width),
-        number(area.bottom - area.top),
-        escaped(name),
-    )
+    let span = rectangle("span", [left, area.top, width, area.bottom - area.top]);
+    let title = title(name, &format!(": {from:.3} to {to:.3}"));
+    writeln!(svg, r#"<rect {span} fill="{SHADE}">{title}</rect>"#)
 }
 
 fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt::Result {
@@ -253,12 +215,7 @@ fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt:
         return Ok(());
     }
     let place = |[x, y]: [f64; 2]| [area.x.at(x), area.y.at(y)];
-    write!(
-        svg,
-        r#"<path class="{}" {} d=""#,
-        curve.look.class(),
-        pen(curve.look)
-    )?;
+    let mut data = String::new();
     for piece in pieces(curve.points().map(place)) {
         let piece = if equal {
             piece
@@ -266,13 +223,14 @@ fn draw_curve(svg: &mut String, curve: &Curve, area: &Area, equal: bool) -> fmt:
             envelope(&piece, COLUMN)
         };
         let piece = thin(&piece, TOLERANCE);
-        through(svg, &piece)?;
+        data += &through(&piece);
         if piece.len() == 1 {
             // A dot, by the round cap.
-            svg.push_str("h0");
+            data += "h0";
         }
     }
-    writeln!(svg, r#""><title>{}</title></path>"#, escaped(curve.name))
+    let (pen, title) = (pen(curve.look), title(curve.name, ""));
+    writeln!(svg, r#"<path {pen} d="{data}">{title}</path>"#)
 }
 
 fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::Result {
@@ -289,18 +247,17 @@ fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::R
     // Over the bars it has a rim in the colour of the paper.
     svg.push_str(r##"<g class="rim" stroke="#ffffff" stroke-width="0.8" paint-order="stroke">"##);
     text(svg, [x, y], anchor, &rule.name)?;
-    svg.push_str("</g>\n");
-    Ok(())
+    writeln!(svg, "</g>")
 }
 
 fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
-    let [x, y] = [area.x.at(mark.point[0]), area.y.at(mark.point[1])];
-    mark_shape(svg, mark.kind, [x, y])?;
-    let [at_x, at_y] = mark.point;
-    writeln!(
+    let Mark { kind, point, name } = *mark;
+    let title = title(name, &format!(" ({:.3}, {:.3})", point[0], point[1]));
+    write::mark(
         svg,
-        "<title>{} ({at_x:.3}, {at_y:.3})</title></path>",
-        escaped(mark.name)
+        kind,
+        [area.x.at(point[0]), area.y.at(point[1])],
+        &title,
     )
 }
 
@@ -308,33 +265,21 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
     let right = left + legend::KEY_WIDTH;
     let centre = [0.5 * (left + right), middle];
     match entry.key {
-        Key::Line(look) => writeln!(
-            svg,
-            r#"<path class="{}" {} d="M{} {}h{}"/>"#,
-            look.class(),
-            pen(look),
-            number(left),
-            number(middle),
-            legend::KEY_WIDTH,
-        )?,
-        Key::Mark(kind) => {
-            mark_shape(svg, kind, centre)?;
-            svg.push_str("</path>\n");
+        Key::Line(look) => {
+            let (pen, start) = (pen(look), through(&[[left, middle]]));
+            writeln!(svg, r#"<path {pen} d="{start}h{}"/>"#, legend::KEY_WIDTH)?;
         }
-        Key::Span => writeln!(
-            svg,
-            r#"<rect class="span" x="{}" y="{}" width="{}" height="2.4" fill="{SHADE}"/>"#,
-            number(left),
-            number(middle - 1.2),
-            legend::KEY_WIDTH,
-        )?,
+        Key::Mark(kind) => write::mark(svg, kind, centre, "")?,
+        Key::Span => {
+            let span = rectangle("span", [left, middle - 1.2, legend::KEY_WIDTH, 2.4]);
+            writeln!(svg, r#"<rect {span} fill="{SHADE}"/>"#)?;
+        }
         Key::Shade(shade) => map::draw_key(svg, shade, left, middle)?,
         Key::Isoline => map::draw_dotted(svg, "isoline", &[[left, middle], [right, middle]])?,
         Key::Leader => annotate::draw_leader(svg, &[[left + 0.8, middle], [right, middle]])?,
         Key::Estimate(kind) => {
             annotate::draw_interval(svg, centre[0], [middle - 1.3, middle + 1.3])?;
-            mark_shape(svg, kind, centre)?;
-            svg.push_str("</path>\n");
+            write::mark(svg, kind, centre, "")?;
         }
     }
     let place = [left + legend::TEXT_OFFSET, middle + 0.85];
@@ -343,20 +288,18 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
 
 /// Name, symbol and unit of an axis, at `place`.
 fn axis_name(svg: &mut String, axis: &Axis, place: &str) -> fmt::Result {
-    write!(
-        svg,
-        r#"<text class="ink" fill="{INK}" font-size="{NAME_SIZE}" text-anchor="middle" {place}>{}"#,
-        escaped(axis.quantity)
-    )?;
+    let mut name = escaped(axis.quantity);
     if let Some(Symbol { letter, below }) = axis.symbol {
-        if !axis.quantity.is_empty() {
-            svg.push(' ');
+        if !name.is_empty() {
+            name.push(' ');
         }
-        typeset::symbol(svg, letter, below)?;
+        name += &typeset::symbol(letter, below);
     }
     if !axis.unit.is_empty() {
-        write!(svg, " ({})", escaped(axis.unit))?;
+        name += &format!(" ({})", escaped(axis.unit));
     }
-    svg.push_str("</text>\n");
-    Ok(())
+    writeln!(
+        svg,
+        r#"<text class="ink" fill="{INK}" font-size="{NAME_SIZE}" text-anchor="middle" {place}>{name}</text>"#
+    )
 }

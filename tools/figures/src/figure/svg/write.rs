@@ -8,37 +8,33 @@ use crate::figure::{
     place::Slot,
     scale::trimmed,
     typeset,
+    xml::escaped,
 };
 
+const PAPER: &str = "#ffffff";
+const ROUND: &str = r#"linecap="round""#;
+
 /// A text in the small size, from, around or up to a place on its base line.
-pub(super) fn text(svg: &mut String, [x, y]: [f64; 2], anchor: &str, content: &str) -> fmt::Result {
-    write!(
+pub(super) fn text(svg: &mut String, place: [f64; 2], anchor: &str, content: &str) -> fmt::Result {
+    let ([x, y], content) = (place.map(number), typeset::content(content));
+    writeln!(
         svg,
-        r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{}" y="{}">"#,
-        number(x),
-        number(y),
-    )?;
-    typeset::content(svg, content)?;
-    svg.push_str("</text>\n");
-    Ok(())
+        r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{x}" y="{y}">{content}</text>"#
+    )
 }
 
 /// A text in the middle of its slot.
 pub(super) fn label(svg: &mut String, slot: &Slot, content: &str) -> fmt::Result {
-    let [x, y] = slot.centre;
-    write!(
-        svg,
-        r#"<text class="ink label" fill="{INK}" text-anchor="middle" transform="translate({} {})"#,
-        number(x),
-        number(y)
-    )?;
+    let ([x, y], content) = (slot.centre.map(number), typeset::content(content));
+    let mut transform = format!("translate({x} {y})");
     if slot.angle != 0.0 {
-        write!(svg, " rotate({})", number(slot.angle.to_degrees()))?;
+        transform += &format!(" rotate({})", number(slot.angle.to_degrees()));
     }
-    write!(svg, r#"" y="{}">"#, number(0.35 * TEXT_SIZE))?;
-    typeset::content(svg, content)?;
-    svg.push_str("</text>\n");
-    Ok(())
+    let y = number(0.35 * TEXT_SIZE);
+    writeln!(
+        svg,
+        r#"<text class="ink label" fill="{INK}" text-anchor="middle" transform="{transform}" y="{y}">{content}</text>"#
+    )
 }
 
 pub(super) fn line(
@@ -46,25 +42,29 @@ pub(super) fn line(
     class: &str,
     colour: &str,
     width: f64,
-    [x1, y1, x2, y2]: [f64; 4],
+    ends: [f64; 4],
 ) -> fmt::Result {
+    let [x1, y1, x2, y2] = ends.map(number);
     writeln!(
         svg,
-        r#"<path class="{class}" stroke="{colour}" stroke-width="{width}" d="M{} {}L{} {}"/>"#,
-        number(x1),
-        number(y1),
-        number(x2),
-        number(y2)
+        r#"<path class="{class}" stroke="{colour}" stroke-width="{width}" d="M{x1} {y1}L{x2} {y2}"/>"#
     )
 }
 
+/// The attributes of a rectangle, from its corner, width and height.
+pub(super) fn rectangle(class: &str, edges: [f64; 4]) -> String {
+    let [x, y, width, height] = edges.map(number);
+    format!(r#"class="{class}" x="{x}" y="{y}" width="{width}" height="{height}""#)
+}
+
 /// The data of a path through points.
-pub(super) fn through(svg: &mut String, points: &[[f64; 2]]) -> fmt::Result {
-    for (index, [x, y]) in points.iter().enumerate() {
-        let command = if index == 0 { 'M' } else { 'L' };
-        write!(svg, "{command}{} {}", number(*x), number(*y))?;
+pub(super) fn through(points: &[[f64; 2]]) -> String {
+    let mut data = String::new();
+    for [x, y] in points {
+        data.push(if data.is_empty() { 'M' } else { 'L' });
+        data += &format!("{} {}", number(*x), number(*y));
     }
-    Ok(())
+    data
 }
 
 /// A length to a hundredth of a mm, without needless digits.
@@ -72,41 +72,43 @@ pub(super) fn number(value: f64) -> String {
     trimmed(value, 2)
 }
 
-/// Colour, width and dashes of a look. The greys differ as the colours do.
-pub(super) const fn pen(look: Look) -> &'static str {
-    match look {
-        Look::Nominal => r##"stroke="#9a9a9a" stroke-width="0.6" stroke-linecap="round""##,
-        Look::Actual => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-linecap="round""##,
-        Look::Measured => r##"stroke="#d59a4a" stroke-width="0.2" stroke-linecap="round""##,
-        Look::Truth => r##"stroke="#2166ac" stroke-width="0.25" stroke-dasharray="1.1 0.6""##,
-        Look::Lost => r##"stroke="#f1dfb6" stroke-width="2.2" stroke-linecap="butt""##,
-        Look::Other => r##"stroke="#1a1a1a" stroke-width="0.3" stroke-dasharray="2.2 0.7""##,
-        Look::Boundary => r##"stroke="#1a1a1a" stroke-width="0.55" stroke-linecap="round""##,
-        Look::RangeEnd => r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="1.4 0.7""##,
-        Look::Asymptote => {
-            r##"stroke="#1a1a1a" stroke-width="0.22" stroke-dasharray="2 0.6 0.3 0.6""##
-        }
-    }
+/// Class, colour, width and dashes of a look. The greys differ as the colours do.
+pub(super) fn pen(look: Look) -> String {
+    let (colour, width, end) = match look {
+        Look::Nominal => ("#9a9a9a", 0.6, ROUND),
+        Look::Actual => (INK, 0.3, ROUND),
+        Look::Measured => ("#d59a4a", 0.2, ROUND),
+        Look::Truth => ("#2166ac", 0.25, r#"dasharray="1.1 0.6""#),
+        Look::Lost => ("#f1dfb6", 2.2, r#"linecap="butt""#),
+        Look::Other => (INK, 0.3, r#"dasharray="2.2 0.7""#),
+        Look::Boundary => (INK, 0.55, ROUND),
+        Look::RangeEnd => (INK, 0.22, r#"dasharray="1.4 0.7""#),
+        Look::Asymptote => (INK, 0.22, r#"dasharray="2 0.6 0.3 0.6""#),
+    };
+    format!(r#"class="{look}" stroke="{colour}" stroke-width="{width}" stroke-{end}"#)
 }
 
-/// The opening tag of a mark.
-pub(super) fn mark_shape(svg: &mut String, kind: MarkKind, [x, y]: [f64; 2]) -> fmt::Result {
+/// A mark; `title` is its element, or empty.
+pub(super) fn mark(svg: &mut String, kind: MarkKind, place: [f64; 2], title: &str) -> fmt::Result {
     let (shape, fill) = match kind {
-        MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", "#ffffff"),
+        MarkKind::Start => ("m0 -1.25l1.2 2.1h-2.4z", PAPER),
         MarkKind::End => (
             "m-1.05 0a1.05 1.05 0 1 0 2.1 0a1.05 1.05 0 1 0 -2.1 0z",
-            "#ffffff",
+            PAPER,
         ),
         MarkKind::Found => ("m-0.7 0a0.7 0.7 0 1 0 1.4 0a0.7 0.7 0 1 0 -1.4 0z", INK),
         MarkKind::Square => ("m-0.85 -0.85h1.7v1.7h-1.7z", INK),
-        MarkKind::Diamond => ("m0 -1.3l1.15 1.3l-1.15 1.3l-1.15 -1.3z", "#ffffff"),
+        MarkKind::Diamond => ("m0 -1.3l1.15 1.3l-1.15 1.3l-1.15 -1.3z", PAPER),
         MarkKind::None => ("m-0.9 -0.9l1.8 1.8m0 -1.8l-1.8 1.8", "none"),
     };
-    write!(
+    let [x, y] = place.map(number);
+    writeln!(
         svg,
-        r##"<path class="mark {}" d="M{} {}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">"##,
-        kind.class(),
-        number(x),
-        number(y),
+        r#"<path class="mark {kind}" d="M{x} {y}{shape}" fill="{fill}" stroke="{INK}" stroke-width="0.35">{title}</path>"#
     )
+}
+
+/// The element that names what it is in; a screen shows it under the pointer.
+pub(super) fn title(name: &str, values: &str) -> String {
+    format!("<title>{}{values}</title>", escaped(&typeset::plain(name)))
 }

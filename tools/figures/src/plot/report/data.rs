@@ -105,7 +105,7 @@ impl Columns {
         let curves = curves
             .map(|curve| CurveData {
                 name: curve.name,
-                look: curve.look.class(),
+                look: curve.look.name(),
                 x: self.number(&curve.x),
                 y: self.number(&curve.y),
                 time: self.number(curve.time.as_ref().unwrap_or(&curve.x)),
