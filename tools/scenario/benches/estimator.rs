@@ -1,14 +1,16 @@
 //! Prints how far the estimate is from the truth on the circle at 0.4 m/s:
 //! without losses, and for losses of four lengths every 2 s, held and coasted.
 
+#[path = "../tests/common/estimation.rs"]
+mod estimation;
+
 use std::path::Path;
 
 use singletrack_core::config::MarkerLoss;
-use singletrack_scenario::{
-    estimation::{EstimationStudy, study},
-    simulate::Scenario,
-};
+use singletrack_scenario::simulate::Scenario;
 use singletrack_sim::LossPattern;
+
+use estimation::{EstimationStudy, study};
 
 fn main() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/circle-car.toml");

@@ -2,7 +2,6 @@
 //! and the law alone against the paper's equations.
 
 pub mod csv_text;
-pub mod estimation;
 pub mod simulate;
 pub mod simulated;
 pub mod tracking;

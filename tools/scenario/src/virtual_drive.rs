@@ -336,49 +336,18 @@ impl VirtualDrive {
     /// The car does not drive within 15 s.
     pub fn start(&mut self) -> Result<VirtualTick, VirtualDriveError> {
         let mut armed = false;
-        self.until(Mode::Driving, 0, |drive| {
-            if !armed && drive.mode() == Mode::Ready {
+        while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
+            if !armed && self.mode() == Mode::Ready {
                 // The ring is empty: every tick takes all requests.
-                armed = drive.request(PilotRequest::Arm).is_ok();
+                armed = self.request(PilotRequest::Arm).is_ok();
             }
-        })
-    }
-
-    /// Arms the car to jog, and goes on to the first tick in [`Mode::Jogging`], which it
-    /// returns. From there the pulses come from [`send_jog`](Self::send_jog).
-    ///
-    /// # Errors
-    ///
-    /// The car can't be jogged within 15 s.
-    pub fn start_jogging(&mut self) -> Result<VirtualTick, VirtualDriveError> {
-        self.until(Mode::Jogging, self.next_tick_us(), |drive| {
-            // The ring is empty: every tick takes all requests.
-            let _ = match drive.mode() {
-                Mode::Idle | Mode::Ready => drive.request(PilotRequest::ArmJog),
-                Mode::Arming => drive.request(PilotRequest::Hold),
-                _ => Ok(()),
-            };
-        })
-    }
-
-    /// Goes on to the first tick in a mode, for 15 s from a time of the simulation, in µs;
-    /// `before` comes before each tick.
-    fn until(
-        &mut self,
-        mode: Mode,
-        from_us: u64,
-        mut before: impl FnMut(&Self),
-    ) -> Result<VirtualTick, VirtualDriveError> {
-        let until_us = from_us + (READY_TIMEOUT * 1e6) as u64;
-        while self.next_tick_us() < until_us {
-            before(self);
             let tick = self.step();
-            if tick.tick.output.mode == mode {
+            if tick.tick.output.mode == Mode::Driving {
                 return Ok(tick);
             }
         }
         Err(VirtualDriveError::NotStarted {
-            mode: self.host.mode(),
+            mode: self.mode(),
             reason: self.controller().pilot().reason(),
             seconds: READY_TIMEOUT,
         })

@@ -6,11 +6,12 @@ use std::{path::Path, sync::OnceLock};
 
 use singletrack_core::config::{MarkerLoss, OuterLoopSection};
 use singletrack_scenario::{
-    estimation::{EstimationStudy, study},
     simulate::{MarkerLoss as LostTicks, Row, Scenario, simulate},
     tracking::{Sample, Tracking, last_turn},
 };
 use singletrack_sim::ImuParameters;
+
+use crate::estimation::{EstimationStudy, study};
 
 fn circle() -> Scenario {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/circle-car.toml");

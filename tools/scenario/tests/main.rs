@@ -4,6 +4,8 @@
 mod calibrated;
 mod calibrated_cars;
 mod car_plant;
+#[path = "common/estimation.rs"]
+mod estimation;
 mod fence;
 mod first_metre;
 mod foreign;

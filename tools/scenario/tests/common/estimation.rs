@@ -3,40 +3,39 @@
 use singletrack_control::{Estimate, wrap};
 use singletrack_core::config::MarkerLoss;
 use singletrack_pilot::Mode;
-use singletrack_sim::{LossPattern, Truth};
-use singletrack_statistics::RootMeanSquare;
-
-use crate::{
+use singletrack_scenario::{
     simulate::{CarError, Scenario, virtual_drive_config},
     virtual_drive::VirtualDrive,
 };
+use singletrack_sim::{LossPattern, Truth};
+use singletrack_statistics::RootMeanSquare;
 
 /// Root-mean-square errors of the estimate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EstimateErrors {
+pub(crate) struct EstimateErrors {
     /// Distance from the true G, in m.
-    pub position_m: f64,
+    pub(crate) position_m: f64,
     /// Yaw, in rad.
-    pub yaw_rad: f64,
+    pub(crate) yaw_rad: f64,
     /// Yaw rate, in rad/s.
-    pub yaw_rate_rad_s: f64,
+    pub(crate) yaw_rate_rad_s: f64,
     /// Sideslip, in rad.
-    pub sideslip_rad: f64,
+    pub(crate) sideslip_rad: f64,
     /// Speed of G, in m/s.
-    pub speed_m_s: f64,
+    pub(crate) speed_m_s: f64,
 }
 
 /// Errors of a drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct EstimationStudy {
+pub(crate) struct EstimationStudy {
     /// Errors of the estimate over the counted ticks.
-    pub errors: EstimateErrors,
+    pub(crate) errors: EstimateErrors,
     /// Largest distance of the estimated from the true G, in m.
-    pub worst_position_m: f64,
+    pub(crate) worst_position_m: f64,
     /// Root mean square of the distance from P to its reference, in m.
-    pub tracking_m: f64,
+    pub(crate) tracking_m: f64,
     /// The number of counted ticks.
-    pub ticks: u32,
+    pub(crate) ticks: u32,
 }
 
 /// The first part of a drive, which is not counted, in s: the car approaches the circle.
@@ -48,7 +47,7 @@ const SETTLING: f64 = 10.0;
 /// # Errors
 ///
 /// The car can't drive the scenario, or does not start.
-pub fn study(
+pub(crate) fn study(
     scenario: &Scenario,
     loss: Option<LossPattern>,
     marker_loss: MarkerLoss,
