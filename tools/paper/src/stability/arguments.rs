@@ -28,12 +28,7 @@ pub(super) struct CarArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) vehicle: Option<PathBuf>,
     /// Distance p of the point P, in m
-    #[arg(
-        long,
-        value_name = "M",
-        allow_negative_numbers = true,
-        default_value_t = 0.35
-    )]
+    #[arg(long, value_name = "M", default_value_t = 0.35)]
     pub(super) point_distance: f64,
 }
 
@@ -84,12 +79,7 @@ impl LoopArgs {
 #[derive(Clone, Debug, Args)]
 pub(super) struct SpeedArgs {
     /// Speeds of the steady motion, in m/s
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0.1:8:0.05"
-    )]
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
     pub(super) speeds: Grid,
 }
 
@@ -99,7 +89,7 @@ pub(super) struct PointArgs {
     #[command(flatten)]
     speed: SpeedArgs,
     /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
-    #[arg(long, value_name = "A:B:STEP", allow_hyphen_values = true)]
+    #[arg(long, value_name = "A:B:STEP")]
     dl: Option<Grid>,
 }
 
@@ -132,47 +122,22 @@ pub(super) struct MapArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub struct TimingArgs {
     /// Period of the controller, in ms
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 10.0
-    )]
+    #[arg(long, value_name = "MS", default_value_t = 10.0)]
     pub period_ms: f64,
     /// From a tick's measurement until its command acts, in ms
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 10.0
-    )]
+    #[arg(long, value_name = "MS", default_value_t = 10.0)]
     pub delay_ms: f64,
     /// Ticks from one seen pose to the next; in between it is held
     #[arg(long, value_name = "TICKS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub marker_interval: u32,
     /// Gain of a proportional position loop around the law, in 1/s; 0 for the law alone
-    #[arg(
-        long,
-        value_name = "K",
-        allow_negative_numbers = true,
-        default_value_t = 0.0
-    )]
+    #[arg(long, value_name = "K", default_value_t = 0.0)]
     pub position_gain: f64,
     /// Lag of the steering servo, in ms; 0 for wheels that follow at once
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 0.0
-    )]
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
     pub steering_lag_ms: f64,
     /// Dead time of the steering servo, in ms; adds to the delay
-    #[arg(
-        long,
-        value_name = "MS",
-        allow_negative_numbers = true,
-        default_value_t = 0.0
-    )]
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
     pub steering_dead_time_ms: f64,
     /// The law is given the state at which its command acts, predicted by exact models of car
     /// and servo

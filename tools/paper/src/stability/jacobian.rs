@@ -19,15 +19,10 @@ pub(super) struct JacobianArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Speed of the steady motion, in m/s
-    #[arg(long, value_name = "M_S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "M_S")]
     speed: f64,
     /// Deviation dl of the centre of mass, in m
-    #[arg(
-        long,
-        value_name = "M",
-        allow_negative_numbers = true,
-        default_value_t = 0.0
-    )]
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
     dl: f64,
     /// How to write it
     #[arg(long, value_enum, default_value_t = Format::Csv)]

@@ -30,12 +30,7 @@ pub(super) struct FirstUnstableArgs {
     #[arg(long, value_name = "A:B:STEP", default_value = "0.05:0.5:0.05")]
     distances: Grid,
     /// Deviations dl of the centre of mass, in m
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0"
-    )]
+    #[arg(long, value_name = "A:B:STEP", default_value = "0")]
     dl: Grid,
     #[command(flatten)]
     servo: ServoArgs,
@@ -51,12 +46,7 @@ pub(super) struct LeastArgs {
     #[arg(long, value_name = "A:B:STEP", default_value = "0.25:5:0.25")]
     speeds: Grid,
     /// Deviations dl of the centre of mass that must all be stable, in m
-    #[arg(
-        long,
-        value_name = "A:B:STEP",
-        allow_hyphen_values = true,
-        default_value = "0"
-    )]
+    #[arg(long, value_name = "A:B:STEP", default_value = "0")]
     dl: Grid,
     #[command(flatten)]
     servo: ServoArgs,
