@@ -1,74 +1,56 @@
 //! What is different from a calibrated car with good cameras.
 
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
 use singletrack_control::VehicleParameters;
+use singletrack_words::words;
 
-use super::name_of;
-
-/// A condition of the comparison.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Condition {
-    /// The car is as it is believed to be.
-    Nominal,
-    /// The true tyres have half the cornering stiffness.
-    #[value(name = "tyres-50%")]
-    #[serde(rename = "tyres-50%")]
-    SoftTyres,
-    /// The true tyres have 1.5 times the cornering stiffness.
-    #[value(name = "tyres+50%")]
-    #[serde(rename = "tyres+50%")]
-    StiffTyres,
-    /// The front axle is believed to be at the centre of mass: dl = `-l_f`.
-    #[value(name = "axle-lf")]
-    #[serde(rename = "axle-lf")]
-    AxleLeast,
-    /// The distance of the front axle from the centre of mass is believed to be 50 mm less.
-    #[value(name = "axle-50mm")]
-    #[serde(rename = "axle-50mm")]
-    AxleLess,
-    /// The distance of the front axle from the centre of mass is believed to be 50 mm more.
-    #[value(name = "axle+50mm")]
-    #[serde(rename = "axle+50mm")]
-    AxleMore,
-    /// The rear axle is believed to be at the centre of mass: dl = `l_r`.
-    #[value(name = "axle+lr")]
-    #[serde(rename = "axle+lr")]
-    AxleMost,
-    /// The cameras see nothing for 50 ms, a second after the counting begins.
-    #[value(name = "loss-50ms")]
-    #[serde(rename = "loss-50ms")]
-    Loss50,
-    /// The same for 100 ms.
-    #[value(name = "loss-100ms")]
-    #[serde(rename = "loss-100ms")]
-    Loss100,
-    /// The same for 200 ms.
-    #[value(name = "loss-200ms")]
-    #[serde(rename = "loss-200ms")]
-    Loss200,
-    /// The same for 500 ms.
-    #[value(name = "loss-500ms")]
-    #[serde(rename = "loss-500ms")]
-    Loss500,
-    /// The same for a second.
-    #[value(name = "loss-1000ms")]
-    #[serde(rename = "loss-1000ms")]
-    Loss1000,
-    /// The paper's equations in place of the simulated car: no lag, noise, limits or estimator.
-    IdealPlant,
-    /// The search for the least added delay that diverges, in a table of its own.
-    AddedDelay,
+words! {
+    /// A condition of the comparison.
+    #[derive(ValueEnum)]
+    pub enum Condition: serde {
+        /// The car is as it is believed to be.
+        Nominal = "nominal",
+        /// The true tyres have half the cornering stiffness.
+        #[value(name = "tyres-50%")]
+        SoftTyres = "tyres-50%",
+        /// The true tyres have 1.5 times the cornering stiffness.
+        #[value(name = "tyres+50%")]
+        StiffTyres = "tyres+50%",
+        /// The front axle is believed to be at the centre of mass: dl = `-l_f`.
+        #[value(name = "axle-lf")]
+        AxleLeast = "axle-lf",
+        /// The distance of the front axle from the centre of mass is believed to be 50 mm less.
+        #[value(name = "axle-50mm")]
+        AxleLess = "axle-50mm",
+        /// The distance of the front axle from the centre of mass is believed to be 50 mm more.
+        #[value(name = "axle+50mm")]
+        AxleMore = "axle+50mm",
+        /// The rear axle is believed to be at the centre of mass: dl = `l_r`.
+        #[value(name = "axle+lr")]
+        AxleMost = "axle+lr",
+        /// The cameras see nothing for 50 ms, a second after the counting begins.
+        #[value(name = "loss-50ms")]
+        Loss50 = "loss-50ms",
+        /// The same for 100 ms.
+        #[value(name = "loss-100ms")]
+        Loss100 = "loss-100ms",
+        /// The same for 200 ms.
+        #[value(name = "loss-200ms")]
+        Loss200 = "loss-200ms",
+        /// The same for 500 ms.
+        #[value(name = "loss-500ms")]
+        Loss500 = "loss-500ms",
+        /// The same for a second.
+        #[value(name = "loss-1000ms")]
+        Loss1000 = "loss-1000ms",
+        /// The paper's equations in place of the simulated car: no lag, noise, limits or estimator.
+        IdealPlant = "ideal-plant",
+        /// The search for the least added delay that diverges, in a table of its own.
+        AddedDelay = "added-delay",
+    }
 }
 
 impl Condition {
-    /// As in the table.
-    #[must_use]
-    pub fn name(self) -> String {
-        name_of(&self)
-    }
-
     /// Factor of the true cornering stiffnesses.
     pub(super) const fn stiffness(self) -> f64 {
         match self {

@@ -1,37 +1,38 @@
 //! The controllers of the comparison, with their parameters.
 
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
+use singletrack_words::words;
 
-use super::{condition::Condition, foreign::Law, name_of};
+use super::{condition::Condition, foreign::Law};
 
-/// A controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ControllerName {
-    /// The paper's: proportional with unit gain.
-    P,
-    /// With the reference's velocity fed forward.
-    PFf,
-    /// The same, with a tuned gain.
-    PTuned,
-    /// The same, with the compensation of clock and actuators, and a gain tuned for it.
-    PCompensated,
-    /// Linear-quadratic with an integral, tuned.
-    Lqi,
-    /// The same, with the compensation.
-    LqiCompensated,
-    /// Predictive, tuned.
-    Mpc,
-    /// The same, with the compensation.
-    MpcCompensated,
-    /// Pure pursuit, tuned.
-    PurePursuit,
-    /// Stanley, tuned.
-    Stanley,
-    /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
-    Appendix,
+words! {
+    /// A controller.
+    #[derive(ValueEnum)]
+    pub enum ControllerName: serde {
+        /// The paper's: proportional with unit gain.
+        P = "p",
+        /// With the reference's velocity fed forward.
+        PFf = "p-ff",
+        /// The same, with a tuned gain.
+        PTuned = "p-tuned",
+        /// The same, with the compensation of clock and actuators, and a gain tuned for it.
+        PCompensated = "p-compensated",
+        /// Linear-quadratic with an integral, tuned.
+        Lqi = "lqi",
+        /// The same, with the compensation.
+        LqiCompensated = "lqi-compensated",
+        /// Predictive, tuned.
+        Mpc = "mpc",
+        /// The same, with the compensation.
+        MpcCompensated = "mpc-compensated",
+        /// Pure pursuit, tuned.
+        PurePursuit = "pure-pursuit",
+        /// Stanley, tuned.
+        Stanley = "stanley",
+        /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
+        Appendix = "appendix",
+    }
 }
 
 /// The weight of the acceleration of both predictive controllers: a tenth of the default. With less
@@ -66,12 +67,6 @@ impl Drives {
 }
 
 impl ControllerName {
-    /// As in the table.
-    #[must_use]
-    pub fn name(self) -> String {
-        name_of(&self)
-    }
-
     /// With the parameters of the table.
     pub(super) fn drives(self) -> Drives {
         self.with(self.parameters())

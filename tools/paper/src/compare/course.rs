@@ -1,31 +1,22 @@
 //! The paths of the comparison: reference, start, and what is counted.
 
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
 use singletrack_control::{Reference, ReferencePoint};
 use singletrack_core::{ConfigError, config::ReferenceSection};
+use singletrack_words::words;
 
-use super::name_of;
-
-/// A path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PathName {
-    /// A circle of 1 m: beyond 1.595 m/s the tyres slide.
-    Circle,
-    /// An eight of 6 x 3 m; the speed is that in its middle, where it is highest.
-    Eight,
-    /// Half a metre to the left over 3 m of a straight line.
-    LaneChange,
-    /// A circle of 0.45 m: the wheels can't be turned that far.
-    InfeasibleCircle,
-}
-
-impl PathName {
-    /// As in the table.
-    #[must_use]
-    pub fn name(self) -> String {
-        name_of(&self)
+words! {
+    /// A path.
+    #[derive(ValueEnum)]
+    pub enum PathName: serde {
+        /// A circle of 1 m: beyond 1.595 m/s the tyres slide.
+        Circle = "circle",
+        /// An eight of 6 x 3 m; the speed is that in its middle, where it is highest.
+        Eight = "eight",
+        /// Half a metre to the left over 3 m of a straight line.
+        LaneChange = "lane-change",
+        /// A circle of 0.45 m: the wheels can't be turned that far.
+        InfeasibleCircle = "infeasible-circle",
     }
 }
 

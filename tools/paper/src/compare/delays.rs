@@ -71,8 +71,8 @@ pub fn delays_csv(lines: &[DelayLine]) -> String {
         let _ = writeln!(
             text,
             "{},{},{},{},{},{low},{high},{},{},{}",
-            line.row.controller.name(),
-            line.row.path.name(),
+            line.row.controller,
+            line.row.path,
             line.row.speed_m_s,
             line.seeds,
             line.mean_ms,
@@ -94,7 +94,7 @@ pub fn delays_markdown(lines: &[DelayLine]) -> String {
     };
     let case = |line: &DelayLine| (line.row.path, line.row.speed_m_s);
     let head = lines.iter().take_while(|line| case(line) == case(first));
-    let names: Vec<String> = head.map(|line| line.row.controller.name()).collect();
+    let names: Vec<&str> = head.map(|line| line.row.controller.name()).collect();
     let _ = writeln!(
         text,
         "Least added delay that diverges, in ms\n\n| path | m/s | {} |\n|---|---|{}",
@@ -112,7 +112,7 @@ pub fn delays_markdown(lines: &[DelayLine]) -> String {
         });
         let cells: Vec<String> = cells.collect();
         if let Some(line) = group.first() {
-            let (path, speed) = (line.row.path.name(), line.row.speed_m_s);
+            let (path, speed) = (line.row.path, line.row.speed_m_s);
             let _ = writeln!(text, "| {path} | {speed} | {} |", cells.join(" | "));
         }
     }

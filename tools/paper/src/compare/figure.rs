@@ -58,9 +58,9 @@ fn panel(lines: &[&Line], controllers: &[ControllerName], speeds: &[f64]) -> Pan
     );
     panel.begins_row = true;
     panel.height_mm = HEIGHT_MM;
-    let path = lines.first().map(|line| line.row.path.name());
-    panel.title = path.unwrap_or_default();
-    panel.names = controllers.iter().map(|name| name.name()).collect();
+    let path = lines.first().map(|line| line.row.path);
+    panel.title = path.map_or_else(String::new, |path| path.to_string());
+    panel.names = controllers.iter().map(ToString::to_string).collect();
     let place = |line: &Line| {
         let controller = controllers
             .iter()

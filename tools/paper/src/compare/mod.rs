@@ -129,12 +129,6 @@ fn or_all<T: ValueEnum>(given: &[T]) -> Vec<T> {
     if given.is_empty() { all } else { given }.to_vec()
 }
 
-/// As on the command line and in the tables.
-fn name_of(value: &impl ValueEnum) -> String {
-    let value = value.to_possible_value();
-    value.map_or_else(String::new, |value| value.get_name().to_owned())
-}
-
 /// Runs the comparison, prints and writes its table.
 ///
 /// # Errors

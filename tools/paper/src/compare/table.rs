@@ -149,9 +149,8 @@ impl Line {
     }
 
     /// The condition, or what the line is the worst of.
-    fn title(&self) -> String {
-        self.worst_of
-            .map_or_else(|| self.row.condition.name(), str::to_owned)
+    fn title(&self) -> &'static str {
+        self.worst_of.unwrap_or(self.row.condition.name())
     }
 
     fn condition(&self) -> String {
@@ -213,20 +212,21 @@ pub fn csv(lines: &[Line]) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{},{},{speed_m_s},{},{},{},{},{},{},{}",
-            controller.name(),
-            path.name(),
+            "{controller},{path},{speed_m_s},{},{},{},{},{},{},{}",
             line.condition(),
             line.seeds,
             values.join(","),
             line.stops,
             effort.join(","),
-            line.worst_of
-                .map_or_else(String::new, |_| line.row.condition.name()),
+            line.worst_of.map_or("", |_| line.row.condition.name()),
             line.stop_reasons.joined(";")
         );
     }
     text
+}
+
+fn in_units(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
 }
 
 /// In millimetres, for a page: a table per path, speed and condition, the best first.
@@ -234,12 +234,10 @@ pub fn csv(lines: &[Line]) -> String {
 pub fn markdown(lines: &[Line]) -> String {
     let mut text = String::new();
     let case = |line: &Line| {
-        format!(
-            "{}, {} m/s, {}",
-            line.row.path.name(),
-            line.row.speed_m_s,
-            line.title()
-        )
+        let Row {
+            path, speed_m_s, ..
+        } = line.row;
+        format!("{path}, {speed_m_s} m/s, {}", line.title())
     };
     for group in lines.chunk_by(|a, b| case(a) == case(b)) {
         let (front, mut own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
@@ -255,39 +253,30 @@ pub fn markdown(lines: &[Line]) -> String {
             let mine = front
                 .iter()
                 .find(|front| front.row.controller == line.row.controller);
-            let [rms, low, high, p99, max, along, across, tyres] = line.values;
-            let [rate, most_rate, ripple] = line.effort;
-            let plain = |value: Option<f64>| {
-                value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
-            };
-            let mm = |value: Option<f64>| {
-                value.map_or_else(|| "-".to_owned(), |value| format!("{:.2}", 1e3 * value))
+            let in_mm = |value: Option<f64>| in_units(value.map(|value| 1e3 * value));
+            let [.., tyres] = line.values;
+            let tyres = tyres.unwrap_or(f64::NAN);
+            let [rms, low, high, p99, max, along, across, _] = line.values.map(in_mm);
+            let front = in_mm(mine.and_then(|front| front.values[0]));
+            let [rate, most_rate, _] = line.effort.map(in_units);
+            let [.., ripple] = line.effort.map(in_mm);
+            let Line { stops, seeds, .. } = line;
+            let Row {
+                controller,
+                condition,
+                ..
+            } = line.row;
+            let worst = line.worst_of.map(|_| format!(", {condition}"));
+            let worst = worst.unwrap_or_default();
+            let reasons = match stops {
+                0 => String::new(),
+                _ => format!(": {}", line.stop_reasons.joined(", ")),
             };
             let _ = writeln!(
                 text,
-                "| {}{} | {} | {} to {} | {} | {} | {} | {} | {} | {:.2} | {} and {} | {} | {} of {}{} |",
-                line.row.controller.name(),
-                line.worst_of
-                    .map_or_else(String::new, |_| format!(", {}", line.row.condition.name())),
-                mm(rms),
-                mm(low),
-                mm(high),
-                mm(p99),
-                mm(max),
-                mm(along),
-                mm(across),
-                mm(mine.and_then(|front| front.values[0])),
-                tyres.unwrap_or(f64::NAN),
-                plain(rate),
-                plain(most_rate),
-                mm(ripple),
-                line.stops,
-                line.seeds,
-                if line.stops > 0 {
-                    format!(": {}", line.stop_reasons.joined(", "))
-                } else {
-                    String::new()
-                }
+                "| {controller}{worst} | {rms} | {low} to {high} | {p99} | {max} | {along} | {across} \
+                 | {front} | {tyres:.2} | {rate} and {most_rate} | {ripple} | {stops} of \
+                 {seeds}{reasons} |"
             );
         }
         text.push('\n');

@@ -71,8 +71,7 @@ pub(super) fn tune(controllers: &[ControllerName], threads: usize) -> Result<Str
             // Writing to a string does not fail.
             let _ = writeln!(
                 text,
-                "| {} | {:?} | {:.2} |",
-                controller.name(),
+                "| {controller} | {:?} | {:.2} |",
                 tried.parameters,
                 1e3 * cost
             );

@@ -1,5 +1,6 @@
 //! `report.html`: one self-contained file.
 
+use singletrack_control::VehicleParameters;
 use singletrack_figures::{
     figure::{Width, escaped},
     template,
@@ -197,40 +198,25 @@ fn framed(plate: &Plate) -> String {
 }
 
 fn vehicle(reproduction: &Reproduction) -> String {
-    let vehicle = &reproduction.setup.vehicle;
+    let VehicleParameters {
+        mass_kg: m,
+        yaw_inertia_kg_m2: i_z,
+        front_axle_distance_m: l_f,
+        rear_axle_distance_m: l_r,
+        friction,
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+    } = reproduction.setup.vehicle;
+    let p = reproduction.setup.point_distance_m();
     [
-        ("mass m", vehicle.mass_kg, "kg"),
-        (
-            "yaw moment of inertia I_z",
-            vehicle.yaw_inertia_kg_m2,
-            "kg m²",
-        ),
-        (
-            "centre of mass to front axle l_f",
-            vehicle.front_axle_distance_m,
-            "m",
-        ),
-        (
-            "centre of mass to rear axle l_r",
-            vehicle.rear_axle_distance_m,
-            "m",
-        ),
-        ("friction μ", vehicle.friction, ""),
-        (
-            "cornering stiffness, front C_f",
-            vehicle.front_cornering_stiffness_n_rad,
-            "N/rad",
-        ),
-        (
-            "cornering stiffness, rear C_r",
-            vehicle.rear_cornering_stiffness_n_rad,
-            "N/rad",
-        ),
-        (
-            "distance p of P from the front axle",
-            reproduction.setup.point_distance_m(),
-            "m",
-        ),
+        ("mass m", m, "kg"),
+        ("yaw moment of inertia I_z", i_z, "kg m²"),
+        ("centre of mass to front axle l_f", l_f, "m"),
+        ("centre of mass to rear axle l_r", l_r, "m"),
+        ("friction μ", friction, ""),
+        ("cornering stiffness, front C_f", c_f, "N/rad"),
+        ("cornering stiffness, rear C_r", c_r, "N/rad"),
+        ("distance p of P from the front axle", p, "m"),
     ]
     .iter()
     .map(|(name, value, unit)| {
