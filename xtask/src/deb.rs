@@ -10,7 +10,7 @@ use crate::{
     image::{self, Image},
     libraries,
     prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
-    process::{Failure, check, output, silent},
+    process::{Failure, check, failure, silent, text},
     programs::{INSTALLED, Packages, installed},
     target,
     toolchain::{AARCH64, ARMHF, Target},
@@ -44,17 +44,17 @@ struct Architecture {
 impl Architecture {
     /// The one of this name, or that of this machine.
     fn find(name: Option<&str>) -> Result<Self, Failure> {
-        let this = output(Command::new("dpkg").arg("--print-architecture"))?;
-        let this = String::from_utf8_lossy(&this).trim().to_owned();
+        let this = text(Command::new("dpkg").arg("--print-architecture"))?;
+        let this = this.trim().to_owned();
         let name = name.unwrap_or(&this).to_owned();
         let mut others = [ARMHF, AARCH64].into_iter();
         let foreign = others.find(|other| other.architecture == name && name != this);
         let known = name == this && ["amd64", "arm64", "armhf"].contains(&this.as_str());
         if !known && foreign.is_none() {
-            return Err(Failure::new(format!(
+            return Err(failure!(
                 "no package for {name:?} on {this}: it is made for arm64 and armhf, and for amd64 \
                  on such a machine"
-            )));
+            ));
         }
         Ok(Self { name, foreign })
     }
@@ -95,7 +95,7 @@ impl Architecture {
         let crates = INSTALLED.map(|(_, package)| package);
         let notices = libraries::notices(&crates, self.foreign.map(|foreign| foreign.triple))?;
         fs::write(stage.join("libraries.txt"), notices)
-            .map_err(|error| Failure::new(format!("{}: {error}", stage.display())))?;
+            .map_err(|error| failure!("{}: {error}", stage.display()))?;
         let emulator = self.foreign.map(|foreign| foreign.emulator().join(" "));
         silent(
             Command::new("dpkg-architecture")
@@ -145,9 +145,7 @@ fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
         ["--help" | "-h"] => Ok(None),
         ["--target", name] => Ok(Some(Some(name))),
         [one] if one.starts_with("--target=") => Ok(Some(one.strip_prefix("--target="))),
-        _ => Err(Failure::new(format!(
-            "unexpected arguments {arguments:?}\n\n{USAGE}"
-        ))),
+        _ => Err(failure!("unexpected arguments {arguments:?}\n\n{USAGE}")),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::{fmt::Write as _, path::Path, process::Command};
 
-use crate::process::{Failure, output};
+use crate::process::{Failure, failure, text};
 
 /// The processor has 32,768 B of flash, and 2,048 B of SRAM for variables and stack.
 const BUDGETS: [(&str, f64, &str); 3] = [
@@ -13,9 +13,8 @@ const BUDGETS: [(&str, f64, &str); 3] = [
 
 /// Refuses symbols that are known to fail on an AVR.
 pub(crate) fn refuse_forbidden(elf: &Path) -> Result<(), Failure> {
-    let symbols = output(Command::new("avr-nm").arg(elf))?;
-    forbidden(&String::from_utf8_lossy(&symbols))
-        .map_err(|why| Failure::new(format!("{}: {why}", elf.display())))
+    forbidden(&text(Command::new("avr-nm").arg(elf))?)
+        .map_err(|why| failure!("{}: {why}", elf.display()))
 }
 
 fn forbidden(symbols: &str) -> Result<(), String> {
@@ -48,9 +47,8 @@ fn forbidden(symbols: &str) -> Result<(), String> {
 
 /// Flash and static SRAM of the image by avr-size, in bytes.
 pub(crate) fn size(elf: &Path) -> Result<[f64; 2], Failure> {
-    let text = output(Command::new("avr-size").arg(elf))?;
-    size_of(&String::from_utf8_lossy(&text))
-        .ok_or_else(|| Failure::new(format!("{}: avr-size finds no program", elf.display())))
+    size_of(&text(Command::new("avr-size").arg(elf))?)
+        .ok_or_else(|| failure!("{}: avr-size finds no program", elf.display()))
 }
 
 fn size_of(text: &str) -> Option<[f64; 2]> {
@@ -73,9 +71,7 @@ pub(crate) fn judge(
     let mut figures = Vec::new();
     for line in measured.lines().filter(|line| !line.trim().is_empty()) {
         figures.push(parse(line).ok_or_else(|| {
-            Failure::new(format!(
-                "uno-figures: {line:?} is not of the form `name value unit`"
-            ))
+            failure!("uno-figures: {line:?} is not of the form `name value unit`")
         })?);
     }
     let find = |figures: &[(&str, f64, &str)], name, unit| {
@@ -83,7 +79,7 @@ pub(crate) fn judge(
             .iter()
             .find(|figure| (figure.0, figure.2) == (name, unit))
             .map(|figure| figure.1)
-            .ok_or_else(|| Failure::new(format!("uno-figures prints no `{name}` in {unit}")))
+            .ok_or_else(|| failure!("uno-figures prints no `{name}` in {unit}"))
     };
     let sram = find(&figures, "static", "B")? + find(&figures, "stack", "B")?;
     figures.insert(0, ("SRAM in all", sram, "B"));

@@ -9,7 +9,7 @@ use std::{
 };
 
 use crate::{
-    process::{Failure, output},
+    process::{Failure, failure, text},
     workspace::cargo,
 };
 
@@ -20,18 +20,16 @@ pub(crate) fn notices(packages: &[&str], triple: Option<&str>) -> Result<String,
         .args(["--format", "{p}|{l}"])
         .args(packages.iter().flat_map(|package| ["--package", package]))
         .args(triple.iter().flat_map(|triple| ["--target", triple]));
-    let tree = output(&mut tree)?;
-    let tree = String::from_utf8_lossy(&tree);
+    let tree = text(&mut tree)?;
     let libraries = libraries(&tree);
-    let metadata = output(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
-    let metadata = String::from_utf8_lossy(&metadata);
+    let metadata = text(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
     let mut of_notice: BTreeMap<String, Vec<&str>> = BTreeMap::new();
     for library in libraries.keys() {
         let place = format!("/{}/Cargo.toml\"", library.replace(' ', "-"));
         let folder = metadata
             .split("\"manifest_path\":\"")
             .find_map(|rest| rest.split_inclusive('"').next()?.strip_suffix(&place))
-            .ok_or_else(|| Failure::new(format!("`cargo metadata` does not know {library}")))?;
+            .ok_or_else(|| failure!("`cargo metadata` does not know {library}"))?;
         let folder = Path::new(folder).join(library.replace(' ', "-"));
         for notice in read(&folder)? {
             of_notice.entry(notice).or_default().push(library);
@@ -82,9 +80,7 @@ fn read(folder: &Path) -> Result<BTreeSet<String>, Failure> {
         }
         Ok(texts)
     };
-    texts().map_err(|error: std::io::Error| {
-        Failure::new(format!("can't read {}: {error}", folder.display()))
-    })
+    texts().map_err(|error: std::io::Error| failure!("can't read {}: {error}", folder.display()))
 }
 
 fn page(libraries: &BTreeMap<String, &str>, of_notice: &BTreeMap<String, Vec<&str>>) -> String {

@@ -41,9 +41,9 @@ fn main() -> ExitCode {
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
         "verify" => verify::main(arguments),
-        unknown => Err(process::Failure::new(format!(
+        unknown => Err(process::failure!(
             "unknown command {unknown:?}; known: {COMMANDS}"
-        ))),
+        )),
     });
     match result {
         Ok(()) => ExitCode::SUCCESS,

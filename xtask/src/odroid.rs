@@ -4,7 +4,7 @@ use std::{path::PathBuf, process::Stdio};
 
 use crate::{
     prerequisites,
-    process::{Failure, check, output},
+    process::{Failure, check, failure, text},
     programs::{Packages, compare},
     toolchain::ARMHF,
 };
@@ -53,9 +53,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
             print!("{USAGE}");
             Ok(())
         }
-        [unknown, ..] => Err(Failure::new(format!(
-            "unexpected argument {unknown:?}\n\n{USAGE}"
-        ))),
+        [unknown, ..] => Err(failure!("unexpected argument {unknown:?}\n\n{USAGE}")),
     }
 }
 
@@ -65,11 +63,11 @@ pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let folder = build("release", COMPARED)?;
     let daemon = folder.join("singletrackd");
     for question in ["--version", "--help"] {
-        let answer = output(ARMHF.emulated(&daemon).arg(question))?;
-        if !String::from_utf8_lossy(&answer).contains("singletrackd") {
-            return Err(Failure::new(format!(
+        let answer = text(ARMHF.emulated(&daemon).arg(question))?;
+        if !answer.contains("singletrackd") {
+            return Err(failure!(
                 "singletrackd {question}, emulated, does not print its name"
-            )));
+            ));
         }
     }
     let emulated = || ARMHF.emulated(folder.join("examples/trajectory"));

@@ -8,58 +8,40 @@ use std::{
     process::{Command, Stdio},
 };
 
+use singletrack_words::words;
+
 use crate::{
     process::Failure,
     toolchain::{AARCH64, ARMHF, AVR},
 };
 
-/// An optional part of the checks, with its prerequisites.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Part {
-    /// The Arduino's image, and the simulated Arduino that runs it.
-    Uno,
-    /// The build for the Odroid, emulated.
-    Odroid,
-    /// The Python readers of records.
-    Readers,
-    /// The Python package.
-    Python,
-    /// ROS 2 in Python.
-    Ros,
-    /// Octave, for MATLAB's language.
-    Octave,
-    /// The page in a browser.
-    Browser,
-    /// Campaigns on a cluster.
-    Slurm,
-    /// systemd's verification of the service.
-    Units,
-    /// The Debian package.
-    Debian,
+words! {
+    /// An optional part of the checks, with its prerequisites.
+    pub(crate) enum Part {
+        /// The Arduino's image, and the simulated Arduino that runs it.
+        Uno = "uno",
+        /// The build for the Odroid, emulated.
+        Odroid = "odroid",
+        /// The Python readers of records.
+        Readers = "readers",
+        /// The Python package.
+        Python = "python",
+        /// ROS 2 in Python.
+        Ros = "ros",
+        /// Octave, for MATLAB's language.
+        Octave = "octave",
+        /// The page in a browser.
+        Browser = "browser",
+        /// Campaigns on a cluster.
+        Slurm = "slurm",
+        /// systemd's verification of the service.
+        Units = "units",
+        /// The Debian package.
+        Debian = "debian",
+    }
 }
 
 use Part::{Browser, Debian, Octave, Odroid, Python, Readers, Ros, Slurm, Units, Uno};
-
-impl Part {
-    pub(crate) const ALL: [Self; 10] = [
-        Uno, Odroid, Readers, Python, Ros, Octave, Browser, Slurm, Units, Debian,
-    ];
-
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Uno => "uno",
-            Odroid => "odroid",
-            Readers => "readers",
-            Python => "python",
-            Ros => "ros",
-            Octave => "octave",
-            Browser => "browser",
-            Slurm => "slurm",
-            Units => "units",
-            Debian => "debian",
-        }
-    }
-}
 
 /// A capability that a machine must have.
 #[derive(Clone, Copy)]
@@ -218,7 +200,7 @@ pub(crate) fn ensure(required: &[Prerequisite]) -> Result<(), Failure> {
 
 /// A Python that creates environments.
 pub(crate) fn python() -> Result<PathBuf, Failure> {
-    let python = answer(&mut shell("find_python")).map_err(Failure::new)?;
+    let python = answer(&mut shell("find_python")).map_err(Failure)?;
     Ok(python.into())
 }
 
@@ -273,7 +255,7 @@ fn ensure_by(required: &[Prerequisite], run: Run<'_>) -> Result<(), Failure> {
     if short.is_empty() {
         return Ok(());
     }
-    Err(Failure::new(message(&short, installed.err())))
+    Err(Failure(message(&short, installed.err())))
 }
 
 /// Prints what was found, and returns the prerequisites that are not met with the reasons.

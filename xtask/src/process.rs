@@ -1,20 +1,14 @@
 //! Running programs.
 
 use std::{
-    fmt, io,
+    fmt,
     path::Path,
-    process::{Command, Stdio},
+    process::{Child, Command, Output, Stdio},
 };
 
 /// Failure of a command of the project.
 #[derive(Debug)]
-pub(crate) struct Failure(String);
-
-impl Failure {
-    pub(crate) fn new(message: String) -> Self {
-        Self(message)
-    }
-}
+pub(crate) struct Failure(pub(crate) String);
 
 impl fmt::Display for Failure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -22,57 +16,53 @@ impl fmt::Display for Failure {
     }
 }
 
+/// A [`Failure`] with a message, as of `format!`.
+macro_rules! failure {
+    ($($message:tt)*) => {
+        $crate::process::Failure(format!($($message)*))
+    };
+}
+pub(crate) use failure;
+
 /// Runs a command with inherited output.
 pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
-    let status = command
-        .stdin(Stdio::null())
-        .status()
-        .map_err(|error| not_started(command, &error))?;
-    if status.success() {
-        Ok(())
-    } else {
-        Err(Failure::new(format!("{}: {status}", text_of(command))))
-    }
+    let output = finish(command)?;
+    succeed(command, &output, "")
 }
 
 /// Runs a command and returns its output.
 pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
-    let output = command
-        .stdin(Stdio::null())
-        .stderr(Stdio::inherit())
-        .output()
-        .map_err(|error| not_started(command, &error))?;
-    if output.status.success() {
-        Ok(output.stdout)
-    } else {
-        Err(Failure::new(format!(
-            "{}: {}",
-            text_of(command),
-            output.status
-        )))
-    }
+    let output = finish(command.stdout(Stdio::piped()))?;
+    succeed(command, &output, "")?;
+    Ok(output.stdout)
+}
+
+/// Runs a command and returns its output, which is text.
+pub(crate) fn text(command: &mut Command) -> Result<String, Failure> {
+    Ok(String::from_utf8_lossy(&output(command)?).into_owned())
 }
 
 /// Runs a command, and shows its output only if it fails.
 pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
-    let output = command
-        .stdin(Stdio::null())
-        .output()
-        .map_err(|error| not_started(command, &error))?;
+    let output = finish(command.stdout(Stdio::piped()).stderr(Stdio::piped()))?;
+    let text = [&output.stdout[..], &output.stderr].concat();
+    let text = format!("\n{}", String::from_utf8_lossy(&text));
+    succeed(command, &output, &text)
+}
+
+/// Runs a command, and takes what it writes to pipes.
+fn finish(command: &mut Command) -> Result<Output, Failure> {
+    let child = command.stdin(Stdio::null()).spawn();
+    child
+        .and_then(Child::wait_with_output)
+        .map_err(|error| failure!("{} does not start: {error}", text_of(command)))
+}
+
+fn succeed(command: &Command, output: &Output, text: &str) -> Result<(), Failure> {
     if output.status.success() {
         return Ok(());
     }
-    let text = [output.stdout, output.stderr].concat();
-    Err(Failure::new(format!(
-        "{}: {}\n{}",
-        text_of(command),
-        output.status,
-        String::from_utf8_lossy(&text)
-    )))
-}
-
-fn not_started(command: &Command, error: &io::Error) -> Failure {
-    Failure::new(format!("{} does not start: {error}", text_of(command)))
+    Err(failure!("{}: {}{text}", text_of(command), output.status))
 }
 
 /// A command as text, without its environment.

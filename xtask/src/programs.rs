@@ -10,7 +10,7 @@ use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 use crate::{
     image::{self, Image},
     prerequisites::Part,
-    process::{Failure, check, output},
+    process::{Failure, check, failure, output},
     target,
     workspace::{cargo, cargo_here, root},
 };
@@ -198,10 +198,7 @@ impl Runner {
             .arg("--")
             .args(self.first)
             .args(arguments);
-        Err(Failure::new(format!(
-            "cargo does not start: {}",
-            cargo.exec()
-        )))
+        Err(failure!("cargo does not start: {}", cargo.exec()))
     }
 }
 
@@ -242,12 +239,12 @@ pub(crate) fn compare(
         let run = |build: &dyn Fn() -> Command| output(build().arg(scenario));
         let (one, other) = (run(one)?, run(other)?);
         if let Some(place) = first_difference(&one, &other) {
-            return Err(Failure::new(format!(
+            return Err(failure!(
                 "{scenario}: {one_name} and {other_name} differ first in {place}"
-            )));
+            ));
         }
         if one.is_empty() {
-            return Err(Failure::new(format!("{scenario}: nothing was simulated")));
+            return Err(failure!("{scenario}: nothing was simulated"));
         }
         println!("{scenario}: {} bytes, the same", one.len());
     }

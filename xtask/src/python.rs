@@ -9,7 +9,7 @@ use std::{
 
 use crate::{
     prerequisites,
-    process::{Failure, check as run, silent},
+    process::{Failure, check as run, failure, silent},
     programs::Packages,
     target,
     workspace::root,
@@ -39,8 +39,7 @@ impl Environment {
         more: &dyn Fn(&Path) -> Result<(), Failure>,
     ) -> Result<PathBuf, Failure> {
         let folder = target::folder()?.join(self.name);
-        let failed =
-            |path: &Path, error: io::Error| Failure::new(format!("{}: {error}", path.display()));
+        let failed = |path: &Path, error: io::Error| failure!("{}: {error}", path.display());
         let requirements = self.source.join("requirements.txt");
         let mut required = Vec::new();
         for file in ["requirements.txt"].iter().chain(self.also) {
@@ -111,7 +110,7 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
         silent(&mut install)?;
         types
             .join()
-            .unwrap_or_else(|_| Err(Failure::new("the check of the types panicked".to_owned())))
+            .unwrap_or_else(|_| Err(failure!("the check of the types panicked")))
     })?;
     // Two at a time: those in real time wait more than they calculate.
     let mut tests = in_source("-m pytest --quiet -n 2 -p no:cacheprovider");
@@ -126,7 +125,7 @@ fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
     let programs = python.parent().map(Path::to_path_buf);
     let path = std::env::var_os("PATH").unwrap_or_default();
     std::env::join_paths(programs.into_iter().chain(std::env::split_paths(&path)))
-        .map_err(|error| Failure::new(error.to_string()))
+        .map_err(|error| Failure(error.to_string()))
 }
 
 /// Two readers from the Python package index open a record and compare its contents.
@@ -162,5 +161,5 @@ pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => fs::create_dir_all(folder),
     }
-    .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))
+    .map_err(|error| failure!("{}: {error}", folder.display()))
 }

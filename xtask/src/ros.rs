@@ -4,7 +4,7 @@
 use std::{path::Path, process::Command};
 
 use crate::{
-    process::{Failure, check as run, silent},
+    process::{Failure, check as run, failure, silent},
     programs::Packages,
     python::{Environment, empty},
     target,
@@ -69,12 +69,12 @@ pub(crate) fn check(packages: &Packages) -> Result<(), Failure> {
         empty(&folder)?;
         let status = check
             .status()
-            .map_err(|error| Failure::new(format!("unshare does not start: {error}")))?;
+            .map_err(|error| failure!("unshare does not start: {error}"))?;
         if status.success() {
             return Ok(());
         }
         if status.code() != Some(REPEAT) {
-            return Err(Failure::new(format!("the check ended with {status}")));
+            return Err(failure!("the check ended with {status}"));
         }
         println!("Again: this machine was too busy for real time");
     }

@@ -5,7 +5,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{prerequisites::Part, process::Failure, programs::Packages};
+use crate::{
+    prerequisites::Part,
+    process::{Failure, failure},
+    programs::Packages,
+};
 
 /// One check.
 #[derive(Clone, Copy)]
@@ -47,8 +51,8 @@ pub(crate) fn run_all(steps: &[Step], packages: &Packages) -> Result<(), Failure
     for step in steps {
         println!("\n== {}: {}", step.name, step.what);
         let (start, start_s) = (Instant::now(), processor_s());
-        result = (step.run)(packages)
-            .map_err(|failure| Failure::new(format!("{} failed: {failure}", step.name)));
+        result =
+            (step.run)(packages).map_err(|failure| failure!("{} failed: {failure}", step.name));
         costs.push(Cost {
             name: step.name,
             wall: start.elapsed(),
@@ -133,7 +137,7 @@ mod tests {
                 RAN.lock().unwrap().push("one");
                 Ok(())
             }),
-            step("two", |_| Err(Failure::new("broken".to_owned()))),
+            step("two", |_| Err(failure!("broken"))),
             step("three", |_| {
                 RAN.lock().unwrap().push("three");
                 Ok(())

@@ -6,16 +6,15 @@ use std::{
 };
 
 use crate::{
-    process::{Failure, check, output},
+    process::{Failure, check, failure, text},
     workspace::{cargo, root},
 };
 
 /// The target folder, with environment and configuration applied.
 pub(crate) fn folder() -> Result<PathBuf, Failure> {
-    let metadata = output(cargo().args(["metadata", "--no-deps", "--format-version", "1"]))?;
-    target_directory(&String::from_utf8_lossy(&metadata)).ok_or_else(|| {
-        Failure::new("`cargo metadata` does not report the target folder".to_owned())
-    })
+    let metadata = text(cargo().args(["metadata", "--no-deps", "--format-version", "1"]))?;
+    target_directory(&metadata)
+        .ok_or_else(|| failure!("`cargo metadata` does not report the target folder"))
 }
 
 /// Rebuilds the workspace's programs if the target folder came from another
@@ -33,7 +32,7 @@ pub(crate) fn adopt() -> Result<(), Failure> {
     }
     fs::create_dir_all(&folder)
         .and_then(|()| fs::write(&note, here))
-        .map_err(|error| Failure::new(format!("can't write {}: {error}", note.display())))
+        .map_err(|error| failure!("can't write {}: {error}", note.display()))
 }
 
 /// The target folder in cargo's JSON.
@@ -70,13 +69,8 @@ fn text_up_to_quote(rest: &str) -> Option<String> {
 
 /// Copies a program atomically to its place, unless it is already there.
 pub(crate) fn put(from: &Path, to: &Path) -> Result<(), Failure> {
-    place(from, to).map_err(|error| {
-        Failure::new(format!(
-            "can't copy {} to {}: {error}",
-            from.display(),
-            to.display()
-        ))
-    })
+    place(from, to)
+        .map_err(|error| failure!("can't copy {} to {}: {error}", from.display(), to.display()))
 }
 
 fn place(from: &Path, to: &Path) -> io::Result<()> {

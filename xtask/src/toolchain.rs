@@ -62,7 +62,7 @@ impl Compiler {
     /// The first that works: the one that `SINGLETRACK_RUSTC` names, a nightly of rustup with
     /// `rust-src`, Debian's. The script is one such as [`AVR`].
     pub(crate) fn find(probe: &str) -> Result<Self, Failure> {
-        let found = answer(&mut shell(probe)).map_err(Failure::new)?;
+        let found = answer(&mut shell(probe)).map_err(Failure)?;
         let mut paths = found.lines().skip(1).map(PathBuf::from);
         Ok(Self {
             rustc: paths.next().unwrap_or_default(),

@@ -3,7 +3,7 @@
 use std::{fs, io, path::Path, process::Command};
 
 use crate::{
-    process::{Failure, output},
+    process::{Failure, failure, text},
     target,
     workspace::root,
 };
@@ -28,14 +28,14 @@ pub(crate) fn check() -> Result<(), Failure> {
     for (name, drop_in) in UNITS {
         let folder = folder.join(drop_in.map_or("plain", |_| "xu4"));
         let unit = lay_out(&folder, name, drop_in)
-            .map_err(|error| Failure::new(format!("{}: {error}", folder.display())))?;
+            .map_err(|error| failure!("{}: {error}", folder.display()))?;
         verify(&unit)?;
         let exposure = exposure(&unit)?;
         if exposure > MAX_EXPOSURE {
-            return Err(Failure::new(format!(
+            return Err(failure!(
                 "{name} has an exposure level of {exposure}, above {MAX_EXPOSURE}; \
                  `systemd-analyze security --offline=yes packaging/{name}` lists the reasons"
-            )));
+            ));
         }
         println!("{}: verified, exposure {exposure}", drop_in.unwrap_or(name));
     }
@@ -69,28 +69,26 @@ fn verify(unit: &Path) -> Result<(), Failure> {
         .args(["verify", "--man=no"])
         .arg(unit)
         .output()
-        .map_err(|error| Failure::new(format!("systemd-analyze does not start: {error}")))?;
+        .map_err(|error| failure!("systemd-analyze does not start: {error}"))?;
     let text = [verified.stdout, verified.stderr].concat();
     if verified.status.success() && text.is_empty() {
         return Ok(());
     }
-    Err(Failure::new(format!(
+    Err(failure!(
         "systemd-analyze verify {}: {}\n{}",
         unit.display(),
         verified.status,
         String::from_utf8_lossy(&text)
-    )))
+    ))
 }
 
 fn exposure(unit: &Path) -> Result<f64, Failure> {
-    let report = output(
+    let report = text(
         Command::new("systemd-analyze")
             .args(["security", "--offline=yes", "--no-pager"])
             .arg(unit),
     )?;
-    level(&String::from_utf8_lossy(&report)).ok_or_else(|| {
-        Failure::new("`systemd-analyze security` prints no exposure level".to_owned())
-    })
+    level(&report).ok_or_else(|| failure!("`systemd-analyze security` prints no exposure level"))
 }
 
 fn level(report: &str) -> Option<f64> {

@@ -11,7 +11,7 @@ use crate::{
     gates,
     image::{self, Image},
     prerequisites::PROGRAMMER,
-    process::{Failure, check, output},
+    process::{Failure, check, failure, text},
     workspace::cargo,
 };
 
@@ -58,7 +58,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// `None` for help.
 pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
-    let refused = |reason: String| Failure::new(format!("{reason}\n\n{USAGE}"));
+    let refused = |reason: &str| failure!("{reason}\n\n{USAGE}");
     if let [help] = arguments
         && (help == "--help" || help == "-h")
     {
@@ -79,19 +79,18 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
             }
             ["--flash"] | ["--flash", ""] => {
                 return Err(refused(
-                    "--flash needs the UNO's port, such as /dev/ttyACM0".to_owned(),
+                    "--flash needs the UNO's port, such as /dev/ttyACM0",
                 ));
             }
             ["--car-id", rest @ ..] if options.car_id.is_none() => {
                 let value = rest.concat();
                 let number = value.parse().ok().filter(|number| *number > 0);
                 options.car_id = Some(number.ok_or_else(|| {
-                    refused(format!(
-                        "--car-id needs a number from 1 to 65535, not {value:?}"
-                    ))
+                    let wanted = "--car-id needs a number from 1 to 65535";
+                    refused(&format!("{wanted}, not {value:?}"))
                 })?);
             }
-            _ => return Err(refused(format!("unexpected argument {:?}", option[0]))),
+            _ => return Err(refused(&format!("unexpected argument {:?}", option[0]))),
         }
     }
     Ok(Some(options))
@@ -107,16 +106,14 @@ pub(crate) fn check_image(
         gates::refuse_forbidden(elf)?;
     }
     let size = gates::size(&image.elf)?;
-    let measured = output(
-        // This image, not one named by the environment.
-        measure.env("SINGLETRACK_UNO", &image.folder),
-    )?;
-    let (table, wrong) = gates::judge(size, car_id, &String::from_utf8_lossy(&measured))?;
+    // This image, not one named by the environment.
+    let measured = text(measure.env("SINGLETRACK_UNO", &image.folder))?;
+    let (table, wrong) = gates::judge(size, car_id, &measured)?;
     println!("\n{}\n\n{table}", image.elf.display());
     if wrong.is_empty() {
         Ok(())
     } else {
-        Err(Failure::new(wrong.join("; ")))
+        Err(Failure(wrong.join("; ")))
     }
 }
 
@@ -124,13 +121,13 @@ pub(crate) fn check_image(
 fn check_port(port: &Path) -> Result<(), Failure> {
     let name = port.display();
     let metadata = fs::metadata(port).map_err(|error| {
-        Failure::new(format!(
+        failure!(
             "{name}: {error}. Is the UNO plugged in? `ls /dev/serial/by-id /dev/ttyACM* \
              /dev/ttyUSB*` lists the ports"
-        ))
+        )
     })?;
     if !metadata.file_type().is_char_device() {
-        return Err(Failure::new(format!("{name} is not a serial port")));
+        return Err(failure!("{name} is not a serial port"));
     }
     // Opening it would reset the board.
     let port = port.as_os_str();
@@ -139,10 +136,10 @@ fn check_port(port: &Path) -> Result<(), Failure> {
         .status();
     // Without this program, avrdude reports the error.
     if may_use.is_ok_and(|status| !status.success()) {
-        return Err(Failure::new(format!(
+        return Err(failure!(
             "no permission for {name}: add yourself to the group that owns it, `sudo usermod \
              --append --groups dialout $USER`, and log in again"
-        )));
+        ));
     }
     Ok(())
 }
@@ -167,11 +164,11 @@ fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
             .stdin(Stdio::null()),
     )
     .map_err(|failure| {
-        Failure::new(format!(
+        failure!(
             "{failure}. Does another program have {} open, the daemon perhaps? Is it an UNO with \
              its bootloader?",
             port.display()
-        ))
+        )
     })
 }
 

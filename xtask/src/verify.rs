@@ -5,7 +5,7 @@ use std::process::Command;
 use crate::{
     deb, image, odroid, packages,
     prerequisites::{self, Part},
-    process::{Failure, check},
+    process::{Failure, check, failure},
     programs::{NAMED_TESTS, Packages, compare, installed},
     python, ros,
     step::{
@@ -107,14 +107,14 @@ impl Selection {
     fn check(&self) -> Result<(), Failure> {
         for name in &self.steps {
             let Some(step) = STEPS.iter().find(|step| step.name == name) else {
-                return Err(Failure::new(format!(
+                return Err(failure!(
                     "unknown step {name:?}; `cargo verify --help` lists the steps"
-                )));
+                ));
             };
             if !self.chooses(step) {
-                return Err(Failure::new(format!(
+                return Err(failure!(
                     "the step {name} is named, but skipped by --without"
-                )));
+                ));
             }
         }
         Ok(())
@@ -126,18 +126,16 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
     let mut arguments = arguments.iter().map(String::as_str);
     while let Some(argument) = arguments.next() {
         let list = match argument.strip_prefix("--without") {
-            Some("") => arguments.next().ok_or_else(|| {
-                Failure::new(format!("--without needs the names of parts\n\n{USAGE}"))
-            })?,
+            Some("") => arguments
+                .next()
+                .ok_or_else(|| failure!("--without needs the names of parts\n\n{USAGE}"))?,
             Some(list) if list.starts_with('=') => &list[1..],
             _ if argument == "--all" => {
                 selection.all = true;
                 continue;
             }
             _ if argument.starts_with('-') => {
-                return Err(Failure::new(format!(
-                    "unknown option {argument:?}\n\n{USAGE}"
-                )));
+                return Err(failure!("unknown option {argument:?}\n\n{USAGE}"));
             }
             _ => {
                 selection.steps.push(argument.to_owned());
@@ -145,13 +143,10 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
             }
         };
         for name in list.split(',') {
-            let part = Part::ALL
-                .into_iter()
-                .find(|part| part.name() == name)
-                .ok_or_else(|| {
-                    let known = Part::ALL.map(Part::name).join(", ");
-                    Failure::new(format!("--without {name:?}: the parts are {known}"))
-                })?;
+            let part = Part::named(name).ok_or_else(|| {
+                let known = Part::ALL.map(Part::name).join(", ");
+                failure!("--without {name:?}: the parts are {known}")
+            })?;
             if !selection.without.contains(&part) {
                 selection.without.push(part);
             }

@@ -7,7 +7,7 @@ use std::{
     sync::OnceLock,
 };
 
-use crate::process::Failure;
+use crate::process::{Failure, failure};
 
 /// The workspace's root. Requires a previous successful [`find`], which `main`
 /// calls first.
@@ -29,10 +29,7 @@ pub(crate) fn find() -> Result<PathBuf, Failure> {
         .find(|folder| is_root(folder))
         .map(Path::to_path_buf)
         .ok_or_else(|| {
-            Failure::new(
-                "not in a checkout of Singletrack: run `cargo verify` and the other commands inside one"
-                    .to_owned(),
-            )
+            failure!("not in a checkout of Singletrack: run `cargo verify` and the other commands inside one")
         })
 }
 
