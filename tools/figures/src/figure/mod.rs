@@ -26,8 +26,8 @@ use serde::Serialize;
 pub use look::{Column, Look, MarkKind};
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
 pub use note::{Callout, Callouts, Estimate, Level};
-pub use scale::Scale;
 pub(crate) use scale::trimmed;
+pub use scale::{Scale, decimals, minus};
 pub use typeset::{plain, superscript};
 pub use xml::escaped;
 

@@ -117,10 +117,15 @@ fn step(at_least: f64) -> f64 {
         .unwrap_or(10.0 * power)
 }
 
-/// Digits behind the point that a multiple of `step` needs.
-fn decimals(step: f64) -> usize {
-    let digits = -(step.log10() + 1e-9).floor();
-    if digits > 0.0 { digits as usize } else { 0 }
+/// Digits behind the point up to the first that is not zero: as many as a multiple of `step` needs.
+#[must_use]
+pub fn decimals(step: f64) -> usize {
+    let digits = -(step.abs().log10() + 1e-9).floor();
+    if digits.is_finite() && digits > 0.0 {
+        digits as usize
+    } else {
+        0
+    }
 }
 
 /// A number to this many decimals, without needless digits.
@@ -131,7 +136,8 @@ pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
 }
 
 /// A real minus sign, and no minus zero.
-pub(super) fn minus(text: String) -> String {
+#[must_use]
+pub fn minus(text: String) -> String {
     match text.strip_prefix('-') {
         Some(digits) if digits.bytes().all(|byte| matches!(byte, b'0' | b'.')) => digits.to_owned(),
         Some(digits) => format!("\u{2212}{digits}"),

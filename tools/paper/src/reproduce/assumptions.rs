@@ -207,7 +207,7 @@ fn direction_matters(setup: &Setup) -> Option<f64> {
 }
 
 /// The law for a measured point `ahead` m ahead of the centre of mass.
-fn law(setup: &Setup, ahead: f64, point_distance: f64) -> Option<FrontPointLaw> {
+pub(super) fn law(setup: &Setup, ahead: f64, point_distance: f64) -> Option<FrontPointLaw> {
     FrontPointLaw::new(
         setup.vehicle.front_axle_distance_m - ahead,
         point_distance,

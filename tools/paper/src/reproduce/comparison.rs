@@ -4,14 +4,13 @@
 use indicatif::ProgressBar;
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::{
-    FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity,
-    VelocityPointLaw,
+    Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, VelocityPointLaw,
 };
 use singletrack_core::config::LawKind;
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
 
 use super::{
-    Setup,
+    Setup, assumptions,
     drive::{Drives, Experiment, Run},
     extreme::largest,
     pictures,
@@ -134,16 +133,14 @@ fn standstill(setup: &Setup, section: &mut Section) {
         yaw_rate: 0.0,
         sideslip: 0.0,
     };
-    let vehicle = setup.vehicle;
-    let front = FrontPointLaw::new(vehicle.front_axle_distance_m, p, vehicle.wheelbase_m())
-        .is_ok_and(|law| law.command(&motion, 0.0, &velocity).is_ok());
-    let velocity_point =
-        VelocityPointLaw::new(vehicle, p).is_ok_and(|law| law.command(&motion, &velocity).is_ok());
+    let front = assumptions::law(setup, 0.0, p)
+        .is_some_and(|law| law.command(&motion, 0.0, &velocity).is_ok());
+    let velocity_point = VelocityPointLaw::new(setup.vehicle, p)
+        .is_ok_and(|law| law.command(&motion, &velocity).is_ok());
     for (name, answers) in [("front-point", front), ("velocity-point", velocity_point)] {
-        section.measurements.add(
-            format!("compare.standstill.{name}"),
-            f64::from(u8::from(answers)),
-        );
+        let name = format!("compare.standstill.{name}");
+        let answers = f64::from(u8::from(answers));
+        section.measurements.add(name, answers);
     }
 }
 

@@ -25,7 +25,7 @@ use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_control::{FrontPointLaw, Motion, Singularity, direction};
+use singletrack_control::{Motion, Singularity, direction};
 
 pub use error::ReproduceError;
 pub use section::{Picture, Plate, Reproduction, Section};
@@ -148,16 +148,8 @@ fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
         yaw_rate: 0.0,
         sideslip: sideslip.to_radians(),
     };
-    let vehicle = &setup.vehicle;
-    let law = FrontPointLaw::new(
-        vehicle.front_axle_distance_m,
-        setup.point_distance_m(),
-        vehicle.wheelbase_m(),
-    );
-    match law
-        .ok()?
-        .command(&motion, steering.to_radians(), &direction(0.0))
-    {
+    let law = assumptions::law(setup, 0.0, setup.point_distance_m())?;
+    match law.command(&motion, steering.to_radians(), &direction(0.0)) {
         Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
         _ => None,
     }

@@ -1,12 +1,12 @@
 //! Model validation: the car identified from one drive, compared with another.
 
-use std::path::Path;
+use std::{error::Error, path::Path};
 
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::VehicleParameters;
 use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
-use singletrack_scenario::simulate::{self, Scenario, ScenarioError, SimulateError};
+use singletrack_scenario::simulate::{self, Scenario};
 
 use super::{
     Setup,
@@ -22,23 +22,8 @@ use crate::{
     vehicle_file,
 };
 
-/// Why the identification failed.
-#[derive(Debug, thiserror::Error)]
-enum ModelError {
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    #[error(transparent)]
-    Simulate(#[from] SimulateError),
-    #[error(transparent)]
-    Identify(#[from] IdentifyError),
-    #[error("can't write a vehicle file: {0}")]
-    Vehicle(#[from] toml::ser::Error),
-    #[error("can't write into a temporary folder: {0}")]
-    Temporary(#[from] std::io::Error),
-}
-
 /// Drives a scenario of the identification with the car, and writes its record.
-fn drive(setup: &Setup, text: &str, seed: u64, record: &Path) -> Result<(), ModelError> {
+fn drive(setup: &Setup, text: &str, seed: u64, record: &Path) -> Result<(), Box<dyn Error>> {
     let mut scenario = Scenario::from_toml(text, Path::new("identification"))?;
     scenario.vehicle = setup.vehicle;
     scenario.law.front_axle_distance_m = setup.vehicle.front_axle_distance_m;
@@ -54,13 +39,15 @@ fn drive(setup: &Setup, text: &str, seed: u64, record: &Path) -> Result<(), Mode
 const QUICK_S: f64 = 30.0;
 
 /// Identifies the car from a drive, and validates it on another.
-fn identified(setup: &Setup) -> Result<Report, ModelError> {
-    let folder = tempfile::tempdir()?;
+fn identified(setup: &Setup) -> Result<Report, Box<dyn Error>> {
+    let temporary = |error| format!("can't write into a temporary folder: {error}");
+    let folder = tempfile::tempdir().map_err(temporary)?;
     let [record, other, start] =
         ["drive.mcap", "validation.mcap", "start.toml"].map(|name| folder.path().join(name));
     drive(setup, SCENARIO, 1, &record)?;
     drive(setup, VALIDATION, 2, &other)?;
-    std::fs::write(&start, vehicle_file::text(study::start(setup.vehicle))?)?;
+    let vehicle = vehicle_file::text(study::start(setup.vehicle)).map_err(IdentifyError::from)?;
+    std::fs::write(&start, vehicle).map_err(temporary)?;
     Ok(identify::identify(&IdentifyArgs {
         record: vec![record],
         study: StudyArgs::default(),

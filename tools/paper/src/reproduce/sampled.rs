@@ -49,9 +49,8 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         return section;
     };
     let largest = largest(map.iter().map(|row| row.spectral_radius));
-    section
-        .measurements
-        .add("sampled.front.largest_radius", largest);
+    let measurements = &mut section.measurements;
+    measurements.add("sampled.front.largest_radius", largest);
     let first = first_unstable(
         &subject,
         TimingArgs::simulated_car(),

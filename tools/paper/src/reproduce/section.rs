@@ -1,6 +1,6 @@
 //! The contents of a section of the report, independent of its format.
 
-use singletrack_figures::figure::Figure;
+use singletrack_figures::{figure::Figure, template::fill_by};
 use singletrack_scenario::simulate::PlantKind;
 
 use super::{
@@ -55,23 +55,20 @@ impl Section {
         words: &[(&str, String)],
         pictures: Vec<Picture>,
     ) {
-        let (mut text, mut rest) = (String::new(), ours);
-        while let Some((before, after)) = rest.split_once('{') {
-            let (place, after) = after.split_once('}').unwrap_or((after, ""));
-            text += before;
-            text += &match words.iter().find(|(name, _)| *name == place) {
-                Some((_, word)) => word.clone(),
-                None => {
+        let ours = fill_by(ours, |place| {
+            let word = words.iter().find(|(name, _)| *name == place);
+            Some(word.map_or_else(
+                || {
                     let (name, unit) = place.split_once(' ').unwrap_or((place, ""));
                     or_note(self.measurements.get(name), unit)
-                }
-            };
-            rest = after;
-        }
+                },
+                |(_, word)| word.clone(),
+            ))
+        });
         self.plates.push(Plate {
             title: title.into(),
             paper: paper.to_owned(),
-            ours: text + rest,
+            ours,
             pictures,
         });
     }

@@ -1,6 +1,7 @@
 //! Numbers in text.
 
-use singletrack_figures::figure::superscript;
+use singletrack_figures::figure::{minus, superscript};
+use singletrack_scenario::simulate::trim_zeros;
 
 /// A number with about five significant digits, without trailing zeros; very
 /// small and very large ones as a power of ten.
@@ -24,18 +25,15 @@ pub(super) fn with_digits(value: f64, digits: i32) -> String {
     let size = value.abs();
     if (1e-3..1e6).contains(&size) {
         let decimals = usize::try_from(digits - 1 - size.log10().floor() as i32).unwrap_or(0);
-        return signed(trimmed(&format!("{value:.decimals$}")));
+        return minus(trim_zeros(&format!("{value:.decimals$}")).to_owned());
     }
     let short = usize::try_from(digits.min(3) - 1).unwrap_or(0);
     let text = format!("{value:.short$e}");
     let Some((mantissa, exponent)) = text.split_once('e') else {
         return text;
     };
-    signed(&format!(
-        "{}×10{}",
-        trimmed(mantissa),
-        superscript(exponent)
-    ))
+    let (mantissa, power) = (trim_zeros(mantissa), superscript(exponent));
+    minus(format!("{mantissa}×10{power}"))
 }
 
 /// A length given in m, in mm.
@@ -46,19 +44,6 @@ pub(super) fn mm(metres: f64) -> String {
 /// A length given in m, in m.
 pub(super) fn metres(value: f64) -> String {
     format!("{} m", with_digits(value, 4))
-}
-
-fn trimmed(text: &str) -> &str {
-    if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.')
-    } else {
-        text
-    }
-}
-
-fn signed(text: &str) -> String {
-    text.strip_prefix('-')
-        .map_or_else(|| text.to_owned(), |digits| format!("\u{2212}{digits}"))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use singletrack_control::{Position, Reference, Velocity};
-use singletrack_core::config::{Config, LawKind};
+use singletrack_core::config::{Config, ConfigError, LawKind};
 use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth};
@@ -35,6 +35,12 @@ pub enum CarError {
     Record(#[from] VirtualRecordError),
 }
 
+impl From<ConfigError> for CarError {
+    fn from(error: ConfigError) -> Self {
+        ScenarioError::from(error).into()
+    }
+}
+
 /// The configurations of the daemon and of the simulation for a scenario.
 ///
 /// # Errors
@@ -57,17 +63,11 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
         )
         .into());
     }
-    scenario
-        .outer_loop
-        .validate_for(&scenario.reference().map_err(ScenarioError::from)?)
-        .map_err(ScenarioError::from)?;
+    scenario.outer_loop.validate_for(&scenario.reference()?)?;
     let mut config = scenario.daemon()?;
     let simulation = scenario.simulation(&config)?;
-    config.reference = config
-        .reference
-        .written_out()
-        .map_err(ScenarioError::from)?;
-    config.validate().map_err(ScenarioError::from)?;
+    config.reference = config.reference.written_out()?;
+    config.validate()?;
     Ok((config, simulation))
 }
 
@@ -197,12 +197,8 @@ impl<'a> Run<'a> {
         let record = record
             .map(|path| VirtualRecord::start(path, &mut drive, daemon, seed))
             .transpose()?;
-        let fence = daemon
-            .fence
-            .fence(&daemon.vehicle)
-            .map_err(ScenarioError::from)?;
-        let tally = Tally::new(&fence)
-            .map_err(|error| ScenarioError::Section(singletrack_core::ConfigError::Fence(error)))?;
+        let fence = daemon.fence.fence(&daemon.vehicle)?;
+        let tally = Tally::new(&fence).map_err(ConfigError::Fence)?;
         Ok(Self {
             scenario,
             daemon,
@@ -300,7 +296,7 @@ impl<'a> Run<'a> {
     /// Goes on to the end of the run.
     fn finish(mut self, takes_any_end: bool) -> Result<Simulation, CarError> {
         let duration_s = self.scenario.run.duration_s;
-        let reference = self.scenario.reference().map_err(ScenarioError::from)?;
+        let reference = self.scenario.reference()?;
         let count = (duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
         let mut ended = None;
         let mut rows = Vec::new();

@@ -18,7 +18,7 @@ pub use error::ScenarioError;
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
 pub use operator::OperatorSection;
-pub use row::{HEADER, Row, write_csv};
+pub use row::{HEADER, Row, trim_zeros, write_csv};
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
     SteeringHold,

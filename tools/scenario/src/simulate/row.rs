@@ -115,7 +115,9 @@ fn significant(value: f64) -> String {
     trim_zeros(&decimal).to_owned()
 }
 
-fn trim_zeros(number: &str) -> &str {
+/// A decimal number without needless zeros at its end.
+#[must_use]
+pub fn trim_zeros(number: &str) -> &str {
     if number.contains('.') {
         let trimmed = number.trim_end_matches('0').trim_end_matches('.');
         if trimmed == "-0" { "0" } else { trimmed }

@@ -75,32 +75,22 @@ pub(super) fn areas(figure: &Figure, top: f64) -> Vec<Area> {
 /// axis included.
 fn area(panel: &Panel, left: f64, right: f64, top: f64) -> Area {
     let ranges = [range(panel, 0), range(panel, 1)];
-    // How wide the ticks' text is follows from them, and they hardly from that.
-    let mut inner = left + NAME_ROOM + 7.0;
-    let mut bottom = top + panel.height_mm;
-    let mut built = None;
-    for _ in 0..2 {
+    let fit = |inner: f64| {
+        let ([mut x, mut y], mut bottom) = (ranges, top + panel.height_mm);
         if panel.equal {
-            let [width, height] = ranges.map(|[low, high]| high - low);
-            let wanted = (right - inner) * height / width;
+            let wanted = (right - inner) * (y[1] - y[0]) / (x[1] - x[0]);
             bottom = top + wanted.max(LEAST_HEIGHT).min(panel.height_mm);
+            (x, y) = equalise(x, y, right - inner, bottom - top);
         }
-        let [x, y] = if panel.equal {
-            let (x, y) = equalise(ranges[0], ranges[1], right - inner, bottom - top);
-            [x, y]
-        } else {
-            ranges
-        };
         let x = Ruler::new(panel.x.scale, x, [inner, right - 1.0]);
         let y = Ruler::new(panel.y.scale, y, [bottom, top]);
         let y_ticks = y.ticks(((bottom - top) / 7.5) as usize);
-        inner = left + NAME_ROOM + widest(&y_ticks) + TICK_GAP;
-        built = Some((x, y, y_ticks));
-    }
-    let (x, y, y_ticks) = built.unwrap_or_else(|| {
-        let none = Ruler::new(Scale::Linear, [0.0, 1.0], [left, right]);
-        (none, none, Vec::new())
-    });
+        let inner = left + NAME_ROOM + widest(&y_ticks) + TICK_GAP;
+        (x, y, y_ticks, bottom, inner)
+    };
+    // How wide the ticks' text is follows from them, and they hardly from that.
+    let (.., inner) = fit(left + NAME_ROOM + 7.0);
+    let (x, y, y_ticks, bottom, inner) = fit(inner);
     // Maps are read at both axes.
     let x_tick = if panel.map.is_some() { 8.0 } else { 12.0 };
     let x_ticks = if panel.names.is_empty() {

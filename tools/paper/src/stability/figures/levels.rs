@@ -1,6 +1,6 @@
 //! The isolines of a map, and the format of its numbers.
 
-use singletrack_figures::figure::{Grid, Isoline, superscript};
+use singletrack_figures::figure::{Grid, Isoline, decimals, superscript};
 
 /// The largest number of isolines.
 const MOST_ISOLINES: usize = 9;
@@ -15,7 +15,7 @@ pub(super) fn significant(value: f64) -> String {
             let raised = superscript(power);
             format!("{}·10{raised}", factor.replace('-', "−"))
         }
-        _ => Isoline::new(value, digits(value) + 1).label,
+        _ => Isoline::new(value, decimals(value) + 1).label,
     }
 }
 
@@ -25,21 +25,11 @@ pub(super) fn subscript(number: usize) -> String {
     below.filter_map(char::from_u32).collect()
 }
 
-/// Digits behind the point up to the first that is not zero.
-fn digits(value: f64) -> usize {
-    let digits = -(value.abs().log10() + 1e-9).floor();
-    if digits.is_finite() && digits > 0.0 {
-        digits as usize
-    } else {
-        0
-    }
-}
-
 /// Lines at 1, 2, 5, 10 and so on between two values.
 pub(super) fn margins(grid: &Grid, [least, limit]: [f64; 2]) -> Vec<Isoline> {
     let mut candidates = sizes();
     candidates.retain(|size| *size >= least && *size < limit);
-    chosen(grid, &candidates, 0.0, digits)
+    chosen(grid, &candidates, 0.0, decimals)
 }
 
 /// 1, 2, 5, 10 and so on.
@@ -54,7 +44,7 @@ pub(super) fn one_two_five(grid: &Grid) -> Vec<Isoline> {
     let sizes = sizes();
     let below = sizes.iter().rev().map(|size| -size);
     let candidates: Vec<f64> = below.chain(sizes.iter().copied()).collect();
-    chosen(grid, &candidates, 0.0, digits)
+    chosen(grid, &candidates, 0.0, decimals)
 }
 
 /// Lines near and far from one, by their distance from it.
@@ -63,7 +53,7 @@ pub(super) fn around_one(grid: &Grid) -> Vec<Isoline> {
     let below = distances.iter().map(|distance| 1.0 - distance);
     let above = distances.iter().rev().map(|distance| 1.0 + distance);
     let candidates: Vec<f64> = below.chain(above).collect();
-    let mut isolines = chosen(grid, &candidates, 1.0, |value| digits((value - 1.0).abs()));
+    let mut isolines = chosen(grid, &candidates, 1.0, |value| decimals(value - 1.0));
     isolines.push(Isoline::new(1.0, 0));
     isolines
 }
@@ -74,7 +64,7 @@ fn chosen(
     grid: &Grid,
     candidates: &[f64],
     boundary: f64,
-    decimals: fn(f64) -> usize,
+    decimals_of: fn(f64) -> usize,
 ) -> Vec<Isoline> {
     let mut sorted: Vec<f64> = grid
         .values()
@@ -109,7 +99,7 @@ fn chosen(
     }
     let isolines = chosen.into_iter();
     isolines
-        .map(|value| Isoline::new(value, decimals(value)))
+        .map(|value| Isoline::new(value, decimals_of(value)))
         .collect()
 }
 
