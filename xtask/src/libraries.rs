@@ -10,6 +10,7 @@ use std::{
 
 use crate::{
     process::{Failure, failure, text},
+    target,
     workspace::cargo,
 };
 
@@ -23,15 +24,16 @@ pub(crate) fn notices(packages: &[&str], triple: Option<&str>) -> Result<String,
     let tree = text(&mut tree)?;
     let libraries = libraries(&tree);
     let metadata = text(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;
+    let manifests = target::paths(&metadata, "manifest_path");
     let mut of_notice: BTreeMap<String, Vec<&str>> = BTreeMap::new();
     for library in libraries.keys() {
-        let place = format!("/{}/Cargo.toml\"", library.replace(' ', "-"));
-        let folder = metadata
-            .split("\"manifest_path\":\"")
-            .find_map(|rest| rest.split_inclusive('"').next()?.strip_suffix(&place))
+        let folder = library.replace(' ', "-");
+        let folder = manifests
+            .iter()
+            .filter_map(|manifest| manifest.parent())
+            .find(|place| place.ends_with(&folder))
             .ok_or_else(|| failure!("`cargo metadata` does not know {library}"))?;
-        let folder = Path::new(folder).join(library.replace(' ', "-"));
-        for notice in read(&folder)? {
+        for notice in read(folder)? {
             of_notice.entry(notice).or_default().push(library);
         }
     }

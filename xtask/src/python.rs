@@ -16,6 +16,7 @@ use crate::{
 };
 
 /// An environment with packages of the Python package index, in the target folder.
+#[derive(Default)]
 pub(crate) struct Environment {
     /// Its folder.
     pub(crate) name: &'static str,
@@ -58,19 +59,21 @@ impl Environment {
         maker.args(["-m", "venv", "--clear"]).args(self.options);
         silent(maker.arg(&folder))?;
         println!("Installing Python packages into {}", folder.display());
-        let pip = || {
-            let mut pip = Command::new(&python);
-            pip.args(["-m", "pip", "install", "--disable-pip-version-check"]);
-            pip
-        };
         if !self.first.is_empty() {
-            silent(pip().args(self.first))?;
+            silent(pip(&python).args(self.first))?;
         }
-        silent(pip().arg("-r").arg(&requirements))?;
+        silent(pip(&python).arg("-r").arg(&requirements))?;
         more(&python)?;
         fs::write(&installed, required).map_err(|error| failed(&installed, error))?;
         Ok(python)
     }
+}
+
+/// pip, to install what its further arguments say.
+fn pip(python: &Path) -> Command {
+    let mut pip = Command::new(python);
+    pip.args(["-m", "pip", "install", "--disable-pip-version-check"]);
+    pip
 }
 
 /// Installs the package into an environment of its own, as its users do, and runs its tests, with
@@ -80,10 +83,8 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let python = Environment {
         name: "python-venv",
         source: source.clone(),
-        options: &[],
-        first: &[],
         probe: "import gymnasium, maturin, mypy, osqp, pytest, xdist",
-        also: &[],
+        ..Environment::default()
     }
     .ensure(&|_| Ok(()))?;
     let in_source = |arguments: &str| {
@@ -97,9 +98,8 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     };
     // Not in an isolated environment, which would fetch maturin each time. With the profile of the
     // tests, whose dependencies are there.
-    let mut install = Command::new(&python);
+    let mut install = pip(&python);
     install
-        .args(["-m", "pip", "install", "--disable-pip-version-check"])
         .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
         .arg(&source)
         .env("MATURIN_PEP517_ARGS", "--profile dev --locked")
@@ -134,10 +134,8 @@ pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
     let python = Environment {
         name: "readers-venv",
         source: source.clone(),
-        options: &[],
-        first: &[],
         probe: "import mcap_ros2, rosbags",
-        also: &[],
+        ..Environment::default()
     }
     .ensure(&|_| Ok(()))?;
     let singletrack = packages.path("singletrack")?;

@@ -37,18 +37,17 @@ pub(crate) fn adopt() -> Result<(), Failure> {
 
 /// The target folder in cargo's JSON.
 fn target_directory(metadata: &str) -> Option<PathBuf> {
-    paths(metadata, "target_directory").next()
+    paths(metadata, "target_directory").into_iter().next()
 }
 
 /// The paths of this name in cargo's JSON.
-pub(crate) fn paths(metadata: &str, name: &str) -> impl Iterator<Item = PathBuf> {
+pub(crate) fn paths(metadata: &str, name: &str) -> Vec<PathBuf> {
     metadata
         .split(&format!("\"{name}\":\""))
         .skip(1)
         .filter_map(text_up_to_quote)
         .map(PathBuf::from)
-        .collect::<Vec<_>>()
-        .into_iter()
+        .collect()
 }
 
 fn text_up_to_quote(rest: &str) -> Option<String> {

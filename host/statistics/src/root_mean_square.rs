@@ -29,12 +29,6 @@ impl RootMeanSquare {
         self.count += 1;
     }
 
-    /// The number of values.
-    #[must_use]
-    pub fn count(&self) -> u64 {
-        self.count
-    }
-
     /// The root mean square, in the unit of the values; none without values.
     #[must_use]
     pub fn value(&self) -> Option<f64> {
@@ -53,7 +47,6 @@ mod tests {
         squares.add_square(16.0);
         assert_eq!(squares, RootMeanSquare::of([3.0, -4.0]));
         assert_eq!(squares.value(), Some(12.5_f64.sqrt()));
-        assert_eq!(squares.count(), 2);
     }
 
     #[test]

@@ -49,7 +49,7 @@ pub use estimate::Estimate;
 pub use filter::TrackPoint;
 pub use identify::{Identification, cramer_rao, identify, validate};
 pub use noise::NoiseLevels;
-pub use parameter::{Parameter, UnknownParameter, Values};
+pub use parameter::{Parameter, Values};
 pub use residuals::Residuals;
 pub use score::{Output, OutputScore, Score};
 pub use settings::{Criterion, Settings};

@@ -92,23 +92,13 @@ impl Parameter {
     }
 }
 
-/// The name of no parameter.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no parameter {name:?}: choose from {known}")]
-pub struct UnknownParameter {
-    /// The unknown name.
-    pub name: String,
-    /// The known names.
-    pub known: String,
-}
-
 impl FromStr for Parameter {
-    type Err = UnknownParameter;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, UnknownParameter> {
-        Self::named(text).ok_or_else(|| UnknownParameter {
-            name: text.to_owned(),
-            known: Self::ALL.map(Self::name).join(", "),
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::named(text).ok_or_else(|| {
+            let known = Self::ALL.map(Self::name).join(", ");
+            format!("there is no parameter {text:?}: choose from {known}")
         })
     }
 }

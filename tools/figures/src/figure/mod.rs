@@ -65,7 +65,7 @@ impl Width {
 }
 
 /// Two axes and what is drawn between them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Panel {
     /// What stands above it; may be empty.
     pub title: String,
@@ -107,25 +107,12 @@ pub struct Panel {
 impl Panel {
     /// Two axes with nothing between them.
     #[must_use]
-    pub const fn new(x: Axis, y: Axis) -> Self {
+    pub fn new(x: Axis, y: Axis) -> Self {
         Self {
-            title: String::new(),
-            begins_row: false,
             x,
             y,
             height_mm: 42.0,
-            equal: false,
-            spans: Vec::new(),
-            span_name: "",
-            map: None,
-            levels: Vec::new(),
-            curves: Vec::new(),
-            marks: Vec::new(),
-            estimates: Vec::new(),
-            callouts: Vec::new(),
-            bars: Vec::new(),
-            rules: Vec::new(),
-            names: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -140,7 +127,7 @@ impl Panel {
 }
 
 /// An axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Axis {
     /// What is along it.
     pub quantity: &'static str,

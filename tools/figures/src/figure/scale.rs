@@ -3,9 +3,10 @@
 use super::superscript;
 
 /// How values are spread along an axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
     /// Evenly.
+    #[default]
     Linear,
     /// By their logarithm: decades are as long as each other. Values above zero only.
     Log,

@@ -2,7 +2,7 @@
 
 use libm::{cos, hypot, sin};
 use serde::{Deserialize, Serialize};
-use singletrack_control::{Position, VehicleParameters, velocity_point};
+use singletrack_control::{GRAVITY, Position, VehicleParameters, velocity_point};
 use singletrack_sim::Truth;
 use singletrack_statistics::{Distribution, RootMeanSquare};
 
@@ -67,8 +67,6 @@ pub struct Errors {
 }
 
 pub(super) const POINT_DISTANCE_M: f64 = 0.35;
-/// Standard gravity, in m/s².
-const GRAVITY: f64 = 9.806_65;
 /// The mean of the speed for the ripple is taken over this time to both sides, in s.
 const RIPPLE_HALF_S: f64 = 0.25;
 
@@ -108,9 +106,8 @@ impl Own {
 /// The errors of a drive, from the true states.
 pub(super) struct Counted<'a> {
     own: Own,
-    /// The true distances of the axles from G, in m.
-    front: f64,
-    rear: f64,
+    /// The true car.
+    vehicle: VehicleParameters,
     /// The time that is counted, in s.
     counted: [f64; 2],
     table: &'a Table,
@@ -124,8 +121,6 @@ pub(super) struct Counted<'a> {
     /// Time in s, steering angle in rad, and speed in m/s.
     motion: Vec<[f64; 3]>,
     tyre_use: f64,
-    /// Acceleration at which the tyres slide, in m/s².
-    sliding: f64,
 }
 
 impl<'a> Counted<'a> {
@@ -137,8 +132,7 @@ impl<'a> Counted<'a> {
     ) -> Self {
         Self {
             own,
-            front: vehicle.front_axle_distance_m,
-            rear: vehicle.rear_axle_distance_m,
+            vehicle: *vehicle,
             counted,
             table,
             index: 0,
@@ -147,7 +141,6 @@ impl<'a> Counted<'a> {
             front_errors: Vec::new(),
             motion: Vec::new(),
             tyre_use: 0.0,
-            sliding: vehicle.friction * GRAVITY,
         }
     }
 
@@ -158,7 +151,7 @@ impl<'a> Counted<'a> {
                 truth.y + ahead * sin(truth.yaw),
             ]
         };
-        let front = on_axis(self.front);
+        let front = on_axis(self.vehicle.front_axle_distance_m);
         self.index = self.table.nearest(front, self.index);
         let [from, until] = self.counted;
         if !(from..=until).contains(&time) {
@@ -168,9 +161,8 @@ impl<'a> Counted<'a> {
         let [_, across] = error(front, nearest.position, nearest.heading);
         self.front_errors.push([0.0, across]);
         let own = match self.own {
-            Own::P => truth.point_p(self.front, POINT_DISTANCE_M),
-            Own::FrontAxle => front,
-            Own::RearAxle => on_axis(-self.rear),
+            Own::P => truth.point_p(self.vehicle.front_axle_distance_m, POINT_DISTANCE_M),
+            Own::FrontAxle | Own::RearAxle => on_axis(self.own.reach(&self.vehicle)),
             Own::VelocityPoint => {
                 let centre = Position::new(truth.x, truth.y);
                 let point = velocity_point(centre, truth.yaw, truth.sideslip, POINT_DISTANCE_M);
@@ -183,7 +175,8 @@ impl<'a> Counted<'a> {
         self.errors.push([along, across]);
         self.largest = self.largest.max(hypot(along, across));
         let acceleration = hypot(truth.longitudinal_acceleration, truth.lateral_acceleration);
-        self.tyre_use = self.tyre_use.max(acceleration / self.sliding);
+        let sliding = self.vehicle.friction * GRAVITY;
+        self.tyre_use = self.tyre_use.max(acceleration / sliding);
     }
 
     /// The largest error so far, in m.
