@@ -161,7 +161,6 @@ impl Drive {
             yaw: of_estimate(|estimate| estimate.yaw),
             point: pair(output.point),
             reference: pair(reference.and_then(|reference| reference.position)),
-            reference_velocity: pair(reference.map(|reference| reference.velocity)),
             point_velocity: pair(output.point_velocity),
             commanded_speed: output.actuation.speed,
             steering: output.actuation.steering,

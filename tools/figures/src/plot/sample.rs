@@ -19,8 +19,6 @@ pub struct TickSample {
     pub point: [f64; 2],
     /// Where P should be, in m; not a number for a reference that is a velocity alone.
     pub reference: [f64; 2],
-    /// How fast P should move by the reference, in m/s.
-    pub reference_velocity: [f64; 2],
     /// The velocity commanded of P, in m/s.
     pub point_velocity: [f64; 2],
     /// Speed of G that was asked for, after limits, in m/s.

@@ -71,7 +71,6 @@ mod tests {
                 yaw: 0.0,
                 point: [0.0; 2],
                 reference: [0.0; 2],
-                reference_velocity: [0.0; 2],
                 point_velocity: [0.0; 2],
                 commanded_speed: 0.0,
                 steering: 0.0,
