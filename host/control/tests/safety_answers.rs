@@ -8,8 +8,8 @@
 use std::{env, fmt::Write as _, fs};
 
 use singletrack_control::{
-    Actuation, ConvexArea, Estimate, FilteredDemand, FrontPointLaw, LimitedLaw, Limits, Position,
-    SafetyConfig, SafetyFilter, SafetyInput, Time, Velocity,
+    Actuation, ConvexArea, Estimate, Filtered, FilteredDemand, FrontPointLaw, LimitedLaw, Limits,
+    Position, SafetyConfig, SafetyFilter, SafetyInput, Time, Velocity,
 };
 
 const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/safety_answers.txt");
@@ -27,8 +27,8 @@ impl Random {
         (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
     }
 
-    fn velocity(&mut self, most: f64) -> Velocity {
-        Velocity::new(most * self.next(), most * self.next())
+    fn velocity(&mut self, most: f64, left: f64) -> Velocity {
+        Velocity::new(most * self.next(), left * most * self.next())
     }
 }
 
@@ -49,13 +49,18 @@ fn agrees_up_to(agrees: impl Fn(f64) -> bool) -> Option<f64> {
     Some(least)
 }
 
-fn row(seed: u64) -> String {
+/// The answers in a state: to a velocity, up to which length of the way to a demand, and to a demand.
+/// `left` is 1, or -1 for the state in a mirror.
+fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
     let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
     for _ in 0..8 {
         random.next();
     }
-    let corners = [(-2.2, -1.6), (2.0, -1.8), (2.3, 1.5), (-1.9, 1.7)];
-    let area = ConvexArea::new(&corners.map(|(x, y)| Position::new(x, y))).unwrap();
+    let mut corners = [(-2.2, -1.6), (2.0, -1.8), (2.3, 1.5), (-1.9, 1.7)];
+    if left < 0.0 {
+        corners.reverse();
+    }
+    let area = ConvexArea::new(&corners.map(|(x, y)| Position::new(x, left * y))).unwrap();
     let config = SafetyConfig {
         area,
         reaction: 0.15,
@@ -78,14 +83,14 @@ fn row(seed: u64) -> String {
     let speed = 0.6 + 0.9 * random.next();
     let estimate = Estimate {
         time: Time(0),
-        position: Position::new(1.5 * random.next(), 1.1 * random.next()),
-        yaw: 3.2 * random.next(),
-        yaw_rate: speed * 2.0 * random.next(),
-        sideslip: 0.1 * random.next(),
+        position: Position::new(1.5 * random.next(), left * 1.1 * random.next()),
+        yaw: left * 3.2 * random.next(),
+        yaw_rate: left * speed * 2.0 * random.next(),
+        sideslip: left * 0.1 * random.next(),
         speed,
         pose_time: Time(0),
     };
-    let goal = random.velocity(1.2);
+    let goal = random.velocity(1.2, left);
     for _ in 0..(40.0 + 40.0 * random.next()) as u32 {
         let _ = law.step(&estimate.motion(), speed, &goal, PERIOD);
     }
@@ -93,7 +98,7 @@ fn row(seed: u64) -> String {
     for _ in 0..15 {
         filter.observe(
             speed + 0.1 * random.next(),
-            0.3 * random.next(),
+            left * 0.3 * random.next(),
             0.9,
             PERIOD,
         );
@@ -108,13 +113,13 @@ fn row(seed: u64) -> String {
         braking: 0.9,
         period: PERIOD,
     };
-    let wanted = random.velocity(1.8);
+    let wanted = random.velocity(1.8, left);
     let answer = filter.step(&input(blind), &wanted, |law, velocity| {
         law.step(&estimate.motion(), speed, velocity, PERIOD)
     });
     let given = Actuation {
         speed: speed + 0.05 * random.next(),
-        steering: 0.35 * random.next(),
+        steering: left * 0.35 * random.next(),
         ..law.actuation()
     };
     let whole = agrees_up_to(|blind| {
@@ -129,14 +134,15 @@ fn row(seed: u64) -> String {
             ..now
         })
     });
-    format!("{answer:?} | {whole:?} | {scaled:?}")
+    (answer, whole, scaled)
 }
 
 #[test]
 fn the_answers_are_those_of_before_to_the_bit() {
     let mut rows = String::new();
     for seed in 1..=600 {
-        writeln!(rows, "{}", row(seed)).unwrap();
+        let (velocity, whole, demand) = answers(seed, 1.0);
+        writeln!(rows, "{velocity:?} | {whole:?} | {demand:?}").unwrap();
     }
     if env::var_os("SINGLETRACK_RENEW").is_some_and(|value| value == "1") {
         fs::write(FILE, &rows).unwrap();
@@ -146,4 +152,29 @@ fn the_answers_are_those_of_before_to_the_bit() {
         assert_eq!(now, before, "state {number}");
     }
     assert_eq!(rows.lines().count(), before.lines().count());
+}
+
+#[test]
+fn left_and_right_are_treated_alike() {
+    let numbers = |answer: &(Filtered, Option<f64>, FilteredDemand), left: f64| {
+        let (kind, velocity) = match answer.0 {
+            Filtered::Unchanged => (0, Velocity::zeros()),
+            Filtered::Limited(velocity) => (1, velocity),
+            Filtered::Scaled(velocity) => (2, velocity),
+            Filtered::Stop => (3, Velocity::zeros()),
+        };
+        (
+            kind,
+            answer.2,
+            [velocity.x, left * velocity.y, answer.1.unwrap_or(-1.0)],
+        )
+    };
+    for seed in 1..=2_000 {
+        let one = numbers(&answers(seed, 1.0), 1.0);
+        let other = numbers(&answers(seed, -1.0), -1.0);
+        assert_eq!((one.0, one.1), (other.0, other.1), "state {seed}");
+        for (one, other) in one.2.into_iter().zip(other.2) {
+            assert!((one - other).abs() < 1e-6, "state {seed}: {one} {other}");
+        }
+    }
 }
