@@ -213,7 +213,7 @@ fn drive(
         result.lateral = f64::max(result.lateral, (car.speed * car.state.yaw_rate).abs());
         result.clearance = result
             .clearance
-            .min(config.area.clearance(&car.centre_of_mass()));
+            .min(filter.clearance(&car.centre_of_mass()));
     }
     result
 }
