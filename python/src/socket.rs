@@ -77,7 +77,14 @@ impl Connection {
         let request: Request = depythonize(&request).map_err(refuse)?;
         py.detach(|| {
             let mut sending = self.sending.lock().map_err(fail)?;
-            sending.send(&request).map_err(lost)
+            sending.send(&request).map_err(|error| match error {
+                ClientError::Request(error) => refuse(error),
+                error => {
+                    // A part of the line may be sent: what follows would be read as its end.
+                    self.closing.hang_up();
+                    lost(error)
+                }
+            })
         })
     }
 

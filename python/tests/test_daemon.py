@@ -169,6 +169,11 @@ def test_cars_that_are_forgotten_or_closed_give_their_connections_back(daemon: A
     reference = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
     connection = Connection(path)
     ask(connection, "set-reference", 10.0, reference=reference)
+    with pytest.raises(ValueError, match="not finite"):
+        connection.send("tune", point_distance_m=math.nan)
+    with pytest.raises(ValueError, match="velocity"):
+        connection.send("setpoint", velocity=[0.0, 0.0])
+    assert ask(connection, "status")["ok"]
     connection.close()
     car = Car(path)
     with pytest.raises(ConnectionError), car.drive() as drive:

@@ -6,6 +6,8 @@ use std::{
     time::Duration,
 };
 
+use crate::RequestError;
+
 /// Why a request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
@@ -47,6 +49,9 @@ pub enum ClientError {
     /// The line is none that answers.
     #[error("can't understand the daemon's line: {0}; is it the same version as this program?")]
     NoAnswer(String),
+    /// The request can't be sent.
+    #[error(transparent)]
+    Request(#[from] RequestError),
     /// The daemon refuses.
     #[error("{0}")]
     Refused(String),

@@ -193,7 +193,7 @@ pub struct TrajectoryPoint {
     pub velocity_m_s: [f64; 2],
 }
 
-/// Why a line is no request: the text of the answer, which says what to write instead.
+/// Why a line is no request, or a request no line: a text which says what to write instead.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct RequestError(pub String);
@@ -251,14 +251,30 @@ impl Request {
     ///
     /// # Errors
     ///
-    /// There is none for what a program makes; a reference may have keys that are no text.
-    pub fn to_line(&self) -> Result<String, serde_json::Error> {
-        let mut line = serde_json::to_string(&Line {
+    /// A number is not finite: JSON would have null in its place, which counts as left out.
+    pub fn to_line(&self) -> Result<String, RequestError> {
+        let line = Line {
             version: SOCKET_VERSION,
             request: self,
-        })?;
-        line.push('\n');
-        Ok(line)
+        };
+        let (written, values) = serde_json::to_string(&line)
+            .and_then(|written| Ok((written, serde_json::to_value(&line)?)))
+            .map_err(|error| RequestError(error.to_string()))?;
+        if has_null(&values) {
+            let text =
+                "a number of the request is not finite, or a value is null: nothing was sent";
+            return Err(RequestError(text.to_owned()));
+        }
+        Ok(written + "\n")
+    }
+}
+
+fn has_null(value: &Value) -> bool {
+    match value {
+        Value::Null => true,
+        Value::Array(values) => values.iter().any(has_null),
+        Value::Object(keys) => keys.values().any(has_null),
+        _ => false,
     }
 }
 
@@ -377,6 +393,36 @@ mod tests {
             let written = request.to_line().unwrap();
             let values = [line, &written].map(|line| serde_json::from_str::<Value>(line).unwrap());
             assert_eq!(values[0], values[1]);
+        }
+    }
+
+    #[test]
+    fn a_number_that_is_not_finite_is_no_value_that_was_left_out() {
+        let requests = |number| {
+            [
+                Request::Tune(Tune {
+                    point_distance_m: Some(number),
+                    ..Tune::default()
+                }),
+                Request::Setpoint(Setpoint {
+                    velocity_m_s: Some([0.1, number]),
+                    ..Setpoint::default()
+                }),
+                Request::Arm(Arm {
+                    for_s: Some(number),
+                    ..Arm::default()
+                }),
+                Request::SetReference {
+                    reference: serde_json::json!({ "kind": "circle", "radius_m": number }),
+                },
+            ]
+        };
+        assert!(requests(0.4).iter().all(|one| one.to_line().is_ok()));
+        for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            for request in requests(number) {
+                let error = request.to_line().unwrap_err().to_string();
+                assert!(error.contains("not finite"), "{error}");
+            }
         }
     }
 

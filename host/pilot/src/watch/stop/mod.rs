@@ -317,6 +317,7 @@ impl StopWatch {
                         most: deceleration * error * error,
                     }
                 })
+                .filter(|stop| stop.deceleration.is_finite())
                 .min_by(|one, other| one.deceleration.total_cmp(&other.deceleration));
             if let Some(measured) = measured {
                 verdict.measured = Some(measured.deceleration);

@@ -138,6 +138,21 @@ fn the_error_of_the_speed_counts_for_the_car_and_not_for_what_is_relied_on() {
 }
 
 #[test]
+fn a_stop_whose_way_is_no_number_leaves_what_was_measured_before() {
+    let mut watch = StopWatch::default();
+    stop(&mut watch, 1.0, |_| 0.9 * LIMITS.braking, all);
+    let before = watch.lowest();
+    let ticks = core::cell::Cell::new(0);
+    let broken = |speed| {
+        ticks.set(ticks.get() + 1);
+        all(if ticks.get() == 60 { f64::NAN } else { speed })
+    };
+    let (_, measured) = stop(&mut watch, 1.0, |_| 0.9 * LIMITS.braking, broken);
+    assert_eq!(measured, None);
+    assert_eq!(watch.lowest(), before);
+}
+
+#[test]
 fn a_car_that_follows_the_ramp_upward_obeys() {
     let mut watch = StopWatch::default();
     watch.begin(at(0), &all(1.0), 1.0, 1.0);

@@ -58,7 +58,7 @@ impl Live {
             .collect();
         let request = Request::Watch { topics }.to_line();
         request
-            .map_err(io::Error::from)
+            .map_err(io::Error::other)
             .and_then(|line| stream.write_all(line.as_bytes()))
             .map_err(unreachable)?;
         let times = kinds
