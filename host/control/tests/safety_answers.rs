@@ -49,6 +49,22 @@ fn agrees_up_to(agrees: impl Fn(f64) -> bool) -> Option<f64> {
     Some(least)
 }
 
+fn config(area: ConvexArea) -> SafetyConfig {
+    SafetyConfig {
+        area,
+        reaction: 0.15,
+        steering_ticks: 10,
+        position_error: 0.01,
+        course_error: 0.02,
+        curvature_error: 0.1,
+        speed_error: 0.02,
+        max_speed: 1.4,
+        max_lateral_acceleration: 1.2,
+        slip: 0.02,
+        wheelbase: 0.26,
+    }
+}
+
 /// The answers in a state: to a velocity, up to which length of the way to a demand, and to a demand.
 /// `left` is 1, or -1 for the state in a mirror.
 fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
@@ -61,19 +77,7 @@ fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
         corners.reverse();
     }
     let area = ConvexArea::new(&corners.map(|(x, y)| Position::new(x, left * y))).unwrap();
-    let config = SafetyConfig {
-        area,
-        reaction: 0.15,
-        steering_ticks: 10,
-        position_error: 0.01,
-        course_error: 0.02,
-        curvature_error: 0.1,
-        speed_error: 0.02,
-        max_speed: 1.4,
-        max_lateral_acceleration: 1.2,
-        slip: 0.02,
-        wheelbase: 0.26,
-    };
+    let config = config(area);
     let limits = Limits {
         max_acceleration: 2.0,
         ..Limits::paper()
@@ -176,5 +180,41 @@ fn left_and_right_are_treated_alike() {
         for (one, other) in one.2.into_iter().zip(other.2) {
             assert!((one - other).abs() < 1e-6, "state {seed}: {one} {other}");
         }
+    }
+}
+
+#[test]
+fn a_car_that_still_rolls_backward_keeps_a_stop_behind_it_whatever_is_commanded() {
+    let corners = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)];
+    let area = ConvexArea::new(&corners.map(|(x, y)| Position::new(x, y))).unwrap();
+    let law = FrontPointLaw::new(0.1368, 0.35, 0.26).unwrap();
+    let law = LimitedLaw::new(law, Limits::paper());
+    let mut filter = SafetyFilter::new(config(area)).unwrap();
+    filter.observe(0.5, 0.0, 0.9, PERIOD);
+    for (x, may) in [(-1.8, false), (-1.0, true)] {
+        let estimate = Estimate {
+            time: Time(0),
+            position: Position::new(x, 0.0),
+            yaw: 0.0,
+            yaw_rate: 0.0,
+            sideslip: 0.0,
+            speed: -0.5,
+            pose_time: Time(0),
+        };
+        let input = SafetyInput {
+            estimate: &estimate,
+            law: &law,
+            wheels: 0.0,
+            wave: 0.0,
+            blind: 0.0,
+            braking: 0.9,
+            period: PERIOD,
+        };
+        let forward = Actuation {
+            speed: 0.1,
+            ..Actuation::default()
+        };
+        let answer = filter.demand(&input, |_, _| Ok(forward));
+        assert_eq!(answer == FilteredDemand::Unchanged, may, "{x}: {answer:?}");
     }
 }
