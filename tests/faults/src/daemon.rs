@@ -2,7 +2,10 @@
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use singletrack_core::{HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS};
+use singletrack_core::{
+    HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS,
+    setpoint::SetpointCommand,
+};
 use singletrack_pilot::{PilotRequest, Tuning};
 use singletrack_record::TickRecord;
 
@@ -10,7 +13,6 @@ use crate::{
     SetupError,
     network::HostSockets,
     port::{Port, WriteHalf},
-    program::Sent,
 };
 
 /// The host's clock at the start of the simulation, in ns.
@@ -82,12 +84,8 @@ impl Daemon {
     }
 
     /// Sends a set-point, as a client of the control socket.
-    pub(crate) fn send(&self, sent: &Sent) {
-        let setpoints = &self.host.parts().setpoints;
-        match sent {
-            Sent::Setpoint(setpoint) => setpoints.send(setpoint),
-            Sent::Trajectory(trajectory) => setpoints.send_trajectory(trajectory),
-        }
+    pub(crate) fn send(&self, sent: &SetpointCommand) {
+        self.host.parts().setpoints.pass(sent);
     }
 
     /// Reloads the configuration. A refusal has no effect; the daemon would log it.

@@ -461,7 +461,10 @@ impl<'a> Drive<'a> {
             let now = Time(host_ns(self.now_us));
             for sent in self.program.poll(self.now_us, situation, sight, fault) {
                 daemon.send(&sent);
-                self.newest_setpoint_ns = self.newest_setpoint_ns.max(sent.obeyed_ns(now));
+                if sent.check(now, f64::INFINITY).is_ok() {
+                    let decided = Some(sent.stamp().time.0);
+                    self.newest_setpoint_ns = self.newest_setpoint_ns.max(decided);
+                }
             }
         }
         Ok(())

@@ -4,6 +4,7 @@ use singletrack_control::{
     Position, Setpoint, SpeedDemand, SteeringDemand, Time, Trajectory, TrajectoryPoint, Velocity,
     direction,
 };
+use singletrack_core::setpoint::SetpointCommand;
 
 use crate::{
     daemon::host_ns,
@@ -40,26 +41,6 @@ pub(crate) struct Sight {
     pub(crate) drive_time_s: Option<f64>,
 }
 
-/// A set-point on its way to the daemon.
-#[derive(Clone, Debug)]
-pub(crate) enum Sent {
-    Setpoint(Setpoint),
-    Trajectory(Box<Trajectory>),
-}
-
-impl Sent {
-    /// When it was decided, if it may be obeyed at `now`.
-    pub(crate) fn obeyed_ns(&self, now: Time) -> Option<u64> {
-        let (stamp, checked) = match self {
-            Self::Setpoint(setpoint) => (setpoint.stamp, setpoint.check(now, f64::INFINITY)),
-            Self::Trajectory(trajectory) => {
-                (trajectory.stamp, trajectory.check(now, f64::INFINITY))
-            }
-        };
-        checked.ok().map(|()| stamp.time.0)
-    }
-}
-
 impl Program {
     pub(crate) fn new(seed: u64) -> Self {
         Self {
@@ -76,7 +57,7 @@ impl Program {
         situation: &Situation,
         sight: Sight,
         fault: Option<Fault>,
-    ) -> Vec<Sent> {
+    ) -> Vec<SetpointCommand> {
         if now_us < self.next_us {
             return Vec::new();
         }
@@ -90,11 +71,11 @@ impl Program {
         let velocity = Velocity::new(-speed * sin, speed * cos);
         let good = |time| Setpoint::point(time, position, velocity);
         let Some(fault) = fault else {
-            return vec![Sent::Setpoint(good(now))];
+            return vec![SetpointCommand::Setpoint(good(now))];
         };
         let severity = u64::from(fault.severity);
         let away = libm::atan2(sight.position.y, sight.position.x);
-        let one = |setpoint| vec![Sent::Setpoint(setpoint)];
+        let one = |setpoint| vec![SetpointCommand::Setpoint(setpoint)];
         match fault.kind {
             FaultKind::SetpointsGone => Vec::new(),
             FaultKind::SetpointsNotANumber => {
@@ -134,7 +115,10 @@ impl Program {
                     })
                     .collect();
                 let stamp = good(now).stamp;
-                vec![Sent::Trajectory(Box::new(Trajectory { stamp, points }))]
+                vec![SetpointCommand::Trajectory(Box::new(Trajectory {
+                    stamp,
+                    points,
+                }))]
             }
             kind if kind.is_hostile_loop() => {
                 let velocity = self.hostile_loop(now_us, kind, severity, sight);
@@ -143,7 +127,9 @@ impl Program {
             _ => {
                 // Without a pause.
                 self.next_us = now_us;
-                (0..FLOOD).map(|_| Sent::Setpoint(self.any(now))).collect()
+                (0..FLOOD)
+                    .map(|_| SetpointCommand::Setpoint(self.any(now)))
+                    .collect()
             }
         }
     }

@@ -1,7 +1,6 @@
 //! Fuzz target: lines from clients of the control socket.
 
 use singletrack_control::Time;
-use singletrack_core::setpoint::SetpointCommand;
 use singletrackd::Command;
 
 use crate::choices::Choices;
@@ -160,15 +159,10 @@ fn check_accepted(command: &Command, line: &[u8]) {
         "{word} is read from {text}"
     );
     if let Command::Setpoint(setpoint) = command {
-        let (stamp, checked) = match setpoint {
-            SetpointCommand::Setpoint(setpoint) => (setpoint.stamp, setpoint.demand.check()),
-            SetpointCommand::Trajectory(trajectory) => (
-                trajectory.stamp,
-                trajectory.check(Time(NOW_NS), f64::INFINITY),
-            ),
-        };
+        let checked = setpoint.check(Time(NOW_NS), f64::INFINITY);
         assert_eq!(checked, Ok(()), "{setpoint:?}");
-        assert!(stamp.time.0 <= NOW_NS, "a set-point from the future");
+        let decided = setpoint.stamp().time.0;
+        assert!(decided <= NOW_NS, "a set-point from the future");
     }
 }
 

@@ -9,7 +9,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use singletrack_control::{Setpoint, Time, Trajectory};
+use singletrack_control::{Setpoint, Time};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
@@ -252,11 +252,6 @@ impl VirtualDrive {
     /// Gives an external reference the set-point of a program.
     pub fn pass_setpoint(&self, command: &SetpointCommand) {
         self.host.parts().setpoints.pass(command);
-    }
-
-    /// Gives an external reference a trajectory in place of its set-point.
-    pub fn send_trajectory(&self, trajectory: &Trajectory) {
-        self.host.parts().setpoints.send_trajectory(trajectory);
     }
 
     /// Gives the operator's pulses for servo and ESC, for the next tick. They count while the

@@ -12,7 +12,10 @@ use singletrack_control::{
     Position, Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory,
     TrajectoryPoint, Velocity, direction,
 };
-use singletrack_core::config::{Config, FenceSection, OuterLoopSection, ReferenceSection};
+use singletrack_core::{
+    config::{Config, FenceSection, OuterLoopSection, ReferenceSection},
+    setpoint::SetpointCommand,
+};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_record::{Entry, Replay};
 use singletrack_scenario::{
@@ -157,10 +160,10 @@ fn a_trajectory_that_is_repeated_after_its_end_ends_the_drive() {
             position: Position::new(truth.x, truth.y),
             velocity: Velocity::zeros(),
         });
-        drive.send_trajectory(&Trajectory {
+        drive.pass_setpoint(&SetpointCommand::Trajectory(Box::new(Trajectory {
             stamp: stamp(now),
             points: points.into_iter().collect(),
-        });
+        })));
     });
     assert_eq!(ended.reason, Reason::SetpointStale);
 }
@@ -201,10 +204,10 @@ fn all_speed_straight_at_the_fence_stops_inside() {
                 }
             })
             .collect();
-        drive.send_trajectory(&Trajectory {
+        drive.pass_setpoint(&SetpointCommand::Trajectory(Box::new(Trajectory {
             stamp: stamp(now),
             points,
-        });
+        })));
     });
     assert_eq!(ended.reason, Reason::OutsideFence);
     assert!(ended.fastest < config().limits.max_speed_m_s * 1.1);

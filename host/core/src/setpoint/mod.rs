@@ -31,11 +31,7 @@ impl SetpointCommand {
             sequence: keys.sequence,
         };
         let command = command(keys, stamp)?;
-        let checked = match &command {
-            SetpointCommand::Setpoint(setpoint) => setpoint.check(now, f64::INFINITY),
-            SetpointCommand::Trajectory(trajectory) => trajectory.check(now, f64::INFINITY),
-        };
-        checked.map_err(|error| {
+        command.check(now, f64::INFINITY).map_err(|error| {
             let why = error.into();
             match (error, &command) {
                 (SetpointError::Future, _) if stamp.time > now => Rejected::new(
@@ -60,6 +56,18 @@ impl SetpointCommand {
             }
         })?;
         Ok(command)
+    }
+
+    /// Whether the pilot would obey it at `now`, not older than `timeout` (s).
+    ///
+    /// # Errors
+    ///
+    /// A value is that of no car, or its time is not the present.
+    pub fn check(&self, now: Time, timeout: f64) -> Result<(), SetpointError> {
+        match self {
+            Self::Setpoint(setpoint) => setpoint.check(now, timeout),
+            Self::Trajectory(trajectory) => trajectory.check(now, timeout),
+        }
     }
 
     /// When it was decided, and its number.
