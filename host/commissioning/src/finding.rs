@@ -1,17 +1,17 @@
 //! The result of a step, or why it has none.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 use singletrack_protocol::StopCause;
 
 use crate::{Interrupted, Parameter};
 
 /// The result of a step: what it found, what was expected, and what to do.
-///
-/// From JSON it borrows the names of step and parameters, for the rest of the program.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
     /// The step's name, which the procedure fills in.
-    pub step: &'static str,
+    pub step: Cow<'static, str>,
     /// The verdict.
     pub verdict: Verdict,
     /// What was found, with numbers.
@@ -27,7 +27,7 @@ pub struct Finding {
 impl Finding {
     pub(crate) fn new(verdict: Verdict, found: impl Into<String>, fix: impl Into<String>) -> Self {
         Self {
-            step: "",
+            step: "".into(),
             verdict,
             found: found.into(),
             expected: String::new(),

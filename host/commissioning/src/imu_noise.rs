@@ -333,7 +333,7 @@ mod tests {
         let keys: Vec<_> = comparison
             .parameters
             .iter()
-            .filter_map(|one| one.key.as_ref().map(|(key, _)| *key))
+            .filter_map(|one| one.key.as_ref().map(|(key, _)| key.as_ref()))
             .collect();
         assert_eq!(keys, [GYRO, VIBRATION]);
     }

@@ -1,5 +1,7 @@
 //! A measured value and its uncertainty.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
 
 /// An estimate with its 95 % interval.
@@ -72,9 +74,9 @@ impl Interval {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Parameter {
     /// Its name, such as `servo-centre`; in one procedure each has one.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// Its unit, such as `us`.
-    pub unit: &'static str,
+    pub unit: Cow<'static, str>,
     /// The estimate, in the unit.
     #[serde(flatten)]
     pub estimate: Interval,
@@ -85,44 +87,44 @@ pub struct Parameter {
         serialize_with = "key_and_toml",
         deserialize_with = "of_key_and_toml"
     )]
-    pub key: Option<(&'static str, toml_edit::Value)>,
+    pub key: Option<(Cow<'static, str>, toml_edit::Value)>,
 }
 
 impl Parameter {
-    pub(crate) const fn new(
+    pub(crate) fn new(
         name: &'static str,
         unit: &'static str,
         estimate: Interval,
         key: Option<(&'static str, toml_edit::Value)>,
     ) -> Self {
         Self {
-            name,
-            unit,
+            name: Cow::Borrowed(name),
+            unit: Cow::Borrowed(unit),
             estimate,
-            key,
+            key: key.map(|(key, value)| (key.into(), value)),
         }
     }
 }
 
 /// As two keys; as none if there is no key.
 fn key_and_toml<S: Serializer>(
-    key: &Option<(&'static str, toml_edit::Value)>,
+    key: &Option<(Cow<'static, str>, toml_edit::Value)>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
     let key = key.as_ref();
     let entries = key.map(|(key, value)| {
         let toml = value.to_string().trim().to_owned();
-        [("key", (*key).to_owned()), ("toml", toml)]
+        [("key", key.to_string()), ("toml", toml)]
     });
     serializer.collect_map(entries.into_iter().flatten())
 }
 
-fn of_key_and_toml<'de: 'static, D: Deserializer<'de>>(
+fn of_key_and_toml<'de, D: Deserializer<'de>>(
     deserializer: D,
-) -> Result<Option<(&'static str, toml_edit::Value)>, D::Error> {
+) -> Result<Option<(Cow<'static, str>, toml_edit::Value)>, D::Error> {
     #[derive(Deserialize)]
     struct Written {
-        key: Option<&'static str>,
+        key: Option<Cow<'static, str>>,
         toml: Option<String>,
     }
     let Written { key, toml } = Written::deserialize(deserializer)?;

@@ -51,7 +51,7 @@ impl Step {
             trouble.finding()
         })?;
         Ok(Finding {
-            step: self.name,
+            step: self.name.into(),
             expected: match finding.expected.is_empty() {
                 true => self.expected.to_owned(),
                 false => finding.expected,
@@ -239,7 +239,7 @@ mod tests {
         INTERRUPTS.set(None);
         let findings = run(&STEPS, &mut car, &mut journal).unwrap();
         assert_eq!((RUNS.get(), car.disarmed), ([1, 2, 1], 1));
-        let steps: Vec<_> = findings.iter().map(|finding| finding.step).collect();
+        let steps: Vec<_> = findings.iter().map(|finding| &*finding.step).collect();
         assert_eq!(steps, ["first", "second", "third"]);
     }
 

@@ -152,21 +152,21 @@ mod tests {
 
     fn finding() -> Finding {
         Finding {
-            step: "geometry",
+            step: "geometry".into(),
             verdict: Verdict::Warning,
             found: "4 passes | 2.0 m".to_owned(),
             expected: "straight".to_owned(),
             fix: "roll it again".to_owned(),
             parameters: vec![
                 Parameter {
-                    name: "pulse-distance",
-                    unit: "um",
+                    name: "pulse-distance".into(),
+                    unit: "um".into(),
                     estimate: Interval::around(3_012.4, 21.0),
-                    key: Some(("board.speed.pulse_distance_um", 3012.into())),
+                    key: Some(("board.speed.pulse_distance_um".into(), 3012.into())),
                 },
                 Parameter {
-                    name: "body-left",
-                    unit: "m",
+                    name: "body-left".into(),
+                    unit: "m".into(),
                     estimate: Interval::around(-0.0021, 0.0004),
                     key: None,
                 },
@@ -175,7 +175,7 @@ mod tests {
     }
 
     fn from_json(json: Value) -> Option<Finding> {
-        Finding::deserialize(&*Box::leak(Box::new(json))).ok()
+        Finding::deserialize(json).ok()
     }
 
     #[test]

@@ -52,9 +52,9 @@ pub(crate) fn procedures() -> Vec<Procedure> {
 #[derive(Clone, Debug)]
 pub struct Measured {
     /// Its name.
-    pub name: &'static str,
+    pub name: String,
     /// Its unit.
-    pub unit: &'static str,
+    pub unit: String,
     /// What is true; none if the campaign does not know.
     pub truth: Option<f64>,
     /// What was measured.
@@ -139,7 +139,7 @@ pub fn onboard_until(car: &OnboardCar, found: bool) -> CarOutcome {
 fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Result<(), String> {
     let text = |error: &dyn fmt::Display| error.to_string();
     let mut bench = VirtualBench::new(car).map_err(|error| text(&error))?;
-    let mut measured: BTreeMap<&'static str, Measured> = BTreeMap::new();
+    let mut measured: BTreeMap<String, Measured> = BTreeMap::new();
     let mut failed = false;
     'car: for procedure in procedures() {
         for step in &procedure.steps {
@@ -151,9 +151,9 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
             for finding in findings {
                 for parameter in &finding.parameters {
                     let mut m = Measured {
-                        name: parameter.name,
-                        unit: parameter.unit,
-                        truth: match parameter.name {
+                        name: parameter.name.to_string(),
+                        unit: parameter.unit.to_string(),
+                        truth: match parameter.name.as_ref() {
                             "gyro-bias" => Some(bench.guard().gyro_bias(bench.configuration())),
                             name => truth_of(name, procedure.name, world),
                         },
@@ -165,7 +165,7 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
                         // The same angle, on the side of the estimate.
                         *truth = m.estimate.value + libm::remainder(*truth - m.estimate.value, TAU);
                     }
-                    measured.insert(parameter.name, m);
+                    measured.insert(m.name.clone(), m);
                 }
                 let is_failed = finding.verdict == Verdict::Failed;
                 failed |= is_failed;
@@ -387,7 +387,7 @@ pub struct Summary {
     cars: usize,
     passed: usize,
     /// For each parameter: intervals, and those that hold the truth.
-    parameters: BTreeMap<&'static str, [usize; 2]>,
+    parameters: BTreeMap<String, [usize; 2]>,
     faults: [usize; 2],
     violations: usize,
     /// Errors of P on the circle, before and after, in m, of the cars that drove both times.
@@ -415,7 +415,7 @@ impl Summary {
                 summary.faults[1] += usize::from(car.found);
             }
             for m in car.measured.iter().filter(|m| m.truth.is_some()) {
-                let counts = summary.parameters.entry(m.name).or_default();
+                let counts = summary.parameters.entry(m.name.clone()).or_default();
                 counts[0] += 1;
                 counts[1] += usize::from(m.holds());
             }

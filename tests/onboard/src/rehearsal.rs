@@ -104,7 +104,8 @@ impl Rehearsal {
         file: &mut Edit,
     ) -> Result<(), EditError> {
         let steps = self.steps.iter();
-        for step in steps.filter(|step| step.procedure == procedure && is_done(step.finding.step)) {
+        for step in steps.filter(|step| step.procedure == procedure && is_done(&step.finding.step))
+        {
             for (key, value) in &step.changes {
                 file.set(key, value)?;
             }

@@ -145,7 +145,7 @@ fn the_parameters_of_random_cars_are_inside_their_intervals() {
             };
             let estimate = parameter.estimate;
             // The same angle, also where the numbers jump by a turn.
-            let truth = match parameter.unit {
+            let truth = match parameter.unit.as_ref() {
                 "rad" => estimate.value + libm::remainder(truth - estimate.value, TAU),
                 _ => truth,
             };
@@ -167,7 +167,7 @@ fn a_body_of_another_car_is_found_by_the_push() {
         let (findings, _) = examined(&car);
         let last = findings.last().unwrap();
         assert_eq!(
-            (last.step, last.verdict),
+            (last.step.as_ref(), last.verdict),
             ("cameras", Verdict::Failed),
             "{last:?}"
         );

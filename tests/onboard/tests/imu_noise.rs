@@ -117,11 +117,11 @@ fn measured(finding: &Finding, name: &str) -> f64 {
         .value
 }
 
-fn keys(finding: &Finding) -> Vec<&'static str> {
+fn keys(finding: &Finding) -> Vec<&str> {
     let parameters = finding.parameters.iter();
     parameters
         .filter(|one| one.key.is_some())
-        .map(|one| one.name)
+        .map(|one| one.name.as_ref())
         .collect()
 }
 

@@ -49,7 +49,8 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let keys: Vec<_> = comparison
         .parameters
         .iter()
-        .filter_map(|parameter| parameter.key.clone())
+        .filter_map(|parameter| parameter.key.as_ref())
+        .map(|(key, value)| (key.as_ref(), value.clone()))
         .collect();
     if !keys.is_empty() {
         change(bench, &keys)?;

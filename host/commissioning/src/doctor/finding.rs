@@ -127,7 +127,8 @@ impl Checks {
         let values: Vec<(&str, toml_edit::Value)> = self
             .parameters
             .iter()
-            .filter_map(|parameter| parameter.key.clone())
+            .filter_map(|parameter| parameter.key.as_ref())
+            .map(|(key, value)| (key.as_ref(), value.clone()))
             .collect();
         if !values.is_empty()
             && !self.has_failed()

@@ -16,7 +16,7 @@ use truth::{Kind, Random, Truth};
 
 /// Keeps the findings in memory.
 #[derive(Default)]
-struct Memory(BTreeMap<&'static str, Finding>);
+struct Memory(BTreeMap<String, Finding>);
 
 impl Journal for Memory {
     fn found(&self, step: &str) -> Option<Finding> {
@@ -24,7 +24,7 @@ impl Journal for Memory {
     }
 
     fn keep(&mut self, finding: &Finding) -> Result<(), Interrupted> {
-        self.0.insert(finding.step, finding.clone());
+        self.0.insert(finding.step.to_string(), finding.clone());
         Ok(())
     }
 
@@ -62,11 +62,11 @@ fn explain(findings: &[Finding]) -> String {
         .collect()
 }
 
-fn parameters(findings: &[Finding]) -> BTreeMap<&'static str, Parameter> {
+fn parameters(findings: &[Finding]) -> BTreeMap<String, Parameter> {
     findings
         .iter()
         .flat_map(|finding| &finding.parameters)
-        .map(|parameter| (parameter.name, parameter.clone()))
+        .map(|parameter| (parameter.name.to_string(), parameter.clone()))
         .collect()
 }
 

@@ -211,7 +211,7 @@ impl Newcomer {
         let entries: Vec<_> = rehearsal
             .steps
             .iter()
-            .filter(|step| step.procedure == procedure && is_done(step.finding.step))
+            .filter(|step| step.procedure == procedure && is_done(&step.finding.step))
             .map(|step| json!({ "time": now, "finding": report::to_json(&step.finding) }))
             .collect();
         let journal = json!({ "car_id": self.car.simulation.board.car_id, "entries": entries });

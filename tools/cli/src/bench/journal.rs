@@ -23,7 +23,6 @@ pub(super) struct FileJournal {
 
 /// A finding, and when it was found.
 #[derive(Serialize, Deserialize)]
-#[serde(bound(deserialize = "'de: 'static"))]
 struct Entry {
     time: Timestamp,
     finding: Finding,
@@ -93,8 +92,7 @@ impl FileJournal {
 /// car.
 fn read(path: &Path, car_id: u16) -> Option<Vec<Entry>> {
     let text = fs::read_to_string(path).ok()?;
-    // Read once in a run of the program: the leak is small.
-    let json: &'static Value = Box::leak(Box::new(serde_json::from_str(&text).ok()?));
+    let json: Value = serde_json::from_str(&text).ok()?;
     if json["car_id"] != car_id {
         return None;
     }
@@ -147,16 +145,16 @@ mod tests {
 
     fn finding(step: &'static str) -> Finding {
         Finding {
-            step,
+            step: step.into(),
             verdict: Verdict::Good,
             found: "x".to_owned(),
             expected: "x".to_owned(),
             fix: String::new(),
             parameters: vec![Parameter {
-                name: "servo-centre",
-                unit: "us",
+                name: "servo-centre".into(),
+                unit: "us".into(),
                 estimate: Interval::around(1_512.0, 2.0),
-                key: Some(("board.servo.centre_us", 1_512.into())),
+                key: Some(("board.servo.centre_us".into(), 1_512.into())),
             }],
         }
     }
