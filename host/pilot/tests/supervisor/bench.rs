@@ -238,7 +238,8 @@ impl Bench {
         self.health = Some(HEALTHY);
     }
 
-    pub(crate) fn step(&mut self) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+    /// The inputs of the next tick.
+    pub(crate) fn prepare(&mut self) {
         let now = Time(self.conditions.now.0 + TICK_NS);
         if let Some(health) = self.health {
             self.supervisor.handle_health(health);
@@ -251,6 +252,10 @@ impl Bench {
         self.conditions.now = now;
         self.conditions.pose_time = ago(self.pose_age_ms);
         self.conditions.imu_time = ago(self.imu_age_ms);
+    }
+
+    pub(crate) fn step(&mut self) -> (Mode, Option<Reason>, Option<BoardRequest>) {
+        self.prepare();
         let request = self.supervisor.step(&self.conditions);
         (self.supervisor.mode(), self.supervisor.reason(), request)
     }

@@ -7,6 +7,7 @@ mod attendance;
 mod bench;
 mod faults;
 mod jogging;
+mod observing;
 mod poses;
 mod stopping;
 
