@@ -10,7 +10,7 @@ use crate::{car::ImuReading, pulse_log::PulseRecord};
 const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 
 /// Time after which a silent main loop counts as hung, as in the image's
-/// supervisor.
+/// pulse guard.
 const HANG_TIMEOUT_US: u32 = 19_000;
 
 /// Edges of the motor's sensor that are accepted in a tick, and its duration, as in

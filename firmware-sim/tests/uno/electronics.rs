@@ -98,7 +98,7 @@ fn an_emergency_stop_falls_silent_on_the_pin_and_stays_so_when_the_main_loop_han
 }
 
 #[test]
-fn ringing_on_the_sensors_wire_keeps_neither_supervisor_nor_host_from_stopping_the_car() {
+fn ringing_on_the_sensors_wire_keeps_neither_pulse_guard_nor_host_from_stopping_the_car() {
     let mut simulation = config(1);
     // A pulse every 10 um: 20 a millisecond at 0.2 m/s. The speed loop takes them for
     // great speed, and does not drive faster.

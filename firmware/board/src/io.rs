@@ -70,14 +70,14 @@ pub struct Outputs {
     pub servo_us: Option<u16>,
     /// ESC pulse, in µs; `None` for no pulses.
     pub esc_us: Option<u16>,
-    /// The ESC's neutral pulse, in µs, for the supervisor, which must be able to
+    /// The ESC's neutral pulse, in µs, for the pulse guard, which must be able to
     /// stop the car without another poll. Not for a silent ESC.
     pub esc_neutral_us: u16,
     /// While driving: board time, in µs, until which the command is in force. If it
-    /// passes without another poll, an independent supervisor (a timer interrupt)
+    /// passes without another poll, an independent pulse guard (a timer interrupt)
     /// must output the neutral pulse to the ESC.
     pub drive_deadline_us: Option<u32>,
-    /// Whether the kill output holds the ESC's supply. The supervisor must drop it
+    /// Whether the kill output holds the ESC's supply. The pulse guard must drop it
     /// when the main loop is silent.
     pub power_on: bool,
 }

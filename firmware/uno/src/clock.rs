@@ -1,6 +1,6 @@
 //! The board's clock: microseconds since the start, wrapping.
 //!
-//! Timer 0 counts steps of 4 µs, 250 of them in a tick of 1 ms. The supervisor's
+//! Timer 0 counts steps of 4 µs, 250 of them in a tick of 1 ms. The pulse guard's
 //! interrupt handles the end of a tick.
 
 use crate::{

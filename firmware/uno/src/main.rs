@@ -27,13 +27,13 @@ mod interrupts;
 mod kill_output;
 mod motor;
 mod panic;
+mod pulse_guard;
 mod pulses;
 mod registers;
 mod reset;
 mod ring;
 mod sections;
 mod stop_input;
-mod supervisor;
 mod twi;
 mod uart;
 mod watchdog;
@@ -46,13 +46,13 @@ use crate::{
     bno055::Bno055,
     in_place::InPlace,
     motor::Motor,
+    pulse_guard::Pace,
     registers::{ACSR, SMCR},
-    supervisor::Pace,
     uart::Receiver,
 };
 
 /// Time between two rounds of the main loop, in ms, which are ticks of the
-/// supervisor. Every second round polls the board, which works in steps of 10 ms; a
+/// pulse guard. Every second round polls the board, which works in steps of 10 ms; a
 /// frame from the host or a change of the stop switch polls it at once.
 const ROUND_MS: u8 = 5;
 
@@ -169,7 +169,7 @@ impl MainLoop {
         let outputs = sections::measured(POLL, || {
             board.poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
-        supervisor::publish(now_us, &outputs);
+        pulse_guard::publish(now_us, &outputs);
         if let Some(configuration) = board.configuration() {
             self.imu.mount(configuration.imu_axes);
         }
@@ -181,7 +181,7 @@ fn start_peripherals() {
     const COMPARATOR_OFF: u8 = 1 << 7;
 
     // First, so that the ESC gets pulses as early as possible.
-    supervisor::start();
+    pulse_guard::start();
     uart::start();
     motor::start();
     battery::start();

@@ -1,7 +1,7 @@
 //! Pulses of the motor sensor (D2): their number, and the time of the newest.
 //!
 //! An edge costs 4 µs and precedes every other interrupt. Ringing could therefore
-//! keep the supervisor from running: after [`EDGES_PER_TICK`] the interrupt masks
+//! keep the pulse guard from running: after [`EDGES_PER_TICK`] the interrupt masks
 //! itself until the next tick.
 #![allow(unsafe_code)]
 

@@ -5,9 +5,9 @@ use singletrack_protocol::{MAX_FRAME_LENGTH, RECEIVE_BUFFER_LENGTH};
 
 use crate::{
     interrupts::SharedByte,
+    pulse_guard,
     registers::{UBRR0H, UBRR0L, UCSR0A, UCSR0B, UCSR0C, UDR0},
     ring::Ring,
-    supervisor,
 };
 
 /// 16 MHz / 8 / (16 + 1) = 117,647 baud: 2.1 % fast, as on every UNO.
@@ -108,7 +108,7 @@ extern "avr-interrupt" fn __vector_18() {
     let byte = UDR0.read();
     if byte == 0 {
         FRAME_ENDED.set(1);
-        supervisor::wake();
+        pulse_guard::wake();
     }
     // DOR0: at least one byte before this one was lost.
     if status & DOR0 != 0 {

@@ -17,7 +17,7 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("a_dead_imu_stops_the_car", dead_imu).needing(&[Need::Image]),
 ];
 
-/// The supervisor detects a stall after 20 ms, within one of its periods; the pulse
+/// The pulse guard detects a stall after 20 ms, within one of its periods; the pulse
 /// follows within a servo period.
 const STALL_LIMIT_MS: f64 = 45.0;
 

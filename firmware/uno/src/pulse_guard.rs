@@ -1,4 +1,4 @@
-//! The supervisor: a 1 kHz interrupt with final authority over the pulses.
+//! The pulse guard: a 1 kHz interrupt with final authority over the pulses.
 //!
 //! The main loop publishes the pulses and their deadline; only the interrupt writes
 //! them to the timer. It sets the ESC to neutral, and drops the kill output, when the
