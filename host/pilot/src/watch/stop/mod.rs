@@ -143,8 +143,8 @@ const TOLERANCE: f64 = 0.03;
 const SLOW: f64 = 0.08;
 /// The number of fast ticks in a row that make a disobeyed stop...
 const TOO_FAST: u32 = 3;
-/// ...and if the cameras see the car stand: its wheels may be off the floor, and a slow
-/// pulse sensor holds its last speed for a while.
+/// ...and if the cameras see the car stand or slow down: its wheels may be off the floor, and a
+/// coarse pulse sensor shows the mean speed between the last two pulses for a while.
 const TOO_FAST_IN_PLACE: u32 = 40;
 /// Below this speed of the cameras, m/s, wheels that stand are believed more than cameras that
 /// were found to contradict the rest: poses that drift go on drifting after the stop.
@@ -281,7 +281,8 @@ impl StopWatch {
             };
             cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
-            let most = if in_place {
+            let slows_down = speeds.cameras.is_some() && cameras.too_fast == 0;
+            let most = if in_place || (slows_down && !run.doubts_cameras) {
                 TOO_FAST_IN_PLACE
             } else {
                 TOO_FAST

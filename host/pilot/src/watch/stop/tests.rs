@@ -412,18 +412,59 @@ fn the_slower_of_motor_and_cameras_counts_where_they_contradict_each_other() {
 }
 
 #[test]
-fn wheels_that_turn_have_longer_to_stop_if_the_cameras_see_the_car_stand() {
-    for (seen, least_ms, most_ms) in [(0.08, 400, 450), (0.079, 750, 850)] {
-        let wheels = |_| Speeds {
+fn wheels_that_turn_have_longer_to_stop_if_the_cameras_see_the_car_stand_or_slow_down() {
+    let slows = |seen: f64| move |time: f64| seen - 0.3 * time;
+    let stands = |seen: f64| move |_: f64| seen;
+    let alarm = |seen: &dyn Fn(f64) -> f64| {
+        let mut watch = StopWatch::default();
+        let speeds = |tick: u64| Speeds {
             motor: Some(0.5),
-            cameras: Some(seen),
+            cameras: Some(seen(0.01 * tick as f64)),
             estimate: Some(0.5),
         };
-        let (alarm, _) = stop(&mut StopWatch::default(), 0.5, |_| 0.0, wheels);
+        watch.begin(at(0), &speeds(0), 0.5, 1.0);
+        (1..200)
+            .find(|&tick| watch.tick(at(10 * tick), &speeds(tick), &LIMITS).disobeyed)
+            .map(|tick| 10 * tick)
+    };
+    for (seen, least_ms, most_ms) in [
+        (&stands(0.2) as &dyn Fn(f64) -> f64, 400, 450),
+        (&stands(0.08), 750, 850),
+        (&slows(0.5), 750, 850),
+    ] {
+        let alarm = alarm(seen);
         assert!(
             alarm.is_some_and(|ms| (least_ms..=most_ms).contains(&ms)),
-            "{seen}: {alarm:?}"
+            "{}: {alarm:?}",
+            seen(0.0)
         );
+    }
+}
+
+#[test]
+fn a_coarse_motor_sensor_that_shows_the_start_late_is_no_stop_that_is_not_obeyed() {
+    // Asked to stop 40 ms after it started: the pulses before and after are far apart, so that the
+    // first one of the roll-out shows a mean speed from before it, above what was shown last.
+    let mut watch = StopWatch::default();
+    let seen = |tick: u64| {
+        let rising = 0.11 + 0.014 * tick as f64;
+        let falling = 0.25 - 0.007 * tick.saturating_sub(10) as f64;
+        rising.min(falling).max(0.0)
+    };
+    let speeds = |tick: u64| Speeds {
+        motor: Some(match tick {
+            0..8 => 0.149,
+            8..28 => 0.114,
+            28..40 => 0.189,
+            _ => seen(tick),
+        }),
+        cameras: Some(seen(tick)),
+        estimate: Some(seen(tick)),
+    };
+    watch.begin(at(0), &speeds(0), 0.3, 1.0);
+    for tick in 1..100 {
+        let verdict = watch.tick(at(10 * tick), &speeds(tick), &LIMITS);
+        assert!(!verdict.disobeyed, "{tick}");
     }
 }
 
