@@ -179,7 +179,7 @@ pub enum FrameError {
 /// Pass every received byte to [`Decoder::push`], in order. It stores only the
 /// current frame, takes the same time for every byte, and synchronises at the next
 /// zero after any input.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Decoder {
     packet: [u8; MAX_PACKET_LENGTH],
     length: u8,

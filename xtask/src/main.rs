@@ -1,6 +1,6 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
-//! `cargo deb`, `cargo demo`, `cargo faults`, `cargo odroid`, `cargo onboard`, `cargo uno`,
-//! `cargo verify`.
+//! `cargo deb`, `cargo demo`, `cargo explore`, `cargo faults`, `cargo odroid`, `cargo onboard`,
+//! `cargo uno`, `cargo verify`.
 //!
 //! It has no dependencies, so that it is built in seconds.
 
@@ -25,7 +25,7 @@ mod workspace;
 
 use std::process::ExitCode;
 
-const COMMANDS: &str = "cargo deb | demo | faults | odroid | onboard | uno | verify";
+const COMMANDS: &str = "cargo deb | demo | explore | faults | odroid | onboard | uno | verify";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -36,6 +36,7 @@ fn main() -> ExitCode {
     let result = workspace::find().and_then(|_| match command.as_str() {
         "deb" => deb::main(arguments),
         "demo" => programs::DEMO.run(arguments),
+        "explore" => programs::EXPLORE.run(arguments),
         "faults" => programs::FAULTS.run(arguments),
         "onboard" => programs::ONBOARD.run(arguments),
         "uno" => uno::main(arguments),

@@ -152,6 +152,13 @@ pub(crate) const DEMO: Runner = Runner {
     first: &["demo"],
 };
 
+/// `cargo explore`: every interleaving of board, link and supervisor.
+pub(crate) const EXPLORE: Runner = Runner {
+    package: "singletrack-exploration",
+    options: &[],
+    first: &[],
+};
+
 /// `cargo faults`: the fault campaign.
 pub(crate) const FAULTS: Runner = Runner {
     package: "singletrack-faults",

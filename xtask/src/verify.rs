@@ -157,7 +157,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 26] = [
+const STEPS: [Step; 27] = [
     // Static checks.
     row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -178,8 +178,8 @@ const STEPS: [Step; 26] = [
     // Checks of the programs in virtual time.
     row("tests", 1230, Always, "unit, property and virtual-time tests",
         |packages| packages.check_with_image(&mut packages.tests(None))),
-    row("faults", 105, Always, "random faults in virtual time violate no invariant",
-        |packages| check(packages.program("singletrack-faults")?.args(["--count", "300"]))),
+    row("faults", 70, Always, "random faults in virtual time violate no invariant",
+        |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
     row("tutorial", 5, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book")).arg("tutorial"))),
     row("real-logs", 5, Always,
@@ -196,6 +196,8 @@ const STEPS: [Step; 26] = [
         let mut faults = packages.program("singletrack-faults")?;
         packages.check_with_image(faults.args(["--count", "8", "--board", "uno"]))
     }),
+    row("exploration", 35, All, "no interleaving of board, link and supervisor violates a claim",
+        |packages| check(packages.program("singletrack-exploration")?.args(["--states", "9000"]))),
     row("onboard", 50, All,
         "cars of all kinds come from the parts to the circle, led by the three procedures",
         |packages| check(packages.program("singletrack-onboard")?.args(["--count", "3"]))),

@@ -23,7 +23,7 @@ use crate::{
 const CONTROL_PERIOD_US: u32 = TELEMETRY_PERIOD_US;
 
 /// The board: maps time, inputs and received bytes to outputs.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Board {
     last_poll_us: Option<u32>,
     active: Option<Active>,
@@ -44,7 +44,7 @@ pub struct Board {
 }
 
 /// The configuration in force.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Active {
     configuration: Configuration,
     hash: u32,

@@ -97,7 +97,7 @@ enum Gear {
 }
 
 /// The electronic speed controller.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Esc {
     gear: Gear,
     in_gear: Stopwatch,

@@ -23,7 +23,7 @@ pub const fn axis_map(axes: ImuAxes) -> [u8; 2] {
     ]
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Imu {
     /// The newest sample; zeros before the first.
     sample: ImuSample,

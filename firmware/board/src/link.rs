@@ -5,7 +5,7 @@ use singletrack_protocol::{
 };
 
 /// Receiver, counters, and pending greetings.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Link {
     decoder: Decoder,
     software_version: [u8; 3],

@@ -49,7 +49,7 @@ const FINE_DISTANCE_UM: u16 = 5_000;
 const MAX_PULSES: u32 = 64;
 
 /// Speed and state of the motor sensor.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Odometer {
     /// The newest pulse; `None` before the first poll.
     newest: Option<MotorPulses>,

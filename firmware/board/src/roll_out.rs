@@ -33,7 +33,7 @@ const MARGIN_MM_S: u32 = 50;
 /// Pulse distance assumed before the configuration, in µm.
 const UNKNOWN_DISTANCE_UM: u16 = 10_000;
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct RollOut {
     longest_ms: u16,
     /// Zero before the configuration.

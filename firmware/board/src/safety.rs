@@ -98,7 +98,7 @@ impl Command {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Safety {
     mode: BoardMode,
     cause: StopCause,

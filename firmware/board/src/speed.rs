@@ -26,7 +26,7 @@ pub(crate) struct Room {
 }
 
 /// The controller. Speeds and pulses are in the direction of travel.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct SpeedController {
     integral: i32,
 }

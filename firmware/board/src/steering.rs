@@ -6,13 +6,13 @@ use crate::slew::SlewLimiter;
 
 /// The servo: silent until it is configured, then slewing to the last commanded
 /// angle.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Steering {
     angle_100urad: i16,
     servo: Option<Servo>,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Servo {
     pulse_us: i16,
     target_us: i16,

@@ -37,7 +37,7 @@ pub struct SessionConfig {
 /// [`handle_opened`](Self::handle_opened), [`handle_closed`](Self::handle_closed) and
 /// [`handle_bytes`](Self::handle_bytes). All times are nanoseconds of one host clock
 /// that never runs backwards.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Session {
     pub(crate) config: SessionConfig,
     pub(crate) configuration_hash: u32,

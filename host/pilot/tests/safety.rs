@@ -192,6 +192,20 @@ fn a_velocity_out_of_the_geofence_is_limited_and_the_car_stays_inside() {
 }
 
 #[test]
+fn it_says_in_each_tick_what_it_does_in_that_tick() {
+    let mut drive = Outside::new(Some(filter()));
+    let mut last = Filtering::None;
+    for _ in 0..600 {
+        last = drive.velocity(Velocity::new(1.5, 0.0)).filtering;
+    }
+    assert_ne!(last, Filtering::None);
+    for _ in 0..300 {
+        last = drive.velocity(Velocity::new(-0.2, 0.0)).filtering;
+    }
+    assert_eq!(last, Filtering::None);
+}
+
+#[test]
 fn its_interventions_are_counted_for_each_drive() {
     let mut drive = Outside::new(Some(filter()));
     let mut counted = 0;

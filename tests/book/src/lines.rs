@@ -12,10 +12,11 @@ pub struct Line {
 }
 
 /// Programs whose lines are read.
-const PROGRAMS: [&str; 7] = [
+const PROGRAMS: [&str; 8] = [
     "singletrack",
     "singletrackd",
     "singletrack-sim",
+    "singletrack-exploration",
     "singletrack-faults",
     "singletrack-onboard",
     "singletrack-ros",

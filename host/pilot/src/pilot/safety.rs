@@ -151,22 +151,7 @@ impl Pilot {
             return self.law.follow(steering, speed, period);
         };
         let now = self.law.actuation();
-        // The whole is the demand itself, to the bit.
-        let part = |share: f64| match share {
-            1.0 => (steering, speed),
-            share => (
-                match steering {
-                    SteeringDemand::Angle(angle) => {
-                        SteeringDemand::Angle(now.steering + share * (angle - now.steering))
-                    }
-                    SteeringDemand::Rate(rate) => SteeringDemand::Rate(share * rate),
-                },
-                SpeedDemand::Speed(match speed {
-                    SpeedDemand::Speed(speed) => share * speed,
-                    SpeedDemand::Acceleration(change) => share * (now.speed + change * period),
-                }),
-            ),
-        };
+        let part = |share| part_of(share, (steering, speed), &now, period);
         let trial = |law: &mut LimitedLaw, share: f64| {
             let (steering, speed) = part(share);
             law.follow(steering, speed, period)?;
@@ -203,5 +188,61 @@ impl Pilot {
             None
         };
         actuation
+    }
+}
+
+/// A share of what is demanded: as far from the present steering, and as fast. The whole is the
+/// demand itself, to the bit.
+fn part_of(
+    share: f64,
+    (steering, speed): (SteeringDemand, SpeedDemand),
+    now: &Actuation,
+    period: f64,
+) -> (SteeringDemand, SpeedDemand) {
+    if share == 1.0 {
+        return (steering, speed);
+    }
+    let steering = match steering {
+        SteeringDemand::Angle(angle) => {
+            SteeringDemand::Angle(now.steering + share * (angle - now.steering))
+        }
+        SteeringDemand::Rate(rate) => SteeringDemand::Rate(share * rate),
+    };
+    let speed = match speed {
+        SpeedDemand::Speed(speed) => share * speed,
+        SpeedDemand::Acceleration(change) => share * (now.speed + change * period),
+    };
+    (steering, SpeedDemand::Speed(speed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_of_a_demand_turns_as_much_less_and_is_as_much_slower() {
+        use SpeedDemand::{Acceleration, Speed};
+        use SteeringDemand::{Angle, Rate};
+        let now = Actuation {
+            steering: -0.125,
+            speed: 0.75,
+            ..Actuation::default()
+        };
+        let part = |share, steering, speed| part_of(share, (steering, speed), &now, 0.5);
+        let whole = (Angle(0.3), Acceleration(2.0));
+        assert_eq!(part(1.0, whole.0, whole.1), whole);
+        for (share, steering, speed, expected) in [
+            (0.25, Angle(0.375), Speed(2.0), (Angle(0.0), Speed(0.5))),
+            (0.5, Rate(-3.0), Speed(-1.0), (Rate(-1.5), Speed(-0.5))),
+            (0.5, Rate(3.0), Acceleration(2.5), (Rate(1.5), Speed(1.0))),
+            (
+                0.0,
+                Angle(9.0),
+                Acceleration(-9.0),
+                (Angle(-0.125), Speed(0.0)),
+            ),
+        ] {
+            assert_eq!(part(share, steering, speed), expected, "{share}");
+        }
     }
 }

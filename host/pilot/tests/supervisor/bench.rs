@@ -163,7 +163,7 @@ pub(crate) const STANDING_FAILURES: [Failure; 10] = [
         },
     ),
     ("a car that moves", Reason::Moving, |bench| {
-        bench.conditions.camera_speed = Some(0.031);
+        bench.conditions.camera_speed = Some(0.03);
     }),
     ("an estimate that moves", Reason::Moving, |bench| {
         bench.conditions.speed = -0.11;

@@ -38,6 +38,7 @@ fn refusal(line: &Line) -> Option<String> {
     let (program, arguments) = match line.program.as_str() {
         "cargo" => match line.arguments.split_first()? {
             (alias, rest) if alias == "demo" => ("singletrack", [&["demo".into()], rest].concat()),
+            (alias, rest) if alias == "explore" => ("singletrack-exploration", rest.to_vec()),
             (alias, rest) if alias == "faults" => ("singletrack-faults", rest.to_vec()),
             (alias, rest) if alias == "onboard" => ("singletrack-onboard", rest.to_vec()),
             _ => return missing_example(line),

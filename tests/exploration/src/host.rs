@@ -1,0 +1,265 @@
+//! The host: link session and supervisor, and what lies between them in the daemon.
+
+use singletrack_control::Time;
+use singletrack_link::{DriveCommand, Event, JogCommand, Session, SessionConfig};
+use singletrack_pilot::{
+    BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LinkState, Mode, PilotRequest,
+    RealTimeState, Reason, Supervisor, SupervisorConfig,
+};
+use singletrack_protocol::{
+    BoardMode, Configuration, ConfigurationError, RefusalReason, Request, StopCause,
+};
+
+/// Speed of a drive, m/s.
+const SPEED: f64 = 0.3;
+
+/// Pulses of servo and ESC that an operator gives, in µs.
+const JOG: JogCommand = JogCommand {
+    servo_us: 1_500,
+    esc_us: 1_600,
+};
+
+/// Poses beyond which the supervisor does not tell their numbers apart.
+const SETTLED_POSES: u32 = 6;
+
+/// Link session and supervisor, with what the pilot would tell the supervisor.
+#[derive(Clone, Debug)]
+pub(crate) struct Host {
+    pub(crate) session: Session,
+    pub(crate) supervisor: Supervisor,
+    /// Mid-exposure of the last pose.
+    pose_time: Option<Time>,
+    poses: u32,
+    blind_distance: f64,
+    imu_time: Option<Time>,
+    motor_speed: f64,
+    commanded_speed: f64,
+    /// The operator holds the drive, or gives pulses, in every tick.
+    pub(crate) hand: bool,
+    arm_refused: bool,
+}
+
+/// What the host perceives of the car in a tick.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Seen {
+    /// Whether the cameras see it.
+    pub(crate) pose: bool,
+    /// Its speed, in m/s.
+    pub(crate) speed: f64,
+}
+
+impl Host {
+    pub(crate) fn new(
+        session: SessionConfig,
+        supervisor: SupervisorConfig,
+        now: Time,
+    ) -> Result<Self, ConfigurationError> {
+        let mut session = Session::new(session)?;
+        session.handle_opened(now.0);
+        let mut supervisor = Supervisor::new(supervisor);
+        supervisor.handle_real_time(RealTimeState {
+            fifo: true,
+            memory_locked: true,
+        });
+        Ok(Self {
+            session,
+            supervisor,
+            pose_time: None,
+            poses: 0,
+            blind_distance: 0.0,
+            imu_time: None,
+            motor_speed: 0.0,
+            commanded_speed: 0.0,
+            hand: false,
+            arm_refused: false,
+        })
+    }
+
+    /// Bytes from the board.
+    pub(crate) fn received(&mut self, now: Time, bytes: &[u8]) {
+        let mut events = Vec::new();
+        self.session
+            .handle_bytes(now.0, bytes, &mut |event| events.push(event));
+        for event in &events {
+            self.handle(event);
+        }
+    }
+
+    /// The port hangs up, and is opened again.
+    pub(crate) fn reopen(&mut self, now: Time) {
+        let mut events = Vec::new();
+        self.session
+            .handle_closed(now.0, &mut |event| events.push(event));
+        for event in &events {
+            self.handle(event);
+        }
+        self.supervisor.handle_link(LinkState::Down);
+        self.session.handle_opened(now.0);
+    }
+
+    /// Replaces the board's configuration, unless a drive is underway or asked for.
+    pub(crate) fn reconfigure(&mut self, now: Time, configuration: Configuration) {
+        if self.supervisor.mode().is_underway() {
+            return;
+        }
+        if self.session.configure(now.0, configuration).is_ok() {
+            self.supervisor.handle_link(LinkState::Down);
+            self.poses = 0;
+        }
+    }
+
+    /// A control tick: what is to be written goes to `write`.
+    pub(crate) fn tick(&mut self, now: Time, seen: Seen, write: &mut impl FnMut(&[u8])) {
+        let mut events = Vec::new();
+        self.session
+            .handle_timeout(now.0, &mut |event| events.push(event));
+        for event in &events {
+            self.handle(event);
+        }
+        if core::mem::take(&mut self.arm_refused) {
+            self.supervisor.handle_arm_refused();
+        }
+        if self.hand {
+            self.supervisor.handle_request(PilotRequest::Hold);
+            self.supervisor.handle_jog();
+        }
+        if seen.pose {
+            self.pose_time = Some(now);
+            self.poses = (self.poses + 1).min(SETTLED_POSES);
+            self.blind_distance = 0.0;
+            self.supervisor.handle_pose();
+        } else {
+            self.blind_distance += 0.01 * seen.speed.max(self.commanded_speed);
+        }
+        let was = self.supervisor.mode();
+        let request = self.supervisor.step(&self.conditions(now, seen));
+        let mode = self.supervisor.mode();
+        self.command(now, was, mode, write);
+        match request {
+            Some(BoardRequest::Arm) => self.arm_refused = self.session.arm(now.0).is_err(),
+            Some(BoardRequest::Disarm) => {
+                self.session.disarm(now.0);
+            }
+            Some(BoardRequest::EmergencyStop) => {
+                self.session.emergency_stop(now.0);
+            }
+            None => {}
+        }
+        while let Some(transmit) = self.session.poll_transmit(now.0) {
+            write(transmit.as_bytes());
+        }
+    }
+
+    fn command(&mut self, now: Time, was: Mode, mode: Mode, write: &mut impl FnMut(&[u8])) {
+        let speed = match mode {
+            Mode::Driving => Some(SPEED),
+            Mode::Slowing | Mode::Stopping => Some(0.0),
+            _ => None,
+        };
+        self.commanded_speed = speed.unwrap_or(0.0);
+        let frame = if let Some(speed_m_s) = speed {
+            let command = DriveCommand {
+                speed_m_s,
+                steering_rad: 0.0,
+                brake: false,
+                pose_time_ns: self.pose_time.map(|time| time.0),
+            };
+            self.session.drive(now.0, command).ok()
+        } else if mode == Mode::Jogging && was == Mode::Jogging && self.hand {
+            self.session.jog(now.0, JOG).ok()
+        } else {
+            None
+        };
+        if let Some(frame) = frame {
+            write(frame.as_bytes());
+        }
+    }
+
+    fn conditions(&self, now: Time, seen: Seen) -> Conditions {
+        let stands = seen.speed == 0.0;
+        Conditions {
+            now,
+            pose_time: self.pose_time,
+            blind_distance: self.blind_distance,
+            poses: self.poses,
+            implausible: 0,
+            imu_time: self.imu_time,
+            imu: ImuVerdict::Good,
+            imu_still: stands,
+            speed: seen.speed,
+            motor_speed: self.motor_speed,
+            camera_speed: seen.pose.then_some(seen.speed),
+            stands: stands && self.motor_speed == 0.0,
+            preflight: None,
+            doubt: None,
+            implausible_motion: None,
+            contradiction: None,
+            speed_mismatch: false,
+            overspeed: false,
+            commanded_speed: self.commanded_speed,
+            filter: None,
+            inside_fence: true,
+            late: false,
+            setpoint_stale: false,
+            reference_finished: false,
+        }
+    }
+
+    /// As the daemon tells the pilot, and the pilot its supervisor.
+    fn handle(&mut self, event: &Event) {
+        let supervisor = &mut self.supervisor;
+        match event {
+            Event::Telemetry(record) => {
+                if record.has_fresh_imu_sample() {
+                    self.imu_time = record.imu_time_host_ns.map(Time);
+                }
+                self.motor_speed = f64::from(record.telemetry.motor_speed_mm_s) / 1_000.0;
+                let cause = record.telemetry.stop_cause;
+                supervisor.handle_board(board_state(record.telemetry.mode, cause));
+            }
+            Event::ConfigurationAccepted { .. } => supervisor.handle_link(LinkState::Ready),
+            Event::VersionMismatch(_) => supervisor.handle_link(LinkState::VersionDiffers),
+            Event::ConfigurationRefused {
+                reason: RefusalReason::EmergencyStopLatched,
+            } => supervisor.handle_link(LinkState::EmergencyStopped),
+            Event::ConfigurationRefused { .. } => {
+                supervisor.handle_link(LinkState::ConfigurationRefused);
+            }
+            Event::BoardRestarted { .. } | Event::Lost { .. } => {
+                supervisor.handle_link(LinkState::Down);
+            }
+            Event::Status(status) => supervisor.handle_health(BoardHealth {
+                battery_mv: status.battery_mv,
+                stop_input_open: status.stop_input_open,
+                battery_open: status.battery_open,
+                imu_fault: false,
+            }),
+            Event::Refused {
+                request: Request::Arm,
+                ..
+            } => self.arm_refused = true,
+            _ => {}
+        }
+    }
+
+    /// Why the car does not drive.
+    pub(crate) const fn reason(&self) -> Option<Reason> {
+        self.supervisor.reason()
+    }
+}
+
+const fn board_state(mode: BoardMode, cause: StopCause) -> BoardState {
+    match mode {
+        BoardMode::Boot => BoardState::Booting,
+        BoardMode::Neutral => BoardState::Neutral,
+        BoardMode::Armed => BoardState::Armed,
+        BoardMode::Driving => BoardState::Driving,
+        BoardMode::Failsafe => BoardState::Failsafe,
+        BoardMode::EmergencyStopped if matches!(cause, StopCause::RunsAtNeutral) => {
+            BoardState::RunsAtNeutral
+        }
+        BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
+        BoardMode::PoweringUp => BoardState::PoweringUp,
+        BoardMode::Jogging => BoardState::Jogging,
+    }
+}
