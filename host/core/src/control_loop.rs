@@ -506,7 +506,12 @@ impl<L: Line> ControlLoop<L> {
                 session.is_stop_pending()
                     || matches!(
                         mode,
-                        Some(BoardMode::Armed | BoardMode::Driving | BoardMode::Jogging)
+                        Some(
+                            BoardMode::PoweringUp
+                                | BoardMode::Armed
+                                | BoardMode::Driving
+                                | BoardMode::Jogging
+                        )
                     )
             }
             // Without a link the board stops by itself and gets no requests.

@@ -151,6 +151,21 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_pause_takes_the_oldest_tenths_alone() {
+        const TENTH_NS: u64 = 100_000_000;
+        let mut window = QualityWindow::default();
+        for tenth in 20..30 {
+            for _ in 0..=tenth {
+                window.good(tenth * TENTH_NS);
+            }
+        }
+        // Three tenths without a frame, and one frame: 23 to 29 are left.
+        window.good(33 * TENTH_NS);
+        let left: u32 = (24..30).map(|tenth| tenth + 1).sum();
+        assert_eq!(window.over_last_second(33 * TENTH_NS).good, left + 1);
+    }
+
+    #[test]
     fn the_window_forgets_after_a_second() {
         let mut window = QualityWindow::default();
         for ms in 0..3_000_u64 {

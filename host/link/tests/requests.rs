@@ -211,6 +211,26 @@ fn while_a_stop_is_pending_nothing_drives_or_arms() {
 }
 
 #[test]
+fn a_stop_asked_twice_is_one_and_an_emergency_stop_takes_the_place_of_a_disarm() {
+    let mut bench = Bench::armed();
+    let start_ns = bench.now_ns;
+    let disarm = bench.session.disarm(bench.now_ns);
+    bench.poll();
+    assert_eq!(bench.session.disarm(bench.now_ns), disarm);
+    bench.sent.clear();
+    let stop = bench.session.emergency_stop(bench.now_ns);
+    assert_ne!(stop, disarm);
+    bench.poll();
+    bench.pass(120 * MS);
+    let stops = bench.sent_ms(
+        start_ns,
+        |message| matches!(message, ToBoard::EmergencyStop(sent) if sent.request == stop),
+    );
+    assert_eq!(stops, [0, 50, 100]);
+    assert_eq!(bench.sent.len(), stops.len());
+}
+
+#[test]
 fn an_emergency_stop_is_sent_through_loss_and_hang_up_until_it_is_latched() {
     let mut bench = Bench::armed();
     bench.session.emergency_stop(bench.now_ns);

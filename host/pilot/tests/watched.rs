@@ -1,0 +1,108 @@
+//! What the watches find, seen from outside.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use singletrack_control::{PoseSample, Velocity};
+use singletrack_pilot::{BoardState, Event, Jog, Mode, PilotRequest, Reason};
+
+use crate::bench::{Bench, Pose};
+
+#[test]
+fn poses_that_repeat_to_the_bit_for_a_third_of_a_second_end_the_drive() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let frozen = (bench.position, bench.yaw);
+    bench.pose = Pose::Missing;
+    let begin = bench.tick;
+    loop {
+        bench.extra.push(Event::Pose(PoseSample {
+            capture: bench.now(),
+            receive: bench.now(),
+            frame: i32::try_from(bench.tick).unwrap(),
+            position: frozen.0,
+            yaw: frozen.1,
+        }));
+        let output = bench.step();
+        let ticks = bench.tick - begin;
+        if output.mode == Mode::Stopping {
+            assert_eq!(output.reason, Some(Reason::PoseFrozen));
+            assert!((29..=33).contains(&ticks), "{ticks}");
+            return;
+        }
+        assert!(ticks < 100);
+    }
+}
+
+/// The reason after cameras have drifted sideways (m/s) during a drive until it ended, or after it,
+/// and go on for three seconds.
+fn drifting(in_the_drive: bool) -> (Reason, Option<Reason>) {
+    let mut bench = Bench::new();
+    bench.drive();
+    let drift = Velocity::new(0.0, 0.002);
+    if !in_the_drive {
+        bench.step_with(Some(PilotRequest::Disarm));
+    }
+    let mut ended = None;
+    for _ in 0..600 {
+        if in_the_drive || ended.is_some() {
+            bench.position += drift;
+        }
+        let output = bench.step();
+        if !matches!(output.mode, Mode::Driving | Mode::Slowing) && ended.is_none() {
+            ended = output.reason;
+        }
+        if output.reason == Some(Reason::StopNotObeyed) {
+            return (ended.unwrap(), output.reason);
+        }
+    }
+    (ended.unwrap(), None)
+}
+
+#[test]
+fn cameras_that_drift_after_they_ended_the_drive_are_believed_less_than_wheels_that_stand() {
+    let (ended, after) = drifting(true);
+    assert!(
+        matches!(
+            ended,
+            Reason::PoseImplausible
+                | Reason::BodyYawWrong
+                | Reason::SideslipImplausible
+                | Reason::EstimateInconsistent
+        ),
+        "{ended}"
+    );
+    assert_eq!(after, None);
+    let (ended, after) = drifting(false);
+    assert_eq!(ended, Reason::Requested);
+    assert_eq!(after, Some(Reason::StopNotObeyed));
+}
+
+#[test]
+fn pulses_that_were_given_before_the_board_was_armed_are_not_sent() {
+    let jog = Jog {
+        servo_us: 1_500,
+        esc_us: 1_560,
+    };
+    let mut bench = Bench::new();
+    bench.run(100);
+    let mut jogged = Vec::new();
+    for tick in 0..8 {
+        // Only until the board is armed.
+        if tick < 3 {
+            bench.extra.push(Event::Jog(jog));
+        }
+        if tick == 3 {
+            bench.board = BoardState::Armed;
+        }
+        let output = bench.step_with((tick == 0).then_some(PilotRequest::ArmJog));
+        if tick < 3 {
+            bench.board = BoardState::Neutral;
+        }
+        jogged.push((output.mode, output.jog));
+    }
+    assert!(jogged.iter().any(|(mode, _)| *mode == Mode::Jogging));
+    assert!(jogged.iter().all(|(_, jog)| jog.is_none()), "{jogged:?}");
+
+    bench.extra.push(Event::Jog(jog));
+    assert_eq!(bench.step().jog, Some(jog));
+}
