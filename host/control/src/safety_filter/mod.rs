@@ -17,7 +17,7 @@ use libm::{atan, cos, fabs, sin, sqrt, tan};
 
 use self::{
     projection::{HalfPlane, MOST, nearest},
-    stop_way::{Range, StopWay, Wheels},
+    stop_way::{ROUNDED, Range, StopWay, Wheels},
 };
 use crate::{
     Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Velocity, direction,
@@ -384,12 +384,14 @@ impl SafetyFilter {
         }
         let reaction = self.config.reaction + input.period + early;
         let (of_curvature, of_course) = (self.config.curvature_error, self.config.course_error);
+        // By more than a tangent or its inverse is rounded.
+        let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
         let wheels = |curvatures: Range| Wheels {
-            curvatures: curvatures.widened(of_curvature),
+            curvatures: curvatures.widened(of_curvature + rounded(&curvatures)),
             sideslips: Range::only(self.sideslip(input, curvatures.least))
                 .with(self.sideslip(input, curvatures.most))
                 .with(estimate.sideslip)
-                .widened(of_course),
+                .widened(of_course + ROUNDED),
         };
         let first = self
             .present_curvatures(input)
@@ -400,10 +402,12 @@ impl SafetyFilter {
         let forward = StopWay {
             from: estimate.position,
             heading: estimate.yaw,
-            length: input.blind + pace * reaction + 0.5 * pace * pace / input.braking,
+            length: (input.blind + pace * reaction + 0.5 * pace * pace / input.braking)
+                * (1.0 + ROUNDED),
             first: wheels(first),
-            settles_after: input.blind
-                + pace * input.period * (self.config.steering_ticks + 1) as f64,
+            settles_after: (input.blind
+                + pace * input.period * (self.config.steering_ticks + 1) as f64)
+                * (1.0 + ROUNDED),
             then: wheels(Range::only(self.curvature(next.steering))),
         };
         let inside =

@@ -1,9 +1,16 @@
-//! Whether every way to standstill stays inside an area.
+//! Whether every way to standstill stays inside an area, in the arithmetic that runs: everything
+//! is rounded to the side of caution, by more than its operations can have rounded.
 
-use crate::{ConvexArea, Position, direction};
+use libm::fabs;
+
+use crate::{ConvexArea, Position, Side, Velocity, direction};
 
 /// The way is judged in so many pieces; more are less cautious.
 const PIECES: usize = 12;
+
+/// More than the part of a number that the operations between two uses of this round away: each
+/// half of `EPSILON`, a sine or cosine one.
+pub(super) const ROUNDED: f64 = 16.0 * f64::EPSILON;
 
 /// A range of curvatures (1/m) or angles (rad); positive to the left.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,45 +84,94 @@ impl StopWay {
     /// bounded by that of the worst course in it. So no way comes nearer to the side than the sum
     /// of the pieces.
     pub(super) fn stays_inside(&self, area: &ConvexArea, margin: f64) -> bool {
-        let piece = self.length / PIECES as f64;
+        let (piece, cones) = self.cones();
+        area.sides().iter().all(|side| {
+            let mut distances = Distances::new(&self.from, side, margin, piece, &cones);
+            // Not `< 0`: NaN is not inside.
+            distances.all(|distance| distance >= 0.0)
+        })
+    }
+
+    /// The length of a piece, and the directions between which the motion lies in each.
+    fn cones(&self) -> (f64, [Cone; PIECES]) {
+        let piece = self.length / PIECES as f64 * (1.0 + ROUNDED);
         let (mut right, mut left) = (self.heading, self.heading);
-        // The directions between which the motion lies, in each piece.
-        let cones: [Cone; PIECES] = core::array::from_fn(|index| {
+        let cones = core::array::from_fn(|index| {
             let wheels = if (index as f64) * piece < self.settles_after {
                 &self.first
             } else {
                 &self.then
             };
-            let (to_right, to_left) = (
-                right + wheels.curvatures.least * piece,
-                left + wheels.curvatures.most * piece,
+            let (turn_right, turn_left) = (
+                wheels.curvatures.least * piece,
+                wheels.curvatures.most * piece,
             );
+            let rounded = |heading: f64, turn: f64| ROUNDED * (fabs(heading) + fabs(turn));
+            let (to_right, to_left) = (
+                right + turn_right - rounded(right, turn_right),
+                left + turn_left + rounded(left, turn_left),
+            );
+            let Range { least, most } = wheels.sideslips;
+            let (furthest_right, furthest_left) = (right.min(to_right), left.max(to_left));
             let cone = Cone::new(
-                right.min(to_right) + wheels.sideslips.least,
-                left.max(to_left) + wheels.sideslips.most,
+                furthest_right + least - rounded(furthest_right, least),
+                furthest_left + most + rounded(furthest_left, most),
             );
             (right, left) = (to_right, to_left);
             cone
         });
-        area.sides().iter().all(|side| {
-            let mut distance = side.distance(&self.from) - margin;
-            // Not `< 0`: NaN is not inside.
-            distance >= 0.0
-                && cones.iter().all(|cone| {
-                    distance -= piece * cone.most_along(&side.outward);
-                    distance >= 0.0
-                })
-        })
+        (piece, cones)
+    }
+}
+
+/// The least distances from a side after each piece, m, less a margin; the first one is that at
+/// the beginning.
+#[derive(Clone)]
+struct Distances<'a> {
+    next: Option<f64>,
+    piece: f64,
+    outward: Velocity,
+    cones: core::slice::Iter<'a, Cone>,
+}
+
+impl<'a> Distances<'a> {
+    fn new(
+        from: &Position,
+        side: &Side,
+        margin: f64,
+        piece: f64,
+        cones: &'a [Cone; PIECES],
+    ) -> Self {
+        let terms = fabs(side.offset) + fabs(from.x) + fabs(from.y) + margin;
+        Self {
+            next: Some(side.distance(from) - margin - ROUNDED * terms),
+            piece,
+            outward: side.outward,
+            cones: cones.iter(),
+        }
+    }
+}
+
+impl Iterator for Distances<'_> {
+    type Item = f64;
+
+    fn next(&mut self) -> Option<f64> {
+        let distance = self.next?;
+        self.next = self.cones.next().map(|cone| {
+            let along = self.piece * cone.most_along(&self.outward);
+            distance - along - ROUNDED * (fabs(distance) + self.piece)
+        });
+        Some(distance)
     }
 }
 
 /// The directions between two angles.
 struct Cone {
-    right: crate::Velocity,
-    left: crate::Velocity,
+    right: Velocity,
+    left: Velocity,
     /// The cosine of half the opening, and the middle.
     half: f64,
-    middle: crate::Velocity,
+    middle: Velocity,
 }
 
 impl Cone {
@@ -125,7 +181,7 @@ impl Cone {
             right: direction(right),
             left: direction(left),
             half: if half < core::f64::consts::PI {
-                libm::cos(half)
+                libm::cos(half) - ROUNDED
             } else {
                 // Every direction; and so for NaN.
                 -1.0
@@ -134,8 +190,8 @@ impl Cone {
         }
     }
 
-    /// The largest component along `outward` of a unit vector in the cone.
-    fn most_along(&self, outward: &crate::Velocity) -> f64 {
+    /// The largest component along `outward` of a unit vector in the cone, but for [`ROUNDED`].
+    fn most_along(&self, outward: &Velocity) -> f64 {
         if self.middle.dot(outward) >= self.half {
             1.0
         } else {
@@ -147,6 +203,8 @@ impl Cone {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
+    use std::{vec, vec::Vec};
+
     use proptest::prelude::*;
 
     use super::*;
@@ -187,6 +245,162 @@ mod tests {
         assert!(!straight(Position::origin(), f64::NAN, 0.1).stays_inside(&square(), 0.0));
         assert!(!straight(Position::origin(), 0.0, f64::NAN).stays_inside(&square(), 0.0));
         assert!(!straight(Position::origin(), 0.0, f64::INFINITY).stays_inside(&square(), 0.0));
+    }
+
+    /// An interval that holds the real number: every end is rounded outward.
+    #[derive(Clone, Copy, Debug)]
+    struct Interval {
+        low: f64,
+        high: f64,
+    }
+
+    impl Interval {
+        const fn exactly(value: f64) -> Self {
+            Self {
+                low: value,
+                high: value,
+            }
+        }
+
+        const fn outward(low: f64, high: f64) -> Self {
+            Self {
+                low: low.next_down(),
+                high: high.next_up(),
+            }
+        }
+
+        fn plus(self, other: Self) -> Self {
+            Self::outward(self.low + other.low, self.high + other.high)
+        }
+
+        fn minus(self, other: Self) -> Self {
+            Self::outward(self.low - other.high, self.high - other.low)
+        }
+
+        fn times(self, other: Self) -> Self {
+            let ends = [
+                self.low * other.low,
+                self.low * other.high,
+                self.high * other.low,
+                self.high * other.high,
+            ];
+            let low = ends.into_iter().fold(f64::INFINITY, f64::min);
+            Self::outward(low, ends.into_iter().fold(f64::NEG_INFINITY, f64::max))
+        }
+
+        /// The largest cosine of the angles between these, less that of `of`: 1 if it is among them.
+        /// The cosine of libm is within one unit of the last place, taken as two of 1.
+        fn most_cosine(right: Self, left: Self, of: f64) -> Self {
+            let turn = core::f64::consts::TAU;
+            // The turn nearest before the left end at which the outward direction lies.
+            let turns = libm::floor((left.high - of) / turn);
+            let along = of + turns * turn;
+            let slack = 1e-12 * (1.0 + libm::fabs(left.high));
+            if along > right.high + slack && along < left.low - slack {
+                return Self::exactly(1.0);
+            }
+            let may_be_among = along >= right.low - slack && along <= left.high + slack;
+            let cosine = |angle: Self| {
+                let difference = angle.minus(Self::exactly(of));
+                let (one, other) = (libm::cos(difference.low), libm::cos(difference.high));
+                // Between the ends it is above neither by more than the square of their distance.
+                let width = difference.high - difference.low;
+                let more = width * width + 2.0 * f64::EPSILON;
+                Self::outward(one.min(other) - more, one.max(other) + more)
+            };
+            let (right, left) = (cosine(right), cosine(left));
+            Self {
+                low: right.low.max(left.low),
+                // Near the outward direction it may be among them.
+                high: if may_be_among {
+                    1.0
+                } else {
+                    right.high.max(left.high)
+                },
+            }
+        }
+    }
+
+    /// The same distances in real numbers: `outward` is the angle of the side's normal.
+    fn real_distances(way: &StopWay, outward: f64, offset: f64, margin: f64) -> Vec<Interval> {
+        let exactly = Interval::exactly;
+        let piece = exactly(way.length / PIECES as f64 * (1.0 + ROUNDED));
+        let normal = [libm::cos(outward), libm::sin(outward)].map(exactly);
+        let [along_x, along_y] = [
+            normal[0].times(exactly(way.from.x)),
+            normal[1].times(exactly(way.from.y)),
+        ];
+        let mut distance = exactly(offset).minus(along_x).minus(along_y);
+        distance = distance.minus(exactly(margin));
+        let mut distances = vec![distance];
+        let (mut right, mut left) = (exactly(way.heading), exactly(way.heading));
+        for index in 0..PIECES {
+            let wheels = if (index as f64) * piece.low < way.settles_after {
+                &way.first
+            } else {
+                &way.then
+            };
+            let to_right = right.plus(exactly(wheels.curvatures.least).times(piece));
+            let to_left = left.plus(exactly(wheels.curvatures.most).times(piece));
+            let least = |one: Interval, other: Interval| Interval {
+                low: one.low.min(other.low),
+                high: one.high.min(other.high),
+            };
+            let most = |one: Interval, other: Interval| Interval {
+                low: one.low.max(other.low),
+                high: one.high.max(other.high),
+            };
+            let from = least(right, to_right).plus(exactly(wheels.sideslips.least));
+            let to = most(left, to_left).plus(exactly(wheels.sideslips.most));
+            let along = Interval::most_cosine(from, to, outward);
+            distance = distance.minus(piece.times(along));
+            distances.push(distance);
+            (right, left) = (to_right, to_left);
+        }
+        distances
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+        /// Outward-rounded intervals hold the real distances: what is judged is never above them,
+        /// and below by less than ten nanometres.
+        #[test]
+        fn the_arithmetic_that_runs_errs_to_the_side_of_caution(
+            x in -100.0..100.0,
+            y in -100.0..100.0,
+            heading in -1_000.0..1_000.0,
+            length in 0.0..50.0,
+            least in -8.0..8.0,
+            width in 0.0..4.0,
+            slips in (-0.6..0.1, 0.0..0.6),
+            settles_after in 0.0..10.0,
+            // Also the exact directions of the sides.
+            outward in prop_oneof![-4.0..4.0, Just(0.0), Just(core::f64::consts::FRAC_PI_2)],
+            offset in -100.0..200.0,
+            margin in 0.0..0.1,
+        ) {
+            let curvatures = Range { least, most: least + width };
+            let sideslips = Range { least: slips.0, most: slips.0 + slips.1 };
+            let way = StopWay {
+                from: Position::new(x, y),
+                heading,
+                length,
+                first: Wheels { curvatures, sideslips },
+                settles_after,
+                then: Wheels { curvatures: Range::only(least), sideslips },
+            };
+            let side = Side { outward: direction(outward), offset };
+            let (piece, cones) = way.cones();
+            let judged: Vec<f64> = Distances::new(&way.from, &side, margin, piece, &cones).collect();
+            let real = real_distances(&way, outward, offset, margin);
+            prop_assert_eq!(judged.len(), real.len());
+            for (judged, real) in judged.into_iter().zip(real) {
+                // An interval about zero is no narrower.
+                prop_assert!(judged <= real.low + f64::MIN_POSITIVE, "{judged} of {real:?}");
+                prop_assert!(real.high - judged < 1e-8, "{judged} of {real:?}");
+            }
+        }
     }
 
     proptest! {
