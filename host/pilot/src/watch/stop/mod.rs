@@ -67,10 +67,36 @@ struct Run {
 /// The fall of a measured speed.
 #[derive(Clone, Copy, Debug, Default)]
 struct Fall {
-    /// The first speed after the reaction time, m/s, and its time.
+    /// The speed from which it must fall, m/s, and its time: the first one after the reaction time,
+    /// and later the mean of a window.
     from: Option<(f64, Time)>,
+    window: Window,
     /// Ticks in a row with too high a speed.
     too_fast: u32,
+}
+
+/// Speeds of a short time.
+#[derive(Clone, Copy, Debug, Default)]
+struct Window {
+    begin: Option<Time>,
+    sum: f64,
+    count: f64,
+}
+
+impl Window {
+    /// Adds a speed (m/s); the mean when the window is full, and how long ago that was, s.
+    fn add(&mut self, now: Time, speed: f64) -> Option<(f64, f64)> {
+        let begin = *self.begin.get_or_insert(now);
+        self.sum += speed;
+        self.count += 1.0;
+        let span = now.seconds_since(begin);
+        if span < WINDOW {
+            return None;
+        }
+        let mean = self.sum / self.count;
+        *self = Self::default();
+        Some((mean, 0.5 * span))
+    }
 }
 
 impl Fall {
@@ -90,6 +116,12 @@ impl Fall {
         // A speed that is no number has not fallen.
         let too_fast = speed.is_nan() || speed > allowed.max(floor);
         count(&mut self.too_fast, too_fast);
+        // A car that has slowed down faster is not allowed to go on at the speed that it has now.
+        if let Some((mean, ago)) = self.window.add(now, speed)
+            && mean < from - least * (now.seconds_since(since) - ago)
+        {
+            self.from = Some((mean, now.before(ago)));
+        }
     }
 }
 
@@ -139,12 +171,14 @@ const LEAST_SHARE: f64 = 0.15;
 const FOLLOWS_AFTER: f64 = 0.2;
 /// Tolerance of a measured speed, m/s.
 const TOLERANCE: f64 = 0.03;
+/// The time after which the speed is looked at anew, s: long enough for the noise of the cameras.
+const WINDOW: f64 = 0.5;
 /// Below this speed nothing is judged, m/s.
 const SLOW: f64 = 0.08;
 /// The number of fast ticks in a row that make a disobeyed stop...
 const TOO_FAST: u32 = 3;
-/// ...and if the cameras see the car stand or slow down: its wheels may be off the floor, and a
-/// coarse pulse sensor shows the mean speed between the last two pulses for a while.
+/// ...and if the cameras see the car stand, or slow down and slower than its wheels: they may be off
+/// the floor, and a coarse pulse sensor shows the mean speed between the last two pulses for a while.
 const TOO_FAST_IN_PLACE: u32 = 40;
 /// Below this speed of the cameras, m/s, wheels that stand are believed more than cameras that
 /// were found to contradict the rest: poses that drift go on drifting after the stop.
@@ -281,7 +315,12 @@ impl StopWatch {
             };
             cameras.tick(now, speeds.cameras, least, floor);
             let in_place = speeds.cameras.is_some_and(|seen| seen < SLOW);
-            let slows_down = speeds.cameras.is_some() && cameras.too_fast == 0;
+            // They see it slower than its wheels, and its speed falls.
+            let slows_down = cameras.too_fast == 0
+                && speeds
+                    .cameras
+                    .zip(speeds.motor)
+                    .is_some_and(|(seen, motor)| fabs(seen) + TOLERANCE < fabs(motor));
             let most = if in_place || (slows_down && !run.doubts_cameras) {
                 TOO_FAST_IN_PLACE
             } else {
