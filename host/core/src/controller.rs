@@ -604,21 +604,87 @@ mod tests {
     use super::*;
     use crate::Config;
 
-    #[test]
-    fn a_disproved_configuration_is_unproved_for_the_pilot_and_on_this_car_alone() {
+    fn controller(proofs: Proofs) -> Controller {
         let config =
             Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
-        let proof = |car_id| Proof {
-            configuration: 5,
-            car_id,
-        };
-        let mut controller = Controller::new(
+        Controller::new(
             Session::new(config.link(1)).unwrap(),
             config.steering_map().unwrap(),
             Pilot::new(config.pilot().unwrap()),
             5,
-            Proofs::of(&[proof(1), proof(2)]),
-        );
+            proofs,
+        )
+    }
+
+    #[test]
+    fn a_flood_of_samples_displaces_no_stop_and_a_stop_the_oldest_sample() {
+        let mut controller = controller(Proofs::default());
+        let missing = Event::PoseMissing(PoseMissing::Absent);
+        for _ in 0..MAX_EVENTS {
+            controller.push(missing);
+        }
+        assert_eq!(controller.events.len(), MAX_EVENTS - RESERVED);
+        assert_eq!(controller.dropped, RESERVED as u32);
+        let stop = Event::Request(PilotRequest::EmergencyStop);
+        for _ in 0..=RESERVED {
+            controller.push(stop);
+        }
+        // The last one took the place of a sample.
+        assert!(controller.events.is_full());
+        assert_eq!(controller.dropped, RESERVED as u32 + 1);
+        let stops = controller.events.iter().filter(|event| **event == stop);
+        assert_eq!(stops.count(), RESERVED + 1);
+    }
+
+    #[test]
+    fn of_equal_states_of_the_link_in_a_row_the_later_one_counts() {
+        let mut controller = controller(Proofs::default());
+        let (down, ready) = (Event::Link(LinkState::Down), Event::Link(LinkState::Ready));
+        let missing = Event::PoseMissing(PoseMissing::Absent);
+        for event in [down, missing, down, ready, down] {
+            controller.push(event);
+        }
+        assert_eq!(controller.events.as_slice(), [missing, down, ready, down]);
+    }
+
+    #[test]
+    fn the_imus_quaternion_gives_roll_and_pitch() {
+        let near = |quaternion: [f64; 4], roll: f64, pitch: f64| {
+            let tilt = imu_tilt(quaternion.map(|part| (part * 16_384.0) as i16));
+            assert!((tilt.roll - roll).abs() < 1e-3, "{tilt:?}");
+            assert!((tilt.pitch - pitch).abs() < 1e-3, "{tilt:?}");
+        };
+        let half = |angle: f64| (libm::sin(0.5 * angle), libm::cos(0.5 * angle));
+        let ((sr, cr), (sp, cp), (sy, cy)) = (half(0.3), half(-0.2), half(0.9));
+        near([cr, sr, 0.0, 0.0], 0.3, 0.0);
+        near([cp, 0.0, sp, 0.0], 0.0, -0.2);
+        // Yaw, then pitch, then roll.
+        let all = [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ];
+        near(all, 0.3, -0.2);
+    }
+
+    #[test]
+    fn a_port_that_is_closed_takes_the_link_down() {
+        let mut controller = controller(Proofs::default());
+        controller.port_opened(Time(1_000));
+        controller.port_closed(Time(2_000), &mut |_| {});
+        assert_eq!(controller.events.as_slice(), [Event::Link(LinkState::Down)]);
+        let state = controller.session().state();
+        assert_eq!(state, singletrack_link::State::Disconnected);
+    }
+
+    #[test]
+    fn a_disproved_configuration_is_unproved_for_the_pilot_and_on_this_car_alone() {
+        let proof = |car_id| Proof {
+            configuration: 5,
+            car_id,
+        };
+        let mut controller = controller(Proofs::of(&[proof(1), proof(2)]));
         controller.disproved();
         assert!(
             controller.proofs.contains(proof(1)),
@@ -636,15 +702,7 @@ mod tests {
 
     #[test]
     fn the_tunings_of_a_tick_are_one_event_with_the_newest_of_each_value() {
-        let config =
-            Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
-        let mut controller = Controller::new(
-            Session::new(config.link(1)).unwrap(),
-            config.steering_map().unwrap(),
-            Pilot::new(config.pilot().unwrap()),
-            5,
-            Proofs::default(),
-        );
+        let mut controller = controller(Proofs::default());
         let gain = |gain: f64| Some(singletrack_control::Velocity::new(gain, gain));
         let tuning = |gain, point_distance| Tuning {
             gain,

@@ -10,6 +10,7 @@
 mod board_section;
 mod config;
 mod config_documents;
+mod config_effects;
 mod config_mistakes;
 mod control_loop;
 mod diagnosis;

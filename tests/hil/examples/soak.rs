@@ -128,6 +128,7 @@ fn watch(bench: &mut Bench, minutes: usize, ends: &AtomicBool, answers: &AtomicU
         if minute.is_multiple_of(DRIVE_MINUTES) {
             bench.client()?.disarm()?.accepted()?;
             bench.wait_until_standing()?;
+            bench.wait_until_ready()?;
             bench.client()?.reload()?.accepted()?;
             bench.wait_until_ready()?;
             bench.arm_and_drive()?;
@@ -174,6 +175,7 @@ fn lateness(bench: &mut Bench) -> Outcome<Vec<f64>> {
     while Instant::now() < end {
         late_us.push(1e-3 * ticks.next("lateness_ns")?);
     }
+    late_us.sort_by(f64::total_cmp);
     Ok(late_us)
 }
 
