@@ -308,6 +308,8 @@ truth! {
         body_name: String => cameras.car.name;
         /// The axis that points up in the stream: "y" or "z".
         up_axis: UpAxis => cameras.up_axis;
+        /// Frames a second (100).
+        rate_hz: f64, in 1.0 to 1000.0 => |c, v| c.cameras.period_us = (1e6 / v).round() as u64;
         /// Error of the mid-exposure stamps. Positive is late: the pose is older than its stamp,
         /// and the frame leaves later by as much.
         stamp_bias_ms: f64, in -1000.0 to 1000.0 => cameras.stamp_bias_ms;

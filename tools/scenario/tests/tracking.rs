@@ -304,3 +304,12 @@ fn steering_that_is_no_straight_line_costs_nothing_with_its_table() {
         assert!(unknown > known + 1.0, "{name}: {unknown} mm");
     }
 }
+
+#[test]
+fn cameras_of_every_common_rate_serve() {
+    for rate_hz in [50, 120, 240, 360] {
+        let cameras = format!("{PROVED}[truth.cameras]\nrate_hz = {rate_hz}\n");
+        let error = error_mm(&with(&best("circle-1.0"), &[], &cameras));
+        assert!(error < 4.0, "{rate_hz} Hz: {error} mm");
+    }
+}

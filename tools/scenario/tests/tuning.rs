@@ -77,3 +77,24 @@ fn a_tuning_that_the_daemon_would_refuse_is_refused_with_its_time_and_the_bounds
         "{refused}"
     );
 }
+
+#[test]
+fn a_predictive_loop_stays_within_its_bounds_while_p_is_tuned() {
+    let tuning = "[tuning]\nenabled = true\npoint_distance_m = [0.2, 0.5]\n\
+                  [[tune]]\nat_s = 8.0\npoint_distance_m = 0.25\n\
+                  [[tune]]\nat_s = 10.0\npoint_distance_m = 0.5\n\
+                  [[tune]]\nat_s = 12.0\npoint_distance_m = 0.2\n";
+    let text = include_str!("../../scenarios/circle-car.toml");
+    let text = format!("{text}\n{tuning}").replace("duration_s = 40.0", "duration_s = 20.0");
+    let proportional = "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\nfeed_forward = false\n";
+    assert!(text.contains(proportional));
+    let mpc = text.replace(proportional, "kind = \"mpc\"\n");
+    let scenario = Scenario::from_toml(&mpc, Path::new("scenario.toml")).unwrap();
+    let simulation = simulate(&scenario).unwrap();
+    assert_eq!(simulation.notes, [""; 0], "the car drove to the end");
+    let last = simulation.rows.last().unwrap();
+    assert!((last.x_p - last.x_ref).hypot(last.y_p - last.y_ref) < 0.02);
+    for row in &simulation.rows {
+        assert!(row.t < 5.0 || row.x_p.hypot(row.y_p) < 1.1, "{}", row.t);
+    }
+}

@@ -373,10 +373,12 @@ impl<'a> Run<'a> {
 
     fn row(&self, reference: &Reference, time: f64, truth: &Truth, last: &VirtualTick) -> Row {
         let output = &last.tick.output;
-        let [x_p, y_p] = truth.point_p(
-            self.front_axle_distance_m,
-            self.scenario.law.point_distance_m,
-        );
+        // P is where it was tuned to be.
+        let configured = self.scenario.law.point_distance_m;
+        let point_distance = output
+            .tuned
+            .map_or(configured, |tuned| tuned.point_distance);
+        let [x_p, y_p] = truth.point_p(self.front_axle_distance_m, point_distance);
         let start = Position::from(self.scenario.start.point_p_m);
         let path = self.path.at(time);
         let nominal = match reference {
