@@ -87,8 +87,8 @@ fn pulses_that_were_given_before_the_board_was_armed_are_not_sent() {
     bench.run(100);
     let mut jogged = Vec::new();
     for tick in 0..8 {
-        // Only until the board is armed.
-        if tick < 3 {
+        // Only until the tick that sees the board armed.
+        if tick <= 3 {
             bench.extra.push(Event::Jog(jog));
         }
         if tick == 3 {
