@@ -29,6 +29,17 @@ enumeration! {
     }
 }
 
+impl BoardMode {
+    /// Whether it takes commands, or will without another request.
+    #[must_use]
+    pub const fn is_armed(self) -> bool {
+        matches!(
+            self,
+            Self::Armed | Self::Driving | Self::PoweringUp | Self::Jogging
+        )
+    }
+}
+
 enumeration! {
     /// Why the board last went to neutral.
     pub enum StopCause {

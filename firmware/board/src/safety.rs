@@ -167,10 +167,7 @@ impl Safety {
     }
 
     pub(crate) const fn is_armed(&self) -> bool {
-        matches!(
-            self.mode,
-            BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp | BoardMode::Jogging
-        )
+        self.mode.is_armed()
     }
 
     /// Advances time. Runs before received bytes are processed, so that a late

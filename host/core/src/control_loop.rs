@@ -503,16 +503,7 @@ impl<L: Line> ControlLoop<L> {
         let session = self.controller.session();
         match session.state() {
             State::Ready { mode } => {
-                session.is_stop_pending()
-                    || matches!(
-                        mode,
-                        Some(
-                            BoardMode::PoweringUp
-                                | BoardMode::Armed
-                                | BoardMode::Driving
-                                | BoardMode::Jogging
-                        )
-                    )
+                session.is_stop_pending() || mode.is_some_and(BoardMode::is_armed)
             }
             // Without a link the board stops by itself and gets no requests.
             _ => false,

@@ -3,21 +3,20 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{InertialSample, PoseSample, Position, SteeringMap, Time};
+use singletrack_control::{PoseSample, Position, SteeringMap, Time};
 use singletrack_link::{
     ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
 };
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
-    AttitudeSample, BoardHealth, BoardRequest, BoardSample, BoardState, Event, LineHealth,
-    LinkState, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, Tilt, Tuning, Underway,
+    AttitudeSample, BoardRequest, Event, LineHealth, LinkState, Output, Pilot, PilotConfig,
+    PilotRequest, PoseMissing, Tilt, Tuning, Underway,
 };
-use singletrack_protocol::{
-    BoardMode, Configuration, RefusalReason, Request as BoardRequestKind, Status, StopCause,
-};
+use singletrack_protocol::Configuration;
 
 use crate::{
     line::Sent,
+    link_event::pilot_event,
     proof::{Proof, Proofs},
 };
 
@@ -464,57 +463,13 @@ impl Queue<'_> {
 
     /// As [`link`](Self::link), with a conversion of the motor's speed.
     fn link_with(&mut self, event: &LinkEvent, motor_speed: impl Fn(f64) -> f64) {
-        match event {
-            LinkEvent::Telemetry(record) => {
-                let mut sample = board_sample(record);
+        if let Some(mut event) = pilot_event(event) {
+            if let Event::Board(sample) = &mut event {
                 sample.motor_speed = motor_speed(sample.motor_speed);
-                self.push(Event::Board(sample));
             }
-            LinkEvent::ConfigurationAccepted { .. } => self.push(Event::Link(LinkState::Ready)),
-            LinkEvent::VersionMismatch(_) => self.push(Event::Link(LinkState::VersionDiffers)),
-            LinkEvent::ConfigurationRefused {
-                reason: RefusalReason::EmergencyStopLatched,
-                ..
-            } => self.push(Event::Link(LinkState::EmergencyStopped)),
-            LinkEvent::ConfigurationRefused { .. } => {
-                self.push(Event::Link(LinkState::ConfigurationRefused));
-            }
-            LinkEvent::BoardRestarted { .. } | LinkEvent::Lost { .. } => {
-                self.push(Event::Link(LinkState::Down));
-            }
-            LinkEvent::Status(status) => self.push(Event::Health(BoardHealth {
-                // What a floating input shows is no battery.
-                battery_mv: if status.battery_open {
-                    0
-                } else {
-                    status.battery_mv
-                },
-                stop_input_open: status.stop_input_open,
-                battery_open: status.battery_open,
-                imu_fault: imu_fault(status),
-            })),
-            LinkEvent::Refused {
-                request: BoardRequestKind::Arm,
-                ..
-            } => self.push(Event::ArmRefused),
-            LinkEvent::Connected { .. }
-            | LinkEvent::Identified { .. }
-            | LinkEvent::Acknowledged { .. }
-            | LinkEvent::Refused { .. }
-            | LinkEvent::Unanswered { .. }
-            | LinkEvent::StopConfirmed { .. } => {}
+            self.push(event);
         }
     }
-}
-
-/// Whether the IMU's registers report an error. A self-test of zero has not been read yet.
-const fn imu_fault(status: &Status) -> bool {
-    /// `SYS_STATUS` of a system error.
-    const ERROR: u8 = 1;
-    /// Accelerometer, gyro and controller; the magnetometer is not used.
-    const PASSED: u8 = 0b1101;
-    status.imu_status == ERROR
-        || (status.imu_self_test != 0 && status.imu_self_test & PASSED != PASSED)
 }
 
 /// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world.
@@ -544,40 +499,6 @@ fn line_health(session: &Session, now: Time) -> LineHealth {
 /// measures speeds.
 fn rate(session: &Session) -> f64 {
     1.0 + 1e-6 * session.clock().skew_ppm()
-}
-
-/// Converts telemetry to SI units.
-fn board_sample(record: &singletrack_link::TimedTelemetry) -> BoardSample {
-    let telemetry = &record.telemetry;
-    let milli = |value: i16| f64::from(value) / 1000.0;
-    let [forward, left, _] = telemetry.linear_acceleration_mm_s2.map(milli);
-    let [_, _, yaw_rate] = telemetry.angular_velocity_mrad_s.map(milli);
-    BoardSample {
-        time: Time(record.board_time_host_ns),
-        inertial: record
-            .imu_time_host_ns
-            .filter(|_| record.has_fresh_imu_sample())
-            .map(|time| InertialSample {
-                time: Time(time),
-                yaw_rate,
-                forward_acceleration: forward,
-                left_acceleration: left,
-            }),
-        motor_speed: milli(telemetry.motor_speed_mm_s),
-        state: match telemetry.mode {
-            BoardMode::Boot => BoardState::Booting,
-            BoardMode::Neutral => BoardState::Neutral,
-            BoardMode::Armed => BoardState::Armed,
-            BoardMode::Driving => BoardState::Driving,
-            BoardMode::Failsafe => BoardState::Failsafe,
-            BoardMode::EmergencyStopped if telemetry.stop_cause == StopCause::RunsAtNeutral => {
-                BoardState::RunsAtNeutral
-            }
-            BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
-            BoardMode::PoweringUp => BoardState::PoweringUp,
-            BoardMode::Jogging => BoardState::Jogging,
-        },
-    }
 }
 
 /// What the pilot is told of a frame of the cameras.

@@ -26,6 +26,7 @@ pub mod virtual_host;
 
 mod alignment;
 mod hexadecimal;
+mod link_event;
 mod meta;
 mod proof;
 mod report;
@@ -35,6 +36,7 @@ mod restart_keys;
 pub use config::{Config, ConfigError};
 pub use controller::pose_event;
 pub use host::{Host, HostOptions};
+pub use link_event::pilot_event;
 pub use meta::record_meta;
 pub use proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use report::{LineCounters, Report, link_phase};

@@ -12,7 +12,7 @@ use crate::{
     event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch},
     handshake::{Phase, SLOW_RETRY_NS},
     request::Pending,
-    session::{Session, is_armed},
+    session::Session,
 };
 
 /// Start bit, eight data bits, stop bit.
@@ -293,7 +293,7 @@ impl Session {
         }));
         // The acknowledgement may have been lost. Waiting for it would send the
         // request again, and would arm a board that has stopped itself meanwhile.
-        if is_armed(telemetry.mode) && self.arm.is_some_and(|arm| arm.was_sent()) {
+        if telemetry.mode.is_armed() && self.arm.is_some_and(|arm| arm.was_sent()) {
             self.armed(on_event);
         }
         if let Some(stop) = self

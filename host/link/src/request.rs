@@ -6,8 +6,6 @@
 
 use singletrack_protocol::{BoardMode, Disarm, EmergencyStop, Request, Sequence, ToBoard};
 
-use crate::session::is_armed;
-
 /// Time between two attempts.
 pub const RETRY_INTERVAL_NS: u64 = 50_000_000;
 
@@ -128,7 +126,7 @@ impl Stop {
     /// after it, so the answer comes first.
     pub(crate) fn is_confirmed_by(&self, mode: BoardMode) -> bool {
         match self.kind {
-            StopKind::Disarm => self.answered && !is_armed(mode),
+            StopKind::Disarm => self.answered && !mode.is_armed(),
             StopKind::EmergencyStop => mode == BoardMode::EmergencyStopped,
         }
     }

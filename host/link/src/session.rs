@@ -144,7 +144,7 @@ impl Session {
             return Err(NotReady::ArmPending);
         }
         let newest = self.newest.ok_or(NotReady::NoTelemetry)?;
-        if is_armed(newest.mode) {
+        if newest.mode.is_armed() {
             return Err(NotReady::Armed);
         }
         let sequence = self.take_request_number();
@@ -180,7 +180,7 @@ impl Session {
         configuration: Configuration,
     ) -> Result<(), ConfigureError> {
         configuration.validate()?;
-        if self.newest.is_some_and(|newest| is_armed(newest.mode)) {
+        if self.newest.is_some_and(|newest| newest.mode.is_armed()) {
             return Err(NotReady::Armed.into());
         }
         if self.arm.is_some() {
@@ -366,11 +366,4 @@ pub enum ConfigureError {
     /// Every board would refuse it.
     #[error(transparent)]
     Invalid(#[from] ConfigurationError),
-}
-
-pub(crate) const fn is_armed(mode: BoardMode) -> bool {
-    matches!(
-        mode,
-        BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp | BoardMode::Jogging
-    )
 }

@@ -85,13 +85,6 @@ pub(crate) fn drives(outputs: &Outputs) -> bool {
         .is_some_and(|pulse| pulse > outputs.esc_neutral_us)
 }
 
-const fn is_armed(mode: BoardMode) -> bool {
-    matches!(
-        mode,
-        BoardMode::Armed | BoardMode::PoweringUp | BoardMode::Driving | BoardMode::Jogging
-    )
-}
-
 impl Claims {
     pub(crate) const fn new() -> Self {
         Self {
@@ -143,7 +136,7 @@ impl Claims {
         if let Some((_, ticks)) = &mut self.ended {
             *ticks += 1;
         }
-        let (armed, was_armed) = (is_armed(facts.mode), is_armed(self.last_mode));
+        let (armed, was_armed) = (facts.mode.is_armed(), self.last_mode.is_armed());
         // Within a poll it may be disarmed and armed again.
         let begins = matches!(facts.mode, BoardMode::Armed | BoardMode::PoweringUp);
         let drove = matches!(self.last_mode, BoardMode::Driving | BoardMode::Jogging);

@@ -26,10 +26,10 @@ const LONGEST_CALM: u32 = 1_500;
 /// The most waits until a car that is mended can be armed, or drives.
 const WAITS: usize = 12;
 
-/// One of so many states that are reached again is compared with what was found before...
+/// Of the states that are reached again, every 256th is compared with the one found before...
 const COMPARED: u64 = 256;
 
-/// ...for so many ticks.
+/// ...for this number of ticks.
 const COMPARED_TICKS: usize = 100;
 
 /// How far to explore.

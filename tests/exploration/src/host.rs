@@ -1,14 +1,13 @@
 //! The host: link session and supervisor, and what lies between them in the daemon.
 
 use singletrack_control::Time;
-use singletrack_link::{DriveCommand, Event, JogCommand, Session, SessionConfig};
+use singletrack_core::pilot_event;
+use singletrack_link::{DriveCommand, Event as LinkEvent, JogCommand, Session, SessionConfig};
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LinkState, Mode, PilotRequest,
-    RealTimeState, Reason, Supervisor, SupervisorConfig,
+    BoardRequest, Conditions, Event, ImuVerdict, LinkState, Mode, PilotRequest, RealTimeState,
+    Reason, Supervisor, SupervisorConfig,
 };
-use singletrack_protocol::{
-    BoardMode, Configuration, ConfigurationError, RefusalReason, Request, StopCause,
-};
+use singletrack_protocol::{Configuration, ConfigurationError};
 
 /// Speed of a drive, m/s.
 const SPEED: f64 = 0.3;
@@ -205,39 +204,19 @@ impl Host {
         }
     }
 
-    /// As the daemon tells the pilot, and the pilot its supervisor.
-    fn handle(&mut self, event: &Event) {
-        let supervisor = &mut self.supervisor;
-        match event {
-            Event::Telemetry(record) => {
-                if record.has_fresh_imu_sample() {
-                    self.imu_time = record.imu_time_host_ns.map(Time);
+    /// As the pilot tells its supervisor what the daemon tells the pilot.
+    fn handle(&mut self, event: &LinkEvent) {
+        match pilot_event(event) {
+            Some(Event::Board(sample)) => {
+                if let Some(inertial) = sample.inertial {
+                    self.imu_time = Some(inertial.time);
                 }
-                self.motor_speed = f64::from(record.telemetry.motor_speed_mm_s) / 1_000.0;
-                let cause = record.telemetry.stop_cause;
-                supervisor.handle_board(board_state(record.telemetry.mode, cause));
+                self.motor_speed = sample.motor_speed;
+                self.supervisor.handle_board(sample.state);
             }
-            Event::ConfigurationAccepted { .. } => supervisor.handle_link(LinkState::Ready),
-            Event::VersionMismatch(_) => supervisor.handle_link(LinkState::VersionDiffers),
-            Event::ConfigurationRefused {
-                reason: RefusalReason::EmergencyStopLatched,
-            } => supervisor.handle_link(LinkState::EmergencyStopped),
-            Event::ConfigurationRefused { .. } => {
-                supervisor.handle_link(LinkState::ConfigurationRefused);
-            }
-            Event::BoardRestarted { .. } | Event::Lost { .. } => {
-                supervisor.handle_link(LinkState::Down);
-            }
-            Event::Status(status) => supervisor.handle_health(BoardHealth {
-                battery_mv: status.battery_mv,
-                stop_input_open: status.stop_input_open,
-                battery_open: status.battery_open,
-                imu_fault: false,
-            }),
-            Event::Refused {
-                request: Request::Arm,
-                ..
-            } => self.arm_refused = true,
+            Some(Event::Link(link)) => self.supervisor.handle_link(link),
+            Some(Event::Health(health)) => self.supervisor.handle_health(health),
+            Some(Event::ArmRefused) => self.arm_refused = true,
             _ => {}
         }
     }
@@ -245,21 +224,5 @@ impl Host {
     /// Why the car does not drive.
     pub(crate) const fn reason(&self) -> Option<Reason> {
         self.supervisor.reason()
-    }
-}
-
-const fn board_state(mode: BoardMode, cause: StopCause) -> BoardState {
-    match mode {
-        BoardMode::Boot => BoardState::Booting,
-        BoardMode::Neutral => BoardState::Neutral,
-        BoardMode::Armed => BoardState::Armed,
-        BoardMode::Driving => BoardState::Driving,
-        BoardMode::Failsafe => BoardState::Failsafe,
-        BoardMode::EmergencyStopped if matches!(cause, StopCause::RunsAtNeutral) => {
-            BoardState::RunsAtNeutral
-        }
-        BoardMode::EmergencyStopped => BoardState::EmergencyStopped,
-        BoardMode::PoweringUp => BoardState::PoweringUp,
-        BoardMode::Jogging => BoardState::Jogging,
     }
 }
