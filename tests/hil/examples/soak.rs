@@ -3,9 +3,10 @@
 //!
 //! `cargo run --release -p singletrack-hil --example soak -- --minutes 60`
 //!
-//! Two programs read streams and two poll, one connects anew each time, one sends rubbish; page
-//! and live view are open and asked; the operator ends the drive and begins another every few
-//! minutes. It prints a line a minute, and fails if the daemon has grown.
+//! The clients: a reader of ticks and one of states, a program that polls the status, one that
+//! connects for each request, one that sends invalid requests, requests to page and live view, and
+//! the command `singletrack status`. The operator starts a new drive every few minutes. A line is
+//! printed each minute. The example fails if the daemon has grown.
 
 #![allow(clippy::print_stdout, reason = "a program")]
 

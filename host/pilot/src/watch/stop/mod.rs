@@ -171,7 +171,8 @@ const LEAST_SHARE: f64 = 0.15;
 const FOLLOWS_AFTER: f64 = 0.2;
 /// Tolerance of a measured speed, m/s.
 const TOLERANCE: f64 = 0.03;
-/// The time after which the speed is looked at anew, s: long enough for the noise of the cameras.
+/// The time whose mean speed becomes the new start of the fall, s. A shorter mean follows the noise
+/// of the cameras.
 const WINDOW: f64 = 0.5;
 /// Below this speed nothing is judged, m/s.
 const SLOW: f64 = 0.08;
