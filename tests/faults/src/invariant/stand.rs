@@ -223,10 +223,10 @@ impl Invariant for StopNotObeyed {
 /// [`LEAST_SHARE`]: what drives it is not its momentum then.
 ///
 /// A car that has not stood since its last stop is judged by `stands`. Without a motor
-/// sensor the board can't notice anything, a reset makes it begin again, and half a metre by
-/// its configured pulse distance, with a sensor that loses every second pulse a metre, counts as
-/// nothing. An ESC whose throttle is stuck is stopped
-/// by a kill output alone.
+/// sensor the board can't notice anything, a reset makes it begin again, as do wheels that are
+/// so slow that they stand by its pulses, and half a metre by its configured pulse distance, with
+/// a sensor that loses every second pulse a metre, counts as nothing. An ESC whose throttle is
+/// stuck is stopped by a kill output alone.
 #[derive(Default)]
 pub(super) struct UnarmedMotion {
     since_us: Option<u64>,
@@ -244,7 +244,8 @@ pub(super) struct UnarmedMotion {
 /// in m.
 const TOLD_APART_M: f64 = 0.55;
 
-/// Slower wheels stand, as far as the board can tell, in m/s.
+/// Slower wheels stand, as far as a board whose pulses come at every pulse distance can tell, in
+/// m/s.
 const CREEPING: f64 = 0.06;
 
 const NOTICED_US: u64 = 500_000;
@@ -266,6 +267,10 @@ impl Invariant for UnarmedMotion {
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
         let is_unstoppable =
             observation.is_active(FaultKind::EscStuck) && !spec.situation.kill_output;
+        let is_halved = observation.is_effective(FaultKind::PulsesHalved);
+        let is_sparse = is_halved || observation.is_effective(FaultKind::PulsesErratic);
+        // Between two pulses, in configured pulse distances.
+        let longest_gap = spec.true_pulse_share.max(1.0) * if is_sparse { 2.0 } else { 1.0 };
         let elapsed_us =
             observation.now_us - core::mem::replace(&mut self.last_us, observation.now_us);
         let restarted = core::mem::replace(&mut self.board_since_us, observation.board_since_us)
@@ -275,7 +280,7 @@ impl Invariant for UnarmedMotion {
             || observation.is_without_motor_pulses()
             || stopping
             || is_unstoppable
-            || speed < CREEPING
+            || speed < CREEPING * longest_gap
             || observation.is_moved_by_hand()
         {
             *self = Self {
@@ -285,7 +290,6 @@ impl Invariant for UnarmedMotion {
             };
             return Ok(());
         }
-        let is_halved = observation.is_effective(FaultKind::PulsesHalved);
         let shown = if is_halved { 0.5 } else { 1.0 };
         self.way += shown * speed * elapsed_us as f64 * 1e-6;
         let since_us = *self.since_us.get_or_insert(observation.now_us);
