@@ -245,13 +245,16 @@ impl Daemon {
 
         let control = daemon.start_control(&config, host.control, collector_thread)?;
         let (serial, cameras) = (config.serial, config.motion_capture);
+        let fifo_priority = daemon.handle.realtime.fifo_priority;
         let reader_stop = stop.clone();
         let reader = host.reader;
         daemon.reader = Some(spawn("serial", move || {
+            realtime::make_prompt(fifo_priority);
             serial_reader::run(reader, serial, &reader_stop)
         })?);
         let receiver = host.receiver;
         daemon.receiver = Some(spawn("mocap", move || {
+            realtime::make_prompt(fifo_priority);
             mocap_receiver::run(receiver, sockets, &cameras, &stop, &control)
         })?);
         if let Some(socket) = socket {

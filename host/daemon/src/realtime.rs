@@ -108,3 +108,13 @@ pub fn make_punctual(priority: u8) -> Result<Option<u8>, String> {
         )
     })
 }
+
+/// Schedules the calling thread, which brings what the control thread waits for, one level below
+/// a control thread that is scheduled in real time: what else runs on the computer delays neither.
+pub fn make_prompt(control_priority: Option<u8>) {
+    if let Some(priority) = control_priority.and_then(|priority| priority.checked_sub(1)) {
+        // A lower priority than the one that was granted is not refused; if it were, the thread
+        // would be scheduled like all others, as without real time.
+        let _ = make_punctual(priority);
+    }
+}

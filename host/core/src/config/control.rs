@@ -18,7 +18,7 @@ section! {
     /// Deceleration of a commanded stop.
     stop_deceleration_m_s2: f64 = 2.4, in up_to(50.0);
     /// `SCHED_FIFO` priority of the control thread, if the system grants it (`LimitRTPRIO=`);
-    /// 0 does not request it.
+    /// 0 does not request it. The threads that read board and cameras have one less.
     @restart realtime_priority: u8 = 40, in 0..=90;
 }
 
