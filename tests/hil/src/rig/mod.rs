@@ -13,6 +13,7 @@ use singletrack_sim::{BusFault, Hang, LossKind, Truth};
 
 pub use physical::PhysicalRig;
 pub(crate) use physical::lacks as physical_lacks;
+pub use priority::ModestSession;
 pub use simulated::SimulatedRig;
 pub(crate) use simulated::lacks as simulated_lacks;
 

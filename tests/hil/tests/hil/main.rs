@@ -33,7 +33,7 @@ use singletrack_hil::{
     Failure, Measurements, Outcome,
     bench::{Bench, Equipment},
     program,
-    rig::Need,
+    rig::{ModestSession, Need},
 };
 use singletrack_sim::BoardKind;
 
@@ -191,7 +191,9 @@ fn main() -> ExitCode {
             Trial::ignorable_test(scenario.name, move || run(&scenario, &equipment))
         })
         .collect();
+    let modest = ModestSession::begin();
     let conclusion = libtest_mimic::run(&libtest, trials);
+    drop(modest);
     let table = measurements.table();
     if !table.is_empty() {
         println!("measurements and limits:\n{table}");
