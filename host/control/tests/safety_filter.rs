@@ -132,6 +132,8 @@ struct Drive {
     stopped: u32,
     way: f64,
     lateral: f64,
+    /// The most ticks in a row in which the path bent otherwise than assumed.
+    bent: u32,
 }
 
 /// Drives the car with whatever `wanted` asks for, by the tick and the position of P.
@@ -151,6 +153,7 @@ fn drive(
         clearance: f64::INFINITY,
         ..Drive::default()
     };
+    let mut bent = 0;
     for tick in 0..ticks {
         // The position is wrong by what the filter allows for, in a direction that turns.
         let error = config.position_error * 0.99 * direction(0.01 * f64::from(tick));
@@ -175,6 +178,9 @@ fn drive(
             BRAKING,
             PERIOD,
         );
+        let fits = filter.bends_as_assumed(&estimate, 0.0);
+        bent = if fits { 0 } else { bent + 1 };
+        result.bent = result.bent.max(bent);
         let advance = |law: &mut LimitedLaw, velocity: &Velocity| {
             law.step(&estimate.motion(), estimate.speed, velocity, PERIOD)
         };
@@ -501,6 +507,7 @@ proptest! {
         prop_assert!(drive.clearance >= 0.0, "{drive:?}");
         // What the car's acceleration adds to 2.0 while the wheels are on their way.
         prop_assert!(drive.lateral <= 2.2, "{drive:?}");
+        prop_assert_eq!(drive.bent, 0, "{:?}", drive);
     }
 
     /// Tyres slip: the curvature is another one than the steering's, by what the filter allows.
@@ -521,7 +528,40 @@ proptest! {
         };
         let drive = drive(&mut car, &config, 1500, attack.on(area));
         prop_assert!(drive.clearance >= 0.0, "{drive:?}");
+        // The pilot ends a drive after 20.
+        prop_assert!(drive.bent <= 10, "{drive:?}");
     }
+}
+
+#[test]
+fn a_path_bends_as_assumed_within_the_error_beyond_the_angles_on_their_way() {
+    let mut filter = SafetyFilter::new(config(rectangle(2.0, 2.0))).unwrap();
+    filter.reset(0.0);
+    // The wheels stand between 0 and 0.2 rad.
+    filter.observe(0.5, 0.2, BRAKING, PERIOD);
+    let bends = |curvature: f64, speed: f64, wave: f64| {
+        let estimate = Estimate {
+            yaw_rate: curvature * speed,
+            speed,
+            ..Car::standing(Position::origin(), 0.0).estimate(Time(0), Velocity::zeros())
+        };
+        filter.bends_as_assumed(&estimate, wave)
+    };
+    let most = 0.2_f64.tan() / WHEELBASE;
+    for (curvature, fits) in [
+        (-0.11, false),
+        (-0.09, true),
+        (most + 0.09, true),
+        (most + 0.11, false),
+        (f64::NAN, false),
+    ] {
+        assert_eq!(bends(curvature, 0.5, 0.0), fits, "{curvature}");
+        assert_eq!(bends(curvature, -0.5, 0.0), fits, "{curvature}");
+        assert!(bends(curvature, 0.2, 0.0), "{curvature}");
+    }
+    // A wave of 0.05 rad adds 0.19 1/m at the right end.
+    assert!(bends(-0.28, 0.5, 0.05));
+    assert!(!bends(-0.30, 0.5, 0.05));
 }
 
 #[test]

@@ -343,3 +343,31 @@ fn a_velocity_that_is_not_finite_stops_the_car_with_its_reason() {
         assert!(outputs.iter().all(|output| speed(output) == 0.0));
     }
 }
+
+/// The time that a car at 0.4 m/s drives on with wheels that stand `trim` (rad) from where they
+/// are sent, s, and why it ends.
+fn drives_with_trim(trim: f64, filter: Option<SafetyFilter>) -> (f64, Option<Reason>) {
+    let mut outside = Outside::new(filter);
+    for tick in 0..300 {
+        outside.bench.steering += trim;
+        let output = outside.velocity(Velocity::new(0.4, 0.0));
+        if output.mode != Mode::Driving {
+            return (f64::from(tick) * 0.01, output.reason);
+        }
+    }
+    (3.0, None)
+}
+
+#[test]
+fn a_path_that_bends_otherwise_than_the_filter_assumes_ends_the_drive() {
+    // tan(0.05)/0.26 m: 0.19 1/m beside the assumed error of 0.1.
+    let (time, reason) = drives_with_trim(0.05, Some(filter()));
+    assert_eq!(reason, Some(Reason::SteeringDiffers));
+    assert!((0.2..=0.45).contains(&time), "{time} s");
+    let (time, reason) = drives_with_trim(-0.05, Some(filter()));
+    assert_eq!(reason, Some(Reason::SteeringDiffers));
+    assert!((0.2..=0.45).contains(&time), "{time} s");
+    // 0.08 1/m are within it, and nothing rests on it without a filter.
+    assert_eq!(drives_with_trim(0.02, Some(filter())), (3.0, None));
+    assert_eq!(drives_with_trim(0.05, None), (3.0, None));
+}

@@ -307,8 +307,7 @@ impl SafetyFilter {
         let cosine = cos(estimate.sideslip - steering);
         let axle = estimate.yaw_rate * law.front_axle_distance();
         // v cos(β - δ) = v_P·(direction of the wheels) - r l_f sin δ.
-        let sharpest = self
-            .measured_curvature(input)
+        let sharpest = measured_curvature(estimate)
             .map_or(0.0, fabs)
             .max(self.curvature(self.sharpest_rolling(input)));
         let fastest = sqrt(self.config.max_lateral_acceleration / sharpest);
@@ -357,17 +356,24 @@ impl SafetyFilter {
             least: self.curvature(least),
             most: self.curvature(most),
         };
-        self.measured_curvature(input)
-            .map_or(range, |measured| range.with(measured))
+        measured_curvature(input.estimate).map_or(range, |measured| range.with(measured))
+    }
+
+    /// Whether the path bends as the claim assumes: by the angles between which the wheels stand,
+    /// but for [`SafetyConfig::curvature_error`]. `wave` as in [`SafetyInput`]. A car that is too
+    /// slow to tell does.
+    #[must_use]
+    pub fn bends_as_assumed(&self, estimate: &Estimate, wave: f64) -> bool {
+        let Range { least, most } = self.on_their_way.widened(wave);
+        let (least, most) = (self.curvature(least), self.curvature(most));
+        let error = self.config.curvature_error;
+        // A NaN does not.
+        measured_curvature(estimate)
+            .is_none_or(|measured| measured >= least - error && measured <= most + error)
     }
 
     fn curvature(&self, steering: f64) -> f64 {
         tan(steering) / self.config.wheelbase
-    }
-
-    fn measured_curvature(&self, input: &SafetyInput<'_>) -> Option<f64> {
-        let estimate = input.estimate;
-        (fabs(estimate.speed) > BENDS_FROM).then(|| estimate.yaw_rate / estimate.speed)
     }
 
     /// Whether every stop after a tick with this command stays inside, and would if it began
@@ -427,6 +433,10 @@ impl SafetyFilter {
     pub fn clearance(&self, centre_of_mass: &Position) -> f64 {
         self.config.area.clearance(centre_of_mass)
     }
+}
+
+fn measured_curvature(estimate: &Estimate) -> Option<f64> {
+    (fabs(estimate.speed) > BENDS_FROM).then(|| estimate.yaw_rate / estimate.speed)
 }
 
 /// The same way of a car that goes backward.

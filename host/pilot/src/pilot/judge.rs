@@ -96,7 +96,12 @@ impl Pilot {
         let (now, config, watches) = (sensed.now, &self.config, &self.watches);
         let drive_time = self.drive_start.map(|start| now.seconds_since(start));
         let (estimate, speeds) = (sensed.estimate.as_ref(), &sensed.speeds);
-        let implausible_motion = watches.implausible_motion(&self.estimator, &config.watch);
+        let implausible_motion = watches
+            .implausible_motion(&self.estimator, &config.watch)
+            .or(self
+                .safety
+                .bends_otherwise()
+                .then_some(Reason::SteeringDiffers));
         Conditions {
             now,
             pose_time: self.pose_time,

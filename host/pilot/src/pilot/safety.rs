@@ -33,7 +33,12 @@ pub(super) struct Safety {
     pub(super) ticks: u32,
     /// Why the drive is to end at the next tick.
     pub(super) ends: Option<Reason>,
+    /// How long the path has not bent as the filter assumes, s.
+    bends_otherwise: f64,
 }
+
+/// The path may bend otherwise for so long, s: the wheels strike something, a pose jumps.
+const BENDS_OTHERWISE: f64 = 0.2;
 
 /// What the law is given besides a velocity.
 pub(super) struct LawStep {
@@ -50,6 +55,7 @@ impl Safety {
             filtering: Filtering::None,
             ticks: 0,
             ends: None,
+            bends_otherwise: 0.0,
         }
     }
 
@@ -60,6 +66,7 @@ impl Safety {
         }
         self.ticks = 0;
         self.ends = None;
+        self.bends_otherwise = 0.0;
     }
 
     /// A tick begins: see [`SafetyFilter::observe`].
@@ -70,6 +77,25 @@ impl Safety {
         }
     }
 
+    /// After it: whether the path bends as assumed, with the wheels up to `wave` (rad) from what
+    /// was sent.
+    pub(super) fn watch(&mut self, estimate: Option<&Estimate>, wave: f64, period: f64) {
+        let fits = match (&self.filter, estimate) {
+            (Some(filter), Some(estimate)) => filter.bends_as_assumed(estimate, wave),
+            _ => true,
+        };
+        self.bends_otherwise = if fits {
+            0.0
+        } else {
+            self.bends_otherwise + period
+        };
+    }
+
+    /// Whether the path bends otherwise than the filter assumes: a stop may then leave the area.
+    pub(super) fn bends_otherwise(&self) -> bool {
+        self.bends_otherwise > BENDS_OTHERWISE
+    }
+
     fn note(&mut self, filtering: Filtering) {
         self.filtering = filtering;
         self.ticks = self.ticks.saturating_add(1);
@@ -77,16 +103,21 @@ impl Safety {
 }
 
 impl Pilot {
+    /// The most by which the first metre turns the wheels from the law's angle, rad.
+    pub(super) const fn wave(&self) -> f64 {
+        if self.watches.proving.is_some() {
+            WAVE
+        } else {
+            0.0
+        }
+    }
+
     fn safety_input<'a>(&'a self, estimate: &'a Estimate, wheels: f64) -> SafetyInput<'a> {
         SafetyInput {
             estimate,
             law: &self.law,
             wheels,
-            wave: if self.watches.proving.is_some() {
-                WAVE
-            } else {
-                0.0
-            },
+            wave: self.wave(),
             blind: self.watches.blind.distance(),
             braking: self.watches.braking(&self.config),
             period: self.config.period,

@@ -61,7 +61,9 @@ impl Pilot {
         self.watches
             .observe_tick(now, estimate.as_ref(), pace, steering, config);
         let braking = self.watches.braking(config);
+        let wave = self.wave();
         self.safety.observe(pace, steering, braking, config.period);
+        self.safety.watch(estimate.as_ref(), wave, config.period);
         let heard = self
             .board_time
             .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);

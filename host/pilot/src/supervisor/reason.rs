@@ -242,7 +242,8 @@ words! {
         ///
         /// Remedy: Change the sign of `board.servo.gain_us_per_rad`.
         SteeringReversed = 38 "steering-reversed",
-        /// The car turned much more or less than steered.
+        /// The car turned much more or less than steered; with the safety filter, for 0.2 s by more
+        /// than `safety_filter.curvature_error_per_m`.
         ///
         /// Effect: Needs a disarm.
         ///
