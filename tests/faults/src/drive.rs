@@ -135,10 +135,31 @@ pub fn drive(
     tamper: &mut dyn Tamper,
     until: Until,
 ) -> Result<DriveOutcome, SetupError> {
+    drive_watched(schedule, tamper, until, u64::MAX, |_, _, _| {})
+}
+
+/// Drives as [`drive`] does, and calls `after` each `every_us` with the time of the simulation (µs),
+/// how long the motor was driven until then (ms), and why it is not driven now.
+///
+/// # Errors
+///
+/// The part that can't be set up.
+pub fn drive_watched(
+    schedule: &Schedule,
+    tamper: &mut dyn Tamper,
+    until: Until,
+    every_us: u64,
+    mut after: impl FnMut(u64, u32, Option<Reason>),
+) -> Result<DriveOutcome, SetupError> {
     let mut drive = Drive::new(schedule, tamper)?;
     let end_us = u64::from(schedule.end_ms) * 1_000;
+    let mut next_us = every_us;
     while drive.now_us < end_us {
         drive.step(end_us, tamper)?;
+        if drive.now_us >= next_us {
+            next_us += every_us;
+            after(drive.now_us, drive.driven_ms, drive.reason);
+        }
         if drive.violation.is_some() && until == Until::Violation {
             break;
         }
@@ -174,6 +195,8 @@ struct Drive<'a> {
     /// The active faults, in the order in which they began.
     faults: Vec<Fault>,
     new_faults: Vec<Fault>,
+    /// All that somebody pushes the car.
+    pushes: Vec<Fault>,
     /// When the serial reader starts: a little later than the control thread.
     reads_from_us: u64,
     bites_us: Option<u64>,
@@ -187,6 +210,8 @@ struct Drive<'a> {
     digest: Digest,
     driven_ms: u32,
     reasons: BTreeSet<&'static str>,
+    /// That of the last tick.
+    reason: Option<Reason>,
     filter: FilterTicks,
     /// What the safety filter did in the last tick, if that drove.
     filtering: Option<Filtering>,
@@ -243,6 +268,12 @@ impl<'a> Drive<'a> {
             pending_requests: Vec::new(),
             faults: Vec::new(),
             new_faults: Vec::new(),
+            pushes: schedule
+                .faults
+                .iter()
+                .filter(|fault| fault.kind == FaultKind::Push)
+                .copied()
+                .collect(),
             reads_from_us: 0,
             bites_us: None,
             tick_us: 0,
@@ -259,6 +290,7 @@ impl<'a> Drive<'a> {
             digest: Digest::default(),
             driven_ms: 0,
             reasons: BTreeSet::new(),
+            reason: None,
             filter: FilterTicks::default(),
             filtering: None,
             board_since_us: None,
@@ -436,6 +468,17 @@ impl<'a> Drive<'a> {
                 OperatorRequest::Reload => {
                     self.reload()?;
                     continue;
+                }
+                OperatorRequest::Carry => {
+                    let truth = self.world.truth();
+                    if self.was_driving || truth.speed.abs() >= STANDING {
+                        continue;
+                    }
+                    let car = self.world.car_mut();
+                    let (start, battery) = (car.parameters().start, car.parameters().battery);
+                    car.place(start);
+                    car.drain_battery((truth.battery_v - battery.start_v) / battery.fall_v_per_ah);
+                    PilotRequest::Carried
                 }
             };
             if let Some(daemon) = &mut self.daemon {
@@ -636,10 +679,10 @@ impl<'a> Drive<'a> {
                         | BoardMode::Jogging
                 )
             );
-        let moved_by_hand = self.schedule.faults.iter().any(|fault| {
+        let moved_by_hand = self.pushes.iter().any(|fault| {
             let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
             let rolls_us = (2e6 / self.spec.braking) as u64;
-            if fault.kind != FaultKind::Push || !(from..to + rolls_us + 500_000).contains(&now_us) {
+            if !(from..to + rolls_us + 500_000).contains(&now_us) {
                 return false;
             }
             // A blow acts within the step.
@@ -693,8 +736,10 @@ impl<'a> Drive<'a> {
             newest_setpoint_ns: self.newest_setpoint_ns,
         };
         let has_ticked = observation.tick.is_some();
-        let reason = observation.tick.and_then(|tick| tick.output.reason);
-        self.reasons.extend(reason.map(Reason::name));
+        if let Some(tick) = observation.tick {
+            self.reason = tick.output.reason;
+            self.reasons.extend(self.reason.map(Reason::name));
+        }
         if let Some(tick) = observation.tick
             && self.schedule.situation.safety_filter
         {

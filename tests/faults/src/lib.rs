@@ -66,7 +66,7 @@ mod stop;
 mod tamper;
 
 pub use campaign::{Campaign, CampaignOutcome, Failure, ReadError, SeedOutcome, attempt};
-pub use drive::{DriveOutcome, FilterTicks, Until, Violation, drive};
+pub use drive::{DriveOutcome, FilterTicks, Until, Violation, drive, drive_watched};
 pub use invariant::names;
 pub use recording::{Recording, RecordingError};
 pub use shrink::shrink;

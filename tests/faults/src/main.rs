@@ -10,10 +10,11 @@ use clap::Parser;
 use singletrack_campaign::{CampaignArgs, CampaignError, Shard};
 use singletrack_faults::{
     Campaign, CampaignOutcome, Failure, FilterTicks, ReadError, Recording, RecordingError,
-    SeedOutcome, SetupError, Untampered, Until, attempt, planted,
+    SeedOutcome, SetupError, Untampered, Until, Violation, attempt, drive_watched, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
+use singletrack_pilot::Reason;
 use singletrack_sim::BoardKind;
 
 /// Run random fault schedules against the complete control chain, in virtual time.
@@ -43,6 +44,12 @@ struct Options {
     /// `singletrack replay` and `singletrack plot`; runs on one thread
     #[arg(long, value_name = "DIR", conflicts_with_all = ["shard", "json", "from"])]
     record: Option<PathBuf>,
+
+    /// Simulate this many hours of one drive with a fault every quarter of a minute, and print the
+    /// memory in use after each
+    #[arg(long, value_name = "HOURS", value_parser = clap::value_parser!(u32).range(1..=1_000),
+          conflicts_with_all = ["shard", "json", "from", "replay", "record", "planted", "print"])]
+    soak: Option<u32>,
 
     /// Plant every known bug in each schedule, and count in how many it is found
     #[arg(long)]
@@ -107,6 +114,9 @@ fn run(options: &Options) -> Result<bool, Error> {
     std::panic::set_hook(Box::new(|_| {}));
     if options.planted {
         return count_planted(options, out);
+    }
+    if let Some(hours) = options.soak {
+        return soak(options, hours, out);
     }
     let mut by_invariant = options.by_invariant;
     let outcomes = match &options.replay {
@@ -266,6 +276,58 @@ fn read_schedule(text: &str) -> Result<Schedule, Error> {
         text.to_owned()
     };
     Ok(text.parse()?)
+}
+
+/// An hour of simulated time, in µs.
+const HOUR_US: u64 = 3_600_000_000;
+
+fn soak(options: &Options, hours: u32, out: &mut impl Write) -> Result<bool, Error> {
+    let end_ms = hours * 3_600_000;
+    let schedule = Schedule::soak(options.first_seed, options.board, end_ms);
+    let (faults, requests) = (schedule.faults.len(), schedule.requests.len());
+    writeln!(out, "{hours} h, {faults} faults, {requests} requests")?;
+    writeln!(
+        out,
+        "{:>6} {:>10} {:>13}",
+        "hour", "driven s", "resident kB"
+    )?;
+    let mut written = Ok(());
+    let outcome = drive_watched(
+        &schedule,
+        &mut Untampered,
+        Until::Violation,
+        HOUR_US,
+        |now_us, driven_ms, reason| {
+            let resident = resident_kb().map_or_else(|| "?".to_owned(), |kb| kb.to_string());
+            let (hour, driven_s) = (now_us / HOUR_US, driven_ms / 1_000);
+            let reason = reason.map_or("driving", Reason::name);
+            let line = writeln!(out, "{hour:>6} {driven_s:>10} {resident:>13}  {reason}");
+            if written.is_ok() {
+                written = line;
+            }
+        },
+    )?;
+    written?;
+    let reasons: Vec<_> = outcome.reasons.into_iter().collect();
+    writeln!(out, "reasons not to drive: {}", reasons.join(", "))?;
+    match &outcome.violation {
+        None => writeln!(out, "no violation")?,
+        Some(Violation {
+            invariant,
+            time_us,
+            details,
+        }) => writeln!(out, "{invariant} at {} ms: {details}", time_us / 1_000)?,
+    }
+    Ok(outcome.violation.is_none())
+}
+
+/// The memory of this process in use, in kB.
+fn resident_kb() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))?;
+    line.split_whitespace().next()?.parse().ok()
 }
 
 fn record_all(options: &Options) -> Result<Vec<SeedOutcome>, Error> {

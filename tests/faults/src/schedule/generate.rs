@@ -101,6 +101,67 @@ impl Schedule {
     }
 }
 
+impl Schedule {
+    /// Hours of a calibrated car that is armed again and again, with every fault that ends by
+    /// itself: four a minute, most of them short.
+    #[must_use]
+    pub fn soak(seed: u64, board: BoardKind, end_ms: u32) -> Self {
+        let random = &mut Random::new(seed, Stream::Schedule);
+        let situation = Situation {
+            board,
+            reference: ReferenceKind::External,
+            safety_filter: true,
+            tuning: true,
+            ..Situation::default()
+        };
+        let kinds = FaultKind::ALL.iter().copied();
+        let kinds: Vec<_> = kinds.filter(|kind| !kind.happens_once()).collect();
+        let times = |random: &mut Random, [least, most]: [u32; 2]| {
+            let mut at_ms = FIRST_ARM_MS;
+            let mut times = Vec::new();
+            while at_ms < end_ms {
+                times.push(at_ms);
+                at_ms += random.between(least, most);
+            }
+            times
+        };
+        let faults = times(random, [5_000, 25_000]).into_iter().map(|at_ms| {
+            let kind = random.choose(FaultKind::CameraUntracked, &kinds);
+            let for_ms = if kind.is_momentary() {
+                0
+            } else {
+                random.spread(20, 3_000)
+            };
+            Fault {
+                kind,
+                at_ms,
+                for_ms,
+                severity: random.spread(10, Fault::WORST),
+            }
+        });
+        let faults = faults.collect();
+        let requests = times(random, [1_000, 8_000]).into_iter().map(|at_ms| {
+            let request = match random.between(0, 99) {
+                0 => OperatorRequest::Stop,
+                1..10 => OperatorRequest::Disarm,
+                10..12 => OperatorRequest::Reload,
+                12..14 => OperatorRequest::Carry,
+                _ => OperatorRequest::Arm,
+            };
+            ScheduledRequest { request, at_ms }
+        });
+        let requests = requests.collect();
+        Self {
+            seed,
+            situation,
+            truth: TrueCar::default(),
+            end_ms,
+            requests,
+            faults,
+        }
+    }
+}
+
 fn situation(random: &mut Random, board: BoardKind) -> Situation {
     Situation {
         board,

@@ -107,6 +107,8 @@ pub enum OperatorRequest {
     Stop,
     /// Reload the configuration file, which now holds the other of two.
     Reload,
+    /// If the car stands: carry it back to its start with a full battery, and say so.
+    Carry,
 }
 
 /// An operator request with its time.

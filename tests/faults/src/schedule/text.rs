@@ -247,7 +247,13 @@ impl ReferenceKind {
 }
 
 impl OperatorRequest {
-    const ALL: [Self; 4] = [Self::Arm, Self::Disarm, Self::Stop, Self::Reload];
+    const ALL: [Self; 5] = [
+        Self::Arm,
+        Self::Disarm,
+        Self::Stop,
+        Self::Reload,
+        Self::Carry,
+    ];
 
     const fn name(self) -> &'static str {
         match self {
@@ -255,6 +261,7 @@ impl OperatorRequest {
             Self::Disarm => "disarm",
             Self::Stop => "stop",
             Self::Reload => "reload",
+            Self::Carry => "carry",
         }
     }
 
