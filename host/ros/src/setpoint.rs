@@ -398,4 +398,79 @@ mod tests {
         let infinite = path(&[(0, here), (1, [f64::INFINITY, 0.0])]);
         assert_eq!(JUDGE.path(&infinite, NOW), Err(Refusal::NotFinite));
     }
+
+    /// Numbers of every kind, from a fixed seed.
+    fn numbers() -> impl FnMut() -> f64 {
+        let mut state = 1_u64;
+        move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            match state >> 61 {
+                0 => f64::NAN,
+                1 => f64::INFINITY,
+                2 => f64::from_bits(state),
+                3 | 4 => 0.0,
+                _ => (state >> 40) as f64 * 1e-7,
+            }
+        }
+    }
+
+    #[test]
+    fn whatever_a_message_holds_a_set_point_is_finite_and_neither_old_nor_of_the_future() {
+        let mut number = numbers();
+        let mut passed = 0;
+        for round in 0..20_000_i128 {
+            let vector = |number: &mut dyn FnMut() -> f64| Vector3 {
+                x: number(),
+                y: number(),
+                z: number(),
+            };
+            // Of 1970, near now, years ahead.
+            let wall = match round % 4 {
+                0 => (number() * 1e9) as i128,
+                1 => NOW.wall.saturating_add((number() * 1e18) as i128),
+                _ => NOW.wall.saturating_sub((number() * 1e9) as i128),
+            };
+            let header = Header {
+                stamp: Time::from_ns(wall.clamp(0, i128::from(i32::MAX) * 1_000_000_000)),
+                frame_id: "world".to_owned(),
+            };
+            let twist = TwistStamped {
+                header: header.clone(),
+                linear: vector(&mut number),
+                angular: vector(&mut number),
+            };
+            let drive = AckermannDriveStamped {
+                header: Header {
+                    frame_id: String::new(),
+                    ..header.clone()
+                },
+                steering_angle: number() as f32,
+                speed: number() as f32,
+                acceleration: number() as f32,
+                ..AckermannDriveStamped::default()
+            };
+            let mut path = path(&[(0, [number(), number()]), (1, [number(), number()])]);
+            path.header = header;
+            for setpoint in [
+                JUDGE.velocity(&twist, NOW),
+                JUDGE.drive(&drive, NOW),
+                JUDGE.path(&path, NOW),
+            ] {
+                let Ok(setpoint) = setpoint else { continue };
+                passed += 1;
+                let time_ns = i128::from(setpoint.time_ns.unwrap());
+                assert!((NOW.monotonic - 100 * MS..=NOW.monotonic).contains(&time_ns));
+                let points = setpoint.trajectory.iter().flatten();
+                let numbers = points
+                    .flat_map(|point| point.position_m.into_iter().chain(point.velocity_m_s))
+                    .chain(setpoint.velocity_m_s.into_iter().flatten())
+                    .chain(setpoint.steering_rad)
+                    .chain(setpoint.speed_m_s);
+                assert!(numbers.into_iter().all(f64::is_finite), "{setpoint:?}");
+            }
+        }
+        assert!(passed > 500, "{passed}");
+    }
 }

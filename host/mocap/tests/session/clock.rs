@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use singletrack_mocap::{
     CaptureTimeSource, RestartReason, SessionEvent,
-    codec::BitstreamVersion,
-    planar::{PlanarPose, PoseState, RejectReason},
+    codec::{BitstreamVersion, CameraTicks},
+    planar::{PlanarOutcome, PlanarPose, PoseState, RejectReason},
 };
 
 use crate::world::{Frame, MS, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
@@ -92,6 +92,86 @@ fn without_echoes_the_source_is_the_least_delay() {
     for pose in stream(&mut world, 0..1_000) {
         assert_eq!(pose.capture_source, CaptureTimeSource::MidExposureMinDelay);
         assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
+    }
+}
+
+/// A stamp of no clock: no number, of 1970, of the epoch's seconds, beyond any clock.
+fn strange_stamp() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        Just(f64::NAN),
+        Just(f64::INFINITY),
+        Just(f64::NEG_INFINITY),
+        Just(0.0),
+        Just(-1.0),
+        Just(1.8e9),
+        Just(f64::MAX),
+        any::<f64>(),
+    ]
+}
+
+fn strange_ticks() -> impl Strategy<Value = u64> {
+    prop_oneof![Just(0), Just(1), Just(u64::MAX), any::<u64>()]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+
+    /// With and without the clock of the server's ticks.
+    #[test]
+    fn stamps_that_make_no_sense_date_no_pose_into_the_future_and_are_survived(
+        strange in proptest::collection::vec(
+            (strange_stamp(), proptest::option::of((strange_ticks(), strange_ticks())), 0..6_usize),
+            1..40,
+        ),
+        period_ms in 2..20_u64,
+        has_ticks: bool,
+    ) {
+        let mut world = World::new(config(UNICAST));
+        if !has_ticks {
+            world.server.native = [2, 9];
+        }
+        world.run(50 * MS);
+        let mut number = 0;
+        let mut send = |world: &mut World, stamp, ticks: Option<(u64, u64)>| {
+            number += 1;
+            let frame = Frame {
+                timestamp_s: stamp,
+                ticks: ticks.map(|(mid_exposure, transmit)| CameraTicks {
+                    mid_exposure,
+                    received: transmit,
+                    transmit,
+                }),
+                ..Frame::at_rest(number)
+            };
+            world.run(period_ms * MS);
+            match world.frame(&frame) {
+                PlanarOutcome::Frame(observation) => match observation.state {
+                    PoseState::Valid(pose) => Some(pose),
+                    _ => None,
+                },
+                _ => None,
+            }
+        };
+        for (stamp, ticks, good) in strange {
+            let poses = core::iter::once((Some(stamp), ticks))
+                .chain(core::iter::repeat_n((None, None), good));
+            for (stamp, ticks) in poses {
+                if let Some(pose) = send(&mut world, stamp, ticks) {
+                    prop_assert!(pose.capture_time_ns <= pose.receive_time_ns, "{pose:?}");
+                }
+            }
+        }
+        let mut last = None;
+        for _ in 0..5_000 / period_ms {
+            last = send(&mut world, None, None);
+        }
+        let pose = last.ok_or_else(|| TestCaseError::fail("no pose 5 s later"))?;
+        prop_assert!(
+            error_ns(&pose) <= pose.capture_uncertainty_ns,
+            "off by {} ns, stated {} ns",
+            error_ns(&pose),
+            pose.capture_uncertainty_ns
+        );
     }
 }
 

@@ -263,8 +263,8 @@ impl World {
         let content = FrameContent {
             number: frame.number,
             rigid_bodies: &frame.bodies,
-            timestamp_s: capture_ns as f64 * 1e-9 + 77.0,
-            ticks: CameraTicks {
+            timestamp_s: frame.timestamp_s.unwrap_or(capture_ns as f64 * 1e-9 + 77.0),
+            ticks: frame.ticks.unwrap_or(CameraTicks {
                 mid_exposure: if frame.has_mid_exposure {
                     self.server.ticks_at(capture_ns)
                 } else {
@@ -272,7 +272,7 @@ impl World {
                 },
                 received: transmit,
                 transmit,
-            },
+            }),
             flags: frame.flags,
             ..FrameContent::default()
         };
@@ -317,6 +317,9 @@ pub(crate) struct Frame {
     pub(crate) bodies: Vec<RigidBody>,
     pub(crate) flags: FrameFlags,
     pub(crate) has_mid_exposure: bool,
+    /// Instead of the true ones.
+    pub(crate) timestamp_s: Option<f64>,
+    pub(crate) ticks: Option<CameraTicks>,
     /// Time since it was captured.
     pub(crate) age_ns: u64,
 }
@@ -328,6 +331,8 @@ impl Frame {
             bodies: bodies.to_vec(),
             flags: FrameFlags::default(),
             has_mid_exposure: true,
+            timestamp_s: None,
+            ticks: None,
             age_ns: 8 * MS,
         }
     }
