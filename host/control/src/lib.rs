@@ -71,8 +71,8 @@ pub use point::{
 };
 pub use reference::{
     Circle, External, FigureOfEight, MAX_PATH_POINTS, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Path,
-    PathSpeed, Reference, ReferenceError, ReferencePoint, VelocityStep, VelocitySteps, Waypoint,
-    Waypoints,
+    PathSpeed, Reference, ReferenceError, ReferencePoint, Start, VelocityStep, VelocitySteps,
+    Waypoint, Waypoints,
 };
 pub use relaxed_single_track::RelaxedSingleTrack;
 pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};

@@ -4,8 +4,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    Circle, FigureOfEight, Path, PathSpeed, Position, Reference, ReferenceError, Velocity,
-    VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    Circle, FigureOfEight, Path, PathSpeed, Position, Reference, ReferenceError, Start, Velocity,
+    VelocityStep, VelocitySteps, Waypoint, Waypoints, direction,
 };
 
 fn assert_velocity_is_the_derivative(reference: &Reference, times: impl Iterator<Item = f64>) {
@@ -281,4 +281,101 @@ fn a_path_that_cannot_be_driven_is_refused_with_the_point() {
         ..SPEED
     };
     assert!(Path::new(&winding(), false, still).is_err());
+}
+
+/// Closed references of every kind.
+fn closed() -> [Reference; 4] {
+    let centre = Position::new(0.2, -0.1);
+    let bean = [
+        (0.0, 0.0),
+        (1.0, 0.3),
+        (2.0, 0.0),
+        (1.8, 1.0),
+        (1.0, 0.7),
+        (0.1, 0.9),
+    ];
+    let bean = bean.map(|(x, y)| Position::new(x, y));
+    [
+        Reference::Circle(Circle::new(centre, 0.8, 0.5).unwrap()),
+        Reference::Circle(Circle::new(centre, 1.3, -0.4).unwrap()),
+        Reference::FigureOfEight(FigureOfEight::new(centre, 1.5, 0.75, 0.4).unwrap()),
+        Reference::Path(Path::new(&bean, true, SPEED).unwrap()),
+    ]
+}
+
+/// Position and direction of travel at the beginning.
+fn beginning(reference: &Reference) -> (Position, Velocity) {
+    // A path begins at rest.
+    let soon = reference.at(1e-3).velocity;
+    (reference.at(0.0).position.unwrap(), soon / soon.norm())
+}
+
+proptest::proptest! {
+    #![proptest_config(proptest::test_runner::Config::with_cases(200))]
+
+    #[test]
+    fn a_drive_begins_at_the_nearest_place_that_leads_where_the_car_looks(
+        x in -2.5..2.5, y in -2.5..2.5, yaw in -3.2..3.2,
+    ) {
+        let point = Position::new(x, y);
+        // Beyond 60 degrees, a right angle counts as much as half a metre does.
+        let remoteness = |(place, along): (Position, Velocity)| {
+            let across = 0.5 * (0.5 - along.dot(&direction(yaw))).max(0.0);
+            (place - point).norm_squared() + across
+        };
+        for mut reference in closed() {
+            let lap = reference.lap_time().unwrap();
+            let of_lap = reference.clone();
+            reference.begin(Start::Nearest, &point, yaw);
+            let found = remoteness(beginning(&reference));
+            for part in 0..4_000 {
+                // The second lap of a path has no run-in.
+                let time = lap * (4.0 + f64::from(part) / 4_000.0);
+                let place = of_lap.at(time);
+                let place = (place.position.unwrap(), place.velocity.normalize());
+                assert!(found < remoteness(place) + 2e-3, "{reference:?}: {found} {place:?}");
+            }
+            // Whatever was before, it is the same again.
+            let mut again = reference.clone();
+            again.begin(Start::Nearest, &point, yaw);
+            assert_eq!(again, reference);
+            again.begin(Start::Beginning, &point, yaw);
+            assert_eq!(again, of_lap);
+        }
+    }
+}
+
+#[test]
+fn at_the_crossing_of_an_eight_the_heading_decides() {
+    let eight = FigureOfEight::new(Position::origin(), 1.0, 0.5, 0.4).unwrap();
+    for heading in [0.785_f64, 2.356] {
+        for off in [-0.5, 0.0, 0.5] {
+            let mut reference = Reference::FigureOfEight(eight);
+            reference.begin(Start::Nearest, &Position::new(0.02, -0.03), heading + off);
+            let (place, along) = beginning(&reference);
+            assert!(place.coords.norm() < 0.05, "{place}");
+            assert!(along.dot(&direction(heading)) > 0.99, "{along} {off}");
+        }
+    }
+}
+
+#[test]
+fn an_open_reference_and_a_standing_circle_begin_at_their_beginning() {
+    let open = Reference::Path(Path::new(&winding(), false, SPEED).unwrap());
+    let standing = Reference::Circle(Circle::new(Position::origin(), 1.0, 0.0).unwrap());
+    for reference in [open, standing] {
+        let mut begun = reference.clone();
+        begun.begin(Start::Nearest, &Position::new(0.0, 1.0), 0.0);
+        assert_eq!(begun, reference);
+    }
+}
+
+#[test]
+fn a_path_that_begins_anywhere_begins_at_rest() {
+    let mut reference = Reference::Path(Path::new(&round(12), true, SPEED).unwrap());
+    reference.begin(Start::Nearest, &Position::new(-0.5, 0.01), -1.6);
+    let begins = reference.at(0.0);
+    assert_eq!(begins.velocity, Velocity::zeros());
+    assert!((begins.position.unwrap() - Position::new(-0.5, 0.0)).norm() < 0.02);
+    assert_velocity_is_the_derivative(&reference, tenths(200));
 }

@@ -7,7 +7,10 @@
 )]
 
 use singletrack_control::{EstimatorConfig, Limits, Reference, TrackingLoop, VehicleParameters};
-use singletrack_core::config::{BoardSection, Config, OuterLoopSection};
+use singletrack_core::{
+    ConfigError,
+    config::{BoardSection, Config, OuterLoopSection, Start},
+};
 use singletrack_pilot::SupervisorConfig;
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
@@ -108,4 +111,57 @@ fn the_margin_of_the_fence_is_half_a_car_unless_it_is_given() {
     assert_eq!(config.fence.margin_m(&config.vehicle), 0.4);
     config.fence.margin_m = Some(0.0);
     assert_eq!(config.fence.margin_m(&config.vehicle), 0.0);
+}
+
+/// The example with another reference.
+fn with_reference(keys: &str) -> Result<Config, ConfigError> {
+    let mut table: toml::Table = EXAMPLE.parse().unwrap();
+    let reference: toml::Table = keys.parse().unwrap();
+    table.insert("reference".to_owned(), reference.into());
+    Config::from_toml(&table.to_string())
+}
+
+#[test]
+fn a_closed_reference_begins_nearest_unless_told_otherwise_and_an_open_one_refuses_that() {
+    let eight = "kind = \"figure-of-eight\"\nhalf_length_m = 1.0\nhalf_width_m = 0.5\n\
+                 angular_velocity_rad_s = 0.4\n";
+    let path = "kind = \"path\"\npoints = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]\nspeed_m_s = 0.5\n";
+    let (closed, open) = (format!("{path}closed = true\n"), path.to_owned());
+    let (nearest, beginning) = ("start = \"nearest\"", "start = \"beginning\"");
+    for (keys, more, start) in [
+        (eight, "", Start::Nearest),
+        (eight, beginning, Start::Beginning),
+        (&closed, "", Start::Nearest),
+        (&closed, beginning, Start::Beginning),
+        (&open, "", Start::Beginning),
+        (&open, beginning, Start::Beginning),
+    ] {
+        let config = with_reference(&format!("{keys}{more}")).unwrap();
+        assert_eq!(config.pilot().unwrap().start, start, "{keys}{more}");
+        // What a record has.
+        let recorded = config.to_toml().unwrap();
+        assert_eq!(Config::from_record(&recorded).unwrap(), config);
+    }
+    let waypoints = "kind = \"waypoints\"\nwaypoints = [{ t_s = 0.0, x_m = 0.0, y_m = 0.0 }]\n";
+    for (keys, why) in [
+        (
+            &*open,
+            "reference.start is nearest: an open path begins at its beginning",
+        ),
+        (
+            waypoints,
+            "reference.start is no key of kind = \"waypoints\": remove it",
+        ),
+    ] {
+        let error = with_reference(&format!("{keys}{nearest}"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(why), "{error}");
+    }
+}
+
+#[test]
+fn a_record_without_the_key_began_at_the_beginning() {
+    let old = Config::from_record(EXAMPLE).unwrap();
+    assert_eq!(old.reference.start(), Start::Beginning);
 }

@@ -30,11 +30,14 @@ const EXAMPLE_REFERENCE: &str = "\
 # Without feed-forward P settles on a circle of 0.76 m here; 0.69 m is the smallest that
 # the paper's car can steer. It fits inside the fence below if the car starts with P near
 # it, looking along it: --check prints such a place. The paper's circle has a radius of 1.0.
+# A drive on a circle, a figure of eight or a closed path begins at the place that is nearest
+# to P; with start = \"beginning\" at the first point.
 [reference]
 kind = \"circle\"
 radius_m = 0.85
 angular_velocity_rad_s = 0.5
 #centre_m = [0.0, 0.0]
+#start = \"nearest\"
 # Or:
 #   kind = \"figure-of-eight\"
 #   half_length_m = 1.0

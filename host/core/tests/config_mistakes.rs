@@ -236,6 +236,7 @@ reference | kind = "waypoints" | reference.file | waypoints | needs it
 reference | kind = "external" | reference.radius_m | external | remove it
 reference | kind = "path" | reference.speed_m_s | path | needs it
 reference | closed = true | reference.closed | circle | remove it
+reference | start = "middle" | reference.start | middle | nearest
 "#;
 
 #[test]

@@ -8,7 +8,7 @@
 
 use crate::simulated_drive::SimulatedDrive;
 use singletrack_core::{
-    config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS},
+    config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS, Start},
     feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},
 };
 use singletrack_pilot::Mode;
@@ -45,6 +45,7 @@ fn circle(radius_m: f64, angular_velocity_rad_s: f64) -> ReferenceSection {
         radius_m,
         angular_velocity_rad_s,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }
 }
 
@@ -229,6 +230,7 @@ fn a_figure_that_bends_too_much_is_told_by_the_share_of_the_drive() {
         half_width_m,
         angular_velocity_rad_s: rate,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     };
     config.reference = eight(0.4, 0.2, 0.4);
     let judgement = found(&config);
@@ -252,6 +254,7 @@ fn oval(length: f64, width: f64, speed_m_s: f64) -> ReferenceSection {
         speed_m_s,
         lateral_acceleration_m_s2: 1.0,
         acceleration_m_s2: 0.5,
+        start: Start::Beginning,
     }
 }
 

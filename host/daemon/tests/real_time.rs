@@ -17,7 +17,9 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_core::config::{MpcWeights, OuterLoopSection, ReferenceSection, TuningSection};
+use singletrack_core::config::{
+    MpcWeights, OuterLoopSection, ReferenceSection, Start, TuningSection,
+};
 use singletrack_pilot::{Filtering, Mode, Tuning};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
@@ -224,6 +226,7 @@ fn a_tick_of_the_governor_allocates_nothing_and_causes_no_page_fault() {
         centre_m: [0.0, 0.0],
         radius_m: 0.5,
         angular_velocity_rad_s: 1.0,
+        start: Start::Beginning,
     };
     let governed = drive(
         SimulatedDrive::with(config, SimulationConfig::default()),

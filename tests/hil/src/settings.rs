@@ -10,7 +10,7 @@ use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FailsafeAction, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
     MotionCaptureSection, OuterLoopSection, PageSection, RecordSection, ReferenceSection,
-    SafetyFilterSection, SerialSection, SocketSection, StateSection, SupervisorSection,
+    SafetyFilterSection, SerialSection, SocketSection, Start, StateSection, SupervisorSection,
     TuningSection, UpAxis, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
@@ -41,6 +41,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
             radius_m: RADIUS_M,
             angular_velocity_rad_s: 0.5,
             centre_m: [0.0, 0.0],
+            start: Start::Beginning,
         },
         vehicle: VehicleParameters::paper(),
         governor: GovernorSection::default(),

@@ -2,7 +2,7 @@
 
 use singletrack_core::{
     Config,
-    config::{OuterLoopSection, ReferenceSection},
+    config::{OuterLoopSection, ReferenceSection, Start},
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_scenario::virtual_drive::VirtualDrive;
@@ -36,6 +36,7 @@ pub(crate) fn drive(car: &OnboardCar, file: &str) -> Option<Circle> {
         radius_m: RADIUS_M,
         angular_velocity_rad_s: RATE_RAD_S,
         centre_m: [0.0; 2],
+        start: Start::Beginning,
     };
     config.outer_loop = OuterLoopSection::Proportional {
         gain_per_s: [1.0; 2],

@@ -12,7 +12,7 @@ use std::{
 };
 
 use singletrack_core::config::{
-    Config, LqiWeights, MpcWeights, OuterLoopSection, ReferenceSection, WaypointSection,
+    Config, LqiWeights, MpcWeights, OuterLoopSection, ReferenceSection, Start, WaypointSection,
 };
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, Recorder, TickRecord, part_path};
@@ -108,6 +108,24 @@ fn a_drive_is_replayed_to_the_bit() {
 }
 
 #[test]
+fn a_record_from_before_references_could_begin_elsewhere_is_replayed_to_the_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let reader = Reader::open(&circle(&folder)).unwrap();
+    let mut meta = reader.meta().clone();
+    let old = meta.configuration.replace("start = \"beginning\"\n", "");
+    assert_ne!(old, meta.configuration);
+    meta.configuration = old;
+    let path = folder.path().join("old.mcap");
+    let mut recorder = Recorder::create(&path, &meta).unwrap();
+    for entry in reader {
+        recorder.write(&entry.unwrap()).unwrap();
+    }
+    recorder.finish().unwrap();
+    let told = stdout(&replay(&path, &["--verify"]));
+    assert!(told.contains("every output the same to the bit"), "{told}");
+}
+
+#[test]
 fn a_drive_with_each_outer_loop_is_replayed_to_the_bit() {
     for (name, outer_loop) in [
         ("lqi", OuterLoopSection::Lqi(LqiWeights::default())),
@@ -139,6 +157,7 @@ fn a_governed_drive_is_replayed_to_the_bit() {
             radius_m,
             angular_velocity_rad_s,
             centre_m: [0.0; 2],
+            start: Start::Beginning,
         };
         simulate_recorded(&scenario, &path).unwrap();
         let slowed = Reader::open(&path)

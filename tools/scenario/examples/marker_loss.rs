@@ -10,7 +10,7 @@ use std::error::Error;
 
 use singletrack_core::{
     HostOptions,
-    config::{Config, ReferenceSection},
+    config::{Config, ReferenceSection, Start},
 };
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
@@ -95,6 +95,7 @@ fn config(budget: &Budget, speed: f64) -> Config {
         radius_m: RADIUS,
         angular_velocity_rad_s: speed / RADIUS,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }));
     (budget.set)(&mut config);
     config

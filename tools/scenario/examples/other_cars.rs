@@ -36,6 +36,7 @@ feed_forward = true
 kind = "circle"
 radius_m = 1.0
 angular_velocity_rad_s = RATE
+start = "beginning"
 [start]
 point_p_m = [1.5, -0.5]
 yaw_deg = 135.0

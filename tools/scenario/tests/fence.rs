@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::Position;
-use singletrack_core::config::{Config, FenceSection, ReferenceSection, StepSection};
+use singletrack_core::config::{Config, FenceSection, ReferenceSection, Start, StepSection};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{BRAKING_M_S2, Drive, daemon_config},
@@ -97,6 +97,7 @@ fn in_a_bend_it_stops_inside() {
                 radius_m: 1.0,
                 angular_velocity_rad_s: speed,
                 centre_m: [0.0, 0.0],
+                start: Start::Beginning,
             };
             let (least, told) = drive(&config(circle, wall(x)), 1, None);
             assert_eq!(told, Some(Reason::OutsideFence), "{speed} m/s");

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_pilot::{Jog, Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, JOG_LIMIT_US, StopCause};
 use singletrack_scenario::{
@@ -22,6 +22,7 @@ fn config() -> singletrack_core::config::Config {
         radius_m: 1.5,
         angular_velocity_rad_s: 0.3,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }))
 }
 

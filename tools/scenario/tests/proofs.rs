@@ -8,7 +8,7 @@
 
 use singletrack_core::{
     HostOptions, Proof, Proofs,
-    config::{Config, ReferenceSection},
+    config::{Config, ReferenceSection, Start},
 };
 use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_record::{Entry, Replay};
@@ -26,6 +26,7 @@ fn config() -> Config {
         radius_m: 1.5,
         angular_velocity_rad_s: 0.5,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }));
     config.supervisor.prove_first_metre = true;
     config

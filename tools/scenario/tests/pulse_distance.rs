@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::Position;
-use singletrack_core::config::{Config, ReferenceSection};
+use singletrack_core::config::{Config, ReferenceSection, Start};
 use singletrack_pilot::Mode;
 use singletrack_protocol::StopCause;
 use singletrack_scenario::{
@@ -19,6 +19,7 @@ fn circle(pulse_distance_um: u16) -> Config {
         radius_m: 1.5,
         angular_velocity_rad_s: 0.4 / 1.5,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }));
     config.board.speed.pulse_distance_um = pulse_distance_um;
     config

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -17,6 +17,7 @@ fn drive(every: u64, from_us: u64) -> VirtualDrive {
         radius_m: 1.0,
         angular_velocity_rad_s: 0.4,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }));
     let mut simulation = SimulationConfig::default();
     simulation.cameras.loss_windows = (0..600)

@@ -4,7 +4,7 @@
 
 use singletrack_commissioning::{Place, TeachOptions, taught_path};
 use singletrack_control::{Position, direction};
-use singletrack_core::config::{Config, ReferenceSection};
+use singletrack_core::config::{Config, ReferenceSection, Start};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -39,6 +39,7 @@ fn config() -> Config {
         radius_m: 1.0,
         angular_velocity_rad_s: 0.5,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }))
 }
 
@@ -111,6 +112,7 @@ fn a_path_taught_by_pushing_is_driven_again_within_centimetres() {
             speed_m_s: 0.4,
             lateral_acceleration_m_s2: 1.0,
             acceleration_m_s2: 0.5,
+            start: Start::Beginning,
         };
         config.validate().unwrap();
 

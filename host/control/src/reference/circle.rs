@@ -18,7 +18,9 @@ use crate::{Position, direction};
 pub struct Circle {
     centre: Position,
     radius: f64,
-    angular_velocity: f64,
+    pub(super) angular_velocity: f64,
+    /// The time on the lap at which the drive begins, s.
+    pub(super) phase: f64,
 }
 
 impl Circle {
@@ -40,6 +42,7 @@ impl Circle {
             ),
             radius: positive("radius_m", radius)?,
             angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
+            phase: 0.0,
         })
     }
 
@@ -62,6 +65,10 @@ impl Circle {
     }
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
+        self.on_lap(self.phase + time)
+    }
+
+    pub(super) fn on_lap(&self, time: f64) -> ReferencePoint {
         let radial = self.radius * direction(self.angular_velocity * time);
         ReferencePoint {
             position: Some(self.centre + radial),

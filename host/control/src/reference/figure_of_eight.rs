@@ -11,7 +11,9 @@ pub struct FigureOfEight {
     centre: Position,
     half_length: f64,
     half_width: f64,
-    angular_velocity: f64,
+    pub(super) angular_velocity: f64,
+    /// The time on the lap at which the drive begins, s.
+    pub(super) phase: f64,
 }
 
 impl FigureOfEight {
@@ -35,10 +37,15 @@ impl FigureOfEight {
             half_length: positive("half_length_m", half_length)?,
             half_width: positive("half_width_m", half_width)?,
             angular_velocity: finite("angular_velocity_rad_s", angular_velocity)?,
+            phase: 0.0,
         })
     }
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
+        self.on_lap(self.phase + time)
+    }
+
+    pub(super) fn on_lap(&self, time: f64) -> ReferencePoint {
         let phase = self.angular_velocity * time;
         let (sine, cosine) = sincos(phase);
         let (sine_of_double, cosine_of_double) = sincos(2.0 * phase);

@@ -4,6 +4,7 @@ mod circle;
 mod external;
 mod figure_of_eight;
 mod path;
+mod start;
 mod velocity_steps;
 mod waypoints;
 
@@ -11,6 +12,7 @@ pub use circle::Circle;
 pub use external::External;
 pub use figure_of_eight::FigureOfEight;
 pub use path::{MAX_PATH_POINTS, Path, PathSpeed};
+pub use start::Start;
 pub use velocity_steps::{MAX_VELOCITY_STEPS, VelocityStep, VelocitySteps};
 pub use waypoints::{MAX_WAYPOINTS, Waypoint, Waypoints};
 

@@ -89,6 +89,8 @@ pub struct Path {
     /// Time of the run-in of a closed path, s: its first seconds are driven more slowly.
     run_in: f64,
     is_closed: bool,
+    /// The time on the lap at which the drive begins, s.
+    pub(super) phase: f64,
 }
 
 impl Path {
@@ -128,6 +130,7 @@ impl Path {
             stretch: length / stretches as f64,
             run_in: 0.0,
             is_closed,
+            phase: 0.0,
         };
         path.profile(stretches, &limits)?;
         if is_closed {
@@ -165,7 +168,16 @@ impl Path {
     }
 
     pub(super) fn at(&self, time: f64) -> ReferencePoint {
-        let (time, rate) = self.on_the_lap(time);
+        let (time, rate) = self.since_start(time);
+        self.passed_at(time, rate)
+    }
+
+    pub(super) fn on_lap(&self, time: f64) -> ReferencePoint {
+        self.passed_at(self.wrapped(time), 1.0)
+    }
+
+    /// The place that is passed at this time on the lap, at this rate.
+    fn passed_at(&self, time: f64, rate: f64) -> ReferencePoint {
         let last = self.stations.len().saturating_sub(2);
         let index = self
             .stations
@@ -197,7 +209,7 @@ impl Path {
     }
 
     /// The time on the lap for a time since the start of the drive, and its rate.
-    fn on_the_lap(&self, time: f64) -> (f64, f64) {
+    fn since_start(&self, time: f64) -> (f64, f64) {
         if !self.is_closed {
             return (time, 1.0);
         }
@@ -207,8 +219,12 @@ impl Path {
         } else {
             (time - 0.5 * self.run_in, 1.0)
         };
+        (self.wrapped(self.phase + driven), rate)
+    }
+
+    fn wrapped(&self, time: f64) -> f64 {
         let lap = self.lap_time();
-        (driven - lap * floor(driven / lap), rate)
+        time - lap * floor(time / lap)
     }
 
     /// Where the spline is at `at`, and how it goes on.

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
-    Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Velocity,
-    VelocityStep, VelocitySteps, Waypoint, Waypoints,
+    Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference, Start,
+    Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 use singletrack_settings::{Written, check_kind, seconds, section};
 use singletrack_words::words;
@@ -27,6 +27,8 @@ pub enum ReferenceSection {
         angular_velocity_rad_s: f64,
         /// Centre, in m.
         centre_m: [f64; 2],
+        /// Where a drive begins on it.
+        start: Start,
     },
     /// See [`VelocitySteps`].
     VelocitySteps {
@@ -43,6 +45,8 @@ pub enum ReferenceSection {
         angular_velocity_rad_s: f64,
         /// Centre, in m.
         centre_m: [f64; 2],
+        /// Where a drive begins on it.
+        start: Start,
     },
     /// See [`Waypoints`](singletrack_control::Waypoints).
     Waypoints {
@@ -62,6 +66,8 @@ pub enum ReferenceSection {
         file: PathBuf,
         /// Whether the path leads from its last point back to the first.
         closed: bool,
+        /// Where a drive begins on a closed one.
+        start: Start,
         /// Highest speed, in m/s.
         speed_m_s: f64,
         /// Highest lateral acceleration, in m/s².
@@ -76,6 +82,8 @@ pub enum ReferenceSection {
         points: Vec<[f64; 2]>,
         /// As in [`Path`](Self::Path).
         closed: bool,
+        /// As in [`Path`](Self::Path).
+        start: Start,
         /// As in [`Path`](Self::Path).
         speed_m_s: f64,
         /// As in [`Path`](Self::Path).
@@ -140,6 +148,10 @@ section! {
     angular_velocity_rad_s: Option<f64> = None, in -100.0..=100.0;
     /// Circle and figure of eight: centre.
     centre_m: Option<[f64; 2]> = None, in -1_000.0..=1_000.0, otherwise [0.0; 2];
+    /// Circle, figure of eight and closed path: a drive begins at the place "nearest" to P on a
+    /// branch that leads where the car looks, or at the "beginning". Others begin at their
+    /// beginning.
+    start: Option<Start> = None, words Start, otherwise Start::Nearest;
     /// Velocity steps, in order, each with `duration_s`, `v_x_m_s` and `v_y_m_s`.
     steps: Option<Vec<StepSection>> = None;
     /// Waypoints: CSV file with the columns `t_s,x_m,y_m`; its path is relative to the
@@ -194,6 +206,7 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                 radius_m: written.need("radius_m", keys.radius_m)?,
                 angular_velocity_rad_s: angular_velocity_rad_s()?,
                 centre_m: keys.centre_m.unwrap_or_default(),
+                start: keys.start.unwrap_or(Start::Nearest),
             },
             ReferenceKind::VelocitySteps => Self::VelocitySteps {
                 steps: written.need("steps", keys.steps)?,
@@ -203,6 +216,7 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                 half_width_m: written.need("half_width_m", keys.half_width_m)?,
                 angular_velocity_rad_s: angular_velocity_rad_s()?,
                 centre_m: keys.centre_m.unwrap_or_default(),
+                start: keys.start.unwrap_or(Start::Nearest),
             },
             ReferenceKind::Waypoints => match keys.waypoints {
                 Some(waypoints) => Self::WaypointList { waypoints },
@@ -211,8 +225,17 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                 },
             },
             ReferenceKind::Path => {
-                let closed = keys.closed.unwrap_or_default();
                 let speed_m_s = written.need("speed_m_s", keys.speed_m_s)?;
+                let closed = keys.closed.unwrap_or_default();
+                let start = match (closed, keys.start) {
+                    (true, start) => start.unwrap_or(Start::Nearest),
+                    (false, Some(Start::Nearest)) => {
+                        return Err("reference.start is nearest: an open path begins at its \
+                                    beginning; remove the key, or set closed = true"
+                            .to_owned());
+                    }
+                    (false, _) => Start::Beginning,
+                };
                 let lateral_acceleration_m_s2 =
                     keys.lateral_acceleration_m_s2.unwrap_or(PATH_LATERAL_M_S2);
                 let acceleration_m_s2 = keys.acceleration_m_s2.unwrap_or(PATH_ACCELERATION_M_S2);
@@ -220,6 +243,7 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                     Some(points) => Self::PathList {
                         points,
                         closed,
+                        start,
                         speed_m_s,
                         lateral_acceleration_m_s2,
                         acceleration_m_s2,
@@ -227,6 +251,7 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                     None => Self::Path {
                         file: written.need("file", keys.file)?,
                         closed,
+                        start,
                         speed_m_s,
                         lateral_acceleration_m_s2,
                         acceleration_m_s2,
@@ -259,6 +284,29 @@ impl ReferenceSection {
         }
     }
 
+    /// Where a drive begins on the reference.
+    #[must_use]
+    pub const fn start(&self) -> Start {
+        match self {
+            Self::Circle { start, .. }
+            | Self::FigureOfEight { start, .. }
+            | Self::Path { start, .. }
+            | Self::PathList { start, .. } => *start,
+            _ => Start::Beginning,
+        }
+    }
+
+    /// Makes a drive begin there, if the kind has the choice.
+    pub const fn start_at(&mut self, wanted: Start) {
+        if let Self::Circle { start, .. }
+        | Self::FigureOfEight { start, .. }
+        | Self::Path { start, .. }
+        | Self::PathList { start, .. } = self
+        {
+            *start = wanted;
+        }
+    }
+
     /// The same reference, with nothing left in other files: those may change.
     ///
     /// # Errors
@@ -280,12 +328,14 @@ impl ReferenceSection {
             Self::Path {
                 file,
                 closed,
+                start,
                 speed_m_s,
                 lateral_acceleration_m_s2,
                 acceleration_m_s2,
             } => Ok(Self::PathList {
                 points: points_of(file)?,
                 closed: *closed,
+                start: *start,
                 speed_m_s: *speed_m_s,
                 lateral_acceleration_m_s2: *lateral_acceleration_m_s2,
                 acceleration_m_s2: *acceleration_m_s2,
@@ -307,6 +357,7 @@ impl ReferenceSection {
                 radius_m,
                 angular_velocity_rad_s,
                 centre_m: [x, y],
+                ..
             } => Reference::Circle(Circle::new(
                 Position::new(*x, *y),
                 *radius_m,
@@ -327,6 +378,7 @@ impl ReferenceSection {
                 half_width_m,
                 angular_velocity_rad_s,
                 centre_m: [x, y],
+                ..
             } => Reference::FigureOfEight(FigureOfEight::new(
                 Position::new(*x, *y),
                 *half_length_m,
@@ -351,6 +403,7 @@ impl ReferenceSection {
                 speed_m_s,
                 lateral_acceleration_m_s2,
                 acceleration_m_s2,
+                ..
             } => {
                 let points: Vec<_> = points.iter().map(|[x, y]| Position::new(*x, *y)).collect();
                 let limits = PathSpeed {

@@ -7,7 +7,7 @@ use singletrack_control::{
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
-use super::{Stand, duration};
+use super::{Stand, begun, duration};
 
 /// The reaction of the geofence's watch, and the age of a pose, in s.
 const REACTION_S: f64 = 0.13;
@@ -34,11 +34,11 @@ const REASONS: [SlowedBy; 5] = [
 const INSTEAD_PER_S: f64 = 2.0;
 
 /// A standing car, and what drives it.
-pub(super) struct Car<'a> {
+pub(super) struct Car {
     law: LimitedLaw,
     tracking: TrackingLoop,
     applied: Velocity,
-    reference: &'a Reference,
+    reference: Reference,
     /// None if the reference is followed as it is.
     governor: Option<Governor>,
     /// The path parameter of the reference, s.
@@ -79,6 +79,19 @@ impl Ended {
             Self::Left { time, .. } | Self::Singular { time } => *time,
         }
     }
+
+    /// What went wrong, in words.
+    pub(super) fn how(&self) -> String {
+        match self {
+            Self::Left { time, position } => format!(
+                "the car can't stop inside any more; at best it comes to ({:.2}, {:.2}) m after \
+                 {time:.1} s",
+                position.x, position.y
+            ),
+            Self::Singular { time } => format!("the law has no answer after {time:.1} s"),
+            Self::Inside => String::new(),
+        }
+    }
 }
 
 /// The shares of a drive during which limits were reached, 0 to 1.
@@ -111,8 +124,8 @@ struct Step {
     steering: f64,
 }
 
-impl<'a> Car<'a> {
-    pub(super) fn new(pilot: &'a PilotConfig, vehicle: &VehicleParameters, stand: Stand) -> Self {
+impl Car {
+    pub(super) fn new(pilot: &PilotConfig, vehicle: &VehicleParameters, stand: Stand) -> Self {
         Self {
             law: LimitedLaw::new(pilot.law, pilot.limits),
             tracking: match &pilot.tracking {
@@ -124,7 +137,7 @@ impl<'a> Car<'a> {
                 other => other.clone(),
             },
             applied: Velocity::zeros(),
-            reference: &pilot.reference,
+            reference: begun(pilot, stand),
             governor: pilot.governor(),
             path: 0.0,
             vehicle: *vehicle,
@@ -156,7 +169,7 @@ impl<'a> Car<'a> {
 
     /// Follows the reference without a geofence, and measures what the governor makes of it.
     pub(super) fn governed(mut self) -> Governed {
-        let until = duration(self.reference);
+        let until = duration(&self.reference);
         let mut counts = [0_u32; REASONS.len()];
         let mut beside = 0.0_f64;
         while self.place() < until && self.time < LONGER * until {
@@ -190,7 +203,7 @@ impl<'a> Car<'a> {
     /// Follows the reference without a geofence, and measures for how long it is limited.
     pub(super) fn saturated(mut self) -> Saturated {
         let limits = self.limits;
-        let until = duration(self.reference);
+        let until = duration(&self.reference);
         let (mut steps, mut steering, mut speed, mut lateral) = (0.0, 0.0, 0.0, 0.0);
         while self.time < until {
             let Some(step) = self.step() else {
@@ -232,11 +245,11 @@ impl<'a> Car<'a> {
             .law()
             .point(self.position, self.yaw, before.steering);
         self.path = match &mut self.governor {
-            Some(governor) => governor.advance(self.time, self.reference, &point),
+            Some(governor) => governor.advance(self.time, &self.reference, &point),
             None => self.time,
         };
         let at = |ahead: f64| match &self.governor {
-            Some(governor) => governor.at(self.reference, ahead),
+            Some(governor) => governor.at(&self.reference, ahead),
             None => self.reference.at(self.time + ahead),
         };
         let reference = at(0.0);

@@ -292,7 +292,7 @@ fn judge_governed(
     vehicle: &VehicleParameters,
     findings: &mut Vec<Finding>,
 ) -> Option<Governed> {
-    let start = starts_on_reference(pilot, vehicle).next()?;
+    let start = starts_on(&pilot.reference, pilot, vehicle).next()?;
     let governed = Car::new(pilot, vehicle, start).governed();
     let Governed {
         by,
@@ -355,7 +355,7 @@ fn judge_governed(
 
 /// For how much of the drive a limit is in the way of the reference.
 fn judge_saturation(pilot: &PilotConfig, vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
-    let Some(start) = starts_on_reference(pilot, vehicle).next() else {
+    let Some(start) = starts_on(&pilot.reference, pilot, vehicle).next() else {
         return;
     };
     let Saturated {
@@ -425,16 +425,16 @@ fn judge_fence(
         return;
     }
     let candidates = || {
-        starts_on_reference(pilot, vehicle)
+        starts_on(&pilot.reference, pilot, vehicle)
             .chain(starts_inside(&pilot.fence, heading(&pilot.reference)))
     };
     let find = |fence: &Fence| candidates().find(|start| ends(fence, *start) == Ended::Inside);
-    if let Some(start) = with_reserve.ok().as_ref().and_then(find) {
-        judgement.start = Some(start);
+    let safe = with_reserve.ok().as_ref().and_then(find);
+    judgement.start = safe.or_else(|| find(&pilot.fence));
+    if safe.is_some() {
         return;
     }
-    if let Some(start) = find(&pilot.fence) {
-        judgement.start = Some(start);
+    if judgement.start.is_some() {
         judgement.findings.push(Finding {
             severity: Severity::Warning,
             key: "fence.corners_m",
@@ -459,15 +459,7 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
         Some(stand) => format!("from here ({stand})"),
         None => "from every start inside it".to_owned(),
     };
-    let how = match ended {
-        Ended::Left { time, position } => format!(
-            "the car can't stop inside any more; at best it comes to ({:.2}, {:.2}) m after \
-             {time:.1} s",
-            position.x, position.y
-        ),
-        Ended::Singular { time } => format!("the law has no answer after {time:.1} s"),
-        Ended::Inside => String::new(),
-    };
+    let how = ended.how();
     let (circle, shorter) = match config.reference {
         ReferenceSection::Circle { .. } => (
             " (the smallest circle that the car can drive may still be too large)",
@@ -487,14 +479,24 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
     }
 }
 
+/// The reference of a drive from there.
+fn begun(pilot: &PilotConfig, stand: Stand) -> Reference {
+    let centre = Position::new(stand.x_m, stand.y_m);
+    let point = pilot.law.point(centre, stand.yaw_rad, 0.0);
+    let mut reference = pilot.reference.clone();
+    reference.begin(pilot.start, &point, stand.yaw_rad);
+    reference
+}
+
 /// Stands with P at the start of the reference or a little behind it, looking along it.
-fn starts_on_reference(
+fn starts_on(
+    reference: &Reference,
     pilot: &PilotConfig,
     vehicle: &VehicleParameters,
 ) -> impl Iterator<Item = Stand> + use<> {
-    let heading = heading(&pilot.reference);
+    let heading = heading(reference);
     // Without a position the car may start anywhere.
-    let first = pilot.reference.at(0.0).position.unwrap_or_default();
+    let first = reference.at(0.0).position.unwrap_or_default();
     let ahead = vehicle.front_axle_distance_m + pilot.law.point_distance();
     let turns = [0.0, -0.25, 0.25, -0.5, 0.5, -0.75, 0.75];
     turns.into_iter().flat_map(move |turn| {

@@ -104,8 +104,8 @@ impl Pilot {
     }
 
     /// A drive begins.
-    pub(super) fn begin_drive(&mut self, now: Time) {
-        self.drive_start = Some(now);
+    pub(super) fn begin_drive(&mut self, sensed: &Sensed) {
+        self.drive_start = Some(sensed.now);
         self.law.reset();
         self.tracking.reset();
         self.applied = Velocity::zeros();
@@ -118,6 +118,11 @@ impl Pilot {
         self.safety.begin(self.commanded_steering);
         let unproved = self.config.supervisor.prove && !self.proved;
         self.watches.begin(unproved);
+        if let Some(estimate) = &sensed.estimate {
+            let (yaw, law) = (estimate.yaw, self.law.law());
+            let point = law.point(estimate.position, yaw, self.wheels());
+            self.config.reference.begin(self.config.start, &point, yaw);
+        }
     }
 
     /// A tick in [`Mode::Slowing`] or [`Mode::Stopping`].

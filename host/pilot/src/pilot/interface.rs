@@ -2,8 +2,8 @@
 
 use singletrack_control::{
     Actuation, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig, Limits,
-    Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Time, TrackingLoop,
-    Velocity,
+    Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Start, Time,
+    TrackingLoop, Velocity,
 };
 
 use super::{Compensation, Filtering};
@@ -25,6 +25,8 @@ pub struct PilotConfig {
     pub tracking: TrackingLoop,
     /// The path of P; its time counts from the first driving tick.
     pub reference: Reference,
+    /// Where a drive begins on it.
+    pub start: Start,
     /// Makes the reference slower or wider where the car can't follow it; none to follow it as
     /// it is.
     pub governor: Option<GovernorConfig>,

@@ -34,7 +34,7 @@ impl Pilot {
         let request = self.supervisor.step(&self.conditions(sensed));
         let mode = self.supervisor.mode();
         if mode == Mode::Driving && was == Mode::Arming {
-            self.begin_drive(now);
+            self.begin_drive(sensed);
         }
         if mode != Mode::Jogging || was != Mode::Jogging {
             // Pulses from before the board was armed do not count.

@@ -5,7 +5,7 @@
 
 use singletrack_control::{
     EstimatorConfig, FrontPointLaw, InertialSample, Limits, PoseSample, Position, ProportionalLoop,
-    Reference, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
+    Reference, Start, Time, TrackingLoop, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
     direction,
 };
 use singletrack_pilot::{
@@ -82,6 +82,7 @@ pub(crate) fn config() -> PilotConfig {
             }])
             .unwrap(),
         ),
+        start: Start::Beginning,
         governor: None,
         limits: Limits::paper(),
         estimator: EstimatorConfig::for_vehicle(&vehicle),

@@ -4,7 +4,9 @@ use std::{net::Ipv4Addr, path::Path};
 
 use serde::Serialize;
 use singletrack_control::VehicleParameters;
-use singletrack_core::config::{Config, LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_core::config::{
+    Config, LawKind, LawSection, OuterLoopSection, ReferenceSection, Start,
+};
 use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
     CarTruth, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
@@ -106,6 +108,7 @@ pub(super) fn daemon(
             radius_m: RADIUS,
             angular_velocity_rad_s: ANGULAR_VELOCITY,
             centre_m: [0.0, 0.0],
+            start: Start::Beginning,
         },
     });
     if let Some(car) = args.car.config()? {

@@ -85,7 +85,7 @@ fn configuration(
     changes: &[Change],
 ) -> Result<PilotConfig, SourceError> {
     let read = |toml: &str| -> Result<(PilotConfig, Config), ConfigError> {
-        let config = Config::from_toml(toml)?;
+        let config = Config::from_record(toml)?;
         Ok((config.pilot()?, config))
     };
     // Whose fault it is shows when it is tried without the changes.

@@ -9,7 +9,7 @@ use std::{
     thread,
 };
 
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_scenario::simulated::{Drive, daemon_config};
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, UdpConfig};
 use singletrackd::{Daemon, StartOptions};
@@ -72,6 +72,7 @@ fn a_running_daemon_tells_what_its_board_reports() {
         radius_m: 1.0,
         angular_velocity_rad_s: 0.5,
         centre_m: [0.0, 0.0],
+        start: Start::Beginning,
     }));
     config.serial.port = simulator.pty_path().to_owned();
     config.motion_capture.command_port = simulator.command_address().port();

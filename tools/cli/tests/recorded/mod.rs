@@ -13,7 +13,7 @@ use singletrack_control::{
     Actuation, Estimate, InertialSample, Position, ReferencePoint, Time, VehicleParameters,
     Velocity,
 };
-use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
+use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection, Start};
 use singletrack_pilot::{
     BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output, PoseMissing, Reason,
 };
@@ -101,6 +101,7 @@ pub(crate) fn write(path: &Path, script: &Script) {
             radius_m: RADIUS,
             angular_velocity_rad_s: ANGULAR_VELOCITY,
             centre_m: [0.0, 0.0],
+            start: Start::Beginning,
         },
     });
     let meta = Meta {

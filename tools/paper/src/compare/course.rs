@@ -2,7 +2,10 @@
 
 use clap::ValueEnum;
 use singletrack_control::{Reference, ReferencePoint};
-use singletrack_core::{ConfigError, config::ReferenceSection};
+use singletrack_core::{
+    ConfigError,
+    config::{ReferenceSection, Start},
+};
 use singletrack_words::words;
 
 words! {
@@ -65,6 +68,7 @@ impl Course {
                         half_width_m: HALF_WIDTH_M,
                         angular_velocity_rad_s: rate,
                         centre_m: [0.0; 2],
+                        start: Start::Beginning,
                     },
                     start: [0.0; 2],
                     heading: libm::atan2(2.0 * HALF_WIDTH_M, HALF_LENGTH_M),
@@ -83,6 +87,7 @@ impl Course {
                 radius_m: radius,
                 angular_velocity_rad_s: speed / radius,
                 centre_m: [0.0; 2],
+                start: Start::Beginning,
             },
             start: [radius, 0.0],
             heading: core::f64::consts::FRAC_PI_2,
@@ -112,6 +117,7 @@ impl Course {
                 // More than the change needs: it is driven at full speed.
                 lateral_acceleration_m_s2: LANE_LATERAL_M_S2,
                 acceleration_m_s2: LANE_ACCELERATION_M_S2,
+                start: Start::Beginning,
             },
             start: point(0),
             heading: 0.0,

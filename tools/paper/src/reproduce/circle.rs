@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use indicatif::ProgressBar;
-use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection};
+use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 
@@ -53,6 +53,7 @@ pub(super) fn experiment(
             radius_m: setup.radius_m(),
             angular_velocity_rad_s: TURN_RATE,
             centre_m: [0.0, 0.0],
+            start: Start::Beginning,
         },
         start_m: point.map(|coordinate| coordinate * setup.radius_m()),
         yaw_deg,

@@ -172,6 +172,8 @@ struct Run<'a> {
     start_us: u64,
     tally: Tally,
     last: Option<VirtualTick>,
+    /// As the pilot has begun it.
+    reference: Reference,
     /// Of the reference.
     path: PathClock,
 }
@@ -214,6 +216,7 @@ impl<'a> Run<'a> {
             start_us: 0,
             tally,
             last: None,
+            reference: scenario.reference()?,
             path: PathClock::default(),
         })
     }
@@ -269,7 +272,14 @@ impl<'a> Run<'a> {
     fn take(&mut self, tick: VirtualTick) {
         let time = self.time(tick.now.0 / 1_000);
         self.tally.add(time, &tick);
-        self.path.take(time, &tick.tick.output);
+        let output = &tick.tick.output;
+        if let (Some(0.0), Some(point), Some(estimate)) =
+            (output.drive_time, output.point, output.estimate)
+        {
+            let start = self.daemon.reference.start();
+            self.reference.begin(start, &point, estimate.yaw);
+        }
+        self.path.take(time, output);
         self.last = Some(tick);
     }
 
@@ -296,7 +306,6 @@ impl<'a> Run<'a> {
     /// Goes on to the end of the run.
     fn finish(mut self, takes_any_end: bool) -> Result<Simulation, CarError> {
         let duration_s = self.scenario.run.duration_s;
-        let reference = self.scenario.reference()?;
         let count = (duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
         let mut ended = None;
         let mut rows = Vec::new();
@@ -325,7 +334,7 @@ impl<'a> Run<'a> {
                     output.mode
                 ));
             }
-            rows.push(self.row(&reference, time, &truth, last));
+            rows.push(self.row(time, &truth, last));
         }
         if takes_any_end {
             let until_s = |run: &Self| {
@@ -371,7 +380,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn row(&self, reference: &Reference, time: f64, truth: &Truth, last: &VirtualTick) -> Row {
+    fn row(&self, time: f64, truth: &Truth, last: &VirtualTick) -> Row {
         let output = &last.tick.output;
         // P is where it was tuned to be.
         let configured = self.scenario.law.point_distance_m;
@@ -381,7 +390,7 @@ impl<'a> Run<'a> {
         let [x_p, y_p] = truth.point_p(self.front_axle_distance_m, point_distance);
         let start = Position::from(self.scenario.start.point_p_m);
         let path = self.path.at(time);
-        let nominal = match reference {
+        let nominal = match &self.reference {
             Reference::VelocitySteps(steps) => steps.integrate(start, time),
             other => other.at(path).position.unwrap_or(start) + self.path.beside(other),
         };

@@ -146,12 +146,14 @@ impl<'a> Simulation<'a> {
                 start - p * direction(yaw),
             ),
         };
+        let mut reference = scenario.reference().map_err(ScenarioError::from)?;
+        reference.begin(scenario.reference.start(), &start, yaw);
         Ok(Self {
             scenario,
             model,
             law,
             tracking: scenario.tracking_loop().map_err(ScenarioError::from)?,
-            reference: scenario.reference().map_err(ScenarioError::from)?,
+            reference,
             start,
             initial: Vector::from([centre.x, centre.y, yaw, 0.0, 0.0, 0.0]),
         })

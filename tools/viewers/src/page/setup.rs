@@ -171,6 +171,7 @@ fn reasons() -> Value {
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
+    use singletrack_core::config::Start;
     use singletrack_pilot::Reason;
 
     use super::*;
@@ -189,6 +190,7 @@ mod tests {
             radius_m: 0.7,
             angular_velocity_rad_s: -0.4,
             centre_m: [0.1, -0.2],
+            start: Start::Beginning,
         };
         let setup = setup(3, &config);
         assert_eq!(setup["configuration"], 3);

@@ -3,7 +3,7 @@ use singletrack_control::{
     TrajectoryPoint, Velocity,
 };
 
-use singletrack_core::setpoint::Rejection;
+use singletrack_core::{config::Start, setpoint::Rejection};
 
 use super::*;
 
@@ -130,6 +130,7 @@ fn valid_lines_are_parsed() {
                 radius_m: 1.0,
                 angular_velocity_rad_s: 0.5,
                 centre_m: [0.0, 0.0],
+                start: Start::Nearest,
             }),
         ),
         (

@@ -1,0 +1,134 @@
+//! A car that was stopped is armed again from where it stands.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "the helpers of tests may fail as tests do"
+)]
+
+use singletrack_core::{
+    config::{Config, ReferenceSection, Start},
+    feasibility::{Stand, judge_reference},
+};
+use singletrack_pilot::{Mode, Output, PilotRequest};
+use singletrack_record::{Entry, Replay};
+use singletrack_scenario::{
+    simulated::{Drive, daemon_config},
+    virtual_drive::{VirtualDrive, VirtualTick},
+};
+use singletrack_sim::{SimulationConfig, StartPose};
+
+const EXAMPLE: &str = include_str!("../../../host/daemon/singletrackd.example.toml");
+
+fn eight(start: Start) -> ReferenceSection {
+    ReferenceSection::FigureOfEight {
+        half_length_m: 1.8,
+        half_width_m: 0.9,
+        angular_velocity_rad_s: 0.25,
+        centre_m: [0.0, 0.0],
+        start,
+    }
+}
+
+/// The eight in a fence without much room around it.
+fn on_the_eight(start: Start) -> Config {
+    let mut config = daemon_config(Drive::following(eight(start)));
+    let [x, y] = [2.6, 1.9];
+    config.fence.corners_m = vec![[-x, -y], [x, -y], [x, y], [-x, y]];
+    config
+}
+
+/// The example of the daemon, in its small fence.
+fn on_the_circle() -> Config {
+    let mut config = Config::from_toml(EXAMPLE).unwrap();
+    config.motion_capture.server = [127, 0, 0, 1].into();
+    config.supervisor.prove_first_metre = false;
+    config.supervisor.require_calibration = false;
+    config
+}
+
+fn stand(output: &Output) -> Stand {
+    let estimate = output.estimate.unwrap();
+    Stand {
+        x_m: estimate.position.x,
+        y_m: estimate.position.y,
+        yaw_rad: estimate.yaw,
+    }
+}
+
+/// Steps until the mode is this one, for 20 s at most.
+fn until(drive: &mut VirtualDrive, mode: Mode) -> VirtualTick {
+    for _ in 0..2_000 {
+        let tick = drive.step();
+        if tick.tick.output.mode == mode {
+            return tick;
+        }
+    }
+    let output = &drive.step().tick.output;
+    panic!("{mode} expected: {} {:?}", output.mode, output.reason);
+}
+
+/// Drives from there, stops and arms again, once for each time (s): the entries of the record.
+fn drives(config: &Config, start: StartPose, times: &[f64]) -> Vec<Entry> {
+    let mut simulation = SimulationConfig::default();
+    simulation.car.start = start;
+    let mut drive = VirtualDrive::new(config.clone(), 1, simulation).unwrap();
+    drive.keep_entries();
+    for &time in times {
+        let ready = until(&mut drive, Mode::Ready);
+        // What the daemon asks before it arms.
+        let from = stand(&ready.tick.output);
+        let judged = judge_reference(config, Some(from), None).unwrap();
+        assert!(judged.is_possible(), "{from}: {:?}", judged.findings);
+        drive.request(PilotRequest::Arm).unwrap();
+        let first = until(&mut drive, Mode::Driving);
+        let output = &first.tick.output;
+        let wanted = output.reference.unwrap().position.unwrap();
+        let away = (wanted - output.point.unwrap()).norm();
+        assert!(away < 0.25, "{away} m from P at {from}");
+        while drive.now_us() < first.now.0 / 1_000 + (time * 1e6) as u64 {
+            let output = drive.step().tick.output;
+            assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+        }
+        drive.request(PilotRequest::Disarm).unwrap();
+        until(&mut drive, Mode::Idle);
+    }
+    drive.entries()
+}
+
+fn assert_replayed_to_the_bit(config: &Config, entries: &[Entry]) {
+    let mut replay = Replay::new(config.pilot().unwrap());
+    let ticks = entries.iter().filter_map(|entry| match entry {
+        Entry::Tick(tick) => Some(tick),
+        _ => None,
+    });
+    for tick in ticks {
+        let output = replay.tick(tick).unwrap();
+        assert!(tick.is_output(&output), "{:?}", tick.differences(&output));
+    }
+}
+
+#[test]
+fn a_car_on_the_circle_stops_and_is_armed_again_wherever_it_stands() {
+    let config = on_the_circle();
+    let start = StartPose {
+        x_m: 0.57,
+        y_m: -0.39,
+        yaw_rad: 54_f64.to_radians(),
+    };
+    let entries = drives(&config, start, &[3.7, 6.1, 8.3, 12.9]);
+    assert_replayed_to_the_bit(&config, &entries);
+}
+
+#[test]
+fn a_car_on_an_eight_stops_and_is_armed_again_wherever_it_stands() {
+    let config = on_the_eight(Start::Nearest);
+    let start = StartPose {
+        x_m: -0.344,
+        y_m: -0.344,
+        yaw_rad: core::f64::consts::FRAC_PI_4,
+    };
+    // The last drives begin at the crossing.
+    let entries = drives(&config, start, &[4.3, 7.9, 10.7, 1.0, 12.4]);
+    assert_replayed_to_the_bit(&config, &entries);
+}
