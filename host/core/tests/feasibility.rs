@@ -6,6 +6,8 @@
     reason = "the helpers of tests may fail as tests do"
 )]
 
+use core::f64::consts::PI;
+
 use crate::simulated_drive::SimulatedDrive;
 use singletrack_core::{
     config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS, Start},
@@ -108,6 +110,43 @@ fn the_simulated_car_drives_the_example_from_the_place_that_is_named() {
     assert_eq!(modes, [Mode::Driving]);
     // What is not yet a warning.
     assert!(limited < 0.1, "{limited}");
+}
+
+#[test]
+fn a_car_that_stands_elsewhere_is_told_a_place_near_it_from_which_it_can_drive() {
+    let mut config = own();
+    config.reference = circle(0.85, 0.5);
+    config.reference.start_at(Start::Nearest);
+    // Across the circle, at its far side.
+    let here = Stand {
+        x_m: -0.5,
+        y_m: 0.0,
+        yaw_rad: PI,
+    };
+    let judgement = judge_reference(&config, Some(here), None).unwrap();
+    let place = judgement.start.unwrap();
+    let finding = only(&judgement).to_string();
+    let carry = format!(
+        "Carry it to ({:.2}, {:.2}) m, {:.0} degrees",
+        place.x_m,
+        place.y_m,
+        place.yaw_rad.to_degrees()
+    );
+    assert!(
+        finding.starts_with(
+            "reference.start is nearest: from here (centre of mass at (-0.50, 0.00) m"
+        ) && finding.ends_with(&carry),
+        "{finding}"
+    );
+    assert!(
+        (place.x_m - here.x_m).hypot(place.y_m - here.y_m) < 0.7,
+        "{finding}"
+    );
+    assert!(
+        judge_reference(&config, Some(place), None)
+            .unwrap()
+            .is_possible()
+    );
 }
 
 #[test]
@@ -445,7 +484,7 @@ fn a_drive_that_leaves_the_fence_later_is_possible_for_a_shorter_time() {
     assert_eq!(judged(Some(1.0)).findings, []);
     for longest_s in [Some(2.0), Some(100.0), None] {
         let finding = only(&judged(longest_s)).to_string();
-        assert!(finding.ends_with("or for a shorter time"), "{finding}");
+        assert!(finding.ends_with("for a shorter time"), "{finding}");
     }
 }
 

@@ -137,7 +137,10 @@ fn the_place_where_the_car_stands_is_judged() {
     // It looks away from the reference and has to turn round at the side.
     let (status, _, error) = check(folder.path(), &text, &["--start", "-0.7,-0.7,200"]);
     assert_eq!(status, 1);
-    assert!(error.contains("fence.corners_m is"), "{error}");
+    assert!(
+        error.contains("reference.start is nearest: from here") && error.contains("Carry it to ("),
+        "{error}"
+    );
     let (status, _, error) = check(folder.path(), &text, &["--start", "1,2"]);
     assert_eq!(status, 2);
     assert!(error.contains("X,Y,YAW"), "{error}");

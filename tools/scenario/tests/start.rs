@@ -8,7 +8,7 @@
 
 use singletrack_core::{
     config::{Config, ReferenceSection, Start},
-    feasibility::{Stand, judge_reference},
+    feasibility::{Severity, Stand, judge_reference},
 };
 use singletrack_pilot::{Mode, Output, PilotRequest};
 use singletrack_record::{Entry, Replay};
@@ -131,4 +131,33 @@ fn a_car_on_an_eight_stops_and_is_armed_again_wherever_it_stands() {
     // The last drives begin at the crossing.
     let entries = drives(&config, start, &[4.3, 7.9, 10.7, 1.0, 12.4]);
     assert_replayed_to_the_bit(&config, &entries);
+}
+
+#[test]
+fn from_the_beginning_a_car_that_has_driven_on_is_refused_with_a_place_from_which_it_works() {
+    let config = on_the_eight(Start::Beginning);
+    // A quarter of the eight, at its end.
+    let here = Stand {
+        x_m: 1.8,
+        y_m: 0.1,
+        yaw_rad: -1.4,
+    };
+    let judged = judge_reference(&config, Some(here), None).unwrap();
+    let place = judged.start.unwrap();
+    let mut impossible = judged
+        .findings
+        .iter()
+        .filter(|finding| finding.severity == Severity::Impossible);
+    let text = impossible.next().unwrap().to_string();
+    assert!(
+        text.starts_with("reference.start is beginning: from here"),
+        "{text}"
+    );
+    let carry = format!("Carry it to ({:.2}, {:.2}) m, ", place.x_m, place.y_m);
+    assert!(
+        text.contains(&carry) && !text.contains("iden the fence"),
+        "{text}"
+    );
+    let there = judge_reference(&config, Some(place), None).unwrap();
+    assert!(there.is_possible(), "{:?}", there.findings);
 }

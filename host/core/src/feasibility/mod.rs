@@ -97,8 +97,8 @@ impl fmt::Display for Stand {
 pub struct Judgement {
     /// The findings; empty if there is nothing to say.
     pub findings: Vec<Finding>,
-    /// A place from which the car drives its reference inside the geofence; `None` if there is
-    /// none, or if the reference comes from outside.
+    /// A place from which the car drives its reference inside the geofence: where it stands, or
+    /// else another one. `None` if there is none, or if the reference comes from outside.
     pub start: Option<Stand>,
 }
 
@@ -417,20 +417,28 @@ fn judge_fence(
         pilot.fence.corners(),
         config.fence.margin_m(vehicle) + RESERVE_M,
     );
-    if let Some(stand) = stand {
-        match ends(&pilot.fence, stand) {
-            Ended::Inside => judgement.start = Some(stand),
-            left => judgement.findings.push(leaves(config, &left, Some(stand))),
-        }
+    let left = stand.map(|stand| (stand, ends(&pilot.fence, stand)));
+    if let Some((stand, Ended::Inside)) = left {
+        judgement.start = Some(stand);
         return;
     }
+    // Where the reference would begin from here, the way to carry the car is short.
+    let reference = stand.map_or_else(|| pilot.reference.clone(), |stand| begun(pilot, stand));
     let candidates = || {
-        starts_on(&pilot.reference, pilot, vehicle)
-            .chain(starts_inside(&pilot.fence, heading(&pilot.reference)))
+        starts_on(&reference, pilot, vehicle)
+            .chain(starts_inside(&pilot.fence, heading(&reference)))
     };
     let find = |fence: &Fence| candidates().find(|start| ends(fence, *start) == Ended::Inside);
     let safe = with_reserve.ok().as_ref().and_then(find);
     judgement.start = safe.or_else(|| find(&pilot.fence));
+    if let Some((stand, left)) = left {
+        let finding = match judgement.start {
+            Some(place) => elsewhere(pilot, &left, stand, place),
+            None => leaves(config, &left, Some(stand)),
+        };
+        judgement.findings.push(finding);
+        return;
+    }
     if safe.is_some() {
         return;
     }
@@ -451,6 +459,26 @@ fn judge_fence(
         .max_by(|a, b| a.time().total_cmp(&b.time()));
     if let Some(left) = longest {
         judgement.findings.push(leaves(config, &left, None));
+    }
+}
+
+/// The car can't drive from where it stands, but from another place.
+fn elsewhere(pilot: &PilotConfig, ended: &Ended, stand: Stand, place: Stand) -> Finding {
+    let shorter = match pilot.reference {
+        Reference::Circle(_) => "",
+        _ => ", or drive for a shorter time",
+    };
+    Finding {
+        severity: Severity::Impossible,
+        key: "reference.start",
+        value: pilot.start.to_string(),
+        fix: format!(
+            "from here ({stand}) {}. Carry it to ({:.2}, {:.2}) m, {:.0} degrees{shorter}",
+            ended.how(),
+            place.x_m,
+            place.y_m,
+            place.yaw_rad.to_degrees()
+        ),
     }
 }
 
