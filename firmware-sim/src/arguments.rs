@@ -10,6 +10,13 @@ use crate::{
     StartPose, UdpConfig, parse_bitstream, parse_duration_us,
 };
 
+/// Where the daemon's example configuration can drive from.
+const START: StartPose = StartPose {
+    x_m: 0.57,
+    y_m: -0.39,
+    yaw_rad: 54_f64.to_radians(),
+};
+
 /// Simulate the car, the board and the motion capture system in real time.
 ///
 /// The board's serial port is a pseudo-terminal; the motion capture system is a
@@ -60,7 +67,8 @@ pub struct Arguments {
     seed: Option<u64>,
 
     /// Initial position of the centre of mass, in metres, and yaw, in degrees
-    /// [default: 0,0,0]
+    /// [default: 0.57,-0.39,54, from where the daemon's example drives; with --config, what
+    /// the file says]
     #[arg(long, value_name = "X,Y,YAW", allow_hyphen_values = true, value_parser = parse_pose)]
     start: Option<StartPose>,
 
@@ -133,7 +141,11 @@ impl Arguments {
     pub fn config(&self) -> Result<RealTimeConfig, SimulationFileError> {
         let mut simulation = match &self.config {
             Some(path) => SimulationConfig::read(path)?,
-            None => SimulationConfig::default(),
+            None => {
+                let mut simulation = SimulationConfig::default();
+                simulation.car.start = START;
+                simulation
+            }
         };
         replace(&mut simulation.board.kind, self.board);
         replace(&mut simulation.seed, self.seed);

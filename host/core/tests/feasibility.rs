@@ -9,12 +9,13 @@
 use core::f64::consts::PI;
 
 use crate::simulated_drive::SimulatedDrive;
+use clap::Parser as _;
 use singletrack_core::{
     config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS, Start},
     feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},
 };
 use singletrack_pilot::Mode;
-use singletrack_sim::{SimulationConfig, StartPose};
+use singletrack_sim::{Arguments, SimulationConfig, StartPose};
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
@@ -110,6 +111,23 @@ fn the_simulated_car_drives_the_example_from_the_place_that_is_named() {
     assert_eq!(modes, [Mode::Driving]);
     // What is not yet a warning.
     assert!(limited < 0.1, "{limited}");
+}
+
+/// `singletrack-sim` without options, and the daemon with the example.
+#[test]
+fn the_simulator_starts_the_car_where_the_example_can_drive() {
+    let simulator = Arguments::parse_from(["singletrack-sim"]).config().unwrap();
+    let start = simulator.simulation.car.start;
+    let stand = Stand {
+        x_m: start.x_m,
+        y_m: start.y_m,
+        yaw_rad: start.yaw_rad,
+    };
+    let mut config = Config::from_toml(EXAMPLE).unwrap();
+    assert!(judge(&config, Some(stand)).unwrap().is_possible());
+    config.fence.braking_m_s2 = BRAKING_M_S2;
+    let (modes, _) = driven(&config, stand, 30);
+    assert_eq!(modes, [Mode::Driving]);
 }
 
 #[test]

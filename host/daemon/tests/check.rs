@@ -146,19 +146,6 @@ fn the_place_where_the_car_stands_is_judged() {
     assert!(error.contains("X,Y,YAW"), "{error}");
 }
 
-/// The tutorial's start, of the simulator's car.
-#[test]
-fn the_tutorial_starts_the_car_where_it_can_drive() {
-    let page = include_str!("../../../docs/tutorial.md");
-    let start = page
-        .lines()
-        .find_map(|line| line.strip_prefix("singletrack-sim --start "))
-        .unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let (status, _, error) = check(folder.path(), &example(folder.path()), &["--start", start]);
-    assert_eq!(status, 0, "{error}");
-}
-
 /// The log of a daemon with `--arm`, up to the start of its control thread.
 fn log_with_arm(folder: &Path, text: &str) -> Vec<String> {
     let path = folder.join("car.toml");

@@ -27,7 +27,7 @@ await_ready() {
 # A simulated car with its daemon, for pages that talk of one that runs.
 car() {
     if test -z "${SINGLETRACK_SOCKET:-}"; then
-        singletrack-sim --quiet --start 0.57,-0.39,54 &
+        singletrack-sim --quiet &
         sed -e 's|^port = .*|port = "/tmp/singletrack-board"|' \
             -e 's|^server = .*|server = "127.0.0.1"|' \
             -e 's|^#directory = .*|directory = "/tmp/records"|' \
