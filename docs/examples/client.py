@@ -1,4 +1,8 @@
-"""Drives the car by set-points, with plain Python: python3 client.py SOCKET [SECONDS]"""
+"""Drives the car by set-points, with plain Python.
+
+python3 client.py SOCKET [SECONDS] [--uncalibrated]
+
+For the simulated car give --uncalibrated, as to singletrack arm."""
 import json
 import socket
 import sys
@@ -30,42 +34,61 @@ class Client:
         self.socket.sendall(line.encode() + b"\n")
 
     def read(self):
-        return json.loads(self.lines.readline() or '{"ok":false,"error":"closed"}')
-
-    def ask(self, command, **keys):
-        self.send(command, **keys)
-        answer = self.read()
-        if not answer["ok"]:
+        answer = json.loads(self.lines.readline() or '{"error":"the daemon has closed the connection"}')
+        if "error" in answer:
             raise RuntimeError(answer["error"])
         return answer
 
+    def ask(self, command, **keys):
+        self.send(command, **keys)
+        return self.read()
 
-def main(path, seconds=10.0):
-    drive, states = Client(path), Client(path)
+
+def main(path, seconds=10.0, uncalibrated=False):
+    drive = Client(path)
+    drive.ask("set-reference", reference={"kind": "external"})
+    # Opened after that: the car is not ready just after a change.
+    states, failures = Client(path), []
     states.ask("watch", topics=["state"])
+    threading.Thread(target=listen, args=[drive, failures], daemon=True).start()
     begin, sequence, asked = time.monotonic(), 0, False
-    while time.monotonic() < begin + seconds:
+    while time.monotonic() < begin + seconds and not failures:
         state = states.read()
         if "missed" in state:
             continue
         # The controller: slow, and to the left.
         sequence += 1
-        drive.send("setpoint", steering_rad=0.15, speed_m_s=0.3,
+        drive.send("setpoint", steering_rad=0.4, speed_m_s=0.3,
                    time_ns=time.monotonic_ns(), sequence=sequence)
         if not asked and state["mode"] == "ready":
-            drive.send("arm", attendance="hold")
+            drive.send("arm", attendance="hold", uncalibrated=uncalibrated)
             asked = True
-            threading.Thread(target=report, args=[drive], daemon=True).start()
         if asked and sequence % 10 == 0:
             drive.send("hold")
+    if failures:
+        raise RuntimeError(failures[0])
+    if state["mode"] != "driving":
+        raise RuntimeError(f"the car does not drive: mode {state['mode']}, reason {state['reason']}")
     drive.send("disarm")
-    sys.stdout.write(json.dumps(state) + "\n")
+    print(json.dumps(state))
 
 
-def report(drive):
-    for line in drive.lines:
-        print(line, end="")
+def listen(drive, failures):
+    """Keeps the first error, or the reason for which the drive has ended."""
+    try:
+        while True:
+            answer = drive.read()
+            if "ended" in answer:
+                raise RuntimeError(f"the drive has ended: {answer['ended']['reason']}")
+    except (OSError, RuntimeError) as error:
+        failures.append(str(error))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], *map(float, sys.argv[2:3]))
+    words = [word for word in sys.argv[1:] if word != "--uncalibrated"]
+    if not words:
+        sys.exit(__doc__)
+    try:
+        main(words[0], *map(float, words[1:2]), uncalibrated="--uncalibrated" in sys.argv)
+    except (OSError, RuntimeError) as error:
+        sys.exit(f"client.py: {error}")

@@ -1,14 +1,14 @@
-"""Model predictive control of P with OSQP: the paper's circle, cut off by a wall.
+"""Model predictive control of P with OSQP: a circle about the origin, cut off by a wall.
 
 Under the law P is two integrators, so that the prediction is linear: a small quadratic program
-at every tick. P may not go beyond ``WALL``; the reference does. ``pip install singletrack[mpc]``;
-the target is the only argument.
+at every tick. P may not go beyond ``WALL``; the reference does, which begins where P is.
+``pip install singletrack[mpc]``; the arguments are those of ``p_control.py``.
 
-Three things of the car count besides the integrators, without which P goes 26 mm beyond:
+Three things of the car count besides the integrators:
 
 - P moves ``LAG`` after its command: the plan begins where P is going to be by then.
-- The wheels turn by 0.45 rad at most, so that at 0.5 m/s the velocity of P turns by some
-  0.8 rad/s: it can't change faster than by ``AGILITY``.
+- The wheels turn by 0.45 rad at most, so that at 0.4 m/s the velocity of P turns by some
+  0.6 rad/s: it can't change faster than by ``AGILITY``.
 - Noise brings P beyond a wall that it moves along. The wall is soft, therefore, at a price that
   is above every gain: there is always a plan, and it leads back.
 """
@@ -16,6 +16,7 @@ Three things of the car count besides the integrators, without which P goes 26 m
 import math
 import sys
 import time
+from typing import Any
 
 import numpy as np
 import osqp
@@ -24,8 +25,8 @@ from scipy import sparse
 import singletrack
 
 HORIZON, STEP, TICK = 20, 0.05, 0.01
-RATE, FASTEST, WALL = 0.5, 0.8, 1.8
-LAG, AGILITY = 0.05, 0.4
+RADIUS, RATE, FASTEST, WALL = 0.8, 0.5, 0.8, 0.68
+LAG, AGILITY = 0.05, 0.25
 
 
 class Controller:
@@ -87,15 +88,19 @@ class Controller:
         return velocity
 
 
-def main(target: str = "sim", seconds: float = 13.0) -> float:
+def main(target: str = "sim", uncalibrated: bool = False, seconds: float = 13.0) -> float:
     """Drives; returns how far P went beyond the wall, in m (negative: it did not)."""
     controller = Controller()
     times, beyond = [], -math.inf
-    with singletrack.Car(target).drive() as drive:
+    options: dict[str, Any] = {"uncalibrated": uncalibrated}
+    if target == "sim":
+        options = {"point": (RADIUS, 0.0, math.pi / 2)}
+    with singletrack.Car(target, **options).drive() as drive:
+        px, py = next(drive).point
         for state in drive:
             now = state.drive_time
-            angle = RATE * (now + LAG + STEP * np.arange(1, HORIZON + 1))
-            wanted = np.stack([0.4868 + np.sin(angle), 1.0 - np.cos(angle)])
+            angle = math.atan2(py, px) + RATE * (now + LAG + STEP * np.arange(1, HORIZON + 1))
+            wanted = RADIUS * np.stack([np.cos(angle), np.sin(angle)])
             began = time.perf_counter()
             vx, vy = controller(np.array(state.point), wanted)
             times.append(time.perf_counter() - began)
@@ -108,4 +113,4 @@ def main(target: str = "sim", seconds: float = 13.0) -> float:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "sim")
+    main(sys.argv[1] if len(sys.argv) > 1 else "sim", "--uncalibrated" in sys.argv)

@@ -50,6 +50,13 @@ def test_the_client_of_the_documentation_drives(daemon: Any, path: str) -> None:
     assert state["setpoint"]["age"] < 0.2, done.stdout
 
 
+def test_the_client_of_the_documentation_ends_with_one_message_on_an_error(tmp_path: Path) -> None:
+    program = [sys.executable, str(CLIENT), str(tmp_path / "nowhere")]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("client.py: ") and done.stderr.count("\n") == 1, done.stderr
+
+
 @REAL_TIME
 def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
     car = Car(str(daemon.socket))
