@@ -3,7 +3,7 @@
 use singletrack_pilot::{Event, Mode, PilotRequest};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, Sequence, ToBoard, UNSOLICITED};
 
-use super::{Invariant, SERVO_US, Verdict};
+use super::{Invariant, SERVO_US, Verdict, disarms};
 use crate::{observation::Observation, schedule::FaultKind};
 
 /// Time from the withdrawal of authority to the neutral pulse, in µs: up to 10 ms
@@ -158,7 +158,11 @@ impl Invariant for Unasked {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
-        for stop in [PilotRequest::EmergencyStop, PilotRequest::Disarm] {
+        for stop in [
+            PilotRequest::EmergencyStop,
+            PilotRequest::Disarm,
+            PilotRequest::Carried,
+        ] {
             if observation.pending_requests.contains(&stop) && !requested(stop) {
                 return Err(format!("the pilot did not receive the request {stop}"));
             }
@@ -169,7 +173,7 @@ impl Invariant for Unasked {
             ));
         }
         if was_underway
-            && requested(PilotRequest::Disarm)
+            && disarms(&tick.events)
             && matches!(
                 mode,
                 Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Jogging

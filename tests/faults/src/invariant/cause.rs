@@ -4,7 +4,7 @@ use singletrack_pilot::{Event, Mode, PilotRequest};
 use singletrack_protocol::ToBoard;
 use singletrack_sim::BoardKind;
 
-use super::{Invariant, SERVO_US, Verdict};
+use super::{Invariant, SERVO_US, Verdict, disarms};
 use crate::{
     observation::Observation,
     schedule::{FaultKind, FaultTarget},
@@ -87,8 +87,7 @@ impl Invariant for Disarm {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         if let Some(tick) = observation.tick {
-            let requested = tick.events.contains(&Event::Request(PilotRequest::Disarm));
-            if requested && tick.output.mode.is_underway() {
+            if disarms(&tick.events) && tick.output.mode.is_underway() {
                 self.requested_us.get_or_insert(observation.now_us);
             } else if matches!(tick.output.mode, Mode::Arming | Mode::Driving) {
                 self.requested_us = None;

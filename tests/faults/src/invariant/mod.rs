@@ -16,7 +16,7 @@ mod replayed;
 mod sign;
 mod stand;
 
-use singletrack_pilot::PilotConfig;
+use singletrack_pilot::{Event, PilotConfig, PilotRequest};
 
 pub(crate) use proving::{METRE, is_contradiction};
 
@@ -108,4 +108,10 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<host::NoQueue>::default(),
         Box::new(replayed::Replayed::new(pilot)),
     ]
+}
+
+/// Whether the operator asks to disarm, after carrying the car or not.
+fn disarms(events: &[Event]) -> bool {
+    let asked = |request| events.contains(&Event::Request(request));
+    asked(PilotRequest::Disarm) || asked(PilotRequest::Carried)
 }

@@ -3,7 +3,7 @@
 use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
 use singletrack_protocol::ToBoard;
 
-use super::{Invariant, Verdict};
+use super::{Invariant, Verdict, disarms};
 use crate::{observation::Observation, schedule::FaultKind};
 
 /// `proving-speed`: on the first metre after an arm of an unproved configuration, the car is
@@ -179,8 +179,7 @@ impl Invariant for Acknowledged {
         };
         let mode = tick.output.mode;
         let before = self.mode.replace(mode);
-        let disarm = Event::Request(PilotRequest::Disarm);
-        if tick.events.contains(&disarm) {
+        if disarms(&tick.events) {
             self.contradiction = None;
         }
         if mode == Mode::Arming
@@ -232,7 +231,7 @@ impl Invariant for FaultClears {
             return Ok(());
         }
         let declared = core::mem::replace(&mut self.declared, false);
-        if declared && !requested(PilotRequest::Disarm) {
+        if declared && !disarms(&tick.events) {
             return Err(format!(
                 "mode {} after a stop that was not obeyed, without a disarm request",
                 output.mode
