@@ -1,11 +1,13 @@
-//! `singletrack demo` as a person or a script sees it, in real time.
+//! `singletrack demo` as a person or a script sees it.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::{
     path::Path,
-    process::{Command, Output},
+    process::{Command, Output, Stdio},
     sync::{Mutex, PoisonError},
+    thread,
+    time::Duration,
 };
 
 use singletrack_control::VehicleParameters;
@@ -130,6 +132,97 @@ fn a_demo_in_a_pipe_prints_its_summary_and_leaves_what_it_promises() {
         summary["tracking"].is_null(),
         "two seconds are no full turn"
     );
+    let error_mm = 1e3 * summary["rms_error_m"].as_f64().unwrap();
+    let line = format!("P, from the start   RMS error {error_mm:.1} mm");
+    assert!(printed.contains(&line), "{line}\n{printed}");
+}
+
+#[test]
+fn in_virtual_time_the_same_is_reported_and_twice_the_same() {
+    let run = || {
+        let folder = tempfile::tempdir().unwrap();
+        let output = demo(folder.path(), &["--virtual", "--for", "20s"]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}");
+        let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+        for line in [
+            "Drove 20.0 s of the paper's circle, in virtual time.\n",
+            "  P, last full turn   amplitude 0.89",
+            "Open ",
+        ] {
+            assert!(printed.contains(line), "{line}\n{printed}");
+        }
+        for name in ["animation.svg", "report.html", "demo.toml"] {
+            assert!(folder.path().join(name).exists(), "{name}");
+        }
+        ["summary.json", "demo.mcap"].map(|name| std::fs::read(folder.path().join(name)).unwrap())
+    };
+    let [summary, record] = run();
+    let summary_value: serde_json::Value = serde_json::from_slice(&summary).unwrap();
+    let error_m = summary_value["tracking"]["rms_error_m"].as_f64().unwrap();
+    assert!((error_m - 0.447).abs() < 0.02, "{error_m} m");
+    assert_eq!(run()[0], summary);
+    assert!(!record.is_empty());
+}
+
+#[test]
+fn a_demo_that_the_computer_holds_up_goes_on_in_virtual_time_and_says_so() {
+    let _alone = REAL_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let mut demo = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["demo", "--for", "30s", "--out"])
+        .arg(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let signal = |demo: &std::process::Child, name: &str| {
+        let id = demo.id().to_string();
+        let sent = Command::new("kill").args([name, &id]).status().unwrap();
+        assert!(sent.success());
+    };
+    // Held up again and again, also while it drives.
+    while demo.try_wait().unwrap().is_none() {
+        thread::sleep(Duration::from_secs(2));
+        if demo.try_wait().unwrap().is_none() {
+            signal(&demo, "-STOP");
+            thread::sleep(Duration::from_millis(500));
+            signal(&demo, "-CONT");
+        }
+    }
+    let output = demo.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("too busy for real time"), "{said}");
+    assert!(
+        printed.starts_with("Drove 30.0 s of the paper's circle, in virtual time."),
+        "{printed}"
+    );
+}
+
+#[test]
+fn a_folder_of_something_else_or_of_another_demo_is_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let thesis = folder.path().join("thesis.tex");
+    std::fs::write(&thesis, "text").unwrap();
+    let refused = |word: &str| {
+        let output = demo(folder.path(), &["--virtual", "--for", "1s"]);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!output.status.success(), "{said}");
+        assert!(said.contains(word) && said.contains("--out"), "{said}");
+    };
+    refused("thesis.tex");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    std::fs::remove_file(&thesis).unwrap();
+    let other = std::fs::File::open(folder.path()).unwrap();
+    other.lock().unwrap();
+    refused("another demo");
+    drop(other);
+    for _ in 0..2 {
+        let output = demo(folder.path(), &["--virtual", "--for", "1s"]);
+        assert!(output.status.success(), "its own files are replaced");
+    }
 }
 
 #[test]

@@ -45,21 +45,34 @@ pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) ->
     let count = samples.len() as f64;
 
     let (mut along, mut across) = (0.0, 0.0);
-    let mut errors = RootMeanSquare::default();
     for sample in samples {
         let [x, y] = [0, 1].map(|axis| sample.point[axis] - centre[axis]);
         let [rx, ry] = [0, 1].map(|axis| sample.reference[axis] - centre[axis]);
         let radius = rx.hypot(ry);
         along += (x * rx + y * ry) / radius;
         across += (x * ry - y * rx) / radius;
-        errors.add_square((x - rx).powi(2) + (y - ry).powi(2));
     }
     let (along, across) = (along / count, across / count);
     Some(Tracking {
         amplitude_m: along.hypot(across),
         lag_rad: across.atan2(along) * angular_velocity.signum(),
-        rms_error_m: errors.value()?,
+        rms_error_m: rms_error(samples)?,
     })
+}
+
+/// Root mean square of the distance from P to its reference, in m; `None` without a sample.
+#[must_use]
+pub fn rms_error(samples: &[Sample]) -> Option<f64> {
+    let mut errors = RootMeanSquare::default();
+    for Sample {
+        point: [x, y],
+        reference: [rx, ry],
+        ..
+    } in samples
+    {
+        errors.add_square((x - rx).powi(2) + (y - ry).powi(2));
+    }
+    errors.value()
 }
 
 #[cfg(test)]

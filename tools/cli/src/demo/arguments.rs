@@ -55,6 +55,10 @@ pub struct DemoArgs {
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8767")]
     pub(super) watch: Option<u16>,
 
+    /// Drive in virtual time, as fast as the computer can, and without lateness
+    #[arg(long = "virtual", conflicts_with_all = ["live", "watch"])]
+    pub(super) virtual_time: bool,
+
     /// Lose the markers for a DURATION at every multiple of an INTERVAL, such as 200ms@2s
     #[arg(long, value_name = "DURATION@INTERVAL")]
     pub(super) loss: Option<LossPattern>,

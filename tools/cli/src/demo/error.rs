@@ -4,6 +4,7 @@ use std::{io, path::PathBuf};
 
 use singletrack_core::ConfigError;
 use singletrack_pilot::{Mode, Reason};
+use singletrack_scenario::{virtual_drive::VirtualDriveError, virtual_record::VirtualRecordError};
 use singletrack_sim::RealTimeError;
 use singletrackd::{StartError, StopError};
 
@@ -31,6 +32,20 @@ pub enum DemoError {
         /// What the system says.
         source: io::Error,
     },
+    /// The folder holds something that no demo has written.
+    #[error(
+        "{} holds {name}, which no demo has written: give another folder with --out",
+        folder.display()
+    )]
+    HoldsOthers {
+        /// The folder.
+        folder: PathBuf,
+        /// What it holds.
+        name: String,
+    },
+    /// Another demo writes to the folder.
+    #[error("another demo writes to {}: give another folder with --out", .0.display())]
+    InUse(PathBuf),
     /// Ctrl-C can't be listened for.
     #[error("can't listen for signals: {0}")]
     Signals(io::Error),
@@ -75,6 +90,12 @@ pub enum DemoError {
     /// There are no figures of the drive.
     #[error(transparent)]
     Plot(#[from] PlotError),
+    /// The drive in virtual time does not start.
+    #[error(transparent)]
+    Virtual(#[from] VirtualDriveError),
+    /// Its record can't be written.
+    #[error(transparent)]
+    VirtualRecord(#[from] VirtualRecordError),
     /// The daemon takes no requests.
     #[error("the daemon: {0}")]
     Stalled(#[from] singletrack_core::Stalled),
@@ -93,8 +114,8 @@ pub enum DemoError {
     },
     /// The car stopped before its time.
     #[error(
-        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}{}",
-        because(*reason), folder.display(), hint(*reason)
+        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}",
+        because(*reason), folder.display()
     )]
     Ended {
         /// The mode it went to.
@@ -112,15 +133,4 @@ pub enum DemoError {
 
 fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
-}
-
-/// A possible cause of a stop that is outside the drive.
-fn hint(reason: Option<Reason>) -> &'static str {
-    match reason {
-        Some(Reason::BoardFailsafe | Reason::ImuSilent | Reason::LinkDown) => {
-            "\n(a command lives for 95 ms; a machine that is busy with other work can hold up \
-             a pseudo-terminal for longer: is this one?)"
-        }
-        _ => "",
-    }
 }

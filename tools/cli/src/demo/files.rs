@@ -1,11 +1,12 @@
 //! The folder of a demo.
 
 use std::{
+    fs::{File, TryLockError},
     io,
     path::{Path, PathBuf},
 };
 
-use singletrack_figures::plot::{FigureKind, REPORT};
+use singletrack_figures::plot::{ANIMATION, FigureKind, REPORT};
 
 use super::error::DemoError;
 
@@ -17,23 +18,71 @@ pub(super) const SUMMARY: &str = "summary.json";
 /// A folder.
 pub(super) const FIGURES: &str = "figures";
 
-/// Makes the folder; removes what an earlier demo left there.
-pub(super) fn prepare(folder: &Path) -> Result<(), DemoError> {
+/// Makes the folder of a demo its own until the result is dropped; removes what an earlier one left
+/// there.
+///
+/// # Errors
+///
+/// It holds something else, or another demo writes to it.
+pub(super) fn prepare(folder: &Path) -> Result<File, DemoError> {
     let error = |source| DemoError::Write {
         path: folder.to_owned(),
         source,
     };
     std::fs::create_dir_all(folder).map_err(error)?;
-    let unfinished = singletrack_record::part_path(Path::new(RECORD));
-    let files = [RECORD, CONFIGURATION, SIMULATION, SUMMARY, REPORT].map(PathBuf::from);
+    let own = File::open(folder).map_err(error)?;
+    match own.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => return Err(DemoError::InUse(folder.to_owned())),
+        Err(TryLockError::Error(source)) => return Err(error(source)),
+    }
+    let known = files();
+    for entry in std::fs::read_dir(folder).map_err(error)? {
+        let name = entry.map_err(error)?.file_name();
+        if name != FIGURES && !known.iter().any(|file| file.as_os_str() == name) {
+            return Err(DemoError::HoldsOthers {
+                folder: folder.to_owned(),
+                name: name.to_string_lossy().into_owned(),
+            });
+        }
+    }
+    clear(folder)?;
+    Ok(own)
+}
+
+/// Removes what a demo has written.
+pub(super) fn clear(folder: &Path) -> Result<(), DemoError> {
     let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
-    for file in files.into_iter().chain([unfinished]).chain(figures) {
+    for file in files().into_iter().chain(figures) {
         match std::fs::remove_file(folder.join(file)) {
-            Err(source) if source.kind() != io::ErrorKind::NotFound => return Err(error(source)),
+            Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                return Err(DemoError::Write {
+                    path: folder.to_owned(),
+                    source,
+                });
+            }
             _ => {}
         }
     }
     Ok(())
+}
+
+/// The files of a demo, besides the figures.
+fn files() -> Vec<PathBuf> {
+    let unfinished = singletrack_record::part_path(Path::new(RECORD));
+    let files = [
+        RECORD,
+        CONFIGURATION,
+        SIMULATION,
+        SUMMARY,
+        REPORT,
+        ANIMATION,
+    ];
+    files
+        .map(PathBuf::from)
+        .into_iter()
+        .chain([unfinished])
+        .collect()
 }
 
 /// Writes a file.

@@ -11,7 +11,7 @@ use super::board_figures::BoardFigures;
 pub(super) struct Drive {
     /// How it ended before its time, if it did.
     pub(super) ended: Option<Ended>,
-    /// CLOCK_MONOTONIC of the first driving tick, in ns.
+    /// CLOCK_MONOTONIC, or virtual time, of the first driving tick, in ns.
     pub(super) start_ns: u64,
     /// How long the car drove, in s.
     pub(super) duration_s: f64,
@@ -19,8 +19,8 @@ pub(super) struct Drive {
     pub(super) front_axle_distance_m: f64,
     /// Where the car truly was.
     pub(super) truth: Vec<TimedTruth>,
-    /// What the daemon counted.
-    pub(super) summary: Summary,
+    /// What the daemon counted in real time.
+    pub(super) summary: Option<Summary>,
     /// What the image took of its processor.
     pub(super) board: Option<BoardFigures>,
 }

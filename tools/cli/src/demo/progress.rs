@@ -5,7 +5,6 @@ use std::time::Duration;
 use indicatif::ProgressBar;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_sim::Truth;
-use singletrackd::Snapshot;
 
 use crate::progress::progress_bar;
 
@@ -31,9 +30,8 @@ impl Progress {
         });
     }
 
-    pub(super) fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, snapshot: &Snapshot) {
+    pub(super) fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, held: bool) {
         self.bar.set_position((time * 1000.0) as u64);
-        let held = snapshot.output().is_some_and(|output| output.held);
         self.bar.set_message(format!(
             // 80 columns wide, with the bar.
             "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
@@ -43,6 +41,11 @@ impl Progress {
             self.expected_m * 1000.0,
             if held { "  (markers lost)" } else { "" }
         ));
+    }
+
+    /// Prints a line beside the progress.
+    pub(super) fn say(&self, line: &str) {
+        self.bar.suspend(|| eprintln!("{line}"));
     }
 
     pub(super) fn finish(&self) {

@@ -8,7 +8,7 @@ use singletrack_figures::plot::{
     write_figures, write_report,
 };
 use singletrack_pilot::Reason;
-use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
+use singletrack_scenario::tracking::{Sample, Tracking, last_turn, rms_error};
 use singletrack_sim::{LossPattern, Truth};
 use singletrackd::{Percentiles, Summary};
 
@@ -33,19 +33,56 @@ struct DemoSummary<'a> {
     seed: u64,
     feed_forward: bool,
     loss: Option<String>,
+    virtual_time: bool,
+    #[serde(flatten)]
+    real_time: Option<RealTimeFigures<'a>>,
+    /// Of the last full turn.
+    tracking: Option<Tracking>,
+    /// Of the whole drive.
+    rms_error_m: Option<f64>,
+    /// What theory expects of it.
+    expected: settings::Expected,
+    /// With `--board uno` only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    board: Option<BoardFigures>,
+}
+
+/// What is measured in real time only.
+#[derive(Serialize)]
+struct RealTimeFigures<'a> {
     ticks: u64,
     deadline_misses: u64,
     lateness_us: Percentiles,
     frames: &'a singletrackd::Frames,
     mocap: Mocap<'a>,
-    tracking: Option<Tracking>,
-    /// What theory expects of it.
-    expected: settings::Expected,
     latency_ms: Latency,
-    /// With `--board uno` only.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    board: Option<BoardFigures>,
     daemon: &'a Summary,
+}
+
+impl<'a> RealTimeFigures<'a> {
+    fn of(summary: &'a Summary) -> Self {
+        let figures = &summary.figures;
+        Self {
+            ticks: figures.ticks,
+            deadline_misses: figures.deadline_misses,
+            lateness_us: figures.lateness_us,
+            frames: &figures.frames,
+            mocap: Mocap {
+                lost: figures.mocap.missing_while_driving,
+                frames: figures.mocap.frames,
+                held_ticks: figures.mocap.held_ticks,
+                detail: &figures.mocap,
+            },
+            latency_ms: Latency {
+                capture_to_command: Milliseconds {
+                    p50: figures.capture_to_command_us.p50 / 1000.0,
+                    p99: figures.capture_to_command_us.p99 / 1000.0,
+                    max: figures.capture_to_command_us.max / 1000.0,
+                },
+            },
+            daemon: summary,
+        }
+    }
 }
 
 /// The cameras, over the drive.
@@ -74,7 +111,6 @@ struct Milliseconds {
 pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(), DemoError> {
     let samples = samples(drive);
     let tracking = last_turn(&samples, [0.0, 0.0], settings::ANGULAR_VELOCITY);
-    let figures = &drive.summary.figures;
     let ended = drive.ended.as_ref();
     let summary = DemoSummary {
         completed: ended.is_none(),
@@ -84,27 +120,12 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         seed: args.seed,
         feed_forward: args.feed_forward,
         loss: args.loss.as_ref().map(LossPattern::to_string),
-        ticks: figures.ticks,
-        deadline_misses: figures.deadline_misses,
-        lateness_us: figures.lateness_us,
-        frames: &figures.frames,
-        mocap: Mocap {
-            lost: figures.mocap.missing_while_driving,
-            frames: figures.mocap.frames,
-            held_ticks: figures.mocap.held_ticks,
-            detail: &figures.mocap,
-        },
+        virtual_time: drive.summary.is_none(),
+        real_time: drive.summary.as_ref().map(RealTimeFigures::of),
         tracking,
+        rms_error_m: rms_error(&samples),
         expected: settings::expected(args.feed_forward),
-        latency_ms: Latency {
-            capture_to_command: Milliseconds {
-                p50: figures.capture_to_command_us.p50 / 1000.0,
-                p99: figures.capture_to_command_us.p99 / 1000.0,
-                max: figures.capture_to_command_us.max / 1000.0,
-            },
-        },
         board: drive.board,
-        daemon: &drive.summary,
     };
     let json = serde_json::to_string_pretty(&summary).map_err(|error| DemoError::Write {
         path: args.out.join(SUMMARY),
@@ -112,13 +133,7 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
     })?;
     files::write(&args.out.join(SUMMARY), &format!("{json}\n"))?;
     // A closed pipe is no error.
-    let _ = print(
-        &mut io::stdout().lock(),
-        args,
-        drive,
-        tracking.as_ref(),
-        plotted,
-    );
+    let _ = print(&mut io::stdout().lock(), args, drive, &summary, plotted);
     Ok(())
 }
 
@@ -176,18 +191,22 @@ fn print(
     out: &mut impl Write,
     args: &DemoArgs,
     drive: &Drive,
-    tracking: Option<&Tracking>,
+    summary: &DemoSummary<'_>,
     plotted: bool,
 ) -> io::Result<()> {
     let folder = &args.out;
-    let expected = settings::expected(args.feed_forward);
-    let figures = &drive.summary.figures;
+    let expected = &summary.expected;
     writeln!(
         out,
-        "Drove {:.1} s of the paper's circle.",
-        drive.duration_s
+        "Drove {:.1} s of the paper's circle{}.",
+        drive.duration_s,
+        if summary.virtual_time {
+            ", in virtual time"
+        } else {
+            ""
+        }
     )?;
-    match tracking {
+    match &summary.tracking {
         Some(tracking) => writeln!(
             out,
             "  P, last full turn   amplitude {:.3} m, lag {:.3} rad, RMS error {:.1} mm",
@@ -197,7 +216,8 @@ fn print(
         )?,
         None => writeln!(
             out,
-            "  P                   no full turn: a turn takes 12.6 s"
+            "  P, from the start   RMS error {:.1} mm; a full turn takes 12.6 s",
+            summary.rms_error_m.unwrap_or(f64::NAN) * 1000.0
         )?,
     }
     writeln!(
@@ -212,29 +232,34 @@ fn print(
             " (unit gain alone; --feed-forward: 0)"
         }
     )?;
-    writeln!(
-        out,
-        "  ticks               {}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
-        figures.ticks, figures.deadline_misses, figures.lateness_us.p50, figures.lateness_us.p99
-    )?;
-    writeln!(
-        out,
-        "  capture to command  {:.1} ms at the median, {:.1} ms at p99",
-        figures.capture_to_command_us.p50 / 1000.0,
-        figures.capture_to_command_us.p99 / 1000.0
-    )?;
-    writeln!(
-        out,
-        "  cameras             {} frames, {} without a pose while driving, {} ticks held",
-        figures.mocap.frames, figures.mocap.missing_while_driving, figures.mocap.held_ticks
-    )?;
-    writeln!(
-        out,
-        "  line                {} frames out, {} in, {} damaged",
-        figures.frames.sent,
-        figures.frames.received,
-        figures.frames.crc_errors + figures.frames.decode_errors
-    )?;
+    if let Some(Summary { figures, .. }) = &drive.summary {
+        writeln!(
+            out,
+            "  ticks               {}, {} deadlines missed; {:.0} us late at the median, {:.0} us at p99",
+            figures.ticks,
+            figures.deadline_misses,
+            figures.lateness_us.p50,
+            figures.lateness_us.p99
+        )?;
+        writeln!(
+            out,
+            "  capture to command  {:.1} ms at the median, {:.1} ms at p99",
+            figures.capture_to_command_us.p50 / 1000.0,
+            figures.capture_to_command_us.p99 / 1000.0
+        )?;
+        writeln!(
+            out,
+            "  cameras             {} frames, {} without a pose while driving, {} ticks held",
+            figures.mocap.frames, figures.mocap.missing_while_driving, figures.mocap.held_ticks
+        )?;
+        writeln!(
+            out,
+            "  line                {} frames out, {} in, {} damaged",
+            figures.frames.sent,
+            figures.frames.received,
+            figures.frames.crc_errors + figures.frames.decode_errors
+        )?;
+    }
     if let Some(board) = &drive.board {
         writeln!(
             out,

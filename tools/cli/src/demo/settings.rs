@@ -87,11 +87,22 @@ pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTim
     }
 }
 
-pub(super) fn daemon(
+/// The configuration of a daemon that is connected to a simulator in real time.
+pub(super) fn connected(
     simulator: &RealTimeSimulator,
     args: &DemoArgs,
     private: &Path,
 ) -> Result<Config, DemoError> {
+    let mut config = daemon(args)?;
+    config.serial.port = simulator.pty_path().to_owned();
+    config.motion_capture.command_port = simulator.command_address().port();
+    config.motion_capture.data_port = simulator.data_address().port();
+    config.state.directory = private.join("state");
+    config.socket.path = private.join("control.sock");
+    Ok(config)
+}
+
+pub(super) fn daemon(args: &DemoArgs) -> Result<Config, DemoError> {
     let vehicle = args.car.vehicle()?;
     let mut config = daemon_config(simulated::Drive {
         vehicle,
@@ -116,12 +127,7 @@ pub(super) fn daemon(
         config.actuators = car.actuators;
         config.limits.max_steering_rad = car.limits.max_steering_rad;
     }
-    config.serial.port = simulator.pty_path().to_owned();
-    config.motion_capture.command_port = simulator.command_address().port();
-    config.motion_capture.data_port = simulator.data_address().port();
     config.record.directory.clone_from(&args.out);
-    config.state.directory = private.join("state");
-    config.socket.path = private.join("control.sock");
     Ok(config)
 }
 
