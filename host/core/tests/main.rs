@@ -14,6 +14,7 @@ mod config_effects;
 mod config_mistakes;
 mod control_loop;
 mod diagnosis;
+mod documented_sections;
 mod feasibility;
 mod outer_loops;
 mod reasons;
