@@ -6,6 +6,7 @@ use singletrack_control::Position;
 use singletrack_core::config::{Config, FenceSection, ReferenceSection, Start, StepSection};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
+    simulate::{Scenario, simulate},
     simulated::{BRAKING_M_S2, Drive, daemon_config},
     virtual_drive::VirtualDrive,
 };
@@ -118,6 +119,30 @@ fn blind_it_stops_inside_too() {
                 least > -TOLERANCE,
                 "{speed} m/s, {ahead} m before the wall: {least:.3} m left"
             );
+        }
+    }
+}
+
+#[test]
+fn a_scenario_with_the_safety_filter_keeps_the_centre_of_mass_inside() {
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../scenarios/safety-filter/through-a-wall.toml"
+    );
+    let text = std::fs::read_to_string(path).unwrap();
+    for speed in ["0.2", "0.4", "0.6"] {
+        for seed in 1..=3 {
+            let text = text
+                .replace("rad_s = 0.4", &format!("rad_s = {speed}"))
+                .replace(
+                    "duration_s = 30.0",
+                    &format!("duration_s = 15.0\nseed = {seed}"),
+                );
+            let scenario = Scenario::from_toml(&text, path.as_ref()).unwrap();
+            let summary = simulate(&scenario).unwrap().summary.unwrap();
+            assert!(summary.clearance_min_m >= 0.0, "{speed}: {summary:?}");
+            // It stands before the wall, or goes along it.
+            assert!(matches!(summary.reason, None | Some("outside-fence")));
         }
     }
 }

@@ -146,6 +146,7 @@ impl Experiment {
             tune: Vec::new(),
             tuning: None,
             governor: None,
+            safety_filter: None,
             limits: None,
             estimator: None,
             supervisor: None,

@@ -74,6 +74,8 @@ pub struct Scenario {
     pub watch: Option<Table>,
     /// The geofence.
     pub fence: Option<Table>,
+    /// The filter between outer loop and law.
+    pub safety_filter: Option<Table>,
     /// The calibration and the limits of the board.
     pub board: Option<Table>,
     /// What the host believes of the cameras.
@@ -324,7 +326,7 @@ impl Scenario {
     }
 
     /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 11] {
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 12] {
         [
             ("governor", self.governor.as_ref()),
             ("limits", self.limits.as_ref()),
@@ -333,6 +335,7 @@ impl Scenario {
             ("supervisor", self.supervisor.as_ref()),
             ("watch", self.watch.as_ref()),
             ("fence", self.fence.as_ref()),
+            ("safety_filter", self.safety_filter.as_ref()),
             ("motion_capture", self.motion_capture.as_ref()),
             ("actuators", self.actuators.as_ref()),
             ("compensation", self.compensation.as_ref()),
@@ -360,6 +363,8 @@ impl Scenario {
         layer("supervisor", &mut of.supervisor, self.supervisor.as_ref())?;
         layer("watch", &mut of.watch, self.watch.as_ref())?;
         layer("fence", &mut of.fence, self.fence.as_ref())?;
+        let safety_filter = self.safety_filter.as_ref();
+        layer("safety_filter", &mut of.safety_filter, safety_filter)?;
         let cameras = self.motion_capture.as_ref();
         layer("motion_capture", &mut of.motion_capture, cameras)?;
         layer("actuators", &mut of.actuators, self.actuators.as_ref())?;
