@@ -4,7 +4,9 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use nalgebra::Vector2;
-use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits, SampledLoop};
+use singletrack_analysis::stability::{
+    ClosedLoop, Law, MarginLimits, SampledLoop, first_unstable_speed, least_point_distance,
+};
 use singletrack_control::{
     FrontPointLaw, Motion, SingleTrack, SingleTrackDerivative, SingleTrackState, VehicleParameters,
     VelocityPointLaw,
@@ -30,7 +32,7 @@ fn a_fast_sampled_loop_equals_the_continuous_loop() {
             let growth = libm::log(
                 SampledLoop::new(closed_loop, period, 0.0)
                     .unwrap()
-                    .spectral_radius(1),
+                    .spectral_radius(),
             ) / period;
             let rightmost = closed_loop.eigenvalues().last().unwrap().re;
             assert!(
@@ -163,7 +165,8 @@ fn the_spectral_radius_equals_the_simulated_growth() {
         (Law::VelocityPoint, 2.0, 0.06, 1, 1),
     ] {
         let by_matrix = sampled(law, speed, deviation, late as f64 * PERIOD)
-            .spectral_radius(u32::try_from(interval).unwrap());
+            .with_marker_interval(u32::try_from(interval).unwrap())
+            .spectral_radius();
         let by_simulation = simulated_growth(law, speed, deviation, late, interval);
         assert!(
             (by_matrix - by_simulation).abs() < 3e-4,
@@ -178,8 +181,8 @@ fn the_delay_margin_separates_stable_from_unstable_delays() {
     for law in [Law::FrontPoint, Law::VelocityPoint] {
         for speed in [2.0, 4.0] {
             let margin = sampled(law, speed, 0.0, 0.01).delay_margin(limits).unwrap();
-            assert!(sampled(law, speed, 0.0, margin - 1e-4).spectral_radius(1) < 1.0);
-            assert!(sampled(law, speed, 0.0, margin + 1e-4).spectral_radius(1) > 1.0);
+            assert!(sampled(law, speed, 0.0, margin - 1e-4).spectral_radius() < 1.0);
+            assert!(sampled(law, speed, 0.0, margin + 1e-4).spectral_radius() > 1.0);
         }
     }
 }
@@ -198,8 +201,29 @@ fn the_longest_marker_interval_is_the_last_stable_one() {
         let longest = sampled.longest_marker_interval(limits).unwrap();
         let ticks = (longest / PERIOD).round() as u32;
         assert!(ticks > 10);
-        assert!(sampled.spectral_radius(ticks) < 1.0);
-        assert!(sampled.spectral_radius(ticks + 1) >= 1.0);
+        assert!(sampled.with_marker_interval(ticks).spectral_radius() < 1.0);
+        assert!(sampled.with_marker_interval(ticks + 1).spectral_radius() >= 1.0);
+    }
+}
+
+#[test]
+fn the_limits_of_speed_and_of_p_are_those_of_the_marker_interval() {
+    for interval in [1, 7, 20, 60] {
+        let sampled = sampled(Law::FrontPoint, 1.0, 0.0, 0.01).with_marker_interval(interval);
+        let radius = |speed: f64, distance: f64| {
+            let at = closed_loop(Law::FrontPoint, speed, 0.0);
+            sampled
+                .around(at.with_point_distance(distance).unwrap())
+                .spectral_radius()
+        };
+        if let Some(speed) = first_unstable_speed(&sampled, &[0.0], [0.5, 20.0]).unwrap() {
+            assert!(radius(0.99 * speed, P) < 1.0, "{interval}: {speed} m/s");
+            assert!(radius(1.01 * speed, P) > 1.0, "{interval}: {speed} m/s");
+        }
+        if let Some(least) = least_point_distance(&sampled, &[0.0], [0.01, 5.0]).unwrap() {
+            assert!(radius(1.0, 1.01 * least) < 1.0, "{interval}: {least} m");
+            assert!(radius(1.0, 0.99 * least) > 1.0, "{interval}: {least} m");
+        }
     }
 }
 

@@ -292,7 +292,7 @@ fn the_spectral_radius_with_servo_and_prediction_equals_the_simulated_growth() {
                 None => plain,
                 Some(prediction) => plain.with_prediction(prediction).unwrap(),
             };
-            let by_matrix = sampled.spectral_radius(1);
+            let by_matrix = sampled.spectral_radius();
             let seen = prediction.map_or(Seen::AtTheTick, Seen::Predicted);
             let by_simulation = simulated_growth(p, speed, seen);
             println!("{p} {speed}: {by_matrix} {by_simulation}");

@@ -272,6 +272,28 @@ fn a_servo_bounds_the_speed_and_p_and_a_prediction_lifts_the_bound() {
 }
 
 #[test]
+fn poses_that_are_seldom_lower_the_speed_and_lengthen_p() {
+    let limit = |command: &str, header: &str, more: [&str; 2]| {
+        let arguments = [command, "--law", "front-point", "--steering-lag-ms", "40"];
+        let of = |ticks: &str| {
+            let arguments = [&arguments[..], &more, &["--marker-interval", ticks]].concat();
+            *rows(&arguments, header).last().unwrap().last().unwrap()
+        };
+        [of("1"), of("60")]
+    };
+    let header = "point_distance_m,dl_m,delay_ms,first_unstable_m_s";
+    let [often, seldom] = limit(
+        "first-unstable-speed",
+        header,
+        ["--distances", "0.35:0.35:0.1"],
+    );
+    assert!(seldom < 0.8 * often, "{seldom} and {often} m/s");
+    let header = "speed_m_s,delay_ms,least_p_m";
+    let [often, seldom] = limit("least-p", header, ["--speeds", "3:3:1"]);
+    assert!(seldom > 1.2 * often, "{seldom} and {often} m");
+}
+
+#[test]
 fn the_summary_says_what_the_paper_claims_and_for_which_car_it_does_not_hold() {
     let paper = printed(&["summary"]);
     assert!(

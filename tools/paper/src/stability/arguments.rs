@@ -175,6 +175,7 @@ impl TimingArgs {
         }
         let delay = self.delay_ms * 1e-3 + if has_servo { 0.0 } else { dead_time };
         let mut sampled = SampledLoop::new(closed_loop, self.period_ms * 1e-3, delay)?
+            .with_marker_interval(self.marker_interval)
             .with_position_gain(self.position_gain)?;
         if has_servo {
             sampled = sampled.with_servo(Servo {

@@ -118,7 +118,7 @@ pub fn sampled_map(
             rows.push(SampledRow {
                 speed_m_s: *speed,
                 dl_m: *deviation,
-                spectral_radius: sampled.spectral_radius(timing.marker_interval),
+                spectral_radius: sampled.spectral_radius(),
                 delay_margin_s: sampled.delay_margin(limits),
                 longest_marker_interval_s: sampled.longest_marker_interval(limits),
             });

@@ -130,7 +130,7 @@ fn sampled(
     let limits = MarginLimits::default();
     for speed in SPEEDS {
         let sampled = timing.around(subject.at(speed, 0.0)?)?;
-        let radius = sampled.spectral_radius(timing.marker_interval);
+        let radius = sampled.spectral_radius();
         let or_more = |value: Option<f64>, limit: f64| {
             value.map_or_else(
                 || format!("more than {limit:.3} s"),

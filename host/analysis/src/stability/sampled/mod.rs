@@ -30,6 +30,8 @@ pub struct SampledLoop {
     pub(super) closed_loop: ClosedLoop,
     period: f64,
     delay: f64,
+    /// In ticks.
+    marker_interval: u32,
     position_gain: f64,
     servo: Option<Servo>,
     prediction: Option<Prediction>,
@@ -105,10 +107,20 @@ impl SampledLoop {
             closed_loop,
             period,
             delay,
+            marker_interval: 1,
             position_gain: 0.0,
             servo: None,
             prediction: None,
         })
+    }
+
+    /// The same loop with a pose at every `interval`-th tick only; in between it is held.
+    #[must_use]
+    pub fn with_marker_interval(self, interval: u32) -> Self {
+        Self {
+            marker_interval: interval.max(1),
+            ..self
+        }
     }
 
     /// The same loop with a steering servo, whose dead time adds to the delay.
@@ -158,10 +170,10 @@ impl SampledLoop {
         }
     }
 
-    /// Whether the motion is stable with the pose measured at every tick.
+    /// Whether the motion is stable.
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        is_stable(self.over_interval(1))
+        is_stable(self.over_interval())
     }
 
     /// The same loop inside a proportional position loop of this gain, in 1/s, about a straight
@@ -180,18 +192,15 @@ impl SampledLoop {
         })
     }
 
-    /// The spectral radius per tick if the pose is measured at every `interval`-th tick: the
-    /// factor by which disturbances grow or decay per tick in the long run. Below one the
-    /// motion is stable.
+    /// The spectral radius per tick: the factor by which disturbances grow or decay per tick in
+    /// the long run. Below one the motion is stable.
     #[must_use]
-    pub fn spectral_radius(&self, interval: u32) -> f64 {
-        let interval = interval.max(1);
-        let over_interval = spectral_radius(self.over_interval(interval));
-        libm::pow(over_interval, 1.0 / f64::from(interval))
+    pub fn spectral_radius(&self) -> f64 {
+        let over_interval = spectral_radius(self.over_interval());
+        libm::pow(over_interval, 1.0 / f64::from(self.marker_interval))
     }
 
-    /// The smallest delay in s that makes the motion unstable, with the pose measured at every
-    /// tick. Zero if it is unstable without a delay, none if it is stable with every delay up
+    /// The smallest delay in s that makes the motion unstable. Zero if it is unstable without a delay, none if it is stable with every delay up
     /// to the limit. The loop's own delay has no influence; the servo's dead time comes on top.
     #[must_use]
     pub fn delay_margin(&self, limits: MarginLimits) -> Option<f64> {
@@ -240,11 +249,11 @@ impl SampledLoop {
     }
 
     /// The map from a tick with a pose to the next tick with a pose.
-    fn over_interval(&self, interval: u32) -> DMatrix<f64> {
+    fn over_interval(&self) -> DMatrix<f64> {
         let mut map = self.tick(true);
-        if interval > 1 {
+        if self.marker_interval > 1 {
             let held = self.tick(false);
-            for _ in 1..interval {
+            for _ in 1..self.marker_interval {
                 map = &held * map;
             }
         }
