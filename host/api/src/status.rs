@@ -16,6 +16,8 @@ pub struct Status {
     pub command: Option<Command>,
     /// The results of the procedures on this car, and the first that is missing.
     pub commissioned: Option<Value>,
+    /// The file that a reload reads.
+    pub config_path: Option<String>,
     /// The configuration in force.
     pub configuration: Configuration,
     /// Time since the first driving tick, in s; `None` outside a drive.
@@ -52,6 +54,8 @@ pub struct Status {
     pub realtime: Value,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Word>,
+    /// The file of the record.
+    pub record: Option<String>,
     /// Why the record ended before the daemon.
     pub record_error: Option<String>,
     /// The wanted position of P, in m.

@@ -199,6 +199,7 @@ impl Daemon {
                 config_path: options
                     .config_path
                     .map(|path| std::path::absolute(&path).unwrap_or(path)),
+                record: running_record.as_ref().map(|record| record.path.clone()),
                 realtime: RealTimeStatus {
                     fifo_priority: None,
                     memory_locked,

@@ -27,6 +27,8 @@ pub(crate) struct DaemonHandle {
     pub(crate) tunings: SlotSender<Tuning>,
     /// The file of the configuration, for a reload.
     pub(crate) config_path: Option<PathBuf>,
+    /// The file of the record.
+    pub(crate) record: Option<PathBuf>,
     pub(crate) reconfigurer: Reconfigurer,
     pub(crate) realtime: RealTimeStatus,
     /// What the cars have passed.
@@ -56,6 +58,8 @@ impl DaemonHandle {
                 .reconfigurer
                 .subject()
                 .map(|subject| self.commissioned.view(subject)),
+            config_path: self.config_path.clone(),
+            record: self.record.clone(),
             record_error: latest.record_error.clone(),
         }
     }

@@ -1,5 +1,7 @@
 //! A snapshot of the daemon's status.
 
+use std::path::{Path, PathBuf};
+
 use serde_json::{Value, json};
 use singletrack_api::{Board, Cameras, Command, Configuration, Tuning, Word};
 use singletrack_control::Position;
@@ -35,6 +37,10 @@ pub struct Snapshot {
     pub tuning: TuningRule,
     /// What the car of this configuration has passed.
     pub commissioned: Option<Value>,
+    /// The file of the configuration.
+    pub config_path: Option<PathBuf>,
+    /// The file of the record.
+    pub record: Option<PathBuf>,
     /// Why the record ended before the daemon, such as a full disk.
     pub record_error: Option<String>,
 }
@@ -79,6 +85,7 @@ impl Snapshot {
                 steering_rad: output.actuation.steering,
             }),
             commissioned: self.commissioned.clone(),
+            config_path: self.config_path.as_deref().map(shown),
             configuration: self.configuration.clone(),
             drive_time_s: output.and_then(|output| output.drive_time),
             estimate: output.and_then(|output| output.estimate).map(|estimate| {
@@ -107,6 +114,7 @@ impl Snapshot {
             proved: self.proved,
             realtime: json!(self.realtime),
             reason: word(self.reason()),
+            record: self.record.as_deref().map(shown),
             record_error: self.record_error.clone(),
             reference_m: output
                 .and_then(|output| output.reference?.position)
@@ -152,6 +160,10 @@ pub(crate) fn tuning_of(tuned: &Tuned) -> Tuning {
         point_distance_m: tuned.point_distance,
         wanted_point_distance_m: Some(tuned.wanted_point_distance),
     }
+}
+
+fn shown(path: &Path) -> String {
+    path.display().to_string()
 }
 
 fn place(position: Position) -> [f64; 2] {
@@ -251,6 +263,8 @@ mod tests {
             },
             tuning: config.tuning_rule(),
             commissioned: Some(json!({ "missing": "doctor" })),
+            config_path: Some("/etc/car.toml".into()),
+            record: Some("records/one.mcap".into()),
             record_error: Some("disk full".to_owned()),
         }
     }
@@ -262,6 +276,8 @@ mod tests {
             board: None,
             proved: None,
             commissioned: None,
+            config_path: None,
+            record: None,
             record_error: None,
             ..snapshot()
         };

@@ -266,6 +266,20 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
             assert!(state.get(key).is_some(), "{key}");
         }
     }
+
+    // Of the states, charts and trail are filled after a reload.
+    drop(viewer);
+    let mut viewer = Viewer::connect(address);
+    viewer.event("state");
+    let (_, history) = get(address, "/history.json");
+    let history: Vec<Value> = serde_json::from_str(&history).unwrap();
+    assert!(history.len() > 50, "{}", history.len());
+    for state in &states {
+        let kept = history.iter().find(|kept| kept["t"] == state["t"]);
+        for (key, value) in kept.unwrap().as_object().unwrap() {
+            assert_eq!(*value, state[key], "{key}");
+        }
+    }
 }
 
 #[test]
@@ -351,7 +365,7 @@ fn what_is_secret_takes_the_token_of_the_file() {
         ask("/").0.starts_with("HTTP/1.1 200 "),
         "the page asks for the token"
     );
-    for path in ["/setup.json", "/events"] {
+    for path in ["/setup.json", "/history.json", "/events"] {
         let wrong = token.replace(|digit: char| digit.is_ascii_digit(), "f");
         for query in [
             "",
@@ -531,7 +545,7 @@ fn a_daemon_that_hangs_holds_up_no_request_for_long() {
 }
 
 #[test]
-fn the_daemon_is_watched_only_while_a_browser_watches() {
+fn the_daemon_is_watched_for_as_long_as_a_browser_may_come_back() {
     let folder = tempfile::tempdir().unwrap();
     let listener = listen(&folder);
     let (_page, address) = page(&folder);
@@ -545,7 +559,16 @@ fn the_daemon_is_watched_only_while_a_browser_watches() {
         .write_all(b"{\"version\":2,\"ok\":true,\"status\":{}}\n")
         .unwrap();
     drop(viewer);
+    let begin = Instant::now();
+    thread::spawn(move || {
+        for asked in listener.incoming().map_while(Result::ok) {
+            line_of(&asked);
+            let answer = b"{\"version\":2,\"ok\":true,\"status\":{}}\n";
+            (&asked).write_all(answer).unwrap();
+        }
+    });
     assert_eq!(watched.read(&mut [0]).unwrap(), 0, "it hangs up");
+    assert!(begin.elapsed() > Duration::from_secs(4));
 }
 
 #[test]

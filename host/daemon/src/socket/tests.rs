@@ -70,6 +70,7 @@ impl Bench {
             jogs: host.jogs,
             tunings: host.tunings,
             config_path: None,
+            record: None,
             realtime: RealTimeStatus {
                 fifo_priority: None,
                 memory_locked: false,

@@ -86,7 +86,10 @@ fn shows_a_drive(bench: &mut Bench) -> Outcome {
     for (index, screen) in SCREENS.into_iter().enumerate() {
         tab.resize(screen)?;
         tab.wait_for(STATUS, "driving")?;
-        tab.wait_for("document.getElementById('link').innerText", "live")?;
+        tab.wait_for(
+            "document.getElementById('link').innerText",
+            "daemon connected",
+        )?;
         tab.wait_for("document.getElementById('drive-time').innerText", " s")?;
         tab.wait_for("document.getElementById('error').innerText", " mm")?;
         // Long enough for a trail, and for a picture in the new colours.
@@ -135,7 +138,7 @@ fn survives_the_daemon(bench: &mut Bench) -> Outcome {
         tab.wait_for(STATUS, "no connection")?;
         tab.wait_for(STATUS, "there is no daemon")?;
         bench.start_daemon()?;
-        tab.wait_for(LINK, "live")?;
+        tab.wait_for(LINK, "daemon connected")?;
         bench.daemon()?.terminate(Duration::from_secs(6))?;
     }
     tab.wait_for(STATUS, "there is no daemon")?;

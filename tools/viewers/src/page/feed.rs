@@ -1,13 +1,14 @@
 //! The newest state and status, for all browsers at once.
 
 use std::{
+    collections::VecDeque,
     path::Path,
-    sync::Arc,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread,
     time::{Duration, Instant},
 };
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
@@ -17,12 +18,32 @@ use crate::daemon::{PATIENCE, silent};
 const STATE_INTERVAL: Duration = Duration::from_millis(40);
 const STATUS_INTERVAL: Duration = Duration::from_secs(1);
 
+/// States of the history: those of 20 s.
+const STATES: usize = 500;
+
+/// What the history has of a state: what charts and trail show.
+const KEPT: [&str; 7] = [
+    "t",
+    "point",
+    "reference",
+    "speed",
+    "commanded_speed",
+    "steering",
+    "pose_age",
+];
+
+/// For this long the daemon is watched after the last viewer has left: it may be loading the page
+/// again.
+const LINGER: Duration = Duration::from_secs(5);
+
 /// The newest events, ready to be sent. Empty before the first.
 #[derive(Debug)]
 pub(super) struct Feed {
     pub(super) states: watch::Sender<Arc<str>>,
     /// The status, or why there is no daemon.
     pub(super) statuses: watch::Sender<Arc<str>>,
+    /// The last states of this daemon, for a viewer that has just come.
+    history: Mutex<VecDeque<Map<String, Value>>>,
 }
 
 impl Default for Feed {
@@ -30,6 +51,7 @@ impl Default for Feed {
         Self {
             states: watch::Sender::new(Arc::from("")),
             statuses: watch::Sender::new(Arc::from("")),
+            history: Mutex::default(),
         }
     }
 }
@@ -39,12 +61,18 @@ impl Feed {
         self.states.receiver_count() > 0
     }
 
+    /// The last states, the oldest first.
+    pub(super) fn history(&self) -> MutexGuard<'_, VecDeque<Map<String, Value>>> {
+        self.history.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Publishes why there is no daemon.
     pub(super) fn lost(&self, why: &str) {
         self.statuses.send_replace(event("lost", &json!(why)));
     }
 
-    /// Publishes what the daemon at `socket` does for as long as a browser watches.
+    /// Publishes what the daemon at `socket` does for as long as a browser watches,
+    /// and [`LINGER`] longer.
     pub(super) fn follow(&self, socket: &Path) -> Result<(), ClientError> {
         let mut states = Connection::open(socket, PATIENCE)?;
         states.send(&Request::Watch {
@@ -52,8 +80,14 @@ impl Feed {
         })?;
         let answer: Option<Answer> = states.receive_within(PATIENCE)?;
         answer.ok_or_else(|| silent(socket))?.agreed()?;
+        // Another daemon may have answered before.
+        self.history().clear();
         let mut asked: Option<Instant> = None;
-        while self.is_watched() {
+        let mut watched = Instant::now();
+        while watched.elapsed() < LINGER {
+            if self.is_watched() {
+                watched = Instant::now();
+            }
             if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
                 asked = Some(Instant::now());
                 // As the daemon wrote it, which may be newer than this program.
@@ -70,6 +104,7 @@ impl Feed {
                     .or(newest);
             }
             if let Some(state) = newest {
+                self.keep(&state);
                 self.states.send_replace(event("state", &state));
             }
             thread::sleep(STATE_INTERVAL);
@@ -77,6 +112,18 @@ impl Feed {
         // Nothing old is shown to the next one.
         self.statuses.send_replace(Arc::from(""));
         Ok(())
+    }
+
+    fn keep(&self, state: &Value) {
+        let kept = KEPT.iter().filter_map(|key| {
+            let value = state.get(key)?;
+            Some(((*key).to_owned(), value.clone()))
+        });
+        let mut history = self.history();
+        if history.len() == STATES {
+            history.pop_front();
+        }
+        history.push_back(kept.collect());
     }
 }
 

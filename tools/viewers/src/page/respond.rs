@@ -3,6 +3,7 @@
 use core::fmt::Write as _;
 use std::{io, sync::Arc, time::Duration};
 
+use serde_json::json;
 use singletrack_access::{Place, linger};
 use socket2::SockRef;
 use tokio::{
@@ -138,7 +139,10 @@ async fn answer<'a>(
     if let Some(asset) = asset(&request.path) {
         return send(write, Code::Ok, asset.content_type, asset.bytes, with_body).await;
     }
-    if !matches!(request.path.as_str(), "/setup.json" | "/events") {
+    if !matches!(
+        request.path.as_str(),
+        "/setup.json" | "/history.json" | "/events"
+    ) {
         return refuse(write, Code::NotFound, "There is nothing at this path.").await;
     }
     if let Some(expected) = &shared.token
@@ -153,6 +157,10 @@ async fn answer<'a>(
             Ok(setup) => send(write, Code::Ok, JSON, setup.as_bytes(), with_body).await,
             Err(why) => refuse(write, Code::Busy, &format!("No daemon: {why}")).await,
         };
+    }
+    if request.path == "/history.json" {
+        let history = json!(*shared.feed.history()).to_string();
+        return send(write, Code::Ok, JSON, history.as_bytes(), with_body).await;
     }
     let Ok(viewer) = shared.viewer() else {
         let why = "Too many viewers watch; close one.";

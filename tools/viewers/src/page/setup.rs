@@ -110,6 +110,8 @@ fn setup(number: u32, config: &Config) -> Value {
         },
         "reference": { "points_m": points_m, "closed": is_closed },
         "car": {
+            "name": config.motion_capture.rigid_body,
+            "id": config.board.car_id,
             "length_m": vehicle.body_length_m(),
             "width_m": vehicle.body_width_m(),
             "front_axle_m": law.front_axle_distance_m,

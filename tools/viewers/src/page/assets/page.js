@@ -16,16 +16,23 @@ const NO_TROUBLE = ["good", "starting"];
 
 const element = (id) => document.getElementById(id);
 const view = new View(element("view"));
-const charts = {
-  error: new Chart(element("charts"),
-    { title: "P to reference", unit: "mm", least: 20, note: `last ${SPAN_S} s` }),
-  speed: new Chart(element("charts"),
-    { title: "Speed", unit: "m/s", least: 0.5, note: "dashed: commanded" }),
-  steering: new Chart(element("charts"), { title: "Steering", unit: "°", least: 10, signed: true }),
-  age: new Chart(element("charts"), { title: "Pose age", unit: "ms", least: 20 }),
-};
+const scaled = (number, factor) => (number === null ? null : number * factor);
+const charts = [
+  { title: "P to reference", unit: "mm", digits: 0, least: 20,
+    value: (state) => scaled(distance(state.point, state.reference), 1000) },
+  { title: "Speed", unit: "m/s", digits: 2, least: 0.5, note: "dashed: commanded",
+    value: (state) => state.speed, second: (state) => state.commanded_speed },
+  { title: "Steering", unit: "°", digits: 1, least: 10, signed: true,
+    value: (state) => degrees(state.steering) },
+  { title: "Pose age", unit: "ms", digits: 0, least: 20,
+    value: (state) => scaled(state.pose_age, 1000) },
+].map((chart) => new Chart(element("charts"), { ...chart, onPoint }));
 
 let [setup, state, status] = [null, null, null];
+// The states of the last seconds, the oldest first.
+let states = [];
+// In s before the newest state.
+let pointed = null;
 let heardAt = -Infinity;
 // Whether the daemon was lost: another one may have another setup.
 let isLost = false;
@@ -43,11 +50,19 @@ async function connect() {
     setTimeout(connect, RETRY_MS);
     return;
   }
+  states = [];
   const events = new EventSource(`events${location.search}`);
+  events.addEventListener("open", () => fill().catch(() => {}));
   events.addEventListener("state", (event) => {
     heardAt = performance.now();
     state = JSON.parse(event.data);
-    take(state);
+    view.state = state;
+    if (state.t < states.at(-1)?.t) {
+      states = [];
+    }
+    states.push(state);
+    states.splice(0, states.findIndex(({ t }) => t >= state.t - SPAN_S));
+    isDirty = true;
   });
   events.addEventListener("status", (event) => {
     status = JSON.parse(event.data);
@@ -76,6 +91,15 @@ async function load() {
   isDirty = true;
 }
 
+// Puts before the states those of before the page was loaded.
+async function fill() {
+  const answer = await fetch(`history.json${location.search}`);
+  const old = answer.ok ? await answer.json() : [];
+  const begin = states[0]?.t ?? Infinity;
+  states.unshift(...old.filter(({ t }) => t < begin));
+  isDirty = true;
+}
+
 function lost(why) {
   heardAt = -Infinity;
   isLost = true;
@@ -92,13 +116,8 @@ function lost(why) {
 
 // What a state shows.
 
-function take(state) {
-  const error = distance(state.point, state.reference);
-  charts.error.push(state.t, error === null ? null : error * 1000);
-  charts.speed.push(state.t, state.speed, state.commanded_speed);
-  charts.steering.push(state.t, degrees(state.steering));
-  charts.age.push(state.t, state.pose_age === null ? null : state.pose_age * 1000);
-  view.push(state);
+function onPoint(ago) {
+  pointed = ago;
   isDirty = true;
 }
 
@@ -110,8 +129,8 @@ function draw() {
   requestAnimationFrame(draw);
   if (isDirty) {
     isDirty = false;
-    view.draw();
-    Object.values(charts).forEach((chart) => chart.draw());
+    view.draw(states);
+    charts.forEach((chart) => chart.draw(states, pointed));
   }
 }
 
@@ -121,11 +140,16 @@ function write() {
   const isOld = performance.now() - heardAt > SILENCE_MS;
   document.body.dataset.old = isOld;
   element("link").dataset.link = isOld ? "waiting" : "live";
-  text(element("link"), isOld ? "Not connected" : "Live");
+  text(element("link"), isOld ? "Daemon not connected" : "Daemon connected");
   writeNow(isOld);
   if (state === null || setup === null) {
     return;
   }
+  text(element("names"), [
+    `car \`${setup.car.name}\`${setup.car.id ? `, number ${setup.car.id}` : ""}`,
+    `configuration ${setup.configuration}${named(status?.config_path)}`,
+    status?.record ? `record${named(status.record)}` : "no record",
+  ].join(" · "));
   const error = distance(state.point, state.reference);
   value("drive-time", state.drive_time, 1, "s", 1);
   value("speed", state.speed, 2, "m/s", 1);
@@ -150,7 +174,8 @@ function writeNow(isOld) {
   trouble = ["No tick comes from the daemon; what is shown is old.", "Look at the daemon's log."];
   const { mode } = state;
   now.dataset.tone = mode === "fault" ? "fault" : mode === "driving" ? "drives" : "";
-  text(element("mode"), mode);
+  // The daemon is connected to the page, the board is not to the daemon.
+  text(element("mode"), mode === "disconnected" ? "Board disconnected" : mode);
   // Of a car that waits, what keeps it from arming; else why it stops, or stopped.
   const word = (mode === "idle" && status?.preflight) || state.reason;
   if (!word) {
@@ -166,6 +191,10 @@ function writeNow(isOld) {
     && status && !NO_TROUBLE.includes(status.cameras.diagnosis);
   text(element("meaning"), `${before}\`${word}\`. ${meaning}`);
   text(element("remedy"), `What to do: ${remedy}${isExplained ? ` Cameras: ${status.cameras.text}.` : ""}`);
+}
+
+function named(path) {
+  return path ? ` \`${path.split("/").at(-1)}\`` : "";
 }
 
 function value(id, number, digits, unit, factor, isLate = false) {
@@ -195,7 +224,7 @@ function text(node, markdown) {
 
 function describe() {
   view.describe();
-  Object.values(charts).forEach((chart) => chart.describe());
+  charts.forEach((chart) => chart.describe(states));
 }
 
 element("follow").addEventListener("click", () => {

@@ -1,8 +1,7 @@
 // The top view: geofence, path of the reference, trail of P, and the car to scale.
 
-import { colours, context, line } from "./chart.js";
+import { SPAN_S, colours, context, line } from "./chart.js";
 
-const TRAIL_S = 30;
 // Seen to either side of a car that is followed, in m.
 const NEAR_M = 1;
 // Around what is shown, in CSS pixels.
@@ -10,24 +9,13 @@ const BORDER = 22;
 
 export class View {
   constructor(canvas) {
-    Object.assign(this, { canvas, setup: null, state: null, trail: [], follows: false });
-  }
-
-  push(state) {
-    this.state = state;
-    const last = this.trail.at(-1);
-    if (last && state.t < last.t) {
-      this.trail = [];
-    }
-    if (state.point) {
-      this.trail.push({ t: state.t, at: state.point });
-    }
-    const from = this.trail.findIndex((point) => point.t >= state.t - TRAIL_S);
-    this.trail.splice(0, Math.max(0, from));
+    Object.assign(this, { canvas, setup: null, state: null, follows: false });
+    // Without its time, the trail is whole.
+    this.cleared = { t: -Infinity };
   }
 
   clear() {
-    this.trail = [];
+    this.cleared = this.state ?? this.cleared;
   }
 
   describe() {
@@ -49,7 +37,7 @@ export class View {
     return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
   }
 
-  draw() {
+  draw(states) {
     const { pen, width, height } = context(this.canvas);
     const { setup, state } = this;
     if (setup === null) {
@@ -75,24 +63,23 @@ export class View {
     if (state === null) {
       return;
     }
-    this.drawTrail(pen, to, colour);
+    this.drawTrail(pen, states, to, colour);
     if (state.x !== null) {
       this.drawCar(pen, to, scale, colour);
     }
-    pen.strokeStyle = colour.accent;
-    pen.fillStyle = colour.accent;
-    pen.lineWidth = 1.5;
     if (state.reference) {
       if (state.point) {
+        pen.strokeStyle = colour.soft;
         pen.lineWidth = 1;
         line(pen, [to(state.point), to(state.reference)]);
-        pen.lineWidth = 1.5;
       }
+      pen.strokeStyle = colour.wanted;
+      pen.lineWidth = 2.5;
       disc(pen, to(state.reference), 6, colour.paper);
       pen.stroke();
     }
     if (state.point) {
-      disc(pen, to(state.point), 4, colour.accent);
+      disc(pen, to(state.point), 4.5, colour.point);
     }
   }
 
@@ -114,14 +101,17 @@ export class View {
   }
 
   // The older, the fainter.
-  drawTrail(pen, to, colour) {
-    const { trail, state } = this;
-    pen.strokeStyle = colour.accent;
-    pen.lineWidth = 2;
+  drawTrail(pen, states, to, colour) {
+    const { cleared, state } = this;
+    // A clock that began again has another trail.
+    const from = cleared.t > state.t ? -Infinity : cleared.t;
+    const trail = states.filter(({ t, point }) => point && t > from);
+    pen.strokeStyle = colour.trail;
+    pen.lineWidth = 2.5;
     for (let index = 1; index < trail.length; index += 1) {
-      const [before, point] = [trail[index - 1], trail[index]];
-      pen.globalAlpha = Math.max(0.08, 0.9 * (1 - (state.t - point.t) / TRAIL_S));
-      line(pen, [to(before.at), to(point.at)]);
+      const [before, { t, point }] = [trail[index - 1], trail[index]];
+      pen.globalAlpha = Math.max(0.2, 1 - (state.t - t) / SPAN_S);
+      line(pen, [to(before.point), to(point)]);
     }
     pen.globalAlpha = 1;
   }
@@ -168,7 +158,7 @@ export class View {
         state.x + car.front_axle_m * Math.cos(state.yaw),
         state.y + car.front_axle_m * Math.sin(state.yaw),
       ];
-      pen.strokeStyle = colour.accent;
+      pen.strokeStyle = colour.point;
       pen.lineWidth = 1;
       line(pen, [to(axle), to(state.point)]);
     }
