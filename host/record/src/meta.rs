@@ -41,6 +41,12 @@ pub struct ClockMapping {
 }
 
 impl ClockMapping {
+    /// Of a drive in virtual time, which has no time of day: 2000-01-01.
+    pub const VIRTUAL: Self = Self {
+        monotonic_ns: 0,
+        wall_ns: 946_684_800_000_000_000,
+    };
+
     /// The time of a wall clock that was not set since, at `monotonic_ns`.
     #[must_use]
     pub const fn wall_ns_at(&self, monotonic_ns: u64) -> u64 {

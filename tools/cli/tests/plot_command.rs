@@ -120,6 +120,48 @@ fn every_figure_becomes_a_file_that_is_named() {
 }
 
 #[test]
+fn figures_for_the_screen_are_twice_as_large_and_light_or_dark() {
+    let plot = Plot::of(&Script::default(), &["--format", "screen"]);
+    for kind in FigureKind::ALL {
+        let path = plot.path("screen").join(kind.file_name());
+        let svg = fs::read_to_string(path).unwrap();
+        let (head, rest) = svg.split_once('>').unwrap();
+        assert!(head.contains("class=\"static\"") && !head.contains("mm\""));
+        assert!(
+            head.contains("width=\"642.52\" viewBox=\"0 0 85 ")
+                || head.contains("width=\"1345.51\" viewBox=\"0 0 178 "),
+            "{head}"
+        );
+        assert!(rest.contains("prefers-color-scheme: dark"));
+    }
+}
+
+#[test]
+fn a_virtual_drive_has_no_time_of_day_and_no_lateness() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = folder.path().join("drive.mcap");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let simulated = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .arg("simulate")
+        .arg(root.join("tools/scenarios/circle-car.toml"))
+        .arg("--record")
+        .arg(&record)
+        .output()
+        .unwrap();
+    assert!(simulated.status.success());
+    let output = plot(&record, &[]);
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    let html = fs::read_to_string(folder.path().join("drive/report.html")).unwrap();
+    for part in ["2000-01-01", "ateness", "class=\"note\"", "stopped"] {
+        let own = html.replace("never stopped", "");
+        let own = own.split("<h2>Configuration").next().unwrap();
+        assert!(!own.contains(part), "{part}");
+    }
+    assert!(html.contains("where the record ends."));
+    assert!(!folder.path().join("drive/lateness.svg").exists());
+}
+
+#[test]
 fn figures_have_the_curves_of_the_paper() {
     let plot = Plot::of(&Script::default(), &["--format", "svg"]);
     for (kind, curves) in [
@@ -347,6 +389,8 @@ fn the_report_is_one_file_with_summary_figures_and_numbers() {
     }
     for outside in ["http://", "https://", "src=", "href=", "@import", "url("] {
         let own = html.replace("http://www.w3.org/2000/svg", "");
+        // The animation is in the file.
+        let own = own.replace("src=\"data:image/svg+xml;base64,", "");
         assert!(!own.contains(outside), "needs nothing else: {outside}");
     }
     let line = |name: &str| {
@@ -421,7 +465,8 @@ fn what_a_record_says_is_text_in_the_report_whatever_it_is() {
     assert!(plot.output.status.success(), "{}", plot.said());
     let html = fs::read_to_string(plot.path("report.html")).unwrap();
     assert!(html.contains("&lt;/script&gt;&lt;img src=x onerror=alert(1)&gt;&amp;amp;"));
-    assert!(!html.contains("<img") && !html.contains('\u{1b}'));
+    assert_eq!(html.matches("<img").count(), 1, "the animation");
+    assert!(!html.contains('\u{1b}'));
     assert_eq!(html.matches("</script>").count(), 2, "those of the page");
     assert!(
         !plot.path("position.svg").exists(),

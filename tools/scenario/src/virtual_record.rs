@@ -7,9 +7,6 @@ use singletrack_record::{ClockMapping, Entry, Finished, RecordError, Recorder};
 
 use crate::virtual_drive::VirtualDrive;
 
-/// The wall clock at the start: 2000-01-01, in ns since 1970.
-const EPOCH_NS: u64 = 946_684_800_000_000_000;
-
 /// Why a record was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum VirtualRecordError {
@@ -37,11 +34,7 @@ impl VirtualRecord {
         config: &Config,
         seed: u64,
     ) -> Result<Self, VirtualRecordError> {
-        let start = ClockMapping {
-            monotonic_ns: 0,
-            wall_ns: EPOCH_NS,
-        };
-        let meta = record_meta(config, Some(seed), start)?;
+        let meta = record_meta(config, Some(seed), ClockMapping::VIRTUAL)?;
         drive.keep_entries();
         Ok(Self(Recorder::create(path, &meta)?.without_timed_flushes()))
     }

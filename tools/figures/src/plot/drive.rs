@@ -314,6 +314,12 @@ impl Drive {
             .collect()
     }
 
+    /// Whether the lateness of every tick is zero: time was virtual, or the log does not have it.
+    #[must_use]
+    pub fn is_never_late(&self) -> bool {
+        self.ticks.iter().all(|tick| tick.lateness == 0.0)
+    }
+
     /// The spans in which the markers were lost, in s.
     #[must_use]
     pub fn lost_markers(&self) -> Vec<[f64; 2]> {

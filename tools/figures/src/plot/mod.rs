@@ -23,7 +23,10 @@ pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
 
-use crate::output::{make_folder, write};
+use crate::{
+    figure::Figure,
+    output::{make_folder, write},
+};
 use drive::Drive;
 
 /// Options of `singletrack plot`.
@@ -64,6 +67,8 @@ pub struct PlotArgs {
 pub enum PlotFormat {
     /// A file for each figure, in the size of a paper's column.
     Svg,
+    /// The same for the screen, twice as large and light or dark as the browser: `screen/*.svg`.
+    Screen,
     /// `report.html`: all figures and the summary, to look around in.
     Html,
 }
@@ -98,9 +103,9 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     }
     let out = args.out.clone().unwrap_or_else(|| beside(&record.path));
     let figures = if args.figures.is_empty() {
-        &FigureKind::ALL[..]
+        FigureKind::of(drive).collect()
     } else {
-        &args.figures
+        args.figures.clone()
     };
     let formats = match (args.format.is_empty(), args.figures.is_empty()) {
         (false, _) => &args.format[..],
@@ -110,7 +115,12 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     };
     let mut plotted = Plotted::default();
     if formats.contains(&PlotFormat::Svg) {
-        plotted = write_figures(drive, figures, &out)?;
+        plotted = write_figures(drive, &figures, &out)?;
+    }
+    if formats.contains(&PlotFormat::Screen) {
+        let screen = write_each(drive, &figures, &out.join("screen"), Figure::to_screen_svg)?;
+        plotted.files.extend(screen.files);
+        plotted.missing = screen.missing;
     }
     if args.animate {
         plotted.files.push(write_animation(&record, drive, &out)?);
@@ -181,13 +191,22 @@ pub fn write_figures(
     figures: &[FigureKind],
     folder: &Path,
 ) -> Result<Plotted, PlotError> {
+    write_each(drive, figures, folder, Figure::to_svg)
+}
+
+fn write_each(
+    drive: &Drive,
+    figures: &[FigureKind],
+    folder: &Path,
+    svg: fn(&Figure) -> String,
+) -> Result<Plotted, PlotError> {
     make_folder(folder)?;
     let mut plotted = Plotted::default();
     for kind in figures {
         match kind.draw(drive) {
             Ok(figure) => {
                 let path = folder.join(kind.file_name());
-                write(&path, &figure.to_svg())?;
+                write(&path, &svg(&figure))?;
                 plotted.files.push(path);
             }
             Err(why) => plotted.missing.push((*kind, why)),

@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 use singletrack_pilot::{Mode, Reason};
-use singletrack_record::{Level, Meta, seconds_since};
+use singletrack_record::{ClockMapping, Level, Meta, seconds_since};
 use singletrack_statistics::Distribution;
 use toml::{Table, Value};
 
@@ -22,7 +22,7 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
     };
     let recording = &record.recording;
     let ticks = &drive.ticks;
-    add("begun", Some(begun(record, drive)));
+    add("begun", begun(record, drive));
     add(
         "duration",
         Some(format!(
@@ -87,8 +87,10 @@ pub(super) fn lines(record: &Record, number: usize, drive: &Drive) -> Vec<Line> 
              {most:.decimals$} {unit} at most"
         ))
     };
-    let lateness = Distribution::of(ticks.iter().map(|tick| tick.lateness * 1e6));
-    add("lateness", percentiles(lateness, "µs", 0));
+    if !drive.is_never_late() {
+        let lateness = Distribution::of(ticks.iter().map(|tick| tick.lateness * 1e6));
+        add("lateness", percentiles(lateness, "µs", 0));
+    }
     let latency = Distribution::of(ticks.iter().map(|tick| tick.latency * 1e3));
     add("capture to command", percentiles(latency, "ms", 1));
     for (name, value) in configured(record.configuration(drive).unwrap_or_default()) {
@@ -138,9 +140,11 @@ pub(super) fn changes<'a>(record: &'a Record, drive: &Drive) -> Vec<(f64, &'a Ch
     changes
 }
 
-fn begun(record: &Record, drive: &Drive) -> String {
-    let wall = record.meta.start.wall_ns_at(drive.start_ns);
-    format!("{} UTC", utc(wall))
+/// The time of day; a virtual drive has none.
+fn begun(record: &Record, drive: &Drive) -> Option<String> {
+    let start = record.meta.start;
+    (start != ClockMapping::VIRTUAL)
+        .then(|| format!("{} UTC", utc(start.wall_ns_at(drive.start_ns))))
 }
 
 fn ended(record: &Record, drive: &Drive) -> String {

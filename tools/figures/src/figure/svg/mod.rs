@@ -43,6 +43,22 @@ impl Figure {
         svg
     }
 
+    /// The same for the screen: twice as large, in the colours of the reports.
+    #[must_use]
+    pub fn to_screen_svg(&self) -> String {
+        let svg = self.to_svg();
+        let (head, rest) = svg.split_once('>').unwrap_or((&svg, ""));
+        // The height in mm goes: what is left is as high as the view box says.
+        let (start, _) = head.split_once(" width=").unwrap_or((head, ""));
+        let (_, end) = head.split_once("mm\" viewBox").unwrap_or(("", head));
+        let width = number(2.0 * 96.0 / 25.4 * self.width.mm());
+        format!(
+            "{start} class=\"static\" width=\"{width}\" viewBox{end}>\n<style>\n{}\
+             svg {{ background: var(--page); }}\n</style>{rest}",
+            crate::plot::STYLE
+        )
+    }
+
     fn draw(&self, svg: &mut String) -> fmt::Result {
         let entries = legend::entries(self);
         let width = self.width.mm();

@@ -50,6 +50,13 @@ impl FigureKind {
         Self::Lateness,
     ];
 
+    /// The figures of a drive: all, without the lateness if it is always zero.
+    pub fn of(drive: &Drive) -> impl Iterator<Item = Self> {
+        let is_never_late = drive.is_never_late();
+        let has = move |kind: &Self| *kind != Self::Lateness || !is_never_late;
+        Self::ALL.into_iter().filter(has)
+    }
+
     /// Its name, on the command line and of its file.
     #[must_use]
     pub fn name(self) -> String {

@@ -2,12 +2,15 @@
 
 use super::LOST;
 use crate::{
-    figure::{Axis, Column, Curve, Figure, Look, Panel, Symbol, Width},
+    figure::{Axis, Column, Curve, Figure, Look, Panel, Scale, Symbol, Width},
     plot::{
         drive::{BoardPoint, Drive, TickSample},
         truth::TruthSample,
     },
 };
+
+/// The lowest tracking error on its logarithmic axis, in mm.
+const LEAST_ERROR: f64 = 0.1;
 
 /// A panel over the time of the drive, with the spans without markers.
 fn over_time(drive: &Drive, y: Axis, curves: Vec<Curve>) -> Panel {
@@ -92,9 +95,15 @@ pub(super) fn speed(drive: &Drive) -> Figure {
     ];
     Figure {
         title: "Reference and actual speed".to_owned(),
-        caption: "The speed of the centre of mass that the law asks for, after limits, and the \
-                  car's: as estimated, and as the motor's pulses tell it of the rear axle."
-            .to_owned(),
+        caption: format!(
+            "The speed of the centre of mass that the law asks for, after limits, and the car's: \
+             as estimated{}.",
+            if drive.board.is_empty() {
+                ""
+            } else {
+                ", and of the rear axle as the motor's pulses measure it"
+            }
+        ),
         width: Width::Column,
         panels: vec![over_time(drive, y, curves)],
     }
@@ -116,12 +125,17 @@ pub(super) fn position(drive: &Drive) -> Figure {
     Figure {
         title: "Position of P over time".to_owned(),
         caption: format!(
-            "{}, and where P was; while the markers are lost the last pose is held and the \
-             curves stay level though the car moves.",
+            "{}, and where P was{}.",
             if drive.has_positions() {
                 "Where the reference wants P"
             } else {
                 "Where P would be if it integrated its commanded velocity"
+            },
+            if drive.lost_markers().is_empty() {
+                ""
+            } else {
+                "; while the markers are lost the last pose is held and the curves stay level \
+                 though the car moves"
             }
         ),
         width: Width::Page,
@@ -135,30 +149,57 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
         truth(drive, |sample| sample.sideslip),
     ];
     let yaw_rate = vec![
-        measured(drive, "gyro", |sample| sample.yaw_rate),
         curve(drive, "estimated", Look::Actual, |tick| tick.yaw_rate),
         truth(drive, |sample| sample.yaw_rate),
     ];
+    let gyro = vec![
+        measured(drive, "gyro", |sample| sample.yaw_rate),
+        truth(drive, |sample| sample.yaw_rate),
+    ];
     let [beta, r] = ["β", "r"].map(|letter| Some(Symbol::new(letter, "")));
+    let mut panels = vec![
+        over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
+        over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
+    ];
+    let has_gyro = !gyro[0].is_empty();
+    if has_gyro {
+        // One would hide the other.
+        panels.push(over_time(drive, Axis::new("gyro", r, "rad/s"), gyro));
+    }
     Figure {
         title: "Sideslip angle and yaw rate".to_owned(),
-        caption: "The estimated angle from the car's axis to the velocity of its centre of mass, \
-                  and its yaw rate beside the gyro's samples; left is positive."
-            .to_owned(),
+        caption: format!(
+            "The estimated angle from the car's axis to the velocity of its centre of mass, and \
+             its yaw rate{}; left is positive.",
+            if has_gyro {
+                " beside the gyro's samples"
+            } else {
+                ""
+            }
+        ),
         width: Width::Page,
-        panels: vec![
-            over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
-            over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
-        ],
+        panels,
     }
 }
 
 pub(super) fn tracking_error(drive: &Drive) -> Figure {
+    // The approach and the last millimetres on one axis.
     let y = Axis {
-        include: Some(0.0),
+        scale: Scale::Log,
+        include: Some(1.0),
         ..Axis::new("tracking error", Some(Symbol::new("e", "P")), "mm")
     };
-    let mm = |errors: Vec<f64>| errors.into_iter().map(|error| error * 1000.0);
+    let mut is_cut = false;
+    let mut mm = |errors: Vec<f64>| -> Vec<f64> {
+        let mm = errors.into_iter().map(|error| error * 1000.0);
+        // A comparison keeps the gaps, which `max` fills.
+        mm.map(|error| {
+            let is_below = error < LEAST_ERROR;
+            is_cut |= is_below;
+            if is_below { LEAST_ERROR } else { error }
+        })
+        .collect()
+    };
     let time = drive.column(|tick| tick.time);
     let error = drive.spread(mm(drive.tracking_error()));
     let curves = vec![
@@ -167,9 +208,14 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
     ];
     Figure {
         title: "Tracking error of P".to_owned(),
-        caption: "Distance from P to where it should be at that moment; with proportional \
-                  control alone P lags behind a moving reference and the error stays."
-            .to_owned(),
+        caption: format!(
+            "Distance from P to where it should be at that moment, on a logarithmic axis{}.",
+            if is_cut {
+                "; what is below 0.1 mm is drawn there"
+            } else {
+                ""
+            }
+        ),
         width: Width::Column,
         panels: vec![over_time(drive, y, curves)],
     }

@@ -36,9 +36,15 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
     ];
     Figure {
         title: "Trajectory of P".to_owned(),
-        caption: "Where P should be and where it was on the floor, from the triangle to the \
-                  circle, where the car stopped."
-            .to_owned(),
+        caption: format!(
+            "Where P should be and where it was on the floor, from the triangle to the circle, \
+             where the {}.",
+            if drive.ended.is_some() {
+                "drive ended"
+            } else {
+                "record ends"
+            }
+        ),
         width: Width::Column,
         panels: vec![Panel {
             height_mm: 90.0,

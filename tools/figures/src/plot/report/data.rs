@@ -6,7 +6,7 @@ use base64::{Engine as _, engine::general_purpose::STANDARD};
 use serde::Serialize;
 
 use crate::{
-    figure::{Axis, Column, Figure, Mark, Panel},
+    figure::{Axis, Column, Figure, Mark, Panel, Scale},
     plot::figures::FigureKind,
 };
 
@@ -46,6 +46,7 @@ struct AxisData {
     below: &'static str,
     unit: &'static str,
     include: Option<f64>,
+    log: bool,
 }
 
 /// Columns by their number.
@@ -142,6 +143,7 @@ fn axis(axis: &Axis) -> AxisData {
         below: axis.symbol.map_or("", |symbol| symbol.below),
         unit: axis.unit,
         include: axis.include,
+        log: axis.scale == Scale::Log,
     }
 }
 

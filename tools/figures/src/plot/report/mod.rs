@@ -5,9 +5,11 @@
 
 mod data;
 
+use base64::{Engine as _, engine::general_purpose::STANDARD};
 use singletrack_record::{Level, Log, seconds_since};
 
 use super::{
+    animation,
     drive::Drive,
     figures::FigureKind,
     read::Record,
@@ -25,7 +27,7 @@ const MOST_LOG_LINES: usize = 2_000;
 pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
     let mut figures = Vec::new();
     let mut missing = Vec::new();
-    for kind in FigureKind::ALL {
+    for kind in FigureKind::of(drive) {
         match kind.draw(drive) {
             Ok(figure) => figures.push((kind, figure)),
             Err(why) => missing.push(format!("There is no figure {}: {why}.", kind.name())),
@@ -36,14 +38,21 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
         .file_name()
         .unwrap_or_default()
         .to_string_lossy();
-    let notes = record.notes.iter().chain(&missing);
-    let notes: String = notes
-        .map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note)))
-        .collect();
     let summary = summary::lines(record, number, drive);
     let configuration = record
         .configuration(drive)
         .unwrap_or("The configuration of this drive is not in the record.");
+    let animation = match animation::animation(drive, configuration) {
+        Ok(picture) => moving(&picture),
+        Err(why) => {
+            missing.push(format!("There is no animation: {why}."));
+            String::new()
+        }
+    };
+    let notes = record.notes.iter().chain(&missing);
+    let notes: String = notes
+        .map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note)))
+        .collect();
     let data = data::json(&figures, drive.duration());
     fill(&[
         ("title", &escaped(&name)),
@@ -51,6 +60,7 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
         ("style", super::STYLE),
         ("notes", &notes),
         ("summary", &summary.iter().map(row).collect::<String>()),
+        ("animation", &animation),
         ("figures", &figures.iter().map(framed).collect::<String>()),
         ("changes", &changes(record, drive)),
         ("log", &log(&record.recording.log, drive)),
@@ -74,6 +84,15 @@ fn subtitle(drive: &Drive) -> String {
         } else {
             "all that is shown comes from the record"
         }
+    )
+}
+
+/// The animation as an image: its styles and the report's stay apart.
+fn moving(picture: &str) -> String {
+    format!(
+        "<figure id=\"animation\">\n<img alt=\"The drive from above, in real time\" \
+         src=\"data:image/svg+xml;base64,{}\">\n</figure>\n",
+        STANDARD.encode(picture)
     )
 }
 
@@ -172,6 +191,7 @@ mod tests {
             "style",
             "notes",
             "summary",
+            "animation",
             "figures",
             "changes",
             "log",

@@ -33,6 +33,16 @@
     return { values, digits: digitsOf(step) };
   }
 
+  /** The decades within a range, and 2 and 5 times them between few. */
+  function powers(low, high) {
+    const factors = Math.log10(high / low) < 2.5 ? [1, 2, 5] : [1];
+    const values = [];
+    for (let power = Math.floor(Math.log10(low)); 10 ** power <= high; power++) {
+      values.push(...factors.map((factor) => factor * 10 ** power));
+    }
+    return values.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  }
+
   /** The first index whose value is not less than `time`. */
   function firstFrom(times, time) {
     let [low, high] = [0, times.length];
@@ -191,7 +201,9 @@
         const [low, high] = extremes("y", view.from, view.to);
         const edge = this.spec.y.include;
         const zoomed = view.from > whole.from || view.to < whole.to;
-        this.yRange = padded(edge === null || zoomed ? low : Math.min(low, edge), high, edge);
+        const least = edge === null || zoomed ? low : Math.min(low, edge);
+        this.yRange = !this.spec.y.log ? padded(least, high, edge) : least <= high
+          ? [10 ** Math.floor(Math.log10(least)), 10 ** Math.ceil(Math.log10(high * 1.001))] : [1, 10];
         return;
       }
       const [x, y] = [padded(...extremes("x")), padded(...extremes("y"))];
@@ -211,8 +223,9 @@
     }
 
     py(y) {
-      const [low, high] = this.yRange;
-      return this.area.bottom - (y - low) / (high - low) * (this.area.bottom - this.area.top);
+      const even = this.spec.y.log ? Math.log10 : (value) => value;
+      const [low, high] = this.yRange.map(even);
+      return this.area.bottom - (even(y) - low) / (high - low) * (this.area.bottom - this.area.top);
     }
 
     timeAt(pixel) {
@@ -252,7 +265,8 @@
     drawAxes(pen) {
       const { left, right, top, bottom } = this.area;
       const x = ticks(...this.xRange, (right - left) / 80);
-      const y = ticks(...this.yRange, (bottom - top) / 38);
+      const y = this.spec.y.log ? { values: powers(...this.yRange) }
+        : ticks(...this.yRange, (bottom - top) / 38);
       pen.font = `12px ${colour("font")}`;
       pen.lineWidth = 1;
       pen.strokeStyle = colour("grid");
@@ -269,7 +283,7 @@
       for (const value of y.values) {
         const at = Math.round(this.py(value)) + 0.5;
         stroke(pen, [[left, at], [right, at]]);
-        pen.fillText(round(value, y.digits), left - 6, at);
+        pen.fillText(round(value, y.digits ?? digitsOf(value)), left - 6, at);
       }
       pen.strokeStyle = colour("ink");
       pen.strokeRect(left + 0.5, top + 0.5, right - left - 1, bottom - top - 1);
@@ -397,7 +411,7 @@
         const index = visible && !this.hidden.has(curve) ? nearest(curve.time, cursor) : -1;
         const [x, y] = index < 0 ? [NaN, NaN] : [curve.x[index], curve.y[index]];
         const known = !Number.isNaN(x) && !Number.isNaN(y);
-        const digits = digitsOf((this.yRange[1] - this.yRange[0]) / 1000);
+        const digits = this.spec.y.log ? 1 : digitsOf((this.yRange[1] - this.yRange[0]) / 1000);
         const value = this.spec.equal ? `(${round(x, digits)}, ${round(y, digits)})` : round(y, digits);
         curve.value.textContent = known ? value : "";
         if (!known || curve.look === "lost") continue;
