@@ -107,7 +107,7 @@ function lost(why) {
   if (why.includes("?token=")) {
     trouble = ["The page asks for its token.", why];
   } else if (why.startsWith("No daemon")) {
-    trouble = ["There is no daemon; what is shown is old.", `${why} ${again}`];
+    trouble = ["There is no daemon; what is shown is old.", `${why.trim()}. ${again}`];
   } else {
     trouble = ["The server of the page does not answer; what is shown is old.",
       `Check that \`singletrack page\` runs. ${again}`];
