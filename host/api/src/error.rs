@@ -38,11 +38,14 @@ pub enum ClientError {
         patience: Duration,
     },
     /// The daemon closed the connection.
-    #[error("lost the connection to the daemon: it has ended, or too many clients wait for it")]
+    #[error(
+        "lost the connection to the daemon: it has ended, or too many clients wait for it; look at \
+         its log (journalctl -u singletrackd), start it if it does not run, and try again"
+    )]
     Ended,
     /// The connection failed.
     #[error("lost the connection to the daemon: {0}")]
-    BrokeOff(#[from] io::Error),
+    BrokeOff(io::Error),
     /// The answer can't be read.
     #[error("can't understand the daemon's answer: {0}; is it the same version as this program?")]
     Answer(#[from] serde_json::Error),
@@ -62,6 +65,17 @@ impl ClientError {
         Self::Silent {
             path: path.to_owned(),
             patience,
+        }
+    }
+}
+
+impl From<io::Error> for ClientError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::UnexpectedEof
+            | io::ErrorKind::BrokenPipe
+            | io::ErrorKind::ConnectionReset => Self::Ended,
+            _ => Self::BrokeOff(error),
         }
     }
 }

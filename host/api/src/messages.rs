@@ -74,7 +74,7 @@ impl MessageStream {
         let mut read = BufReader::with_capacity(1 << 16, stream);
         let mut answer = String::new();
         if read.read_line(&mut answer)? == 0 {
-            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+            return Err(ClientError::Ended);
         }
         let begun = serde_json::from_str::<Answer>(&answer)?.agreed()?;
         let clocks = begun.clocks.ok_or(ClientError::NoAnswer(answer))?;
@@ -102,7 +102,7 @@ impl MessageStream {
     pub fn receive(&mut self) -> Result<Received<'_>, ClientError> {
         self.line.clear();
         if self.read.read_until(b'\n', &mut self.line)? == 0 {
-            return Err(io::Error::from(io::ErrorKind::UnexpectedEof).into());
+            return Err(ClientError::Ended);
         }
         let head: Head = serde_json::from_slice(&self.line)?;
         if let Some(missed) = head.missed {
@@ -170,7 +170,8 @@ mod tests {
         );
         assert_eq!(stream.receive().unwrap(), Received::Missed(7));
         assert_eq!(stream.receive().unwrap(), message("/tf", b""));
-        assert!(stream.receive().is_err(), "the end is no message");
+        let end = stream.receive().unwrap_err();
+        assert!(matches!(end, ClientError::Ended), "{end}");
     }
 
     #[test]

@@ -101,7 +101,11 @@ fn a_lost_connection_is_an_error() {
     let (output, _) = scripted(&[], &[r#"{"version":2,"ok":true}"#]);
     assert_eq!(output.status.code(), Some(1));
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(error.contains("lost the connection"), "{error}");
+    assert!(
+        error.contains("lost the connection to the daemon: it has ended")
+            && error.contains("journalctl -u singletrackd"),
+        "{error}"
+    );
 }
 
 #[test]

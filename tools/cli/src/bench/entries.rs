@@ -66,14 +66,12 @@ fn receive(stream: &mut MessageStream) -> Result<Entry, ClientError> {
     }
 }
 
-/// The end of a stream, and a wait that was too long, as for other connections.
+/// A wait that was too long, as for other connections.
 fn named(error: ClientError) -> ClientError {
     match error {
-        ClientError::BrokeOff(cause) => match cause.kind() {
-            io::ErrorKind::UnexpectedEof => ClientError::Ended,
-            io::ErrorKind::WouldBlock => io::Error::from(io::ErrorKind::TimedOut).into(),
-            _ => cause.into(),
-        },
+        ClientError::BrokeOff(cause) if cause.kind() == io::ErrorKind::WouldBlock => {
+            io::Error::from(io::ErrorKind::TimedOut).into()
+        }
         other => other,
     }
 }

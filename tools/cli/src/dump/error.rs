@@ -2,6 +2,7 @@
 
 use std::{io, path::PathBuf};
 
+use singletrack_api::ClientError;
 use singletrack_record::{ParseEntryError, RecordError};
 use singletrackd::serial_port::PortError;
 
@@ -111,13 +112,8 @@ pub enum DumpError {
         source: io::Error,
     },
     /// The connection broke.
-    #[error("lost the daemon at {}: {source}", path.display())]
-    Lost {
-        /// The socket.
-        path: PathBuf,
-        /// Why it failed.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Lost(ClientError),
     /// The daemon refuses to send entries.
     #[error("the daemon at {} refuses: {error}", path.display())]
     Refused {

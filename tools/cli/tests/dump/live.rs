@@ -129,3 +129,22 @@ fn a_daemon_that_is_not_there_or_refuses_is_reported() {
     assert!(!output.status.success());
     assert!(error.contains("version 1 is too old"), "{error}");
 }
+
+#[test]
+fn a_daemon_that_ends_before_its_answer_is_said_to_have_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("control.sock");
+    let listener = UnixListener::bind(&socket).unwrap();
+    let daemon = thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        let mut request = String::new();
+        BufReader::new(&stream).read_line(&mut request).unwrap();
+    });
+    let output = dump(Path::new("live"), &["--socket", socket.to_str().unwrap()]);
+    daemon.join().unwrap();
+    let error = text(&output.stderr);
+    assert!(
+        error.contains("lost the connection to the daemon: it has ended"),
+        "{error}"
+    );
+}

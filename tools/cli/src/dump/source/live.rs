@@ -7,7 +7,7 @@ use std::{
     time::Instant,
 };
 
-use singletrack_api::Request;
+use singletrack_api::{ClientError, Request};
 use singletrack_record::{ParseEntryError, Shown, Topic, Value};
 use singletrackd::monotonic_ns;
 
@@ -91,12 +91,14 @@ impl Live {
         let asked = Instant::now();
         while !self.take_line()? {
             if self.closed || asked.elapsed() > ANSWER_TIMEOUT {
-                let kind = if self.closed {
-                    io::ErrorKind::UnexpectedEof
+                return Err(DumpError::Lost(if self.closed {
+                    ClientError::Ended
                 } else {
-                    io::ErrorKind::TimedOut
-                };
-                return Err(self.lost(kind.into()));
+                    ClientError::Silent {
+                        path: self.path.clone(),
+                        patience: ANSWER_TIMEOUT,
+                    }
+                }));
             }
             self.wait()?;
         }
@@ -144,13 +146,6 @@ impl Live {
             _ => None,
         };
         Some(Row { kind, time_ns })
-    }
-
-    fn lost(&self, source: io::Error) -> DumpError {
-        DumpError::Lost {
-            path: self.path.clone(),
-            source,
-        }
     }
 
     fn invalid_entry(&self, source: ParseEntryError) -> DumpError {
@@ -213,7 +208,7 @@ impl Source for Live {
                 io::ErrorKind::WouldBlock
                 | io::ErrorKind::TimedOut
                 | io::ErrorKind::Interrupted => {}
-                _ => return Err(self.lost(error)),
+                _ => return Err(DumpError::Lost(error.into())),
             },
         }
         Ok(())
