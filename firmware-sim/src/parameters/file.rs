@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use singletrack_settings::section;
+use singletrack_settings::{explain, section};
 
 use super::{ConfigError, SimulationConfig};
 use crate::{
@@ -22,12 +22,12 @@ pub enum SimulationFileError {
         source: std::io::Error,
     },
     /// The file is not a configuration.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {message}", path.display())]
     Parse {
         /// The file.
         path: PathBuf,
         /// Where and why.
-        source: toml::de::Error,
+        message: String,
     },
     /// A value is invalid.
     #[error("{}: {source}", path.display())]
@@ -80,9 +80,9 @@ impl SimulationConfig {
             cameras,
             natnet,
             truth,
-        } = toml::from_str(&text).map_err(|source| SimulationFileError::Parse {
+        } = toml::from_str(&text).map_err(|error| SimulationFileError::Parse {
             path: path.to_owned(),
-            source,
+            message: explain(&text, &error),
         })?;
         let mut simulation = Self {
             seed,

@@ -17,13 +17,10 @@ pub fn explain(text: &str, error: &toml::de::Error) -> String {
     let message = error.message().trim();
     let place = Place::find(text, error.span().unwrap_or_default());
     let line = place.line;
-    let what = match fix(message, &place) {
-        Some(fix) => format!("{message}; {fix}"),
-        None => message.to_owned(),
-    };
+    let what = in_plain_words(message, &place).unwrap_or_else(|| message.to_owned());
     if let Some(field) = quoted_after(message, "missing field ") {
         let key = join(&place.table, field);
-        return format!("line {line}: {key} is missing; add it, as in singletrackd.example.toml");
+        return format!("line {line}: {key} is missing; add it, as in the example file");
     }
     match place.key {
         // A message of ours, which names the key.
@@ -36,6 +33,25 @@ pub fn explain(text: &str, error: &toml::de::Error) -> String {
             let written = quote(text.lines().nth(line - 1).unwrap_or_default());
             format!("line {line}, {written:?}: {what}")
         }
+    }
+}
+
+/// Explains why a table can't be read whose text is not at hand: key and fix.
+#[must_use]
+pub fn explain_table(error: &toml::de::Error) -> String {
+    let (message, text) = (error.message().trim(), error.to_string());
+    let place = Place {
+        line: 0,
+        table: String::new(),
+        key: None,
+        value: None,
+    };
+    let what = in_plain_words(message, &place).unwrap_or_else(|| message.to_owned());
+    let unknown = quoted_after(message, "unknown field ");
+    let written = text.rsplit_once("\nin `").map(|(_, key)| key);
+    match unknown.or(written.map(|key| key.trim_end().trim_end_matches('`'))) {
+        Some(key) => format!("{key}: {what}"),
+        None => what,
     }
 }
 
@@ -132,23 +148,42 @@ fn join(table: &str, key: &str) -> String {
     }
 }
 
-/// What to write instead.
-fn fix(message: &str, place: &Place<'_>) -> Option<String> {
+/// What is wrong and what to write instead, without the words of the parser; `None` for a message
+/// of ours.
+fn in_plain_words(message: &str, place: &Place<'_>) -> Option<String> {
     if let Some(unknown) = quoted_after(message, "unknown field ") {
         return Some(match alike(unknown, expected(message)) {
-            Some(known) => format!("did you mean {known}?"),
-            None => "remove it".to_owned(),
+            Some(known) => format!("unknown key; did you mean {known}?"),
+            None => format!(
+                "unknown key; remove it (there are {})",
+                list(expected(message), "")
+            ),
         });
     }
     if let Some(unknown) = quoted_after(message, "unknown variant ") {
-        let known = alike(unknown, expected(message))?;
-        return Some(format!("did you mean \"{known}\"?"));
+        let known = match alike(unknown, expected(message)) {
+            Some(known) => format!("; did you mean \"{known}\"?"),
+            None => String::new(),
+        };
+        let words = list(expected(message), "\"");
+        return Some(format!("it must be {words}{known}"));
     }
-    if message == "duplicate key" {
-        return Some("keep one of the two".to_owned());
-    }
-    let expected = message.rsplit_once("expected ")?.1;
-    let value = match expected {
+    let value = place.value.unwrap_or_default();
+    let value = match message
+        .rsplit_once("expected ")
+        .map_or(message, |(_, it)| it)
+    {
+        "duplicate key" => return Some("it is a duplicate; keep one of the two".to_owned()),
+        "invalid IPv4 address syntax" | "IPv4 address" => {
+            "an IPv4 address in quotation marks, such as \"192.168.1.10\", not a name"
+        }
+        "newline, `#`" if is_with_comma(value) => {
+            return Some(format!(
+                "write a number with a point: {}",
+                value.replacen(',', ".", 1)
+            ));
+        }
+        "newline, `#`" => return Some("write one key = value on a line".to_owned()),
         "u8" => "a whole number from 0 to 255",
         "u16" => "a whole number from 0 to 65535",
         "u32" | "u64" | "usize" => "a whole number, not negative",
@@ -156,19 +191,45 @@ fn fix(message: &str, place: &Place<'_>) -> Option<String> {
         "i8" | "i32" | "i64" => "a whole number",
         "f32" | "f64" => "a number",
         "a boolean" => "true or false",
-        "a string" | "path string" | "string or map" | "IPv4 address" => {
+        "a string" | "path string" | "string or map" | "wanted string or table" => {
             "a text in quotation marks"
         }
-        "literal string" => "the value like this one in the example, texts in quotation marks",
-        "`=`" => "key = value",
-        _ if expected.starts_with("struct ") => {
+        "literal string" => {
+            return Some(
+                "write the value like this one in the example, texts in quotation marks".to_owned(),
+            );
+        }
+        "nothing" => {
+            return Some("write one number, or a text in quotation marks".to_owned());
+        }
+        "`=`" => return Some("write key = value".to_owned()),
+        other if other.starts_with("struct ") => {
             let key = place.key.as_deref().unwrap_or_default();
             return Some(format!("write [{key}], and its keys below"));
         }
-        _ if expected.starts_with("an array of length 2") => "two numbers, as [0.0, 1.0]",
+        other if other.starts_with("an array of length 2") => "two numbers, as [0.0, 1.0]",
+        "a sequence" => "a list, as [0.0, 1.0]",
         _ => return None,
     };
-    Some(format!("write {value}"))
+    Some(format!("it must be {value}"))
+}
+
+/// Whether it is a number that is written with a comma.
+fn is_with_comma(value: &str) -> bool {
+    value.split_once(',').is_some_and(|(whole, part)| {
+        [whole, part]
+            .iter()
+            .all(|it| it.trim().parse::<f64>().is_ok())
+    })
+}
+
+/// Words as a list, each between two of `quote`.
+fn list<'a>(words: impl Iterator<Item = &'a str>, quote: &str) -> String {
+    let words: Vec<_> = words.map(|word| format!("{quote}{word}{quote}")).collect();
+    match words.as_slice() {
+        [before @ .., last] if !before.is_empty() => format!("{} or {last}", before.join(", ")),
+        words => words.concat(),
+    }
 }
 
 /// The word in backquotes that follows.
@@ -222,6 +283,7 @@ mod tests {
         hold_ms: u32,
         sides: [f64; 2],
         kind: Option<Kind>,
+        hub: Option<core::net::Ipv4Addr>,
     }
 
     #[derive(Debug, Deserialize)]
@@ -241,65 +303,91 @@ mod tests {
         for (text, message) in [
             (
                 "",
-                "line 1: wheel is missing; add it, as in singletrackd.example.toml",
+                "line 1: wheel is missing; add it, as in the example file",
             ),
             (
                 "# x\n[wheel]\nradius_m = 1.0\n",
-                "line 2: wheel.hold_ms is missing; add it, as in singletrackd.example.toml",
+                "line 2: wheel.hold_ms is missing; add it, as in the example file",
             ),
             (
                 &format!("[wheel]\n{good}hold_s = 2\n"),
-                "line 5: wheel.hold_s: unknown field `hold_s`, expected one of `radius_m`, `hold_ms`, \
-                 `sides`, `kind`; did you mean hold_ms?",
+                "line 5: wheel.hold_s: unknown key; did you mean hold_ms?",
             ),
             (
                 &format!("[wheel]\n{good}colour = 2\n"),
-                "line 5: wheel.colour: unknown field `colour`, expected one of `radius_m`, `hold_ms`, \
-                 `sides`, `kind`; remove it",
+                "line 5: wheel.colour: unknown key; remove it (there are radius_m, hold_ms, sides, \
+                 kind or hub)",
             ),
             (
                 &format!("[wheels]\n{good}"),
-                "line 1: wheels: unknown field `wheels`, expected `wheel`; did you mean wheel?",
+                "line 1: wheels: unknown key; did you mean wheel?",
             ),
             (
                 &format!("[wheel]\n{good}kind = \"drived\"\n"),
-                "line 5: wheel.kind = \"drived\": unknown variant `drived`, expected `driven` or `free`; \
-                 did you mean \"driven\"?",
+                "line 5: wheel.kind = \"drived\": it must be \"driven\" or \"free\"; did you mean \
+                 \"driven\"?",
             ),
             (
                 "[wheel]\nradius_m = \"wide\" # x\n",
-                "line 2: wheel.radius_m = \"wide\": invalid type: string \"wide\", expected f64; write a number",
+                "line 2: wheel.radius_m = \"wide\": it must be a number",
             ),
             (
                 "wheel.radius_m = true\n",
-                "line 1: wheel.radius_m = true: invalid type: boolean `true`, expected f64; write a number",
+                "line 1: wheel.radius_m = true: it must be a number",
             ),
             (
                 "[wheel]\nradius_m = 1.0\nhold_ms = -2\n",
-                "line 3: wheel.hold_ms = -2: invalid value: integer `-2`, expected u32; write a whole \
-                 number, not negative",
+                "line 3: wheel.hold_ms = -2: it must be a whole number, not negative",
             ),
             (
                 "[wheel]\nsides = [\n  1.0,\n  \"x\",\n]\n",
-                "line 4: wheel.sides = \"x\": invalid type: string \"x\", expected f64; write a number",
+                "line 4: wheel.sides = \"x\": it must be a number",
             ),
             (
                 "[wheel]\nhold_ms = 5 ms\n",
-                "line 2: wheel.hold_ms = 5 ms: string values must be quoted, expected literal string; write \
-                 the value like this one in the example, texts in quotation marks",
+                "line 2: wheel.hold_ms = 5 ms: write the value like this one in the example, texts in quotation marks",
             ),
             (
                 &format!("[wheel]\n{good}hold_ms = 3\n"),
-                "line 5: wheel.hold_ms: duplicate key; keep one of the two",
+                "line 5: wheel.hold_ms: it is a duplicate; keep one of the two",
+            ),
+            (
+                "[wheel]\nradius_m = 0,85\n",
+                "line 2: wheel.radius_m = 0,85: write a number with a point: 0.85",
+            ),
+            (
+                "[wheel]\nradius_m = 0.85 m, 3\n",
+                "line 2: wheel.radius_m = 0.85 m, 3: write one key = value on a line",
+            ),
+            (
+                &format!("[wheel]\n{good}hub = \"localhost\"\n"),
+                "line 5: wheel.hub = \"localhost\": it must be an IPv4 address in \
+                 quotation marks, such as \"192.168.1.10\", not a name",
+            ),
+            (
+                &format!("[wheel]\n{good}kind = 3\n"),
+                "line 5: wheel.kind = 3: it must be a text in quotation marks",
             ),
             (
                 "wheel = 3\n",
-                "line 1: wheel = 3: invalid type: integer `3`, expected struct Wheel; write [wheel], and \
-                 its keys below",
+                "line 1: wheel = 3: write [wheel], and its keys below",
             ),
         ] {
             assert_eq!(explain(text), message, "{text}");
         }
+    }
+
+    #[test]
+    fn a_table_without_a_text_is_explained_by_its_key() {
+        let explain = |text: &str| {
+            let table: toml::Table = toml::from_str(text).unwrap();
+            super::explain_table(&table.try_into::<Wheel>().unwrap_err())
+        };
+        assert_eq!(explain("radius_m = \"x\""), "radius_m: it must be a number");
+        assert_eq!(
+            explain("radius = 1.0"),
+            "radius: unknown key; did you mean radius_m?"
+        );
     }
 
     #[test]

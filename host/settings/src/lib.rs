@@ -10,7 +10,7 @@ mod section;
 mod value;
 
 pub use error::ValueError;
-pub use explain::explain;
+pub use explain::{explain, explain_table};
 pub use kind::{Written, check_kind};
 pub use section::{Declared, Key, Maps, Section, or_default, toml_value};
 pub use value::{Convert, Numbers, Rule, UpTo, Worded, check, in_words, seconds, up_to};

@@ -10,6 +10,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use singletrack_api::{Request, ask};
 use singletrack_core::{ConfigError, config::ReferenceSection};
+use singletrack_settings::explain;
 
 use crate::control::{self, ControlArgs, ControlError};
 
@@ -36,14 +37,15 @@ pub enum SetReferenceError {
     },
     /// The file is not a reference.
     #[error(
-        "{}: {source}a table [reference] is needed, as in the daemon's configuration, and nothing else",
+        "{}: {message} (the file must have a table [reference], as in the daemon's configuration, and \
+         nothing else)",
         .path.display()
     )]
     Parse {
         /// The file.
         path: PathBuf,
         /// Where and why.
-        source: toml::de::Error,
+        message: String,
     },
     /// A file that it names is refused.
     #[error(transparent)]
@@ -97,9 +99,9 @@ pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
     };
     let text = fs::read_to_string(path).map_err(read)?;
     let File { mut reference } =
-        toml::from_str(&text).map_err(|source| SetReferenceError::Parse {
+        toml::from_str(&text).map_err(|error| SetReferenceError::Parse {
             path: path.to_owned(),
-            source,
+            message: explain(&text, &error),
         })?;
     let path_of_file = std::path::absolute(path).map_err(read)?;
     if let Some(folder) = path_of_file.parent() {

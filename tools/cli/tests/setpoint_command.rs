@@ -91,12 +91,28 @@ fn a_file_that_is_not_a_reference_is_reported_with_the_reason() {
     let fixture = start(None);
     let file = fixture.folder.path().join("reference.toml");
     for (content, part) in [
-        ("kind = \"circle\"\n", "a table [reference] is needed"),
+        ("kind = \"circle\"\n", "must have a table [reference]"),
         ("[reference]\nkind = \"square\"\n", "square"),
+        (
+            "[reference]\nkind = \"cricle\"\n",
+            "line 2: reference.kind = \"cricle\": it must be \"circle\", ",
+        ),
+        (
+            "[reference]\nkind = \"cricle\"\n",
+            "did you mean \"circle\"?",
+        ),
+        (
+            "[reference]\nkind = \"circle\"\nradius_m = 0,85\n",
+            "reference.radius_m = 0,85: write a number with a point: 0.85",
+        ),
+        (
+            "[reference]\nkind = \"circle\"\nradius_m = \"x\"\n",
+            "line 3: reference.radius_m = \"x\": it must be a number",
+        ),
         ("[reference]\nkind = \"circle\"\n", "radius_m"),
         (
             "[reference]\nkind = \"external\"\n[limits]\n",
-            "a table [reference] is needed",
+            "must have a table [reference]",
         ),
     ] {
         fs::write(&file, content).unwrap();

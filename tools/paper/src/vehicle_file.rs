@@ -10,6 +10,7 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{VehicleParameterError, VehicleParameters};
+use singletrack_settings::explain;
 
 /// Why a file gives no car.
 #[derive(Debug, thiserror::Error)]
@@ -24,14 +25,14 @@ pub enum VehicleFileError {
     },
     /// It has no car, or not all of it.
     #[error(
-        "{}: {source}a vehicle file needs a table [vehicle] as in tools/vehicles/paper.toml",
+        "{}: {message} (a vehicle file needs a table [vehicle] as in tools/vehicles/paper.toml)",
         .path.display()
     )]
     Parse {
         /// The file.
         path: PathBuf,
         /// Where and why.
-        source: toml::de::Error,
+        message: String,
     },
     /// No car can be so.
     #[error("{}: [vehicle]: {source}", .path.display())]
@@ -68,9 +69,9 @@ pub fn read(path: &Path) -> Result<VehicleParameters, VehicleFileError> {
         path: path.to_owned(),
         source,
     })?;
-    let File { vehicle } = toml::from_str(&text).map_err(|source| VehicleFileError::Parse {
+    let File { vehicle } = toml::from_str(&text).map_err(|error| VehicleFileError::Parse {
         path: path.to_owned(),
-        source,
+        message: explain(&text, &error),
     })?;
     vehicle
         .validate()

@@ -260,7 +260,7 @@ fn unknown_keys_and_bad_values_are_named() {
         ("[limits]\ncolour = 1", ["limits", "colour"]),
         ("[board.esc]\ncolour = 1", ["board", "colour"]),
         ("[supervisor]\ncolour = 1", ["supervisor", "colour"]),
-        ("[fence]\ncorners_m = 1", ["fence", "expected"]),
+        ("[fence]\ncorners_m = 1", ["[fence] corners_m", "a list"]),
         ("[truth]\ncolour = 1", ["drive_train", "colour"]),
         ("[truth.esc]\ncolour = 1", ["signal_loss_ms", "colour"]),
         ("[truth.esc]\nkind = \"boat\"", ["boat", "forward-reverse"]),

@@ -1,6 +1,7 @@
 //! Sections of the daemon's configuration of which only some keys are written.
 
 use serde::{Serialize, de::DeserializeOwned};
+use singletrack_settings::explain_table;
 use toml::{Table, Value};
 
 use super::error::ScenarioError;
@@ -21,7 +22,9 @@ pub(super) fn layer<T: Serialize + DeserializeOwned>(
     };
     let mut table = Table::try_from(&*base).map_err(|cause| error(cause.to_string()))?;
     merge(&mut table, written);
-    *base = table.try_into().map_err(|cause| error(cause.to_string()))?;
+    *base = table
+        .try_into()
+        .map_err(|cause| error(explain_table(&cause)))?;
     Ok(())
 }
 

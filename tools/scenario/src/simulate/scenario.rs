@@ -10,7 +10,7 @@ use singletrack_control::{
 use singletrack_core::config::{
     Config, ConfigError, LawSection, LoopModel, OuterLoopSection, ReferenceSection,
 };
-use singletrack_settings::{Declared as _, Worded, check, in_words, section};
+use singletrack_settings::{Declared as _, Worded, check, explain, in_words, section};
 use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
 
@@ -220,7 +220,7 @@ impl Scenario {
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, ScenarioError> {
         let mut scenario: Self = toml::from_str(text).map_err(|error| ScenarioError::Parse {
             path: path.to_owned(),
-            message: error.to_string(),
+            message: explain(text, &error),
         })?;
         if let Some(folder) = path.parent() {
             scenario.reference.resolve(folder);
