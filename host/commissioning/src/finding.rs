@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
+use singletrack_core::reasons::Why;
 use singletrack_protocol::StopCause;
 
 use crate::{Interrupted, Parameter};
@@ -95,11 +96,17 @@ impl Trouble {
             Self::Interrupted(interrupted) => return Err(interrupted),
             Self::Failed { found, fix } => Finding::new(Verdict::Failed, found, fix),
             Self::Skipped => Finding::new(Verdict::Skipped, "skipped", ""),
-            Self::Ended { why, .. } => Finding::new(
-                Verdict::Failed,
-                format!("the jog ended: {why}"),
-                "See docs/reasons.md for the word, and run the bring-up again.",
-            ),
+            Self::Ended { cause, why } => {
+                let mut found = format!("the jog ended: {why}");
+                let mut advice = String::new();
+                if cause != StopCause::None {
+                    let stop = Why::of_word("board stop", cause.name());
+                    found += &format!("; the board: {}", stop.text);
+                    advice = stop.advice.unwrap_or_default();
+                }
+                let fix = format!("{advice} Run the bring-up again.");
+                Finding::new(Verdict::Failed, found, fix.trim_start())
+            }
         })
     }
 }
@@ -115,6 +122,16 @@ pub(crate) fn failed(found: impl Into<String>, fix: impl Into<String>) -> Troubl
         found: found.into(),
         fix: fix.into(),
     }
+}
+
+/// What failed because of this word of the host, with its meaning and what to do.
+pub(crate) fn stopped(what: &str, word: &str) -> Trouble {
+    let why = Why::of_word("host", word);
+    let advice = why.advice.unwrap_or_default();
+    failed(
+        format!("{what}: {}", why.text),
+        format!("{advice} Run this step again.").trim_start(),
+    )
 }
 
 /// The verdict of a finding.

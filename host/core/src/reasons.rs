@@ -1,5 +1,8 @@
 //! What the words for reasons mean, and what to do, from the declarations of the words.
 
+use core::fmt;
+
+use singletrack_api::Status;
 use singletrack_mocap::RejectReason;
 use singletrack_pilot::Reason;
 use singletrack_protocol::{RefusalReason, StopCause};
@@ -43,4 +46,194 @@ pub fn explanations() -> impl Iterator<Item = Explanation> {
             remedy: part("Remedy: "),
         }
     })
+}
+
+/// A word's explanation, as plain text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Entry {
+    /// What the word means: one sentence or several.
+    meaning: String,
+    /// What to do about it; none if nothing is to be done.
+    advice: Option<String>,
+}
+
+impl Entry {
+    /// The explanation of a word; none if the daemon is of another release and has other words.
+    fn find(who: &str, word: &str) -> Option<Self> {
+        explanations()
+            .find(|row| row.who == who && row.word == word)
+            .map(|row| Self {
+                meaning: row.meaning.replace('`', ""),
+                advice: (!row.remedy.starts_with("Nothing")).then(|| row.remedy.replace('`', "")),
+            })
+    }
+
+    /// The first sentence of the meaning, as a part of another one.
+    fn brief(&self) -> String {
+        let first = self.meaning.split(". ").next().unwrap_or_default();
+        let mut letters = first.trim_end_matches('.').chars();
+        let Some(initial) = letters.next() else {
+            return String::new();
+        };
+        let rest = letters.as_str();
+        if rest.starts_with(char::is_uppercase) {
+            // IMU
+            return format!("{initial}{rest}");
+        }
+        format!("{}{rest}", initial.to_lowercase())
+    }
+}
+
+/// Why a car does not drive, for a person.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Why {
+    /// The meaning and the word.
+    pub text: String,
+    /// What to do about it, as sentences; none if nothing is to be done.
+    pub advice: Option<String>,
+}
+
+impl Why {
+    /// Of a car that stands, why it can't be armed now, and not why the last drive ended; `None` if
+    /// there is no reason.
+    #[must_use]
+    pub fn of(status: &Status) -> Option<Self> {
+        let stands = matches!(&*status.mode, "idle" | "ready");
+        let preflight = status.preflight.as_ref().filter(|_| stands);
+        let word = preflight.or(status.reason.as_ref())?;
+        let mut why = Self::explain(word, status);
+        if status.mode == "ready" {
+            why.text.insert_str(0, "the last drive ended, ");
+        }
+        Some(why)
+    }
+
+    /// Of this word; `who` decides, as in [`Explanation::who`]. A word of another release is its own
+    /// explanation.
+    #[must_use]
+    pub fn of_word(who: &str, word: &str) -> Self {
+        match Entry::find(who, word) {
+            Some(entry) => Self {
+                text: format!("{} ({word})", entry.brief()),
+                advice: entry.advice,
+            },
+            None => Self {
+                text: word.to_owned(),
+                advice: None,
+            },
+        }
+    }
+
+    /// Of this word of the host, with what the status says of board and cameras.
+    #[must_use]
+    pub fn explain(word: &str, status: &Status) -> Self {
+        let Self {
+            mut text,
+            mut advice,
+        } = Self::of_word("host", word);
+        if word == Reason::BoardFailsafe.name()
+            && let Some(board) = &status.board
+        {
+            if board.stop_cause == StopCause::None.name() {
+                text += "; it has been reset since, and no longer knows why";
+                advice = Some(
+                    "Look at the stops in the record: singletrack dump RECORD --stats.".into(),
+                );
+            } else {
+                let stop = Self::of_word("board stop", &board.stop_cause);
+                text += &format!(": {}", stop.text);
+                advice = stop.advice;
+            }
+        }
+        if matches!(word, "no-pose" | "pose-too-old" | "pose-implausible") {
+            let cameras = &status.cameras;
+            // The daemon knows better what is wrong with its cameras than the table does.
+            if !matches!(&*cameras.diagnosis, "good" | "starting") {
+                advice = Some(format!("{}.", cameras.text));
+            }
+            if let Some(neighbour) = &cameras.neighbour {
+                text += &format!("; {neighbour}");
+            }
+        }
+        Self { text, advice }
+    }
+}
+
+impl fmt::Display for Why {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(&self.text)?;
+        match &self.advice {
+            Some(advice) => write!(formatter, ". To do: {advice}"),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::panic, clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_word_of_host_and_board_is_explained_in_plain_text() {
+        let host = Reason::ALL.iter().map(|reason| ("host", reason.name()));
+        let board = StopCause::ALL
+            .iter()
+            .map(|cause| ("board stop", cause.name()));
+        for (source, word) in host.chain(board) {
+            let Some(entry) = Entry::find(source, word) else {
+                panic!("{source}: {word} is not explained");
+            };
+            let texts = [Some(entry.meaning.clone()), entry.advice.clone()];
+            for text in texts.into_iter().flatten() {
+                assert!(text.len() >= 5 && !text.contains('`'), "{text}");
+                assert!(!text.contains("]("), "{text}");
+            }
+            assert!(!entry.brief().is_empty() && !entry.brief().ends_with('.'));
+        }
+    }
+
+    #[test]
+    fn a_stop_of_the_board_has_the_boards_cause_and_advice() {
+        let status = |stop_cause: &str| -> Status {
+            let text = format!(
+                "mode = \"fault\"\nreason = \"board-failsafe\"\nfigures = {{}}\nrealtime = {{}}\n\
+                 [board]\nmode = \"failsafe\"\nstop_cause = \"{stop_cause}\"\n\
+                 [cameras]\ndiagnosis = \"good\"\ntext = \"\"\n[configuration]\nnumber = 1\n"
+            );
+            toml::from_str(&text).unwrap()
+        };
+        let why = |cause| Why::explain("board-failsafe", &status(cause)).to_string();
+        let stopped = "the board stopped the car by itself (board-failsafe)";
+        assert!(
+            why("motor-sensor").starts_with(&format!("{stopped}: no motor pulse"))
+                && why("motor-sensor").contains("(motor-sensor). To do: Check the pulse sensor"),
+            "{}",
+            why("motor-sensor")
+        );
+        assert!(why("none").starts_with(&format!("{stopped}; it has been reset since")));
+        assert_eq!(
+            Why::of(&status("none")).map(|why| why.to_string()),
+            Some(why("none"))
+        );
+    }
+
+    #[test]
+    fn a_word_of_another_release_is_not_explained() {
+        assert_eq!(Entry::find("host", "asleep"), None);
+        assert_eq!(Entry::find("host", ""), None);
+        assert_eq!(Entry::find("board stop", "no-pose"), None);
+    }
+
+    #[test]
+    fn a_meaning_goes_on_in_a_sentence_and_a_name_keeps_its_capitals() {
+        let brief = |word| Entry::find("host", word).map(|entry| entry.brief());
+        assert_eq!(brief("no-pose").as_deref(), Some("no pose yet"));
+        let tilt = brief("tilt-differs").unwrap_or_default();
+        assert!(tilt.starts_with("IMU and cameras"), "{tilt}");
+        assert_eq!(
+            Entry::find("host", "time-up").and_then(|entry| entry.advice),
+            None
+        );
+    }
 }

@@ -48,3 +48,5 @@ mod interrupt;
 mod progress;
 #[cfg(feature = "operator")]
 mod terminal;
+#[cfg(feature = "operator")]
+mod wrap;

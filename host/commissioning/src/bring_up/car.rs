@@ -194,7 +194,7 @@ impl<'a> Car<'a> {
                 Err(Refused(why)) if self.now()? >= until => {
                     return Err(failed(
                         format!("the car can't be armed: {why}"),
-                        "See docs/reasons.md for the reason.",
+                        "Correct it and run the bring-up again.",
                     ));
                 }
                 Err(_) => {
@@ -294,7 +294,7 @@ impl<'a> Car<'a> {
         let cause = self.board.map_or(StopCause::None, |board| board.stop_cause);
         Trouble::Ended {
             cause,
-            why: refused.unwrap_or_else(|| cause.name().into()),
+            why: refused.unwrap_or_else(|| "by itself".to_owned()),
         }
     }
 

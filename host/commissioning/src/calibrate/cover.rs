@@ -3,7 +3,7 @@
 use singletrack_pilot::Reason;
 
 use super::floor::{self, Drive, Figure, SLOW};
-use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict};
+use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict, finding::stopped};
 
 /// How long the operator has to cover the markers, s.
 const SECONDS: f64 = 30.0;
@@ -48,11 +48,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         ));
     };
     if !BY_MARKERS.map(Reason::name).contains(&reason) {
-        return Ok(Finding::new(
-            Verdict::Failed,
-            format!("stopped by {reason}, before its markers were covered"),
-            "docs/reasons.md says what the word means; correct it and run this step again",
-        ));
+        return Err(stopped("stopped before its markers were covered", reason));
     }
     let config = bench.configuration();
     let supervisor = &config.supervisor;

@@ -7,7 +7,8 @@ use singletrack_protocol::BoardMode;
 
 use crate::{
     Answer, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading, Trouble,
-    finding::failed, fit::Track,
+    finding::{failed, stopped},
+    fit::Track,
 };
 
 /// The speed of the first drives, m/s.
@@ -118,10 +119,9 @@ pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Trouble> {
             }
         }
     }
-    let reason = reason.map_or("no reason", singletrack_pilot::Reason::name);
-    Err(failed(
-        format!("the car is not ready to be armed: {reason}"),
-        "docs/reasons.md says what the word means; correct it and run this step again",
+    Err(stopped(
+        "the car is not ready to be armed",
+        reason.map_or("no reason", singletrack_pilot::Reason::name),
     ))
 }
 
@@ -302,8 +302,7 @@ pub(super) fn drive(
     wanted: &dyn Fn(f64) -> Wanted,
 ) -> Result<Drive, Trouble> {
     let mut point: Option<Position> = None;
-    const FIX: &str =
-        "docs/reasons.md says what the word means; correct it and run this step again";
+    const FIX: &str = "Correct it and run this step again.";
     bench
         .arm(Attendance::Drive)
         .map_err(|error| failed(format!("the car can't be armed: {error}"), FIX))?;
@@ -421,10 +420,7 @@ impl Drive {
                 "check board.servo.gain_us_per_rad, marker_yaw_rad and vehicle.*, or run \
                  `singletrack bring-up` again",
             )),
-            Some(reason) => Err(failed(
-                format!("the drive ended by itself: {reason}"),
-                "docs/reasons.md says what the word means; correct it and run this step again",
-            )),
+            Some(reason) => Err(stopped("the drive ended by itself", reason)),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The cameras: rate, height, identity of the body, and latency of its poses.
 
 use singletrack_control::wrap;
-use singletrack_core::Config;
+use singletrack_core::{Config, reasons::Why};
 use singletrack_pilot::Reason;
 
 use super::{
@@ -400,11 +400,14 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             "no refusal",
             "grant real time: LimitRTPRIO= and LimitMEMLOCK= of the service, see docs/odroid.md",
         ),
-        Some(reason) => checks.warning(
-            format!("arming would be refused: {reason}"),
-            "no refusal",
-            "see docs/reasons.md",
-        ),
+        Some(reason) => {
+            let why = Why::of_word("host", reason.name());
+            checks.warning(
+                format!("arming would be refused: {}", why.text),
+                "no refusal",
+                why.advice.unwrap_or_default(),
+            );
+        }
     }
     let stand = tick
         .and_then(|tick| tick.pose)

@@ -31,11 +31,12 @@ pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Strin
     }
     loop {
         sleep(POLL).await;
-        match watch.progress(&daemon.snapshot()) {
+        let snapshot = daemon.snapshot();
+        match watch.progress(&snapshot) {
             Progress::Underway if watch.has_driven => return Ok(()),
             Progress::Underway => {}
             Progress::Refused(error) => return Err(error),
-            Progress::Ended(mode, reason) => return Err(cannot_arm(mode, reason)),
+            Progress::Ended(_, reason) => return Err(cannot_arm(&snapshot, reason)),
         }
     }
 }
@@ -122,7 +123,7 @@ fn ready(daemon: &DaemonHandle) -> Result<(), String> {
 pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), String> {
     let snapshot = daemon.snapshot();
     if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
-        return Err(cannot_arm(snapshot.mode(), snapshot.reason()));
+        return Err(cannot_arm(&snapshot, snapshot.reason()));
     }
     if daemon.drives.is_open(&snapshot) {
         return Err("can't arm: another client has just armed".to_owned());

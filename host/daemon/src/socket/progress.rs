@@ -5,7 +5,7 @@ use std::time::Duration;
 use singletrack_pilot::{Mode, Reason};
 use tokio::time::Instant;
 
-use super::serve::arm_outcome;
+use super::serve::{arm_outcome, cannot_arm};
 use crate::{clock::monotonic_ns, snapshot::Snapshot};
 
 /// Interval at which the status is checked for the outcome of an arm request and for the end of a
@@ -55,9 +55,9 @@ impl DriveWatch {
                 _ => Progress::Underway,
             };
         }
-        match arm_outcome(self.asked_ns, tick.start_ns, mode, reason) {
-            Some(Ok(())) => self.has_driven = true,
-            Some(Err(error)) => return Progress::Refused(error),
+        match arm_outcome(self.asked_ns, tick.start_ns, mode) {
+            Some(true) => self.has_driven = true,
+            Some(false) => return Progress::Refused(cannot_arm(snapshot, reason)),
             None if self.asked.elapsed() > ARM_TIMEOUT => {
                 return Progress::Refused("can't arm: the control thread does not answer".into());
             }

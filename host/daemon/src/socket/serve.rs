@@ -9,6 +9,7 @@ use singletrack_core::{
     ControlRequest,
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
+    reasons::Why,
     reconfigure::ChangeError,
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
@@ -349,46 +350,35 @@ async fn commissioned(
     }
 }
 
-/// The outcome of a request to arm by a tick; `None` while it is open.
-pub(super) fn arm_outcome(
-    asked_ns: u64,
-    tick_start_ns: u64,
-    mode: Mode,
-    reason: Option<Reason>,
-) -> Option<Result<(), String>> {
+/// Whether a request to arm is obeyed, by a tick; `None` while it is open.
+pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Option<bool> {
     // A tick that began before the request may not have seen it.
     if tick_start_ns <= asked_ns {
         return None;
     }
     match mode {
-        Mode::Driving | Mode::Jogging => Some(Ok(())),
+        Mode::Driving | Mode::Jogging => Some(true),
         Mode::Arming => None,
         // The attempt has ended, even if no poll saw it in progress.
-        mode => Some(Err(cannot_arm(mode, reason))),
+        _ => Some(false),
     }
 }
 
 /// Why a pilot that is not ready can't be armed: the reason of now, and not the one for which
-/// the last drive ended. If the cameras give no pose, the cause is added.
+/// the last drive ended.
 pub(super) fn not_ready(snapshot: &Snapshot) -> String {
     let now = snapshot.output().and_then(|output| output.preflight);
-    let error = cannot_arm(snapshot.mode(), now.or(snapshot.reason()));
-    let is_about_poses = matches!(
-        now,
-        Some(Reason::NoPose | Reason::PoseTooOld | Reason::PoseImplausible)
-    );
-    if is_about_poses && snapshot.cameras.is_trouble() {
-        return format!("{error}; {}", snapshot.cameras);
-    }
-    match &snapshot.cameras.neighbour {
-        Some(neighbour) if is_about_poses => format!("{error}; {neighbour}"),
-        _ => error,
-    }
+    cannot_arm(snapshot, now.or(snapshot.reason()))
 }
 
-pub(super) fn cannot_arm(mode: Mode, reason: Option<Reason>) -> String {
+/// Why the car can't be armed, and what to do, in the words of `singletrack status`.
+pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> String {
+    let mode = snapshot.mode();
     match reason {
-        Some(reason) => format!("can't arm: mode {mode}: {reason}"),
+        Some(reason) => {
+            let why = Why::explain(reason.name(), &snapshot.status());
+            format!("can't arm: mode {mode}: {why}")
+        }
         None => format!("can't arm: mode {mode}"),
     }
 }
@@ -474,17 +464,12 @@ mod tests {
 
     #[test]
     fn an_arm_is_answered_by_the_first_later_tick_that_is_not_arming() {
-        let outcome = |start_ns, mode, reason| arm_outcome(100, start_ns, mode, reason);
-        assert_eq!(outcome(100, Mode::Ready, None), None);
-        assert_eq!(outcome(101, Mode::Arming, None), None);
-        assert_eq!(outcome(101, Mode::Driving, None), Some(Ok(())));
-        for (mode, reason, part) in [
-            (Mode::Ready, Reason::BoardRefused, "ready: board-refused"),
-            (Mode::Idle, Reason::ImuSilent, "idle: imu-silent"),
-            (Mode::Disconnected, Reason::LinkDown, "link-down"),
-        ] {
-            let error = outcome(101, mode, Some(reason)).unwrap().unwrap_err();
-            assert!(error.contains(part), "{error}");
+        let outcome = |start_ns, mode| arm_outcome(100, start_ns, mode);
+        assert_eq!(outcome(100, Mode::Ready), None);
+        assert_eq!(outcome(101, Mode::Arming), None);
+        assert_eq!(outcome(101, Mode::Driving), Some(true));
+        for mode in [Mode::Ready, Mode::Idle, Mode::Disconnected] {
+            assert_eq!(outcome(101, mode), Some(false));
         }
     }
 }

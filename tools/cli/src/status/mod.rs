@@ -1,6 +1,5 @@
 //! `singletrack status`: what the daemon does now, for a person or for programs.
 
-mod reasons;
 mod summary;
 mod watch;
 

@@ -1,9 +1,9 @@
 //! The status in words.
 
 use singletrack_api::{Command, Estimate, State, Status};
+use singletrack_core::reasons::Why;
 
-use super::reasons::Entry;
-use crate::tune;
+use crate::{tune, wrap::wrap};
 
 /// Columns of the names in the view.
 const NAMES: usize = 10;
@@ -16,13 +16,6 @@ pub(super) struct Summary {
     /// The last answer to `status`, with the values of the last state.
     status: Status,
     telemetry_age_ms: Option<f64>,
-}
-
-/// Why the car does not drive, in words.
-struct Why {
-    /// The meaning and the word.
-    text: String,
-    advice: Option<String>,
 }
 
 impl Summary {
@@ -64,7 +57,7 @@ impl Summary {
 
     /// The status as one line.
     pub(super) fn line(&self) -> String {
-        let why = self.why();
+        let why = Why::of(&self.status);
         let mut line = self.status.mode.to_string();
         if let Some(time_s) = self.status.drive_time_s {
             line += &format!(" {time_s:.1} s");
@@ -93,81 +86,37 @@ impl Summary {
 
     /// The status as lines no wider than `columns`.
     pub(super) fn lines(&self, columns: usize) -> Vec<String> {
-        let why = self.why();
+        let why = Why::of(&self.status);
         let status = &self.status;
-        let mut lines = Vec::new();
-        let mut field = |name: &str, first: &str, second: &str| {
-            let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
-            lines.push(text.trim_end().to_owned());
+        let mut lines = Lines {
+            columns,
+            lines: Vec::new(),
         };
         let time = status.drive_time_s.map(|time_s| format!("{time_s:.1} s"));
-        field("mode", &status.mode, &time.unwrap_or_default());
-        field("pose", &age(self.pose_age_ms()), &self.place());
+        lines.field("mode", &status.mode, &time.unwrap_or_default());
+        // Above all else: what is below the window is not seen.
+        if let Some(why) = why {
+            lines.paragraph("why", &why.text);
+            lines.paragraph("to do", why.advice.as_deref().unwrap_or("-"));
+        }
+        lines.field("pose", &age(self.pose_age_ms()), &self.place());
         let commanded = metres_per_second(status.command.map(|command| command.speed_m_s));
-        field("speed", &self.speed(), &format!("commanded {commanded}"));
+        lines.field("speed", &self.speed(), &format!("commanded {commanded}"));
         let steering = status
             .command
             .map(|command| command.steering_rad.to_degrees());
-        field("steering", &with_unit(steering, 1, "degrees"), "");
-        field("P", &self.error(), "");
+        lines.field("steering", &with_unit(steering, 1, "degrees"), "");
+        lines.field("P", &self.error(), "");
         let telemetry = format!("telemetry {}", age(self.telemetry_age_ms));
-        field("link", self.link(), &telemetry);
-        field("battery", &self.battery(), "");
-        let mut paragraph = |name: &str, text: &str| {
-            for (index, part) in wrap(text, columns.saturating_sub(NAMES)).enumerate() {
-                let name = if index == 0 { name } else { "" };
-                lines.push(format!("{name:<NAMES$}{part}"));
-            }
-        };
+        lines.field("link", self.link(), &telemetry);
+        lines.field("battery", &self.battery(), "");
         if let Some(tuned) = self.tuned() {
-            paragraph("tuned", &tuned);
-        }
-        if let Some(why) = why {
-            paragraph("why", &why.text);
-            paragraph("to do", why.advice.as_deref().unwrap_or("-"));
+            lines.paragraph("tuned", &tuned);
         }
         if let Some(error) = &status.record_error {
-            paragraph("record", &format!("has ended: {error}"));
+            lines.paragraph("record", &format!("has ended: {error}"));
         }
-        lines
-    }
-
-    /// Why the car does not drive: of a car that stands, why it can't be armed now, and not why
-    /// the last drive ended.
-    fn why(&self) -> Option<Why> {
-        let status = &self.status;
-        let stands = matches!(&*status.mode, "idle" | "ready");
-        let preflight = status.preflight.as_ref().filter(|_| stands);
-        let word = preflight.or(status.reason.as_ref())?;
-        let Some(entry) = Entry::find("host", word) else {
-            return Some(Why {
-                text: word.to_string(),
-                advice: None,
-            });
-        };
-        let mut text = format!("{} ({word})", entry.brief());
-        if status.mode == "ready" {
-            text.insert_str(0, "the last drive ended, ");
-        }
-        let mut advice = entry.advice;
-        if word == "board-failsafe"
-            && let Some(board) = &status.board
-            && let Some(stop) = Entry::find("board stop", &board.stop_cause)
-        {
-            text += &format!(": {} ({})", stop.brief(), board.stop_cause);
-            advice = stop.advice;
-        }
-        if matches!(&**word, "no-pose" | "pose-too-old" | "pose-implausible") {
-            let cameras = &status.cameras;
-            // The daemon knows better what is wrong with its cameras than the table does.
-            if !matches!(&*cameras.diagnosis, "good" | "starting") {
-                advice = Some(format!("{}.", cameras.text));
-            }
-            if let Some(neighbour) = &cameras.neighbour {
-                text += &format!("; {neighbour}");
-            }
-        }
-        Some(Why { text, advice })
+        lines.lines
     }
 
     /// Tuned values that differ from the configuration, and those of the configuration.
@@ -221,6 +170,27 @@ impl Summary {
     }
 }
 
+/// Lines that begin with a name.
+struct Lines {
+    /// How wide a paragraph may be.
+    columns: usize,
+    lines: Vec<String>,
+}
+
+impl Lines {
+    fn field(&mut self, name: &str, first: &str, second: &str) {
+        let text = format!("{name:<NAMES$}{first:<VALUES$}{second}");
+        self.lines.push(text.trim_end().to_owned());
+    }
+
+    fn paragraph(&mut self, name: &str, text: &str) {
+        for (index, part) in wrap(text, self.columns.saturating_sub(NAMES)).enumerate() {
+            let name = if index == 0 { name } else { "" };
+            self.lines.push(format!("{name:<NAMES$}{part}"));
+        }
+    }
+}
+
 /// The estimate of a state.
 fn estimate(state: &State) -> Option<Estimate> {
     Some(Estimate {
@@ -258,25 +228,6 @@ fn age(age_ms: Option<f64>) -> String {
         Some(age_ms) if age_ms < 1_000.0 => format!("{age_ms:.0} ms old"),
         Some(age_ms) => format!("{:.1} s old", age_ms / 1_000.0),
     }
-}
-
-/// Breaks a text between its words.
-fn wrap(text: &str, columns: usize) -> impl Iterator<Item = String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        if let Some(line) = lines.last_mut() {
-            let is_first = line.is_empty();
-            if is_first || line.chars().count() + 1 + word.chars().count() <= columns {
-                if !is_first {
-                    line.push(' ');
-                }
-                line.push_str(word);
-                continue;
-            }
-        }
-        lines.push(word.to_owned());
-    }
-    lines.into_iter()
 }
 
 #[cfg(test)]
@@ -349,6 +300,37 @@ mod tests {
             "{line}"
         );
         assert!(line.contains("To do: Check the pulse sensor"), "{line}");
+    }
+
+    #[test]
+    fn a_board_that_was_reset_is_not_said_to_have_stopped_because_of_none() {
+        let mut status = standing();
+        status["mode"] = json!("ready");
+        status["preflight"] = json!(null);
+        status["reason"] = json!("board-failsafe");
+        status["board"]["stop_cause"] = json!("none");
+        let line = of(&status).line();
+        assert!(
+            line.starts_with("ready: the last drive ended, the board stopped the car by itself")
+                && line.contains("has been reset since")
+                && line.contains("To do: Look at the stops in the record"),
+            "{line}"
+        );
+        assert!(!line.contains("none)"), "{line}");
+    }
+
+    #[test]
+    fn the_view_says_why_below_the_mode() {
+        let lines = of(&standing()).lines(80);
+        assert!(lines[0].starts_with("mode      idle"), "{lines:?}");
+        assert!(
+            lines[1].starts_with("why       no pose yet (no-pose)"),
+            "{lines:?}"
+        );
+        assert!(
+            lines[2].starts_with("to do     Start streaming;"),
+            "{lines:?}"
+        );
     }
 
     #[test]
