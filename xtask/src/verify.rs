@@ -257,7 +257,9 @@ fn compare_release(packages: &Packages) -> Result<(), Failure> {
     let program = installed()?.join("singletrack");
     let simulate = || {
         let mut simulate = Command::new(&program);
-        simulate.current_dir(root()).arg("simulate");
+        simulate
+            .current_dir(root())
+            .args(["simulate", "--format", "csv"]);
         simulate
     };
     compare(

@@ -1,6 +1,6 @@
 //! The command line of Singletrack.
 
-use std::{path::PathBuf, process::ExitCode};
+use std::{io::Write as _, path::PathBuf, process::ExitCode};
 
 use clap::{
     ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
@@ -97,18 +97,18 @@ enum Command {
     #[cfg(feature = "paper")]
     /// Repeat the paper's experiments and analyses, and compare its claims with measured results.
     Reproduce(reproduce::ReproduceArgs),
-    /// Run a scenario in virtual time and print its trajectory.
+    /// Run a scenario in virtual time and print the tracking error, or the trajectory.
     Simulate {
         /// The scenario file.
         scenario: PathBuf,
-        /// How to print it.
-        #[arg(long, value_enum, default_value_t = SimulateFormat::Csv)]
+        /// What to print.
+        #[arg(long, value_enum, default_value_t = SimulateFormat::Text)]
         format: SimulateFormat,
         /// Write a record, as the daemon does: every tick's inputs and outputs.
         #[arg(long, value_name = "FILE.mcap")]
         record: Option<PathBuf>,
-        /// Print what the drive came to instead of its trajectory (plant kind "car").
-        #[arg(long, value_enum, value_name = "FORMAT")]
+        /// Print the result for programs (plant kind "car"); a drive that does not start is one, too.
+        #[arg(long, value_enum, value_name = "FORMAT", conflicts_with = "format")]
         summary: Option<SummaryFormat>,
     },
     #[cfg(feature = "paper")]
@@ -166,13 +166,15 @@ enum Command {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SimulateFormat {
-    /// One row every 0.05 s, SI units and radians.
+    /// The result: the tracking error, and of plant kind "car" how the drive ended.
+    Text,
+    /// The trajectory: one row every 0.05 s, SI units and radians.
     Csv,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SummaryFormat {
-    /// One JSON object: the true ways, speeds and clearance, and why the drive ended.
+    /// One JSON object: tracking error, the true ways, speeds and clearance, and why the drive ended.
     Json,
 }
 
@@ -288,7 +290,7 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),
         Command::Simulate {
             scenario,
-            format: SimulateFormat::Csv,
+            format,
             record,
             summary,
         } => {
@@ -301,13 +303,16 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
             for note in &simulation.notes {
                 eprintln!("singletrack: note: {note}");
             }
-            if let Some(SummaryFormat::Json) = summary {
-                println!("{}", serde_json::to_string(&simulation.summary)?);
-                return Ok(ExitCode::SUCCESS);
+            let mut text = Vec::new();
+            match (summary, format) {
+                (Some(SummaryFormat::Json), _) => {
+                    serde_json::to_writer(&mut text, &simulation.summary)?;
+                    text.push(b'\n');
+                }
+                (None, SimulateFormat::Text) => writeln!(text, "{simulation}")?,
+                (None, SimulateFormat::Csv) => simulate::write_csv(&simulation.rows, &mut text)?,
             }
-            let mut csv = Vec::new();
-            simulate::write_csv(&simulation.rows, &mut csv)?;
-            Ok(output::print(&String::from_utf8(csv)?)?)
+            Ok(output::print(&String::from_utf8(text)?)?)
         }
     };
     done.map(|()| ExitCode::SUCCESS)

@@ -245,6 +245,7 @@ fn a_summary_is_one_object_with_these_keys() {
             "speed_end_m_s",
             "speed_max_m_s",
             "speed_min_m_s",
+            "tracking_error",
             "way_after_m",
             "way_m"
         ]
@@ -252,6 +253,10 @@ fn a_summary_is_one_object_with_these_keys() {
     assert_eq!(object["armed"], true);
     assert_eq!(object["mode"], "driving");
     assert!(object["reason"].is_null() && object["ended_s"].is_null());
+    for key in ["rms_m", "max_m", "end_m"] {
+        let error = object["tracking_error"][key].as_f64().unwrap();
+        assert!((0.1..1.0).contains(&error), "{key}: {error}");
+    }
 }
 
 #[test]
@@ -266,6 +271,67 @@ fn a_summary_of_a_car_with_an_operator_says_why_it_ended() {
         String::from_utf8(output.stderr)
             .unwrap()
             .contains("emergency-stop")
+    );
+}
+
+/// What is printed without `--format`.
+fn printed(name: &str, changes: &[(&str, &str)]) -> String {
+    let (_folder, path) = changed(name, changes);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_singletrack"));
+    let output = command.arg("simulate").arg(&path).output().unwrap();
+    assert!(output.status.success());
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn without_options_the_result_is_printed_and_no_trajectory() {
+    // Theory expects 447.2 mm.
+    let text = printed("circle.toml", &[]);
+    assert_eq!(text.lines().count(), 1, "{text}");
+    assert!(
+        text.starts_with("distance of P from its reference: ")
+            && text.ends_with("447.2 mm at the end\n"),
+        "{text}"
+    );
+    let short = ("duration_s = 40.0", "duration_s = 1.0");
+    let text = printed("circle-car.toml", &[short]);
+    let lines: Vec<_> = text.lines().collect();
+    assert_eq!(lines[0], "the car drove to the end of the run", "{text}");
+    assert!(lines[1].starts_with("distance of P from its reference: "));
+    assert!(lines[2].starts_with("way 0."), "{text}");
+    let stopped = "duration_s = 3.0\n[operator]\nemergency_stop_at_s = 2.0";
+    let text = printed("circle-car.toml", &[(short.0, stopped)]);
+    assert!(
+        text.starts_with("the drive ended at 2.0") && text.contains(": emergency-stop; "),
+        "{text}"
+    );
+    let unarmed = "duration_s = 1.0\n[operator]\narm = false";
+    let text = printed("circle-car.toml", &[(short.0, unarmed)]);
+    assert!(text.starts_with("the car was not armed: "), "{text}");
+}
+
+#[test]
+fn a_mistake_in_a_scenario_is_said_with_line_and_key_in_plain_words() {
+    for (from, to, said) in [
+        (
+            "duration_s = 18.0",
+            "duration_s = \"x\"",
+            "run.duration_s = \"x\": it must be a number",
+        ),
+        (
+            "duration_s = 18.0",
+            "duration_s = 18,5",
+            "run.duration_s = 18,5: write a number with a point: 18.5",
+        ),
+    ] {
+        assert_refused(from, to, &[said]);
+    }
+    let limits = ("[law]", "[limits]\nmax_speed_m_s = \"x\"\n[law]");
+    let output = run_changed("circle-car.toml", &[limits]);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        error.contains("[limits] max_speed_m_s: it must be a number"),
+        "{error}"
     );
 }
 

@@ -1,9 +1,44 @@
 //! Figures of tracking: how closely P followed a circle.
 
-use std::f64::consts::TAU;
+use std::{f64::consts::TAU, fmt};
 
 use serde::Serialize;
-use singletrack_statistics::RootMeanSquare;
+use singletrack_statistics::{Distribution, RootMeanSquare};
+
+/// How far P was from its reference, in m.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TrackingError {
+    /// Root mean square.
+    pub rms_m: f64,
+    /// The largest.
+    pub max_m: f64,
+    /// The last one.
+    pub end_m: f64,
+}
+
+impl TrackingError {
+    /// Of these distances from P to its reference, in m; `None` without any.
+    #[must_use]
+    pub fn of(distances: &[f64]) -> Option<Self> {
+        let sorted = Distribution::of(distances.iter().copied());
+        Some(Self {
+            rms_m: sorted.root_mean_square()?,
+            max_m: sorted.max()?,
+            end_m: *distances.last()?,
+        })
+    }
+}
+
+impl fmt::Display for TrackingError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [rms, max, end] = [self.rms_m, self.max_m, self.end_m].map(|error| error * 1e3);
+        write!(
+            formatter,
+            "distance of P from its reference: {rms:.1} mm (rms), at most {max:.1} mm, {end:.1} mm at \
+             the end"
+        )
+    }
+}
 
 /// P and its reference at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]

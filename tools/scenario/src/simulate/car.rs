@@ -17,6 +17,7 @@ use super::{
     summary::{Tally, drives},
 };
 use crate::{
+    tracking::TrackingError,
     virtual_drive::{READY_TIMEOUT, VirtualDrive, VirtualDriveError, VirtualTick},
     virtual_record::{VirtualRecord, VirtualRecordError},
 };
@@ -308,6 +309,7 @@ impl<'a> Run<'a> {
         let duration_s = self.scenario.run.duration_s;
         let count = (duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
         let mut ended = None;
+        let mut distances = Vec::new();
         let mut rows = Vec::new();
         for index in 0..=count {
             let row_us = self.start_us + index * 1_000_000 / ROWS_PER_SECOND;
@@ -334,7 +336,11 @@ impl<'a> Run<'a> {
                     output.mode
                 ));
             }
-            rows.push(self.row(time, &truth, last));
+            let row = self.row(time, &truth, last);
+            if drives(output.mode) {
+                distances.push(row.distance_from_reference());
+            }
+            rows.push(row);
         }
         if takes_any_end {
             let until_s = |run: &Self| {
@@ -365,10 +371,12 @@ impl<'a> Run<'a> {
             );
         }
         notes.extend(ended);
+        let tracking_error = TrackingError::of(&distances);
         Ok(Simulation {
             rows,
             notes,
-            summary: Some(self.tally.summary()),
+            tracking_error,
+            summary: Some(self.tally.summary(tracking_error)),
         })
     }
 

@@ -11,7 +11,7 @@ mod scenario;
 mod summary;
 mod tune;
 
-use std::path::Path;
+use std::{fmt, path::Path};
 
 pub use car::{CarError, RunOptions, drive_entries, virtual_drive_config};
 pub use error::ScenarioError;
@@ -25,6 +25,8 @@ pub use scenario::{
 };
 pub use summary::Summary;
 pub use tune::TuneSection;
+
+use crate::tracking::TrackingError;
 
 /// Why a simulation stopped.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +45,16 @@ pub enum SimulateError {
     NoSummary,
 }
 
+impl fmt::Display for Simulation {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.summary, self.tracking_error) {
+            (Some(summary), _) => summary.fmt(formatter),
+            (None, Some(error)) => error.fmt(formatter),
+            (None, None) => Ok(()),
+        }
+    }
+}
+
 /// The result of a scenario.
 #[derive(Clone, Debug)]
 pub struct Simulation {
@@ -50,6 +62,8 @@ pub struct Simulation {
     pub rows: Vec<Row>,
     /// Notes for the user.
     pub notes: Vec<String>,
+    /// How far P was from its reference, in the rows in which the car follows it.
+    pub tracking_error: Option<TrackingError>,
     /// What the drive came to; none on the ideal plant.
     pub summary: Option<Summary>,
 }
@@ -76,11 +90,16 @@ pub fn simulate_with(
     match scenario.plant.kind {
         PlantKind::Ideal if options.record.is_some() => Err(SimulateError::NoPilot),
         PlantKind::Ideal if options.summary => Err(SimulateError::NoSummary),
-        PlantKind::Ideal => Ok(Simulation {
-            rows: ideal::simulate(scenario)?,
-            notes: Vec::new(),
-            summary: None,
-        }),
+        PlantKind::Ideal => {
+            let rows = ideal::simulate(scenario)?;
+            let distances: Vec<_> = rows.iter().map(Row::distance_from_reference).collect();
+            Ok(Simulation {
+                rows,
+                notes: Vec::new(),
+                tracking_error: TrackingError::of(&distances),
+                summary: None,
+            })
+        }
         PlantKind::Car => Ok(car::simulate(scenario, options)?),
     }
 }

@@ -50,6 +50,12 @@ pub struct Row {
 pub const HEADER: &str = "t,yaw,yaw_rate,sideslip,steering,x_g,y_g,speed,steering_rate,x_p,y_p,x_ref,y_ref,v_px,v_py,path_s";
 
 impl Row {
+    /// From P to its reference, in m.
+    #[must_use]
+    pub fn distance_from_reference(&self) -> f64 {
+        (self.x_p - self.x_ref).hypot(self.y_p - self.y_ref)
+    }
+
     /// The values, in the order of [`HEADER`].
     #[must_use]
     pub fn values(&self) -> [f64; 16] {

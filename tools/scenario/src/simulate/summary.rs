@@ -1,11 +1,13 @@
 //! What a drive came to, for a person or a script that wants no trajectory.
 
+use core::fmt;
+
 use serde::Serialize;
 use singletrack_control::Position;
 use singletrack_pilot::{Fence, FenceError, Mode, Reason};
 use singletrack_sim::Truth;
 
-use crate::virtual_drive::VirtualTick;
+use crate::{tracking::TrackingError, virtual_drive::VirtualTick};
 
 /// What a drive came to. Ways, speeds and clearance are the car's true ones.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -33,6 +35,33 @@ pub struct Summary {
     /// Least distance of the centre of mass from the sides of the geofence, without its
     /// margin, in m; negative outside.
     pub clearance_min_m: f64,
+    /// How far P was from its reference while the car followed it; none without a drive.
+    pub tracking_error: Option<TrackingError>,
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mode = self.mode;
+        let reason = self.reason.unwrap_or("no reason");
+        match self.ended_s {
+            _ if !self.armed => {
+                return write!(formatter, "the car was not armed: {mode}, {reason}");
+            }
+            Some(ended_s) => write!(
+                formatter,
+                "the drive ended at {ended_s:.2} s: {reason}; {mode}"
+            ),
+            None => write!(formatter, "the car drove to the end of the run"),
+        }?;
+        if let Some(error) = self.tracking_error {
+            write!(formatter, "\n{error}")?;
+        }
+        write!(
+            formatter,
+            "\nway {:.2} m, speed {:.2} to {:.2} m/s, least distance from the geofence {:.2} m",
+            self.way_m, self.speed_min_m_s, self.speed_max_m_s, self.clearance_min_m
+        )
+    }
 }
 
 /// Whether the car follows its reference in this mode.
@@ -115,7 +144,7 @@ impl Tally {
         self.clearance = self.clearance.min(self.fence.clearance(&centre));
     }
 
-    pub(super) fn summary(&self) -> Summary {
+    pub(super) fn summary(&self, tracking_error: Option<TrackingError>) -> Summary {
         let reason = match self.mode {
             Mode::Fault => self.reason,
             _ if self.armed => self.reason_of_end.or(self.reason),
@@ -133,6 +162,7 @@ impl Tally {
             speed_min_m_s,
             speed_end_m_s: self.speed_end,
             clearance_min_m: self.clearance,
+            tracking_error,
         }
     }
 }
