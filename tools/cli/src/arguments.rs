@@ -10,7 +10,7 @@ use singletrack_core::config::SocketSection;
 use singletrack_sim::parse_duration_us;
 
 /// The variable of the environment that stands for --socket.
-pub(crate) const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
+const SOCKET_VARIABLE: &str = "SINGLETRACK_SOCKET";
 
 /// Where the daemon listens.
 #[derive(Clone, Debug, Args)]
@@ -27,8 +27,29 @@ pub struct ControlArgs {
     pub(crate) socket: PathBuf,
 }
 
+/// Where the daemon of a configuration listens.
+#[derive(Clone, Debug, Args)]
+pub struct ConfiguredSocket {
+    /// The daemon's control socket [default: socket.path of --config]
+    #[arg(
+        long,
+        value_name = "PATH",
+        env = SOCKET_VARIABLE,
+        hide_env_values = true,
+        value_parser = socket_parser()
+    )]
+    socket: Option<PathBuf>,
+}
+
+impl ConfiguredSocket {
+    /// Its path, or that of the configuration.
+    pub(crate) fn or(&self, configured: PathBuf) -> PathBuf {
+        self.socket.clone().unwrap_or(configured)
+    }
+}
+
 /// Takes a path from the command line or the environment.
-pub(crate) fn socket_parser() -> impl TypedValueParser<Value = PathBuf> {
+fn socket_parser() -> impl TypedValueParser<Value = PathBuf> {
     OsStringValueParser::new().try_map(|path: OsString| {
         if path.is_empty() {
             return Err(format!("give a path, or unset {SOCKET_VARIABLE}"));

@@ -18,10 +18,7 @@ use tracing_subscriber::{
     util::SubscriberInitExt as _,
 };
 
-use crate::{
-    arguments::{SOCKET_VARIABLE, socket_parser},
-    interrupt::Interrupt,
-};
+use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
 
 /// How often Ctrl-C is looked for.
 const POLL: Duration = Duration::from_millis(50);
@@ -29,15 +26,8 @@ const POLL: Duration = Duration::from_millis(50);
 /// The options of both.
 #[derive(Clone, Debug, Args)]
 struct ViewerArgs {
-    /// The daemon's control socket [default: socket.path of --config]
-    #[arg(
-        long,
-        value_name = "PATH",
-        env = SOCKET_VARIABLE,
-        hide_env_values = true,
-        value_parser = socket_parser()
-    )]
-    socket: Option<PathBuf>,
+    #[command(flatten)]
+    socket: ConfiguredSocket,
 
     /// The daemon's configuration, for the socket and for what the other options leave out
     #[arg(long, value_name = "FILE")]
@@ -61,7 +51,7 @@ impl ViewerArgs {
             }
             None => (SocketSection::default().path, T::default()),
         };
-        Ok((self.socket.clone().unwrap_or(socket), section))
+        Ok((self.socket.or(socket), section))
     }
 }
 

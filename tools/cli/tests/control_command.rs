@@ -102,3 +102,31 @@ fn a_daemon_that_is_not_there_is_named() {
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(error.contains("/nowhere/control.sock") && error.contains("singletrackd"));
 }
+
+#[test]
+fn the_doctor_asks_the_daemon_of_its_configuration() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("control.sock");
+    let listener = UnixListener::bind(&path).unwrap();
+    let daemon = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut line = String::new();
+        BufReader::new(&stream).read_line(&mut line).unwrap();
+        let answer = r#"{"version":2,"ok":false,"error":"it is this daemon"}"#;
+        writeln!(stream, "{answer}").unwrap();
+    });
+    let config = folder.path().join("singletrackd.toml");
+    let example = include_str!("../../../host/daemon/singletrackd.example.toml");
+    let socket = format!("[socket]\npath = \"{}\"", path.display());
+    assert!(example.contains("\n[socket]\n"));
+    std::fs::write(&config, example.replacen("[socket]", &socket, 1)).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(["doctor", "--config"])
+        .arg(&config)
+        .env_remove("SINGLETRACK_SOCKET")
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("it is this daemon"), "{error}");
+    daemon.join().unwrap();
+}

@@ -28,7 +28,7 @@ use singletrack_control::{Position, Velocity};
 use singletrack_core::{Config, ConfigError};
 use singletrack_record::{Entry, LinkPhase};
 
-use crate::{control::ControlArgs, interrupt::Interrupt};
+use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
 use entries::Entries;
 use held::HeldDrive;
 use terminal::Terminal;
@@ -43,7 +43,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 #[derive(Clone, Debug, Args)]
 pub struct BenchArgs {
     #[command(flatten)]
-    control: ControlArgs,
+    control: ConfiguredSocket,
     /// The daemon's configuration file; measured values are written to it
     #[arg(
         long,
@@ -148,12 +148,13 @@ impl LiveBench {
         let config = Config::read(&args.config)?;
         let before = Edit::read(&args.config)?;
         let interrupt = Interrupt::listen()?;
+        let socket = args.control.or(config.socket.path.clone());
         Ok(Self {
             reported,
-            socket: args.control.socket.clone(),
+            entries: Entries::watch(&socket)?,
+            socket,
             path: args.config.clone(),
             config,
-            entries: Entries::watch(&args.control.socket)?,
             heard: Instant::now(),
             is_linked: None,
             drive: None,
