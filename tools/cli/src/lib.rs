@@ -13,6 +13,7 @@ pub mod demo;
 pub mod drive;
 #[cfg(feature = "operator")]
 pub mod dump;
+pub mod help;
 #[cfg(feature = "operator")]
 pub mod import;
 #[cfg(feature = "operator")]
@@ -48,5 +49,4 @@ mod interrupt;
 mod progress;
 #[cfg(feature = "operator")]
 mod terminal;
-#[cfg(feature = "operator")]
 mod wrap;

@@ -10,7 +10,7 @@ use clap::{
 use singletrack::demo;
 #[cfg(any(feature = "live", feature = "page"))]
 use singletrack::viewers;
-use singletrack::{arguments::take_negative_numbers, printable::printable};
+use singletrack::{arguments::take_negative_numbers, help::grouped, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
     arm, bench, control, drive, dump, import, install_files, jog, recover, replay, set_reference,
@@ -203,7 +203,7 @@ const OPTIONAL: [(&str, &str); 5] = [
 
 /// The command line; the process ends here if it is wrong.
 fn parse() -> Cli {
-    let mut command = take_negative_numbers(Cli::command());
+    let mut command = grouped(take_negative_numbers(Cli::command()));
     if let Some(name) = std::env::args().nth(1)
         && let Some(feature) = missing_feature(&command, &name)
     {
@@ -322,7 +322,10 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
 #[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use clap::{Arg, Command, CommandFactory};
-    use singletrack::arguments::{take_negative_numbers, takes_number};
+    use singletrack::{
+        arguments::{take_negative_numbers, takes_number},
+        help::GROUPS,
+    };
 
     use super::{Cli, OPTIONAL, missing_feature};
 
@@ -351,6 +354,22 @@ mod tests {
             let name = subcommand.get_name();
             assert!(known.contains(&name) || kept.contains(&name), "{name}");
         }
+    }
+
+    #[test]
+    fn every_command_that_is_shown_is_in_one_group_of_the_help() {
+        let groups = GROUPS.iter().flat_map(|(_, names)| names.split(' '));
+        let mut listed: Vec<_> = groups.collect();
+        listed.sort_unstable();
+        let command = Cli::command();
+        let shown = command.get_subcommands().filter(|one| !one.is_hide_set());
+        let mut shown: Vec<_> = shown.map(Command::get_name).collect();
+        shown.sort_unstable();
+        // A program may be built without some.
+        listed.retain(|name| {
+            shown.contains(name) || !OPTIONAL.iter().any(|(_, all)| all.contains(name))
+        });
+        assert_eq!(listed, shown);
     }
 
     #[test]

@@ -31,16 +31,48 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// The commands that --help lists.
-fn commands() -> Vec<String> {
+pub(crate) fn commands() -> Vec<String> {
     let help = text(&run(&["--help"]).stdout);
-    let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1);
-    let names = lines
-        .take_while(|line| !line.is_empty())
+    let names = help
+        .lines()
+        .take_while(|line| *line != "Options:")
         .filter_map(|line| line.strip_prefix("  "))
         .filter(|line| !line.starts_with(' '))
         .filter_map(|line| line.split_whitespace().next())
         .map(ToOwned::to_owned);
-    names.filter(|name| name != "help").collect()
+    names.collect()
+}
+
+#[test]
+fn the_help_lists_the_commands_by_what_they_are_for() {
+    for help in ["--help", "-h", "help"] {
+        let help = text(&run(&[help]).stdout);
+        let headings = help.lines().filter(|line| line.ends_with(':'));
+        let headings: Vec<_> = headings.filter(|line| !line.starts_with(' ')).collect();
+        assert_eq!(
+            headings.get(..6),
+            Some(
+                &[
+                    "Drive:",
+                    "Set up a car:",
+                    "Teach a reference:",
+                    "Look:",
+                    "Simulate and analyse:",
+                    "Options:"
+                ][..]
+            ),
+            "{help}"
+        );
+        assert!(
+            help.lines().all(|line| line.chars().count() <= 100),
+            "{help}"
+        );
+        assert!(
+            help.contains("  arm            Arm the car and start driving;"),
+            "{help}"
+        );
+        assert!(help.contains("--version"), "{help}");
+    }
 }
 
 #[test]

@@ -165,18 +165,8 @@ fn every_command_with_a_socket_takes_it_from_the_environment() {
         text(&output.stdout)
     };
     let mut counted = 0;
-    for line in help(&[])
-        .lines()
-        .skip_while(|line| *line != "Commands:")
-        .skip(1)
-    {
-        let Some(name) = line.split_whitespace().next() else {
-            break;
-        };
-        if line.starts_with("   ") || name == "help" {
-            continue;
-        }
-        let help = help(&[name]);
+    for name in crate::command_line::commands() {
+        let help = help(&[&name]);
         if help.contains("--socket") {
             counted += 1;
             // Lines are wrapped.
