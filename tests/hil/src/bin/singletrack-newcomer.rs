@@ -10,7 +10,7 @@ use std::{
 use clap::Parser;
 use singletrack_hil::{
     Failure, Outcome,
-    newcomer::{Newcomer, Next, Session},
+    newcomer::{Newcomer, Next, Session, Terminal},
 };
 use singletrack_onboard::{OnboardCar, Rehearsal};
 
@@ -104,6 +104,7 @@ fn attend(newcomer: &mut Newcomer, rehearsal: &Rehearsal, command: &[&str]) -> O
     let mut shown = 0;
     let mut show = |text: &str| {
         // A terminal that nobody reads any more does not end the procedure.
+        let text = Terminal::finished(text);
         let _ = io::stdout().write_all(text.get(shown..).unwrap_or_default().as_bytes());
         let _ = io::stdout().flush();
         shown = text.len();

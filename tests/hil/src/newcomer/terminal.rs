@@ -110,6 +110,16 @@ impl Terminal {
         &self.text
     }
 
+    /// What of such a text will not be printed over: whole lines, and a question.
+    #[must_use]
+    pub fn finished(text: &str) -> &str {
+        if text.ends_with(PROMPT) {
+            return text;
+        }
+        text.get(..text.rfind('\n').map_or(0, |end| end + 1))
+            .unwrap_or_default()
+    }
+
     /// How many bytes have been printed so far.
     #[must_use]
     pub const fn printed(&self) -> usize {
@@ -176,6 +186,11 @@ impl Terminal {
                 (Escape::Parameters, character) if !character.is_ascii_alphabetic() => {
                     Escape::Parameters
                 }
+                // The line is erased, from its begin.
+                (Escape::Parameters, 'K') if self.has_returned => {
+                    self.erase_line();
+                    Escape::None
+                }
                 _ => Escape::None,
             };
         }
@@ -183,12 +198,16 @@ impl Terminal {
 
     fn put(&mut self, character: char) {
         if self.has_returned && character != '\n' {
-            let line = self.text.rfind('\n').map_or(0, |end| end + 1);
-            self.text.truncate(line);
-            self.read = self.read.min(line);
+            self.erase_line();
         }
         self.has_returned = false;
         self.text.push(character);
+    }
+
+    fn erase_line(&mut self) {
+        let line = self.text.rfind('\n').map_or(0, |end| end + 1);
+        self.text.truncate(line);
+        self.read = self.read.min(line);
     }
 
     /// The text of the question that waits for an answer.
@@ -271,5 +290,28 @@ impl io::Write for Screen<'_> {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_live_line_that_is_erased_is_neither_read_nor_shown() {
+        let script = r"printf 'one\n10 %% of it\r\033[2K11 %% of it all\r\033[2K\nBegin?\n[y, or s to skip] '";
+        let arguments = ["-c", script].map(str::to_owned);
+        let mut terminal = Terminal::start(Path::new("sh"), &arguments).unwrap();
+        while terminal.status().unwrap().is_none() {
+            std::thread::sleep(REPEAT);
+        }
+        terminal.look().unwrap();
+        assert_eq!(terminal.text(), "one\n\nBegin?\n[y, or s to skip] ");
+        assert_eq!(terminal.question(), Some("Begin?"));
+        let shown = |text| Terminal::finished(text);
+        assert_eq!(shown(terminal.text()), terminal.text());
+        assert_eq!(shown("one\n10 % of it"), "one\n");
+        assert_eq!(shown("10 % of it"), "");
     }
 }
