@@ -147,8 +147,8 @@ struct Basis {
 pub struct Ahead {
     /// The velocity of the reference that P has overtaken, and which comes after it, in m/s.
     ///
-    /// P that is ahead of its reference is wanted to move backward. A car that turns round for
-    /// that has lost its reference: it brakes, unless the reference itself moves backward.
+    /// When P is ahead of its reference, the loop demands backward motion. A car that turns round
+    /// for that has lost its reference: it brakes, unless the reference itself moves backward.
     pub overtaken: Option<Velocity>,
     /// The actuators, if their lags are compensated.
     pub lead: Option<Lead>,

@@ -311,8 +311,8 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(20))]
 
-    /// Numbers that are none brake the car; they neither panic nor become a command, and once
-    /// they are over the loop works as before.
+    /// NaN and infinity brake the car; they neither panic nor become a command, and once they are
+    /// over the loop works as before.
     #[test]
     fn no_input_makes_a_command_that_is_not_finite(
         bits in proptest::collection::vec(any::<u64>(), 4),

@@ -59,7 +59,7 @@ enum Command {
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Doctor(bench::DoctorArgs),
     #[cfg(feature = "operator")]
-    /// Find out what servo and ESC do, with the wheels off the floor: after the doctor.
+    /// Calibrate servo and ESC, wheels off the floor (after the doctor).
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     BringUp(bench::BenchArgs),
@@ -153,7 +153,7 @@ enum Command {
     /// Change gains or p within the bounds of the configuration, also while the car drives.
     Tune(tune::TuneArgs),
     #[cfg(feature = "operator")]
-    /// Drive with a game-pad: one button lets the car drive itself, another one gives the sticks.
+    /// Drive with a game-pad: one button lets the car drive itself, the other enables the sticks.
     Drive(drive::DriveArgs),
     #[cfg(feature = "operator")]
     /// Record the path that the car is pushed along, as a reference.

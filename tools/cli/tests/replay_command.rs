@@ -232,7 +232,7 @@ fn a_gain_doubled_in_a_drive_is_recorded_and_replayed_to_the_bit_and_not_without
         Some(entry)
     });
     let told = stderr(&replay(&untuned, &["--verify"]));
-    assert!(told.contains("comes out otherwise"), "{told}");
+    assert!(told.contains("into the record, differs"), "{told}");
     let first = format!("tick {}, ", gain.index);
     assert!(
         told.contains(&first) && told.contains("point_velocity"),
@@ -356,7 +356,7 @@ fn one_bit_of_an_input_is_found_and_shown_with_all_inputs() {
         let (path, _folder) = tick_changed(&path, 740, change);
         let told = stderr(&replay(&path, &["--verify"]));
         // One bit of an input may show only after some tenths of a second.
-        assert!(told.contains("comes out otherwise"), "{name}: {told}");
+        assert!(told.contains("into the record, differs"), "{name}: {told}");
         assert!(told.contains("recorded "), "{name}: {told}");
         assert!(told.contains("The pilot was told, at "), "{name}: {told}");
         assert!(

@@ -306,8 +306,8 @@ impl Leader {
     }
 }
 
-/// By how much the path parameter advances in a step that ends with P at `point`, s: to the place
-/// abreast of P, not back, and not faster than time.
+/// By how much the path parameter advances in a step that ends with P at `point`, s: to the path
+/// point beside P. It only moves forward, at most in real time.
 fn advance(reference: &Reference, path: f64, here: &ReferencePoint, point: &Position) -> f64 {
     let Some(position) = here.position else {
         return STEP;
@@ -315,7 +315,7 @@ fn advance(reference: &Reference, path: f64, here: &ReferencePoint, point: &Posi
     let speed = sqrt(here.velocity.norm_squared());
     let along = here.velocity / speed;
     let away = point - position;
-    // The place abreast of a P on the outside of a bend moves more slowly than P.
+    // The path point beside a P on the outside of a bend moves more slowly than P.
     let next = reference.at(path + STEP).velocity;
     let turn = atan2(along.perp(&next), along.dot(&next)) / STEP;
     let slope = (speed - turn * left(&along).dot(&away)).clamp(0.25 * speed, 4.0 * speed);

@@ -25,7 +25,7 @@ pub use self::delayed::{DelayedMpc, MPC_STAGES};
 pub const MAX_DELAY_TICKS: usize = 63;
 /// Two plans that differ by less count as one (m, m/s, m/s²).
 const CONVERGED: f64 = 1e-3;
-/// Plans that are so far apart (m, m/s, m/s²) come from numbers that are none.
+/// Plans that are so far apart (m, m/s, m/s²) come from NaN or infinity.
 const ABSURD: f64 = 1e3;
 /// The largest disturbance that is believed, as a share of the largest speed: a car that does
 /// not move at all is no drift.

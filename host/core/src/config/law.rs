@@ -17,7 +17,8 @@ section! {
     point_distance_m: f64, text "above 0", example 0.35;
     /// Distance `l_f` of the front axle from the centre of mass, as measured; law and
     /// transform of P use it. The law needs only the distance of the front axle from the
-    /// rigid body's pivot: this less the forward part of `marker_offset_m`.
+    /// rigid body's pivot. Set this key and `marker_offset_m` so that their difference,
+    /// forward, is the distance that you measured.
     front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
 }
 

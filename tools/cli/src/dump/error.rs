@@ -123,7 +123,7 @@ pub enum DumpError {
         error: String,
     },
     /// The daemon sent a line that is not an entry.
-    #[error("the daemon at {} answered something {source}; if it is another release, use its own singletrack", path.display())]
+    #[error("can't understand the daemon at {}: {source}; use the singletrack of its release", path.display())]
     Answer {
         /// The socket.
         path: PathBuf,

@@ -31,7 +31,7 @@ pub(super) fn first_difference(
 ) -> Box<str> {
     let differences = tick.differences(output);
     let mut text = format!(
-        "{}: tick {}, {:.3} s into the record, comes out otherwise; {} ticks before it are the same",
+        "{}: tick {}, {:.3} s into the record, differs; {} ticks before it are the same",
         path.display(),
         tick.index,
         before.seconds_to(tick),
