@@ -20,7 +20,7 @@ const EXAMPLE_HEADER: &str = "\
 #
 # A line \"#key = value\" shows a default: remove the # to change it. The other keys
 # have no default, because they depend on your set-up. Unknown keys are refused.
-# docs/configuration.md lists units and ranges.
+# docs/configuration.md lists the ranges.
 #
 #   singletrackd --check --config FILE     reports what is wrong with a file
 ";
@@ -68,8 +68,9 @@ const TABLE_HEADER: &str = "\
 
 The daemon reads one TOML file. This page lists every key;
 `host/daemon/singletrackd.example.toml` is a file to start
-from. A key's name ends with its unit. Unknown keys are refused, and so is a value outside
-its range: `singletrackd --check --config FILE` reports what is wrong with a file.
+from. A key's name ends with its unit: `_m_s2` is m/s², `_us` µs, `_um` µm, `_n_rad` N/rad,
+`_per_s` 1/s. Unknown keys are refused, and so is a value outside its range:
+`singletrackd --check --config FILE` reports what is wrong with a file.
 
 SIGHUP reloads the file while the car does not drive. A key marked ↻ takes a restart of the
 daemon.
@@ -252,7 +253,7 @@ fn table() -> String {
             section.name,
             help(section.help)
         );
-        text += "| key | unit | default | range | meaning |\n|---|---|---|---|---|\n";
+        text += "| key | default | range | meaning |\n|---|---|---|---|\n";
         for key in section.keys.iter().filter(|key| !is_section(section, key)) {
             let default = match (key.default)() {
                 Some(value) => format!("`{value}`"),
@@ -262,48 +263,14 @@ fn table() -> String {
             };
             let restart = if key.restart { " ↻" } else { "" };
             text += &format!(
-                "| `{}`{restart} | {} | {default} | {} | {} |\n",
+                "| `{}`{restart} | {default} | {} | {} |\n",
                 key.name,
-                unit(key.name),
                 range(key),
                 help(key.help)
             );
         }
     }
     text
-}
-
-/// The unit that a key's name ends with.
-fn unit(name: &str) -> &'static str {
-    const UNITS: [(&str, &str); 25] = [
-        ("_m_s2_per_sqrt_hz_per_m_s", "m/s²/√Hz per m/s"),
-        ("_rad_per_m_s2", "rad per m/s²"),
-        ("_rad_s_per_sqrt_hz", "rad/s/√Hz"),
-        ("_rad_s2_per_sqrt_hz", "rad/s²/√Hz"),
-        ("_m_s2_per_sqrt_hz", "m/s²/√Hz"),
-        ("_m_s3_per_sqrt_hz", "m/s³/√Hz"),
-        ("_us_per_20ms", "µs per 20 ms"),
-        ("_us_per_m_s", "µs per m/s"),
-        ("_us_per_rad", "µs/rad"),
-        ("_us_per_m", "µs/m"),
-        ("_per_m", "1/m"),
-        ("_kg_m2", "kg m²"),
-        ("_n_rad", "N/rad"),
-        ("_rad_s", "rad/s"),
-        ("_per_s", "1/s"),
-        ("_mm_s", "mm/s"),
-        ("_m_s2", "m/s²"),
-        ("_m_s", "m/s"),
-        ("_rad", "rad"),
-        ("_kg", "kg"),
-        ("_ms", "ms"),
-        ("_us", "µs"),
-        ("_um", "µm"),
-        ("_m", "m"),
-        ("_v", "V"),
-    ];
-    let unit = UNITS.iter().find(|(suffix, _)| name.ends_with(suffix));
-    unit.map_or("", |(_, unit)| unit)
 }
 
 /// The values that a key may have, in words.
