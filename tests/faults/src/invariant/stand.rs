@@ -110,7 +110,9 @@ impl WeakBrakes {
         if self.disturbed || speed < COUNTS_FROM || stop.way < COUNTS_WAY {
             return;
         }
-        let share = deceleration / observation.spec.braking;
+        // The host knows the speed from which it measures to a few cm/s.
+        let known = 1.0 + SPEED_TOLERANCE / speed;
+        let share = known * known * deceleration / observation.spec.braking;
         self.clear += u32::from(share < CLEARLY);
         self.doubtful += u32::from(share < MAYBE);
     }
