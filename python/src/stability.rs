@@ -139,5 +139,5 @@ pub(crate) fn sampled(
         delay: longest_delay,
         ..MarginLimits::default()
     };
-    Ok((sampled.spectral_radius(1), sampled.delay_margin(limits)))
+    Ok((sampled.spectral_radius(), sampled.delay_margin(limits)))
 }

@@ -241,6 +241,11 @@ impl Observation<'_> {
         self.is_effective(FaultKind::PulsesGone)
     }
 
+    /// Whether the throttle is stuck, and no kill output can end that.
+    pub(crate) fn is_unstoppable(&self) -> bool {
+        self.is_active(FaultKind::EscStuck) && !self.spec.situation.kill_output
+    }
+
     /// Whether line, sensors, cameras, board or host have a fault: they may not see what
     /// the car does.
     pub(crate) fn is_blinded(&self) -> bool {

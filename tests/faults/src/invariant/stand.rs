@@ -267,8 +267,6 @@ impl Invariant for UnarmedMotion {
         let spec = observation.spec;
         let speed = observation.truth.wheel_speed.abs();
         let stopping = observation.stop.is_some_and(|stop| !stop.stood);
-        let is_unstoppable =
-            observation.is_active(FaultKind::EscStuck) && !spec.situation.kill_output;
         let is_halved = observation.is_effective(FaultKind::PulsesHalved);
         let is_sparse = is_halved || observation.is_effective(FaultKind::PulsesErratic);
         // Between two pulses, in configured pulse distances.
@@ -281,7 +279,7 @@ impl Invariant for UnarmedMotion {
             || restarted
             || observation.is_without_motor_pulses()
             || stopping
-            || is_unstoppable
+            || observation.is_unstoppable()
             || speed < CREEPING * longest_gap
             || observation.is_moved_by_hand()
         {
@@ -346,11 +344,9 @@ impl Invariant for ArmingMotion {
             Some(BoardMode::PoweringUp | BoardMode::Armed)
         );
         let speed = observation.truth.wheel_speed.abs();
-        let is_unstoppable =
-            observation.is_active(FaultKind::EscStuck) && !observation.spec.situation.kill_output;
         if !(observation.board_is_armed && waits)
             || speed < TURNING
-            || is_unstoppable
+            || observation.is_unstoppable()
             || observation.is_moved_by_hand()
             || observation.is_blinded()
         {
@@ -373,7 +369,8 @@ impl Invariant for ArmingMotion {
 /// `backward`: while reverse is disabled, the true car moves backward no farther than it
 /// takes to notice that the motor turns the wrong way: half a metre and the roll-out from
 /// there, or 0.25 m if it began with a pulse below neutral, which no car has asked for. A car
-/// that runs while the board is not armed is the subject of `unarmed-motion`.
+/// that runs while the board is not armed is the subject of `unarmed-motion`. An ESC whose throttle
+/// is stuck in reverse is stopped by a kill output alone.
 #[derive(Default)]
 pub(super) struct Backward {
     way: f64,
@@ -407,7 +404,11 @@ impl Invariant for Backward {
             .replace([truth.x, truth.y])
             .unwrap_or([truth.x, truth.y]);
         let may_reverse = spec.board.speed.max_reverse_mm_s != 0;
-        if truth.speed > -STANDING || may_reverse || observation.is_moved_by_hand() {
+        if truth.speed > -STANDING
+            || may_reverse
+            || observation.is_moved_by_hand()
+            || observation.is_unstoppable()
+        {
             self.way = 0.0;
             self.fastest = 0.0;
             return Ok(());
