@@ -17,8 +17,7 @@ impl UpAxis {
     /// A vector of the stream in the world frame. The vector part of a quaternion
     /// turns in the same way.
     #[must_use]
-    pub fn to_z_up(self, [x, y, z]: [f32; 3]) -> [f64; 3] {
-        let [x, y, z] = [f64::from(x), f64::from(y), f64::from(z)];
+    pub const fn to_z_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             Self::Y => [x, -z, y],
             Self::Z => [x, y, z],

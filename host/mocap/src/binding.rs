@@ -2,7 +2,7 @@
 
 use core::fmt::{self, Write as _};
 
-use crate::codec::ModelDefinitions;
+use crate::source::Names;
 
 /// What the model definitions say of a rigid body's name.
 ///
@@ -40,29 +40,31 @@ pub struct BodyNames {
 const SEPARATOR: &str = ", ";
 
 impl BodyNames {
-    pub(crate) fn of(definitions: &ModelDefinitions<'_>) -> Self {
+    pub(crate) fn of(bodies: &Names<'_>) -> Self {
         let mut names = Self::default();
-        for definition in definitions.rigid_bodies() {
-            let separator = if names.listed.is_empty() {
-                ""
-            } else {
-                SEPARATOR
-            };
-            let room = names.listed.capacity() - names.listed.len();
-            // Debug escapes what a terminal would obey.
-            let mut text = heapless::String::<320>::new();
-            let fits = write!(text, "{separator}{:?}", definition.name).is_ok();
-            let is_room = fits && text.len() <= room && !names.ids.is_full();
-            let end = u8::try_from(names.listed.len() + text.len());
-            if let (0, true, Ok(end)) = (names.omitted, is_room, end) {
-                // Both have room: see above.
-                let _ = names.listed.push_str(&text);
-                let _ = names.ids.push((definition.id, end));
-            } else {
-                names.omitted += 1;
-            }
-        }
+        bodies.for_each(&mut |id, name| names.list(id, name));
         names
+    }
+
+    fn list(&mut self, id: i32, name: &str) {
+        let separator = if self.listed.is_empty() {
+            ""
+        } else {
+            SEPARATOR
+        };
+        let room = self.listed.capacity() - self.listed.len();
+        // Debug escapes what a terminal would obey.
+        let mut text = heapless::String::<320>::new();
+        let fits = write!(text, "{separator}{name:?}").is_ok();
+        let is_room = fits && text.len() <= room && !self.ids.is_full();
+        let end = u8::try_from(self.listed.len() + text.len());
+        if let (0, true, Ok(end)) = (self.omitted, is_room, end) {
+            // Both have room: see above.
+            let _ = self.listed.push_str(&text);
+            let _ = self.ids.push((id, end));
+        } else {
+            self.omitted += 1;
+        }
     }
 
     /// The quoted name of the body with this streaming id; none if it is not listed.
@@ -95,16 +97,22 @@ impl fmt::Display for BodyNames {
 }
 
 impl Binding {
-    /// Looks the name up in the definitions.
+    /// Looks the name up among those of the server.
     #[must_use]
-    pub fn resolve(definitions: &ModelDefinitions<'_>, name: &str) -> Self {
-        let mut named = definitions
-            .rigid_bodies()
-            .filter(|definition| definition.name == name);
-        match (named.next(), named.count()) {
-            (None, _) => Self::Missing,
-            (Some(definition), 0) => Self::Bound { id: definition.id },
-            (Some(_), others) => Self::Ambiguous { count: others + 1 },
+    pub fn resolve(bodies: &Names<'_>, name: &str) -> Self {
+        let (mut first, mut count) = (0, 0);
+        bodies.for_each(&mut |id, other| {
+            if other == name {
+                if count == 0 {
+                    first = id;
+                }
+                count += 1;
+            }
+        });
+        match count {
+            0 => Self::Missing,
+            1 => Self::Bound { id: first },
+            count => Self::Ambiguous { count },
         }
     }
 

@@ -75,11 +75,22 @@ impl BodyReading {
     }
 
     fn pose(&self, body: &RigidBody) -> Result<BodyPose, InvalidBody> {
-        let [qx, qy, qz, qw] = body.orientation_xyzw;
-        let position_m = self.up_axis.to_z_up(body.position_m);
+        self.read(
+            body.position_m.map(f64::from),
+            body.orientation_xyzw.map(f64::from),
+            f64::from(body.mean_error_m),
+        )
+    }
+
+    /// A pose in the server's axes.
+    pub(crate) fn read(
+        &self,
+        position_m: [f64; 3],
+        [qx, qy, qz, w]: [f64; 4],
+        mean_error_m: f64,
+    ) -> Result<BodyPose, InvalidBody> {
+        let position_m = self.up_axis.to_z_up(position_m);
         let vector = self.up_axis.to_z_up([qx, qy, qz]);
-        let w = f64::from(qw);
-        let mean_error_m = f64::from(body.mean_error_m);
         let finite = position_m
             .iter()
             .chain(&vector)
@@ -91,6 +102,12 @@ impl BodyReading {
         if libm::fabs(norm - 1.0) > self.quaternion_norm_tolerance {
             return Err(InvalidBody::NotUnitQuaternion);
         }
+        // Doubles that are a rotation keep their bits.
+        let norm = if libm::fabs(norm - 1.0) < 4.0 * f64::EPSILON {
+            1.0
+        } else {
+            norm
+        };
         let [x, y, z] = vector.map(|v| v / norm);
         Ok(BodyPose {
             position_m,
@@ -103,14 +120,21 @@ impl BodyReading {
 /// The bodies of a frame in wire order, tracked or not.
 #[derive(Clone, Debug)]
 pub struct Bodies<'a> {
-    pub(crate) bodies: RigidBodies<'a>,
-    pub(crate) reading: BodyReading,
+    pub(crate) of: BodiesOf<'a>,
+    pub(crate) up_axis: UpAxis,
+}
+
+/// Where the bodies are read from.
+#[derive(Clone, Debug)]
+pub(crate) enum BodiesOf<'a> {
+    NatNet(RigidBodies<'a>, BodyReading),
+    List(core::slice::Iter<'a, Body>),
 }
 
 impl Bodies<'_> {
     /// The body with this id; `None` when the frame does not list it.
     pub(crate) fn with_id(&self, id: i32) -> Option<Body> {
-        let mut bodies = self.bodies.clone().filter(|body| body.id == id);
+        let mut bodies = self.clone().filter(|body| body.id == id);
         let body = bodies.next()?;
         Some(if bodies.next().is_some() {
             Body {
@@ -118,7 +142,7 @@ impl Bodies<'_> {
                 state: BodyState::Invalid(InvalidBody::DuplicateId),
             }
         } else {
-            self.reading.body(&body)
+            body
         })
     }
 }
@@ -127,11 +151,17 @@ impl Iterator for Bodies<'_> {
     type Item = Body;
 
     fn next(&mut self) -> Option<Body> {
-        self.bodies.next().map(|body| self.reading.body(&body))
+        match &mut self.of {
+            BodiesOf::NatNet(bodies, reading) => bodies.next().map(|body| reading.body(&body)),
+            BodiesOf::List(bodies) => bodies.next().copied(),
+        }
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
-        self.bodies.size_hint()
+        match &self.of {
+            BodiesOf::NatNet(bodies, _) => bodies.size_hint(),
+            BodiesOf::List(bodies) => bodies.size_hint(),
+        }
     }
 }
 

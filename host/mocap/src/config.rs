@@ -2,10 +2,14 @@
 
 use core::net::{IpAddr, Ipv4Addr};
 
-use crate::{axes::UpAxis, codec::BitstreamVersion};
+use crate::{axes::UpAxis, body::BodyReading, codec::BitstreamVersion};
 
-/// The server's command port, unless configured otherwise.
+/// The command port of a NatNet server, unless configured otherwise.
 pub const DEFAULT_COMMAND_PORT: u16 = 1510;
+/// The port of a VRPN server, unless configured otherwise.
+pub const DEFAULT_VRPN_PORT: u16 = 3883;
+/// The little-endian port of a QTM server, unless configured otherwise.
+pub const DEFAULT_QUALISYS_PORT: u16 = 22_223;
 /// The server's data port, unless configured otherwise.
 pub const DEFAULT_DATA_PORT: u16 = 1511;
 /// The multicast group, unless configured otherwise.
@@ -30,6 +34,8 @@ pub struct SessionConfig {
     /// The server's address. Datagrams from other addresses are counted and
     /// dropped.
     pub server: IpAddr,
+    /// What the server speaks.
+    pub protocol: Protocol,
     /// The server's command port.
     pub command_port: u16,
     /// How the frames arrive.
@@ -42,6 +48,32 @@ pub struct SessionConfig {
     pub timing: Timing,
 }
 
+/// What the server speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Protocol {
+    /// NatNet, on UDP.
+    NatNet,
+    /// VRPN, on TCP and UDP: a body is a sensor of a tracker.
+    Vrpn {
+        /// The sensor's number.
+        sensor: i32,
+    },
+    /// The real-time protocol of Qualisys QTM, on TCP and UDP.
+    Qualisys,
+}
+
+impl Protocol {
+    /// The server's port, unless configured otherwise.
+    #[must_use]
+    pub const fn default_port(self) -> u16 {
+        match self {
+            Self::NatNet => DEFAULT_COMMAND_PORT,
+            Self::Vrpn { .. } => DEFAULT_VRPN_PORT,
+            Self::Qualisys => DEFAULT_QUALISYS_PORT,
+        }
+    }
+}
+
 /// How the frames arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
@@ -51,8 +83,10 @@ pub enum Transport {
         /// own.
         bitstream: Option<BitstreamVersion>,
     },
-    /// The server sends its own bitstream to a group that the socket has joined.
+    /// The server sends its own bitstream to a group that the socket has joined (NatNet).
     Multicast,
+    /// The server sends frames over the stream, not as datagrams (VRPN, Qualisys).
+    Stream,
 }
 
 /// Intervals, time-outs and assumptions, in nanoseconds.
@@ -126,11 +160,20 @@ impl SessionConfig {
     pub fn new(server: IpAddr, transport: Transport, up_axis: UpAxis) -> Self {
         Self {
             server,
+            protocol: Protocol::NatNet,
             command_port: DEFAULT_COMMAND_PORT,
             transport,
             up_axis,
             quaternion_norm_tolerance: DEFAULT_QUATERNION_NORM_TOLERANCE,
             timing: Timing::default(),
+        }
+    }
+
+    /// How bodies are read.
+    pub(crate) const fn reading(&self) -> BodyReading {
+        BodyReading {
+            up_axis: self.up_axis,
+            quaternion_norm_tolerance: self.quaternion_norm_tolerance,
         }
     }
 

@@ -1,8 +1,11 @@
-//! A NatNet client without I/O: poses of rigid bodies from an OptiTrack system.
+//! Clients without I/O of motion capture systems: poses of rigid bodies over NatNet
+//! (OptiTrack), VRPN, and the real-time protocol of Qualisys.
 //!
 //! The crate opens no socket, reads no clock and allocates nothing (`no_std`).
 //!
-//! - [`Session`] is the session of one client with one server. It gives the whole
+//! - [`PoseSource`] is what all sessions have in common, and [`Source`] the one that is
+//!   configured. [`vrpn`] and [`qualisys`] have their own messages.
+//! - [`Session`] is the session of one client with one NatNet server. It gives the whole
 //!   pose of every rigid body ([`PoseFrame`]), with the time of the exposure on the
 //!   local clock and a bound on its error.
 //! - [`codec`] turns datagrams into values, and [`encode`] turns values into
@@ -73,6 +76,8 @@ struct Readme;
 pub mod codec;
 pub mod encode;
 pub mod planar;
+pub mod qualisys;
+pub mod vrpn;
 
 mod axes;
 mod binding;
@@ -84,19 +89,24 @@ mod consistency;
 mod counters;
 mod order;
 mod session;
+mod source;
+mod stream;
 
 pub use axes::UpAxis;
 pub use binding::{Binding, BodyNames};
 pub use body::{Bodies, Body, BodyPose, BodyState, InvalidBody};
 pub use capture::{CaptureTime, CaptureTimeSource};
 pub use config::{
-    DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
-    DEFAULT_QUATERNION_NORM_TOLERANCE, SessionConfig, SessionConfigError, Timing, Transport,
+    DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DEFAULT_QUALISYS_PORT,
+    DEFAULT_QUATERNION_NORM_TOLERANCE, DEFAULT_VRPN_PORT, Protocol, SessionConfig,
+    SessionConfigError, Timing, Transport,
 };
 pub use counters::SessionCounters;
 pub use session::{
     Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionEvent, Transmit,
 };
+pub use source::{Input, LocalEnd, Names, Output, PoseSource, Source, Stream};
+pub use stream::StreamSession;
 
 // The names by which the workspace's other crates know what is recorded of `planar`.
 #[doc(hidden)]

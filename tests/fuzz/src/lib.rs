@@ -24,6 +24,7 @@ mod host_bytes;
 mod natnet_packets;
 mod page_head;
 mod samples;
+mod stream_messages;
 
 pub mod seeds;
 
@@ -33,6 +34,7 @@ pub use control_line::control_line;
 pub use host_bytes::host_bytes;
 pub use natnet_packets::natnet_packets;
 pub use page_head::page_head;
+pub use stream_messages::stream_messages;
 
 /// A fuzz target.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +46,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 6] = [
+pub const TARGETS: [Target; 7] = [
     Target {
         name: "board_bytes",
         run: board_bytes,
@@ -68,5 +70,9 @@ pub const TARGETS: [Target; 6] = [
     Target {
         name: "page_head",
         run: page_head,
+    },
+    Target {
+        name: "stream_messages",
+        run: stream_messages,
     },
 ];

@@ -31,6 +31,7 @@ pub fn seeds(target: &str) -> Vec<Seed> {
         "configuration" => configuration(),
         "control_line" => control_line(),
         "page_head" => page_head(),
+        "stream_messages" => stream_messages(),
         _ => vec![],
     }
 }
@@ -426,6 +427,39 @@ fn configuration() -> Vec<Seed> {
     for line in (0..128).step_by(6) {
         let value = line / 6;
         seeds.push(seed(format!("line-{line}"), [1, 1, line, value, 0, line]));
+    }
+    seeds
+}
+
+/// From the greeting to poses, with each protocol and transport, and single messages.
+fn stream_messages() -> Vec<Seed> {
+    let mut seeds = Vec::new();
+    // The index in the table of protocols of `stream_messages`, and that of the transports.
+    for (protocol, transport) in (0..3).flat_map(|protocol| [(protocol, 0), (protocol, 1)]) {
+        // On the stream: the operation, a position, and the choices of the message.
+        let message = |operation: u8, choice: u8, stamp: u8| -> Vec<u8> {
+            let choices: &[u8] = match (protocol, operation) {
+                (0, 4) => &[choice],
+                (0, _) => &[choice, stamp, 0],
+                (_, 10) => &[stamp, 0, choice],
+                _ => &[],
+            };
+            [&[72 + operation, 0, 0, 0, 0], choices].concat()
+        };
+        let opened = [protocol, transport, 1, 0, 1];
+        let mut bytes = opened.to_vec();
+        // Names, types (2 is the pose's, 3 the answer's), and poses.
+        for (operation, choice) in [(4, 0), (5, 2), (6, 3), (7, 0), (6, 0), (10, 1), (10, 2)] {
+            bytes.extend(message(operation, choice, choice));
+        }
+        // A second, the stream's end, and another one.
+        bytes.extend([0, 0, 4, 2, 0, 0, 1, 1, 0, 1]);
+        seeds.push(seed(format!("course-{protocol}-{transport}"), bytes));
+        let alone = (4..12).map(|operation| {
+            let bytes = [&opened[..], &message(operation, 1, 2)].concat();
+            seed(format!("message-{protocol}-{transport}-{operation}"), bytes)
+        });
+        seeds.extend(alone);
     }
     seeds
 }

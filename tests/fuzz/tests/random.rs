@@ -56,4 +56,9 @@ proptest! {
         data.insert(0, parts.into());
         singletrack_fuzz::page_head(&data);
     }
+
+    #[test]
+    fn random_messages_of_streams_make_no_false_pose(data in vec(any::<u8>(), 0..400)) {
+        singletrack_fuzz::stream_messages(&data);
+    }
 }

@@ -2,6 +2,7 @@
 
 mod echo;
 mod min_delay;
+mod stamp;
 mod ticks;
 
 use core::num::NonZeroU64;
@@ -14,6 +15,7 @@ use crate::{
 use echo::EchoClock;
 pub(crate) use echo::{EchoSample, SampleUse};
 use min_delay::MinDelay;
+pub(crate) use stamp::StampClock;
 use ticks::Mapped;
 
 /// What is known of one server's clock.

@@ -28,5 +28,5 @@ pub use gate::PoseGate;
 pub use level::Level;
 pub use neighbour::{NEAR_M, Neighbour};
 pub use observation::{Observation, PlanarPose, PoseState, RejectReason};
-pub use session::{PlanarEvent, PlanarOutcome, PlanarSession};
+pub use session::{PlanarEvent, PlanarSession};
 pub use tracker::PlanarTracker;

@@ -1,6 +1,6 @@
 //! A camera session and a tracker in one.
 
-use core::net::{IpAddr, SocketAddr};
+use core::net::IpAddr;
 
 use super::{
     config::{PlanarConfig, PlanarConfigError},
@@ -12,65 +12,47 @@ use super::{
 };
 use crate::{
     binding::{Binding, BodyNames},
-    codec::DecodeError,
-    session::{DatagramOutcome, Phase, Session, SessionEvent, Transmit},
+    session::{Phase, SessionEvent, Transmit},
+    source::{Input, Output, PoseSource as _, Source, Stream},
 };
 
-/// A NatNet client that follows one rigid body in the plane.
+/// A client of the configured protocol that follows one rigid body in the plane.
 ///
 /// It is called as every session ([order of the calls](crate#order-of-the-calls)).
 ///
 /// ```
-/// use singletrack_mocap::planar::{PlanarConfig, PlanarOutcome, PlanarSession, PoseState};
-/// use singletrack_mocap::{Transport, UpAxis};
+/// use singletrack_mocap::planar::{PlanarConfig, PlanarEvent, PlanarSession, PoseState};
+/// use singletrack_mocap::{Input, Transport, UpAxis};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let server = "192.168.1.10".parse()?;
 /// let config = PlanarConfig::new(server, Transport::Multicast, "car", UpAxis::Y)?;
 /// let mut session = PlanarSession::new(config)?;
 ///
-/// # let (now_ns, source, datagram) = (0, "192.168.1.10:1511".parse()?, [0; 4]);
-/// let outcome = session.handle_datagram(now_ns, source, &datagram, &mut |event| {
-///     println!("{event:?}");
+/// # let (now_ns, source, bytes) = (0, "192.168.1.10:1511".parse()?, &[0; 4]);
+/// session.handle_input(now_ns, Input::Datagram { source, bytes }, &mut |event| {
+///     if let PlanarEvent::Observed(observation) = event
+///         && let PoseState::Valid(pose) = observation.state
+///     {
+///         println!("{:.3} m, {:.3} m, {:.3} rad", pose.x_m, pose.y_m, pose.yaw_rad);
+///     }
 /// });
-/// if let PlanarOutcome::Frame(observation) = outcome
-///     && let PoseState::Valid(pose) = observation.state
-/// {
-///     println!("{:.3} m, {:.3} m, {:.3} rad", pose.x_m, pose.y_m, pose.yaw_rad);
-/// }
 /// # Ok(())
 /// # }
 /// ```
 #[derive(Clone, Debug)]
 pub struct PlanarSession {
-    session: Session,
+    source: Source,
     tracker: PlanarTracker,
     config: PlanarConfig,
 }
 
-/// What became of a datagram. Every case is counted as well.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub enum PlanarOutcome {
-    /// The newest frame, and what it says of the body.
-    Frame(Observation),
-    /// A frame older than the newest: dropped.
-    Late,
-    /// The newest frame again: dropped.
-    Duplicate,
-    /// A reply that the session waited for.
-    Reply,
-    /// A good message that the session does not need: dropped.
-    Ignored,
-    /// From another address than the server's: dropped.
-    WrongSource,
-    /// It can't be decoded: dropped.
-    Malformed(DecodeError),
-}
-
-/// A rare event, worth a line in the log.
+/// What a session says to its owner, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlanarEvent {
+    /// What the newest frame says of the body. All other events are rare, and worth a line in the
+    /// log.
+    Observed(Observation),
     /// An event of the camera session, other than
     /// [`DefinitionsOutdated`](SessionEvent::DefinitionsOutdated).
     Session(SessionEvent),
@@ -84,8 +66,9 @@ impl PlanarSession {
     /// # Errors
     /// A value of the configuration can't be used.
     pub fn new(config: PlanarConfig) -> Result<Self, PlanarConfigError> {
+        let body = Some(config.rigid_body.as_str());
         Ok(Self {
-            session: Session::new(config.session.clone())?,
+            source: Source::new(config.session.clone(), body)?,
             tracker: PlanarTracker::new(config.rigid_body.clone(), config.limits)?,
             config,
         })
@@ -93,73 +76,62 @@ impl PlanarSession {
 
     // Handlers.
 
-    /// Takes a datagram that arrived at `now_ns` from `source`.
-    pub fn handle_datagram(
+    /// As [`PoseSource::handle_input`](crate::PoseSource::handle_input).
+    pub fn handle_input(
         &mut self,
         now_ns: u64,
-        source: SocketAddr,
-        datagram: &[u8],
+        input: Input<'_>,
         on_event: &mut impl FnMut(PlanarEvent),
-    ) -> PlanarOutcome {
-        let Self {
-            session, tracker, ..
-        } = self;
-        let outcome = session.handle_datagram(now_ns, source, datagram, &mut |event| {
-            pass_on(tracker, event, on_event);
+    ) -> usize {
+        let tracker = &mut self.tracker;
+        let mut are_incomplete = false;
+        let used = self.source.handle_input(now_ns, input, &mut |output| {
+            are_incomplete |= pass_on(tracker, &output, on_event);
         });
-        match outcome {
-            DatagramOutcome::Frame(frame) => PlanarOutcome::Frame(tracker.observe(&frame)),
-            DatagramOutcome::Definitions(definitions) => {
-                if let Some(binding) = tracker.resolve(&definitions) {
-                    on_event(PlanarEvent::Binding(binding));
-                }
-                if tracker.binding().id().is_none() {
-                    session.request_definitions_again();
-                }
-                PlanarOutcome::Reply
-            }
-            DatagramOutcome::Reply => PlanarOutcome::Reply,
-            DatagramOutcome::Late => PlanarOutcome::Late,
-            DatagramOutcome::Duplicate => PlanarOutcome::Duplicate,
-            DatagramOutcome::WrongSource => PlanarOutcome::WrongSource,
-            DatagramOutcome::Malformed(error) => PlanarOutcome::Malformed(error),
-            // `Ignored`, and what later versions of the session may add.
-            _ => PlanarOutcome::Ignored,
+        if are_incomplete {
+            self.source.request_names_again();
         }
+        used
     }
 
-    /// As [`Session::handle_timeout`].
+    /// As [`PoseSource::handle_timeout`](crate::PoseSource::handle_timeout).
     pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(PlanarEvent)) {
-        let Self {
-            session, tracker, ..
-        } = self;
-        session.handle_timeout(now_ns, &mut |event| pass_on(tracker, event, on_event));
+        let tracker = &mut self.tracker;
+        self.source.handle_timeout(now_ns, &mut |output| {
+            pass_on(tracker, &output, on_event);
+        });
     }
 
     // Requests.
 
-    /// As [`Session::set_stamp_offset_ns`].
-    pub const fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
+    /// As [`PoseSource::set_stamp_offset_ns`](crate::PoseSource::set_stamp_offset_ns).
+    pub fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
         self.config.session.timing.stamp_offset_ns = offset_ns;
-        self.session.set_stamp_offset_ns(offset_ns);
+        self.source.set_stamp_offset_ns(offset_ns);
     }
 
-    /// As [`Session::close`].
-    pub const fn close(&mut self) {
-        self.session.close();
+    /// As [`PoseSource::close`](crate::PoseSource::close).
+    pub fn close(&mut self) {
+        self.source.close();
     }
 
     // Pollers.
 
-    /// As [`Session::poll_transmit`].
+    /// As [`PoseSource::poll_transmit`](crate::PoseSource::poll_transmit).
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
-        self.session.poll_transmit(now_ns)
+        self.source.poll_transmit(now_ns)
     }
 
-    /// As [`Session::poll_timeout`].
+    /// As [`PoseSource::poll_timeout`](crate::PoseSource::poll_timeout).
     #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
-        self.session.poll_timeout()
+        self.source.poll_timeout()
+    }
+
+    /// As [`PoseSource::stream`](crate::PoseSource::stream).
+    #[must_use]
+    pub fn stream(&self) -> Option<Stream> {
+        self.source.stream()
     }
 
     // Getters.
@@ -167,7 +139,7 @@ impl PlanarSession {
     /// What is known of the body at `now_ns`, silence included.
     #[must_use]
     pub fn pose_state(&self, now_ns: u64) -> PoseState {
-        match self.session.stale_for_ns(now_ns) {
+        match self.source.stale_for_ns(now_ns) {
             Some(silent_ns) => PoseState::Stale { silent_ns },
             None => self.tracker.state(),
         }
@@ -175,8 +147,8 @@ impl PlanarSession {
 
     /// How far the session is.
     #[must_use]
-    pub const fn phase(&self) -> Phase {
-        self.session.phase()
+    pub fn phase(&self) -> Phase {
+        self.source.phase()
     }
 
     /// Which streaming id the body's name has.
@@ -203,23 +175,23 @@ impl PlanarSession {
         self.tracker.neighbour()
     }
 
-    /// As [`Session::other_source`].
+    /// As [`PoseSource::other_source`](crate::PoseSource::other_source).
     #[must_use]
-    pub const fn other_source(&self) -> Option<IpAddr> {
-        self.session.other_source()
+    pub fn other_source(&self) -> Option<IpAddr> {
+        self.source.other_source()
     }
 
-    /// As [`Session::is_contradicted`].
+    /// As [`PoseSource::is_contradicted`](crate::PoseSource::is_contradicted).
     #[must_use]
     pub fn is_contradicted(&self, now_ns: u64) -> bool {
-        self.session.is_contradicted(now_ns)
+        self.source.is_contradicted(now_ns)
     }
 
     /// What was counted so far.
     #[must_use]
-    pub const fn counters(&self) -> PlanarCounters {
+    pub fn counters(&self) -> PlanarCounters {
         let mut counters = self.tracker.counters();
-        counters.session = self.session.counters();
+        counters.session = self.source.counters();
         counters
     }
 
@@ -230,16 +202,26 @@ impl PlanarSession {
     }
 }
 
+/// Returns whether the server's names lack the body.
 fn pass_on(
     tracker: &mut PlanarTracker,
-    event: SessionEvent,
+    output: &Output<'_>,
     on_event: &mut impl FnMut(PlanarEvent),
-) {
-    if event == SessionEvent::DefinitionsOutdated {
-        if let Some(binding) = tracker.forget_binding() {
-            on_event(PlanarEvent::Binding(binding));
+) -> bool {
+    let binding = match output {
+        Output::Frame(frame) => {
+            on_event(PlanarEvent::Observed(tracker.observe(frame)));
+            return false;
         }
-    } else {
-        on_event(PlanarEvent::Session(event));
+        Output::Names(names) => tracker.resolve(names),
+        Output::Event(SessionEvent::DefinitionsOutdated) => tracker.forget_binding(),
+        Output::Event(event) => {
+            on_event(PlanarEvent::Session(*event));
+            return false;
+        }
+    };
+    if let Some(binding) = binding {
+        on_event(PlanarEvent::Binding(binding));
     }
+    matches!(output, Output::Names(_)) && tracker.binding().id().is_none()
 }

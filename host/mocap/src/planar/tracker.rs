@@ -11,21 +11,19 @@ use super::{
 use crate::{
     binding::{Binding, BodyNames},
     body::{BodyState, InvalidBody},
-    codec::ModelDefinitions,
     session::PoseFrame,
+    source::Names,
 };
 
 /// Follows one rigid body: finds it by its name, projects its pose onto the plane,
 /// and rejects what is not plausible.
 ///
-/// Feed it from a [`Session`](crate::Session):
+/// Feed it from a [`PoseSource`](crate::PoseSource):
 ///
-/// - [`resolve`](Self::resolve) with
-///   [`DatagramOutcome::Definitions`](crate::DatagramOutcome::Definitions),
+/// - [`resolve`](Self::resolve) with [`Output::Names`](crate::Output::Names),
 /// - [`forget_binding`](Self::forget_binding) on
 ///   [`SessionEvent::DefinitionsOutdated`](crate::SessionEvent::DefinitionsOutdated),
-/// - [`observe`](Self::observe) with
-///   [`DatagramOutcome::Frame`](crate::DatagramOutcome::Frame).
+/// - [`observe`](Self::observe) with [`Output::Frame`](crate::Output::Frame).
 ///
 /// [`PlanarSession`](super::PlanarSession) does this.
 #[derive(Clone, Debug)]
@@ -67,9 +65,9 @@ impl PlanarTracker {
 
     /// Looks the body's name up in new definitions. Returns the binding if it
     /// changed.
-    pub fn resolve(&mut self, definitions: &ModelDefinitions<'_>) -> Option<Binding> {
-        self.names = BodyNames::of(definitions);
-        self.set_binding(Binding::resolve(definitions, &self.rigid_body))
+    pub fn resolve(&mut self, bodies: &Names<'_>) -> Option<Binding> {
+        self.names = BodyNames::of(bodies);
+        self.set_binding(Binding::resolve(bodies, &self.rigid_body))
     }
 
     /// The ids may mean other bodies: no pose is accepted until the definitions are

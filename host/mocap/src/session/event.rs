@@ -17,6 +17,10 @@ pub enum Phase {
     Negotiating(BitstreamVersion),
     /// Frames of this bitstream are accepted.
     Streaming(BitstreamVersion),
+    /// The stream is open, and frames are accepted (VRPN, Qualisys).
+    Open,
+    /// What answers speaks another protocol, or a version of it that is not supported.
+    Foreign,
     /// The disconnect message is yet to be sent.
     Closing,
     /// The disconnect message was sent.
@@ -32,6 +36,12 @@ pub enum SessionEvent {
     Connected(Connected),
     /// The server's bitstream is not supported, and the server did not change it.
     Refused(UnsupportedVersion),
+    /// The stream to the server is open, and the server speaks its protocol.
+    Opened,
+    /// What answers speaks another protocol, or a version of it that is not supported.
+    Foreign,
+    /// Frames arrive over the stream, because none arrived as datagrams.
+    DatagramsBlocked,
     /// The server did not change its bitstream; the session reads the server's own.
     BitstreamKept {
         /// The bitstream that was requested.
@@ -90,4 +100,10 @@ pub enum RestartReason {
     ServerChanged,
     /// Many frames in a row could not be decoded. This is the last one's error.
     Undecodable(DecodeError),
+    /// The stream has ended, or could not be opened.
+    StreamEnded,
+    /// What arrived on the stream is no message.
+    StreamBroken,
+    /// No frame arrived as a datagram: they are requested over the stream.
+    NoDatagrams,
 }

@@ -44,7 +44,7 @@ pub struct PoseFrame<'a> {
     pub flags: FrameFlags,
     /// Whether the streaming ids have the names of the definitions read last.
     pub definitions_current: bool,
-    pub(super) bodies: Bodies<'a>,
+    pub(crate) bodies: Bodies<'a>,
 }
 
 impl<'a> PoseFrame<'a> {
@@ -59,7 +59,7 @@ impl<'a> PoseFrame<'a> {
     /// The up axis that the poses were read with.
     #[must_use]
     pub const fn up_axis(&self) -> UpAxis {
-        self.bodies.reading.up_axis
+        self.bodies.up_axis
     }
 
     /// The rigid body with this streaming id; `None` when the frame does not list

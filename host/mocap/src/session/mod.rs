@@ -16,4 +16,5 @@ mod transmit;
 pub use event::{Connected, Phase, RestartReason, SessionEvent};
 pub use frame::{DatagramOutcome, PoseFrame};
 pub use state::Session;
+pub(crate) use transmit::MAX_LEN;
 pub use transmit::Transmit;

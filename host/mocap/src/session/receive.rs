@@ -8,7 +8,7 @@ use super::{
     state::Session,
 };
 use crate::{
-    body::{Bodies, BodyReading},
+    body::{Bodies, BodiesOf},
     capture::CaptureTime,
     clock::{CaptureClock, EchoSample, SampleUse},
     codec::{
@@ -228,11 +228,8 @@ impl Session {
             flags: frame.flags,
             definitions_current: self.definitions_current,
             bodies: Bodies {
-                bodies: frame.rigid_bodies(),
-                reading: BodyReading {
-                    up_axis: self.config.up_axis,
-                    quaternion_norm_tolerance: self.config.quaternion_norm_tolerance,
-                },
+                of: BodiesOf::NatNet(frame.rigid_bodies(), self.config.reading()),
+                up_axis: self.config.up_axis,
             },
         })
     }
@@ -265,20 +262,14 @@ impl Session {
 
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, frame: &Frame<'_>, now_ns: u64) -> Option<CaptureTime> {
-        let mut capture = self.clock.capture(frame, now_ns)?;
-        let offset_ns = self.config.timing.stamp_offset_ns;
-        capture.time_ns = capture.time_ns.saturating_sub_signed(offset_ns);
+        let capture = self.clock.capture(frame, now_ns)?;
         if self.consistency.is_distrusted(now_ns) {
             self.counters.distrusted += 1;
             return None;
         }
-        if capture.time_ns > now_ns {
-            if capture.time_ns - now_ns > capture.uncertainty_ns {
-                return None;
-            }
-            self.counters.capture_clamped += 1;
-            capture.time_ns = now_ns;
-        }
+        let offset_ns = self.config.timing.stamp_offset_ns;
+        let (capture, was_clamped) = capture.at_arrival(now_ns, offset_ns)?;
+        self.counters.capture_clamped += u64::from(was_clamped);
         Some(capture)
     }
 }

@@ -22,15 +22,17 @@ const QUICK_ECHO_NS: u64 = 100_000_000;
 const BITSTREAM_ATTEMPTS: u32 = 5;
 
 /// The longest datagram that a session sends: CONNECT.
-const MAX_LEN: usize = 288;
+pub(crate) const MAX_LEN: usize = 288;
 
-/// A datagram to send.
+/// Bytes to send.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Transmit {
-    /// The address to send it to.
+    /// The address to send them to.
     pub destination: SocketAddr,
-    /// The datagram.
+    /// Whether they are to follow the others on the stream, and are no datagram.
+    pub on_stream: bool,
+    /// The bytes.
     pub bytes: heapless::Vec<u8, MAX_LEN>,
 }
 
@@ -69,7 +71,7 @@ impl Session {
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
         let timing = self.config.timing;
         match self.phase {
-            Phase::Closed => None,
+            Phase::Closed | Phase::Open | Phase::Foreign => None,
             Phase::Closing => {
                 self.phase = Phase::Closed;
                 self.transmit(&ClientMessage::Disconnect)
@@ -136,7 +138,7 @@ impl Session {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
         match self.phase {
-            Phase::Closed => None,
+            Phase::Closed | Phase::Open | Phase::Foreign => None,
             Phase::Closing => Some(0),
             Phase::Connecting | Phase::Refused(_) | Phase::Negotiating(_) => {
                 let stale_ns = self.stale_due_ns().unwrap_or(u64::MAX);
@@ -165,6 +167,7 @@ impl Session {
     fn transmit(&self, message: &ClientMessage<'_>) -> Option<Transmit> {
         let mut transmit = Transmit {
             destination: SocketAddr::new(self.config.server, self.config.command_port),
+            on_stream: false,
             bytes: heapless::Vec::new(),
         };
         // Every message of a session fits; one that did not would not be sent.

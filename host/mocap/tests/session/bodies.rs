@@ -225,8 +225,14 @@ fn names_are_current_from_the_definitions_to_the_next_change_of_models() {
     let DatagramOutcome::Definitions(definitions) = outcome else {
         panic!("no definitions: {outcome:?}");
     };
-    assert_eq!(Binding::resolve(&definitions, "trailer").id(), Some(8));
-    assert_eq!(Binding::resolve(&definitions, "Car"), Binding::Missing);
+    assert_eq!(
+        Binding::resolve(&definitions.clone().into(), "trailer").id(),
+        Some(8)
+    );
+    assert_eq!(
+        Binding::resolve(&definitions.into(), "Car"),
+        Binding::Missing
+    );
     assert!(bench.frame(&[], FrameFlags::default()).definitions_current);
 
     bench.events.clear();

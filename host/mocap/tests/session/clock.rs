@@ -4,10 +4,10 @@ use proptest::prelude::*;
 use singletrack_mocap::{
     CaptureTimeSource, RestartReason, SessionEvent,
     codec::{BitstreamVersion, CameraTicks},
-    planar::{PlanarOutcome, PlanarPose, PoseState, RejectReason},
+    planar::{PlanarPose, PoseState, RejectReason},
 };
 
-use crate::world::{Frame, MS, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
+use crate::world::{Frame, MS, Outcome, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
 
 #[track_caller]
 fn valid(state: PoseState) -> PlanarPose {
@@ -145,7 +145,7 @@ proptest! {
             };
             world.run(period_ms * MS);
             match world.frame(&frame) {
-                PlanarOutcome::Frame(observation) => match observation.state {
+                Outcome::Frame(observation) => match observation.state {
                     PoseState::Valid(pose) => Some(pose),
                     _ => None,
                 },

@@ -2,12 +2,11 @@
 
 use std::net::SocketAddr;
 
-use singletrack_mocap::{
-    RejectReason, SessionEvent,
-    planar::{PlanarOutcome, PoseState},
-};
+use singletrack_mocap::{RejectReason, SessionEvent, planar::PoseState};
 
-use crate::world::{Frame, MS, S, SERVER, TICKS_PER_SECOND, UNICAST, World, car_at, config};
+use crate::world::{
+    Frame, MS, Outcome, S, SERVER, TICKS_PER_SECOND, UNICAST, World, car_at, config,
+};
 
 /// A world that has streamed for a second, up to frame 100.
 fn streaming() -> World {
@@ -38,10 +37,10 @@ fn other_content_for_the_same_number_is_counted_and_soon_no_pose_is_accepted() {
     for number in 101..=150 {
         world.run(10 * MS);
         // The forged frame is first, and is taken for the server's.
-        if let PlanarOutcome::Frame(observation) = world.frame(&forged(number)) {
+        if let Outcome::Frame(observation) = world.frame(&forged(number)) {
             accepted += u32::from(matches!(observation.state, PoseState::Valid(_)));
         }
-        assert_eq!(world.frame(&Frame::at_rest(number)), PlanarOutcome::Late);
+        assert_eq!(world.frame(&Frame::at_rest(number)), Outcome::Late);
     }
     assert_eq!(accepted, 3);
     let counters = world.session.counters().session;
@@ -69,22 +68,20 @@ fn a_frame_from_a_second_port_is_dropped_while_the_first_is_alive() {
     let other = SocketAddr::new(SERVER.ip(), 40_000);
     let from = |world: &mut World, frame: &Frame| {
         let bytes = world.encode(frame);
-        world
-            .session
-            .handle_datagram(world.now_ns, other, &bytes, &mut |_| {})
+        world.receive_from(other, &bytes)
     };
     world.run(10 * MS);
-    assert_eq!(from(&mut world, &forged(101)), PlanarOutcome::Late);
+    assert_eq!(from(&mut world, &forged(101)), Outcome::Late);
     assert_eq!(world.session.counters().session.contradictions, 1);
     assert!(matches!(
         world.frame(&Frame::at_rest(101)),
-        PlanarOutcome::Frame(_)
+        Outcome::Frame(_)
     ));
     // A server that starts again may use another port.
     world.run(S);
     assert!(matches!(
         from(&mut world, &Frame::at_rest(201)),
-        PlanarOutcome::Frame(_)
+        Outcome::Frame(_)
     ));
 }
 
@@ -92,7 +89,7 @@ fn a_frame_from_a_second_port_is_dropped_while_the_first_is_alive() {
 fn a_number_far_ahead_does_not_make_the_servers_frames_late() {
     let mut world = streaming();
     world.run(5 * MS);
-    assert_eq!(world.frame(&forged(5_000)), PlanarOutcome::Late);
+    assert_eq!(world.frame(&forged(5_000)), Outcome::Late);
     assert!(matches!(
         world.next_state(&Frame::at_rest(101)),
         PoseState::Valid(_)
@@ -108,7 +105,7 @@ fn a_clock_far_ahead_does_not_make_the_servers_frames_late() {
     world.server.ticks_at_zero += 10 * TICKS_PER_SECOND;
     let bytes = world.encode(&forged(101));
     world.server.ticks_at_zero -= 10 * TICKS_PER_SECOND;
-    assert_eq!(world.receive(&bytes), PlanarOutcome::Late);
+    assert_eq!(world.receive(&bytes), Outcome::Late);
     assert!(matches!(
         world.next_state(&Frame::at_rest(102)),
         PoseState::Valid(_)

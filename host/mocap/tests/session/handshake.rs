@@ -3,14 +3,12 @@
 use std::net::SocketAddr;
 
 use singletrack_mocap::{
-    Binding, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
+    Binding, Input, Phase, RestartReason, SessionConfigError, SessionEvent, Transport, UpAxis,
     codec::{BitstreamVersion, UnsupportedVersion},
-    planar::{
-        PlanarConfig, PlanarConfigError, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
-    },
+    planar::{PlanarConfig, PlanarConfigError, PlanarEvent, PlanarSession, PoseState},
 };
 
-use crate::world::{CAR, Frame, MS, S, SERVER, Sent, UNICAST, World, config, jitter};
+use crate::world::{CAR, Frame, MS, Outcome, S, SERVER, Sent, UNICAST, World, config, jitter};
 
 #[test]
 fn a_session_connects_binds_the_name_and_sees_the_car() {
@@ -120,7 +118,7 @@ fn an_unsupported_bitstream_is_refused_by_number_until_it_is_changed() {
         .filter(|event| **event == SessionEvent::Refused(refusal))
         .count();
     assert_eq!(reported, 1);
-    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
     assert_eq!(world.session.counters().session.early, 1);
 
     world.server.native = [4, 1];
@@ -199,7 +197,7 @@ fn keep_alive_and_echo_are_sent_at_their_rates() {
 #[test]
 fn frames_before_the_handshake_are_counted_and_dropped() {
     let mut world = World::new(config(UNICAST));
-    assert_eq!(world.frame(&Frame::at_rest(1)), PlanarOutcome::Ignored);
+    assert_eq!(world.frame(&Frame::at_rest(1)), Outcome::Ignored);
     assert_eq!(world.session.counters().session.early, 1);
     assert_eq!(world.session.pose_state(world.now_ns), PoseState::NoFrames);
 }
@@ -209,22 +207,15 @@ fn a_datagram_from_another_address_is_counted_and_changes_nothing() {
     let mut world = World::connected(config(UNICAST));
     let bytes = world.encode(&Frame::at_rest(1));
     let stranger: SocketAddr = "192.168.1.66:1510".parse().unwrap();
-    assert_eq!(
-        world
-            .session
-            .handle_datagram(world.now_ns, stranger, &bytes, &mut |_| {}),
-        PlanarOutcome::WrongSource
-    );
+    assert_eq!(world.receive_from(stranger, &bytes), Outcome::WrongSource);
     assert_eq!(world.session.counters().session.wrong_source, 1);
     assert_eq!(world.session.counters().session.frames, 0);
     assert_eq!(world.session.other_source(), Some(stranger.ip()));
     // The data port belongs to the server as well.
     let data_port = SocketAddr::new(SERVER.ip(), 1511);
     assert!(matches!(
-        world
-            .session
-            .handle_datagram(world.now_ns, data_port, &bytes, &mut |_| {}),
-        PlanarOutcome::Frame(_)
+        world.receive_from(data_port, &bytes),
+        Outcome::Frame(_)
     ));
 }
 
@@ -295,11 +286,13 @@ fn another_address_is_reported_once_for_each_and_its_datagrams_are_counted() {
     for _ in 0..3 {
         for host in [66, 67, 68, 69, 70, 71] {
             let stranger = SocketAddr::from(([192, 168, 1, host], 1510));
+            let input = Input::Datagram {
+                source: stranger,
+                bytes: &bytes,
+            };
             world
                 .session
-                .handle_datagram(world.now_ns, stranger, &bytes, &mut |event| {
-                    reported.push(event);
-                });
+                .handle_input(world.now_ns, input, &mut |event| reported.push(event));
         }
     }
     assert_eq!(world.session.counters().session.wrong_source, 18);

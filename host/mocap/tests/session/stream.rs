@@ -1,11 +1,8 @@
 //! Order of frames, and streams that break.
 
-use singletrack_mocap::{
-    Phase, RestartReason, SessionEvent,
-    planar::{PlanarOutcome, PoseState},
-};
+use singletrack_mocap::{Phase, RestartReason, SessionEvent, planar::PoseState};
 
-use crate::world::{Frame, MS, S, Sent, UNICAST, World, config};
+use crate::world::{Frame, MS, Outcome, S, Sent, UNICAST, World, config};
 
 fn connected() -> World {
     World::connected(config(UNICAST))
@@ -34,8 +31,8 @@ fn frame_numbers_may_wrap() {
 fn the_same_frame_twice_is_taken_once() {
     let mut world = connected();
     let bytes = world.encode(&Frame::at_rest(1));
-    assert!(matches!(world.receive(&bytes), PlanarOutcome::Frame(_)));
-    assert_eq!(world.receive(&bytes), PlanarOutcome::Duplicate);
+    assert!(matches!(world.receive(&bytes), Outcome::Frame(_)));
+    assert_eq!(world.receive(&bytes), Outcome::Duplicate);
     assert_eq!(world.session.counters().session.duplicates, 1);
     assert_eq!(world.session.counters().session.frames, 1);
 }
@@ -46,7 +43,7 @@ fn a_frame_that_was_overtaken_is_dropped() {
     let slow = world.encode(&Frame::at_rest(1));
     world.next_state(&Frame::at_rest(2));
     let state = world.session.pose_state(world.now_ns);
-    assert_eq!(world.receive(&slow), PlanarOutcome::Late);
+    assert_eq!(world.receive(&slow), Outcome::Late);
     assert_eq!(world.session.counters().session.late, 1);
     assert_eq!(world.session.pose_state(world.now_ns), state);
 }
@@ -97,7 +94,7 @@ fn a_few_old_frames_do_not_restart_the_session() {
         .collect();
     world.next_state(&Frame::at_rest(20));
     for bytes in &old {
-        assert_eq!(world.receive(bytes), PlanarOutcome::Late);
+        assert_eq!(world.receive(bytes), Outcome::Late);
     }
     world.next_state(&Frame::at_rest(21));
     assert_eq!(world.session.counters().session.restarts, 0);
@@ -111,10 +108,7 @@ fn a_malformed_datagram_is_counted_and_changes_nothing() {
     let before = world.session.pose_state(world.now_ns);
     let good = world.encode(&Frame::at_rest(2));
     for len in 0..good.len() {
-        assert!(matches!(
-            world.receive(&good[..len]),
-            PlanarOutcome::Malformed(_)
-        ));
+        assert!(matches!(world.receive(&good[..len]), Outcome::Malformed));
     }
     assert_eq!(
         world.session.counters().session.malformed,
@@ -158,10 +152,7 @@ fn undecodable_frames_between_good_ones_do_not_restart_the_session() {
     for number in 1..50 {
         world.next_state(&Frame::at_rest(number));
         for _ in 0..100 {
-            assert!(matches!(
-                world.receive(&undecodable),
-                PlanarOutcome::Malformed(_)
-            ));
+            assert!(matches!(world.receive(&undecodable), Outcome::Malformed));
         }
     }
     assert_eq!(world.session.counters().session.restarts, 0);

@@ -6,13 +6,13 @@ use std::{
 };
 
 use singletrack_mocap::{
-    Binding, SessionEvent, Transport, UpAxis,
+    Binding, Input, SessionCounters, SessionEvent, Transport, UpAxis,
     codec::{
         BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBody, RigidBodyDefinition, ServerInfo, bitstream_request,
     },
     encode::{self, Dataset, FrameContent},
-    planar::{Observation, PlanarConfig, PlanarEvent, PlanarOutcome, PlanarSession, PoseState},
+    planar::{Observation, PlanarConfig, PlanarEvent, PlanarSession, PoseState},
 };
 
 pub(crate) const MS: u64 = 1_000_000;
@@ -242,18 +242,41 @@ impl World {
         }
     }
 
-    /// Hands a datagram to the session now.
-    pub(crate) fn receive(&mut self, bytes: &[u8]) -> PlanarOutcome {
+    /// Hands a datagram of the server to the session now.
+    pub(crate) fn receive(&mut self, bytes: &[u8]) -> Outcome {
+        self.receive_from(SERVER, bytes)
+    }
+
+    /// Hands a datagram to the session now. What became of it is in the counters.
+    pub(crate) fn receive_from(&mut self, source: SocketAddr, bytes: &[u8]) -> Outcome {
+        let before = self.session.counters().session;
+        let mut observed = None;
         let (events, bindings) = (&mut self.events, &mut self.bindings);
-        let outcome = self
-            .session
-            .handle_datagram(self.now_ns, SERVER, bytes, &mut |event| {
-                keep(event, events, bindings);
+        let input = Input::Datagram { source, bytes };
+        self.session
+            .handle_input(self.now_ns, input, &mut |event| match event {
+                PlanarEvent::Observed(observation) => observed = Some(observation),
+                event => keep(event, events, bindings),
             });
-        if let PlanarOutcome::Frame(observation) = outcome {
+        if let Some(observation) = observed {
             self.observations.push(observation);
+            return Outcome::Frame(observation);
         }
-        outcome
+        let after = self.session.counters().session;
+        let grew = |count: fn(&SessionCounters) -> u64| count(&after) > count(&before);
+        if grew(|counters| counters.duplicates) {
+            Outcome::Duplicate
+        } else if grew(|counters| counters.late + counters.contradictions) {
+            Outcome::Late
+        } else if grew(|counters| counters.malformed) {
+            Outcome::Malformed
+        } else if grew(|counters| counters.wrong_source) {
+            Outcome::WrongSource
+        } else if grew(|counters| counters.early + counters.unsolicited) {
+            Outcome::Ignored
+        } else {
+            Outcome::Reply
+        }
     }
 
     /// A frame sent 0.1 ms before `now`, as the server encodes it.
@@ -283,7 +306,7 @@ impl World {
     }
 
     /// Delivers a frame now.
-    pub(crate) fn frame(&mut self, frame: &Frame) -> PlanarOutcome {
+    pub(crate) fn frame(&mut self, frame: &Frame) -> Outcome {
         let bytes = self.encode(frame);
         self.receive(&bytes)
     }
@@ -293,7 +316,7 @@ impl World {
     pub(crate) fn next_state(&mut self, frame: &Frame) -> PoseState {
         self.run(10 * MS);
         match self.frame(frame) {
-            PlanarOutcome::Frame(observation) => observation.state,
+            Outcome::Frame(observation) => observation.state,
             other => panic!("not taken: {other:?}"),
         }
     }
@@ -307,7 +330,22 @@ fn keep(event: PlanarEvent, events: &mut Vec<SessionEvent>, bindings: &mut Vec<B
     match event {
         PlanarEvent::Session(event) => events.push(event),
         PlanarEvent::Binding(binding) => bindings.push(binding),
+        PlanarEvent::Observed(_) => {}
     }
+}
+
+/// What became of a datagram.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Outcome {
+    /// The newest frame.
+    Frame(Observation),
+    /// A frame older than the newest, or of another sender.
+    Late,
+    Duplicate,
+    Reply,
+    Ignored,
+    WrongSource,
+    Malformed,
 }
 
 /// A frame to be sent.
