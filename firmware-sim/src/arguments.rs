@@ -3,11 +3,13 @@
 use std::{net::Ipv4Addr, path::PathBuf, time::Duration};
 
 use clap::Parser;
-use singletrack_mocap::codec::BitstreamVersion;
+use singletrack_mocap::{
+    DEFAULT_COMMAND_PORT, DEFAULT_QUALISYS_PORT, DEFAULT_VRPN_PORT, codec::BitstreamVersion,
+};
 
 use crate::{
-    BoardKind, LossKind, LossPattern, RealTimeConfig, SimulationConfig, SimulationFileError,
-    StartPose, UdpConfig, parse_bitstream, parse_duration_us,
+    BoardKind, LossKind, LossPattern, RealTimeConfig, ServerKind, SimulationConfig,
+    SimulationFileError, StartPose, UdpConfig, parse_bitstream, parse_duration_us,
 };
 
 /// Where the daemon's example configuration can drive from.
@@ -20,7 +22,7 @@ const START: StartPose = StartPose {
 /// Simulate the car, the board and the motion capture system in real time.
 ///
 /// The board's serial port is a pseudo-terminal; the motion capture system is a
-/// NatNet server on UDP. Put their addresses in the daemon's configuration: the
+/// NatNet, VRPN or Qualisys server. Put their addresses in the daemon's configuration: the
 /// daemon then drives the simulated car like the real one. Stop with Ctrl-C.
 #[derive(Debug, Parser)]
 #[command(name = "singletrack-sim", version)]
@@ -42,13 +44,19 @@ pub struct Arguments {
     #[arg(long, value_name = "PATH", default_value = "/tmp/singletrack-board")]
     port: PathBuf,
 
-    /// Address of the interface for NatNet
+    /// What the motion capture system speaks
+    #[arg(long, value_name = "natnet|vrpn|qualisys", default_value = "natnet",
+          value_parser = parse_server)]
+    cameras: ServerKind,
+
+    /// Address of the interface for the motion capture
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     interface: Ipv4Addr,
 
-    /// UDP port for NatNet commands (0: any free port)
-    #[arg(long, value_name = "PORT", default_value_t = 1510)]
-    command_port: u16,
+    /// Port of the motion capture (0: any free port) [default: 1510 for NatNet, on UDP; 3883 for
+    /// VRPN; 22223 and the next for Qualisys, little- and big-endian]
+    #[arg(long, value_name = "PORT")]
+    command_port: Option<u16>,
 
     /// UDP port for NatNet frames (0: any free port)
     #[arg(long, value_name = "PORT", default_value_t = 1511)]
@@ -111,6 +119,10 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         .map_err(|error| error.to_string())
 }
 
+fn parse_server(text: &str) -> Result<ServerKind, String> {
+    ServerKind::named(text).ok_or_else(|| "choose natnet, vrpn or qualisys".to_owned())
+}
+
 fn parse_loss_kind(text: &str) -> Result<LossKind, String> {
     LossKind::named(text).ok_or_else(|| "choose occluded, absent or silent".to_owned())
 }
@@ -159,9 +171,14 @@ impl Arguments {
         Ok(RealTimeConfig {
             simulation,
             pty_link: Some(self.port.clone()),
+            cameras: self.cameras,
             udp: UdpConfig {
                 interface: self.interface,
-                command_port: self.command_port,
+                command_port: self.command_port.unwrap_or(match self.cameras {
+                    ServerKind::NatNet => DEFAULT_COMMAND_PORT,
+                    ServerKind::Vrpn => DEFAULT_VRPN_PORT,
+                    ServerKind::Qualisys => DEFAULT_QUALISYS_PORT,
+                }),
                 data_port: self.data_port,
             },
             ..RealTimeConfig::default()

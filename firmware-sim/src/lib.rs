@@ -38,11 +38,14 @@ mod natnet_server;
 mod parameters;
 mod pty;
 mod pulse_log;
+mod qtm_server;
 mod random;
 mod real_time;
 mod scripted;
+mod stream_server;
 mod truth;
 mod udp;
+mod vrpn_server;
 mod wire;
 mod world;
 
@@ -54,7 +57,7 @@ pub use board::{
 pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
-    LossKind, TICKS_PER_SECOND,
+    LossKind, ServerKind, TICKS_PER_SECOND,
 };
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,

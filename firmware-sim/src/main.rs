@@ -6,7 +6,7 @@ mod hands_socket;
 use std::{process::ExitCode, time::Duration};
 
 use clap::Parser as _;
-use singletrack_sim::{Arguments, NatNetParameters, RealTimeError, RealTimeSimulator};
+use singletrack_sim::{Arguments, NatNetParameters, RealTimeError, RealTimeSimulator, ServerKind};
 use tokio::signal::unix::{SignalKind, signal};
 
 #[tokio::main(flavor = "current_thread")]
@@ -26,11 +26,12 @@ async fn run(arguments: &Arguments) -> Result<(), Box<dyn std::error::Error>> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let config = arguments.config()?;
-    let natnet = config.simulation.natnet;
+    let (kind, natnet) = (config.cameras, config.simulation.natnet);
+    let up_axis = config.simulation.cameras.up_axis.name();
     let body = config.simulation.cameras.car.name.clone();
     let simulator = RealTimeSimulator::start(config)?;
     if !arguments.quiet {
-        introduce(&natnet, &body, &simulator);
+        introduce(kind, &natnet, up_axis, &body, &simulator);
     }
     let end = async {
         match arguments.duration {
@@ -90,19 +91,34 @@ async fn board_failure(simulator: &RealTimeSimulator) -> Result<String, RealTime
     }
 }
 
-fn introduce(natnet: &NatNetParameters, body: &str, simulator: &RealTimeSimulator) {
+fn introduce(
+    kind: ServerKind,
+    natnet: &NatNetParameters,
+    up_axis: &str,
+    body: &str,
+    simulator: &RealTimeSimulator,
+) {
+    let address = simulator.command_address();
+    let up_axis = up_axis.to_uppercase();
     println!("serial port  {}", simulator.pty_path().display());
-    println!(
-        "NatNet       {} (commands), {} (frames), bitstream {}, {}, Y up",
-        simulator.command_address(),
-        simulator.data_address(),
-        natnet.bitstream,
-        if natnet.multicast {
-            "multicast"
-        } else {
-            "unicast"
-        },
-    );
+    match kind {
+        ServerKind::NatNet => println!(
+            "NatNet       {address} (commands), {} (frames), bitstream {}, {}, {up_axis} up",
+            simulator.data_address(),
+            natnet.bitstream,
+            if natnet.multicast {
+                "multicast"
+            } else {
+                "unicast"
+            },
+        ),
+        ServerKind::Vrpn => {
+            println!("VRPN         {address} (TCP, and UDP on request), {up_axis} up");
+        }
+        ServerKind::Qualisys => println!(
+            "Qualisys     {address} (little-endian; big-endian on the next port), {up_axis} up"
+        ),
+    }
     println!("rigid body   \"{body}\", its pivot above the centre of mass");
     println!("Ctrl-C stops.");
 }

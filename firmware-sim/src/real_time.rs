@@ -19,9 +19,11 @@ use rustix::{
 };
 
 use crate::{
+    cameras::ServerKind,
     car::Truth,
     parameters::{ConfigError, SimulationConfig},
     pty::{Pty, PtyError},
+    stream_server::StreamServers,
     udp::{NatNetSockets, UdpConfig, UdpError},
     world::World,
 };
@@ -34,7 +36,9 @@ pub struct RealTimeConfig {
     /// Path of the link to the pseudo-terminal, which stays the same when the line
     /// is unplugged and plugged in.
     pub pty_link: Option<PathBuf>,
-    /// Sockets of the NatNet server.
+    /// What the cameras' server speaks.
+    pub cameras: ServerKind,
+    /// Sockets of that server.
     pub udp: UdpConfig,
     /// Period of the recorded trajectory, in µs.
     pub trajectory_period_us: u64,
@@ -45,6 +49,7 @@ impl Default for RealTimeConfig {
         Self {
             simulation: SimulationConfig::default(),
             pty_link: None,
+            cameras: ServerKind::NatNet,
             udp: UdpConfig::default(),
             trajectory_period_us: 5_000,
         }
@@ -130,14 +135,10 @@ impl RealTimeSimulator {
     /// Fails if a resource can't be opened or the configuration is invalid.
     pub fn start(config: RealTimeConfig) -> Result<Self, RealTimeError> {
         let mut world = World::new(config.simulation)?;
-        let natnet = *world.natnet().parameters();
-        let sockets = NatNetSockets::bind(&config.udp, natnet.group, natnet.sends_from)?;
-        world
-            .natnet_mut()
-            .set_data_port(sockets.data_address().port());
+        let sockets = Sockets::bind(config.cameras, &config.udp, &mut world)?;
         let pty = Pty::open(config.pty_link.as_deref())?;
         let pty_path = pty.path().to_owned();
-        let (command_address, data_address) = (sockets.command_address(), sockets.data_address());
+        let (command_address, data_address) = sockets.addresses();
         let (requests, receiver) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let started_ns = monotonic_ns();
@@ -176,7 +177,7 @@ impl RealTimeSimulator {
         &self.pty_path
     }
 
-    /// Command address of the NatNet server.
+    /// Command address of the NatNet server, or the address of another one on TCP.
     #[must_use]
     pub const fn command_address(&self) -> SocketAddrV4 {
         self.command_address
@@ -309,13 +310,46 @@ struct Machine {
     world: World,
     pty: Option<Pty>,
     link: Option<PathBuf>,
-    sockets: NatNetSockets,
+    sockets: Sockets,
     started_ns: u64,
     trajectory: VecDeque<TimedTruth>,
     trajectory_period_us: u64,
     next_record_us: u64,
     counters: RealTimeCounters,
     bytes: Vec<u8>,
+}
+
+/// The sockets of the cameras' server.
+#[derive(Debug)]
+enum Sockets {
+    NatNet(NatNetSockets),
+    Stream(Box<StreamServers>),
+}
+
+impl Sockets {
+    fn bind(kind: ServerKind, config: &UdpConfig, world: &mut World) -> Result<Self, UdpError> {
+        let (interface, port) = (config.interface, config.command_port);
+        Ok(match kind {
+            ServerKind::NatNet => {
+                let natnet = *world.natnet().parameters();
+                let sockets = NatNetSockets::bind(config, natnet.group, natnet.sends_from)?;
+                world
+                    .natnet_mut()
+                    .set_data_port(sockets.data_address().port());
+                Self::NatNet(sockets)
+            }
+            ServerKind::Vrpn => Self::Stream(Box::new(StreamServers::vrpn(interface, port)?)),
+            ServerKind::Qualisys => Self::Stream(Box::new(StreamServers::qtm(interface, port)?)),
+        })
+    }
+
+    /// Where commands are taken, and where frames come from.
+    fn addresses(&self) -> (SocketAddrV4, SocketAddrV4) {
+        match self {
+            Self::NatNet(sockets) => (sockets.command_address(), sockets.data_address()),
+            Self::Stream(servers) => (servers.address(), servers.address()),
+        }
+    }
 }
 
 /// Time between two rounds, in ns.
@@ -389,17 +423,32 @@ impl Machine {
     }
 
     fn serve_network(&mut self) {
-        let mut buffer = [0; 2048];
-        while let Some((length, from)) = self.sockets.receive(&mut buffer) {
-            if let Some(datagram) = buffer.get(..length) {
-                let now_us = (monotonic_ns() - self.started_ns) / 1_000;
-                self.world
-                    .handle_datagram_at(now_us.max(self.world.now_us()), from, datagram);
+        let started_ns = self.started_ns;
+        let now_us = move || (monotonic_ns() - started_ns) / 1_000;
+        match &mut self.sockets {
+            Sockets::NatNet(sockets) => {
+                let mut buffer = [0; 2048];
+                while let Some((length, from)) = sockets.receive(&mut buffer) {
+                    if let Some(datagram) = buffer.get(..length) {
+                        let now_us = now_us().max(self.world.now_us());
+                        self.world.handle_datagram_at(now_us, from, datagram);
+                    }
+                }
+                while let Some(datagram) = self.world.poll_datagram() {
+                    if !sockets.send(&datagram) {
+                        self.counters.datagrams_lost += 1;
+                    }
+                }
             }
-        }
-        while let Some(datagram) = self.world.poll_datagram() {
-            if !self.sockets.send(&datagram) {
-                self.counters.datagrams_lost += 1;
+            Sockets::Stream(servers) => {
+                let cameras = self.world.cameras();
+                let behind_us = self.world.now_us();
+                let clock = || cameras.clock().at(now_us().max(behind_us));
+                servers.serve(&clock, cameras.parameters());
+                while let Some(frame) = self.world.poll_camera_frame() {
+                    let cameras = self.world.cameras().parameters();
+                    self.counters.datagrams_lost += servers.frame(cameras, &frame);
+                }
             }
         }
     }

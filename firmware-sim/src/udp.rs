@@ -1,4 +1,4 @@
-//! The NatNet server's sockets.
+//! The addresses of the cameras' server, and the sockets of NatNet.
 
 use std::{
     io,
@@ -10,14 +10,15 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 use crate::natnet_server::{Datagram, Destination};
 
-/// Addresses of the NatNet server.
+/// Addresses of the cameras' server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UdpConfig {
     /// Address of the interface, also for multicast frames. The default is this
     /// machine only.
     pub interface: Ipv4Addr,
-    /// Port for commands, 1510 by default in NatNet; 0 selects a free one.
+    /// Port for commands, 1510 by default in NatNet; the TCP port of other servers; 0 selects a
+    /// free one.
     pub command_port: u16,
     /// Port for frames, 1511 by default in NatNet; 0 selects a free one.
     pub data_port: u16,
@@ -33,10 +34,10 @@ impl Default for UdpConfig {
     }
 }
 
-/// Error while opening a socket of the NatNet server.
+/// Error while opening a socket of the cameras' server.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "can't serve NatNet on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
+    "can't serve the cameras on {address} ({purpose}): {source}; choose another port, or 0 for a free one"
 )]
 pub struct UdpError {
     /// Requested address.

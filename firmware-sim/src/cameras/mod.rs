@@ -18,7 +18,7 @@ use crate::{
     random::{Random, Stream},
 };
 
-pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind};
+pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind, ServerKind};
 
 use parameters::stream;
 

@@ -83,6 +83,16 @@ section! {
     forged_drift_m_s: [f64; 2] = [0.0; 2], in FINITE;
 }
 
+impl CameraParameters {
+    /// Ids and names of all bodies, in the order of the server's list.
+    pub fn names(&self) -> impl Iterator<Item = (i32, &str)> {
+        let decoys = self.decoys.iter();
+        decoys
+            .map(|decoy| (decoy.id, decoy.name.as_str()))
+            .chain([(self.car.id, self.car.name.as_str())])
+    }
+}
+
 /// The world's vector in the streamed axes.
 pub(super) fn stream(up_axis: UpAxis, [x, y, z]: [f64; 3]) -> [f64; 3] {
     match up_axis {
@@ -155,5 +165,17 @@ words! {
         Absent = "absent",
         /// No frame is sent.
         Silent = "silent",
+    }
+}
+
+words! {
+    /// What the cameras' server speaks.
+    pub enum ServerKind {
+        /// OptiTrack Motive.
+        NatNet = "natnet",
+        /// Vicon and many others.
+        Vrpn = "vrpn",
+        /// Qualisys Track Manager.
+        Qualisys = "qualisys",
     }
 }

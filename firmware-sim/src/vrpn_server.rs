@@ -1,0 +1,146 @@
+//! The cameras' VRPN server, without sockets.
+
+use singletrack_mocap::vrpn::message::{
+    self, COOKIE, COOKIE_BEGINNING, Message, PING, PONG, POSE, Pose, SENDER_DESCRIPTION,
+    TYPE_DESCRIPTION, UDP_DESCRIPTION,
+};
+
+use crate::{
+    cameras::{CameraFrame, CameraParameters},
+    stream_server::{Client, Refused, StreamServer},
+};
+
+/// The server's own numbers of its types. Those of its senders are the places of the bodies.
+const POSE_TYPE: i32 = 0;
+const PING_TYPE: i32 = 1;
+const PONG_TYPE: i32 = 2;
+
+/// The server side of VRPN: each rigid body is a tracker with sensor 0.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct VrpnServer;
+
+/// What is known of a client.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct VrpnClient {
+    welcomed: bool,
+    /// The client's number of pings.
+    ping: Option<i32>,
+    sequence: u32,
+}
+
+impl VrpnClient {
+    fn say(&mut self, stamp_us: u64, sender: i32, kind: i32, body: &[u8]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let message = Message {
+            stamp_us,
+            sender,
+            kind,
+            body,
+        };
+        message.write(self.sequence, &mut |part| bytes.extend_from_slice(part));
+        self.sequence = self.sequence.wrapping_add(1);
+        bytes
+    }
+}
+
+impl StreamServer for VrpnServer {
+    type State = VrpnClient;
+
+    fn greeting(&self, client: &Client<VrpnClient>) -> Vec<u8> {
+        // A server that calls back speaks first.
+        if client.was_called {
+            COOKIE.to_vec()
+        } else {
+            Vec::new()
+        }
+    }
+
+    fn receive(
+        &self,
+        clock_us: u64,
+        cameras: &CameraParameters,
+        client: &mut Client<VrpnClient>,
+    ) -> Result<bool, Refused> {
+        let input = core::mem::take(&mut client.input);
+        let state = &mut client.state;
+        let used = if state.welcomed {
+            let Some((message, length)) = Message::read(&input).map_err(|_| Refused)? else {
+                client.input = input;
+                return Ok(false);
+            };
+            match message.kind {
+                TYPE_DESCRIPTION if message.described() == Some(PING) => {
+                    state.ping = Some(message.sender);
+                }
+                UDP_DESCRIPTION => {
+                    let port = u16::try_from(message.sender).ok();
+                    client.datagrams_to =
+                        port.map(|port| core::net::SocketAddr::new(client.address, port));
+                }
+                kind if Some(kind) == state.ping => {
+                    let pong = state.say(clock_us, 0, PONG_TYPE, &[]);
+                    client.output.extend(pong);
+                }
+                _ => {}
+            }
+            length
+        } else {
+            let seen = input.len().min(COOKIE_BEGINNING.len());
+            if input.get(..seen) != COOKIE_BEGINNING.get(..seen) {
+                return Err(Refused);
+            }
+            if input.len() < COOKIE.len() {
+                client.input = input;
+                return Ok(false);
+            }
+            state.welcomed = true;
+            if !client.was_called {
+                client.output.extend(COOKIE);
+            }
+            let descriptions = [
+                (POSE_TYPE, TYPE_DESCRIPTION, POSE),
+                (PING_TYPE, TYPE_DESCRIPTION, PING),
+                (PONG_TYPE, TYPE_DESCRIPTION, PONG),
+            ];
+            let senders = (0..)
+                .zip(cameras.names())
+                .map(|(number, (_, name))| (number, SENDER_DESCRIPTION, name));
+            for (number, kind, name) in descriptions.into_iter().chain(senders) {
+                let said = state.say(clock_us, number, kind, &message::description(name));
+                client.output.extend(said);
+            }
+            COOKIE.len()
+        };
+        client.input = input.get(used..).unwrap_or_default().to_vec();
+        Ok(true)
+    }
+
+    fn frame(
+        &self,
+        cameras: &CameraParameters,
+        frame: &CameraFrame,
+        stamp_us: u64,
+        client: &mut Client<VrpnClient>,
+    ) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        if !client.state.welcomed {
+            return bytes;
+        }
+        for (number, (id, _)) in (0..).zip(cameras.names()) {
+            // VRPN has no sign of a body that is not seen: nothing is reported.
+            let seen = frame
+                .bodies
+                .iter()
+                .find(|body| body.id == id && body.tracking_valid());
+            if let Some(body) = seen {
+                let pose = Pose {
+                    sensor: 0,
+                    position_m: body.position_m.map(f64::from),
+                    orientation_xyzw: body.orientation_xyzw.map(f64::from),
+                };
+                bytes.extend(client.state.say(stamp_us, number, POSE_TYPE, &pose.body()));
+            }
+        }
+        bytes
+    }
+}
