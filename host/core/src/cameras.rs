@@ -13,8 +13,9 @@ use std::{
 };
 
 use rtrb::Producer;
-use singletrack_mocap::planar::{
-    Observation, PlanarCounters, PlanarEvent, PlanarOutcome, PlanarSession, PoseState,
+use singletrack_mocap::{
+    Input, LocalEnd, Stream,
+    planar::{Observation, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
 
 use crate::diagnosis::{CameraWatch, Diagnosis};
@@ -25,6 +26,9 @@ const LONGEST: usize = 65_535;
 /// The largest number of datagrams of a socket in a poll: during a flood the receiver
 /// must still detect silence and request the stream.
 const DATAGRAMS: usize = 64;
+
+/// The largest number of events of a stream in a poll, for the same reason.
+const STREAM_EVENTS: usize = 16;
 
 /// The longest wait between two polls.
 const IDLE_NS: u64 = 100_000_000;
@@ -48,6 +52,28 @@ pub trait Sockets {
 
     /// Sends a datagram. The session repeats lost ones.
     fn send(&mut self, to: SocketAddr, bytes: &[u8]);
+
+    /// Opens, keeps or closes the stream, without waiting, and says what happened to it. Received
+    /// bytes are appended to `received`.
+    fn stream(&mut self, _wanted: Option<Stream>, _received: &mut Vec<u8>) -> StreamEvent {
+        StreamEvent::Nothing
+    }
+
+    /// Writes to the open stream.
+    fn write_stream(&mut self, _bytes: &[u8]) {}
+}
+
+/// What happened to a stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StreamEvent {
+    /// Nothing since the last question.
+    Nothing,
+    /// It is open.
+    Opened(LocalEnd),
+    /// Bytes have arrived.
+    Received,
+    /// It could not be opened, or has ended.
+    Closed,
 }
 
 /// A report of the receiver.
@@ -71,6 +97,10 @@ pub struct CameraReceiver {
     observations: Producer<Observation>,
     reports: Producer<CameraReport>,
     buffer: Vec<u8>,
+    /// What arrived on the stream and was not used.
+    stream: Vec<u8>,
+    /// Observations of a poll, oldest first.
+    fresh: Vec<Observation>,
     watch: CameraWatch,
     is_stale: bool,
     last_frame: i32,
@@ -96,6 +126,8 @@ impl CameraReceiver {
             observations,
             reports,
             buffer: vec![0; LONGEST],
+            stream: Vec::new(),
+            fresh: Vec::with_capacity(2 * DATAGRAMS),
             watch: CameraWatch::default(),
             is_stale: false,
             last_frame: 0,
@@ -107,7 +139,7 @@ impl CameraReceiver {
 
     /// The counters of the session.
     #[must_use]
-    pub const fn counters(&self) -> PlanarCounters {
+    pub fn counters(&self) -> PlanarCounters {
         self.session.counters()
     }
 
@@ -135,9 +167,13 @@ impl CameraReceiver {
         self.session.set_stamp_offset_ns(offset_ns);
         let mut are_left = false;
         let mut watch = core::mem::take(&mut self.watch);
-        let mut on_event = |event: &PlanarEvent| {
-            watch.handle(event);
-            on_event(event);
+        let mut fresh = core::mem::take(&mut self.fresh);
+        let mut on_event = |event: PlanarEvent| match event {
+            PlanarEvent::Observed(observation) => fresh.push(observation),
+            event => {
+                watch.handle(&event);
+                on_event(&event);
+            }
         };
         for channel in [Channel::Command, Channel::Data] {
             for taken in 1..=DATAGRAMS {
@@ -145,21 +181,39 @@ impl CameraReceiver {
                     break;
                 };
                 are_left |= taken == DATAGRAMS;
-                let now_ns = clock();
-                let datagram = self.buffer.get(..length).unwrap_or(&[]);
-                if let PlanarOutcome::Frame(observation) =
-                    self.session
-                        .handle_datagram(now_ns, source, datagram, &mut |event| on_event(&event))
-                {
-                    self.is_stale = false;
-                    self.last_frame = observation.frame_number;
-                    self.observed(observation);
-                }
+                let bytes = self.buffer.get(..length).unwrap_or(&[]);
+                let input = Input::Datagram { source, bytes };
+                self.session.handle_input(clock(), input, &mut on_event);
             }
         }
+        let wanted = self.session.stream();
+        for taken in 1..=STREAM_EVENTS {
+            let event = sockets.stream(self.session.stream(), &mut self.stream);
+            are_left |= taken == STREAM_EVENTS;
+            let input = match event {
+                StreamEvent::Nothing => break,
+                StreamEvent::Received => {
+                    let input = Input::Stream(&self.stream);
+                    let used = self.session.handle_input(clock(), input, &mut on_event);
+                    self.stream.drain(..used.min(self.stream.len()));
+                    continue;
+                }
+                StreamEvent::Opened(local) => Input::Opened(local),
+                StreamEvent::Closed => Input::Closed,
+            };
+            self.stream.clear();
+            self.session.handle_input(clock(), input, &mut on_event);
+        }
         let now_ns = clock();
-        self.session
-            .handle_timeout(now_ns, &mut |event| on_event(&event));
+        self.session.handle_timeout(now_ns, &mut on_event);
+        // Another stream is opened by the next poll.
+        are_left |= self.session.stream() != wanted;
+        for observation in fresh.drain(..) {
+            self.is_stale = false;
+            self.last_frame = observation.frame_number;
+            self.observed(observation);
+        }
+        self.fresh = fresh;
         self.transmit(now_ns, sockets);
         let state = self.session.pose_state(now_ns);
         if matches!(state, PoseState::Stale { .. }) && !self.is_stale {
@@ -198,15 +252,20 @@ impl CameraReceiver {
         self.session.poll_timeout().unwrap_or(idle_ns).min(idle_ns)
     }
 
-    /// Ends the session and sends the disconnect message.
+    /// Ends the session: sends the disconnect message, closes the stream.
     pub fn close(&mut self, clock: &impl Fn() -> u64, sockets: &mut impl Sockets) {
         self.session.close();
         self.transmit(clock(), sockets);
+        sockets.stream(None, &mut self.stream);
     }
 
     fn transmit(&mut self, now_ns: u64, sockets: &mut impl Sockets) {
-        while let Some(datagram) = self.session.poll_transmit(now_ns) {
-            sockets.send(datagram.destination, &datagram.bytes);
+        while let Some(transmit) = self.session.poll_transmit(now_ns) {
+            if transmit.on_stream {
+                sockets.write_stream(&transmit.bytes);
+            } else {
+                sockets.send(transmit.destination, &transmit.bytes);
+            }
         }
     }
 

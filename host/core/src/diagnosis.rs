@@ -7,7 +7,7 @@ use core::{fmt, net::IpAddr};
 
 use serde::Serialize;
 use singletrack_mocap::{
-    Binding, Phase, RejectReason, SessionEvent, UpAxis,
+    Binding, Phase, Protocol, RejectReason, SessionEvent, Transport, UpAxis,
     planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
 
@@ -229,11 +229,16 @@ impl CameraWatch {
         }
         if !grew(|counters| counters.session.frames) {
             return match (session.phase(), session.other_source()) {
-                (Phase::Refused(_), _) => Cause::UnsupportedVersion,
+                (Phase::Refused(_) | Phase::Foreign, _) => Cause::UnsupportedVersion,
                 (_, Some(address)) if grew(|counters| counters.session.wrong_source) => {
                     Cause::OtherAddress(address)
                 }
                 (Phase::Streaming(_), _) if self.wrong_transport => Cause::OtherTransport,
+                // Without frames of the body, VRPN still has names.
+                (Phase::Open, _) => match session.binding() {
+                    Binding::Missing => Cause::NoSuchBody,
+                    _ => Cause::NoFrames,
+                },
                 (Phase::Streaming(_), _) => Cause::NoFrames,
                 _ => Cause::NoServer,
             };
@@ -287,14 +292,27 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
         Cause::Good => "poses arrive".to_owned(),
         Cause::NoServer => format!(
             "nothing comes from motion_capture.server = {server}: is the address right, the \
-             program running there with streaming on, the cable plugged in, UDP port {} open in \
+             program running there with streaming on, the cable plugged in, {} port {} open in \
              both firewalls?",
+            match config.protocol {
+                Protocol::NatNet => "UDP",
+                Protocol::Vrpn { .. } | Protocol::Qualisys => "TCP",
+            },
             config.command_port
         ),
         Cause::OtherAddress(address) => format!(
             "packets come from {address}, not from motion_capture.server = {server}: the server \
              probably has a second network card; set motion_capture.server = \"{address}\" if \
              that is its address, or choose the network in the server's streaming settings"
+        ),
+        Cause::UnsupportedVersion if session.phase() == Phase::Foreign => format!(
+            "what answers at {server}, TCP port {}, is no {}: look at motion_capture.kind and \
+             command_port",
+            config.command_port,
+            match config.protocol {
+                Protocol::Vrpn { .. } => "VRPN server of version 07",
+                Protocol::NatNet | Protocol::Qualisys => "QTM server of version 1.13 or later",
+            }
         ),
         Cause::UnsupportedVersion => {
             "the server's bitstream is not supported; set motion_capture.bitstream = \"4.1\", or \
@@ -305,6 +323,17 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
             "the server streams with the other transport, unicast or multicast; change \
              motion_capture.transport or the server's setting"
                 .to_owned()
+        }
+        Cause::NoFrames if config.protocol != Protocol::NatNet => {
+            let on_udp = if config.transport == Transport::Stream {
+                ""
+            } else {
+                "; UDP from the server may be closed here, and TCP is tried by itself"
+            };
+            format!(
+                "the server at {server} answers and sends no poses of {rigid_body:?}: do the \
+                 cameras see it, and is a measurement running{on_udp}?"
+            )
         }
         Cause::NoFrames => format!(
             "the server at {server} answers and sends no frames: start streaming there, and open \

@@ -214,7 +214,8 @@ fn is_section(section: &Section, key: &Key) -> bool {
 
 /// Whether the section's kind says which keys it has.
 fn has_kinds(section: &Section) -> bool {
-    section.keys.iter().any(|key| key.name == "kind")
+    let says = |key: &Key| key.name == "kind" && (key.default)().is_none();
+    section.keys.iter().any(says)
 }
 
 /// The help as a comment, broken at [`WIDTH`].

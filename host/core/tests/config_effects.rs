@@ -18,6 +18,7 @@ const READ_AS_THEY_ARE: &[&str] = &[
 
 /// Sections whose keys depend on a kind, or come together; they have tests of their own.
 const TOGETHER: &[&str] = &[
+    "motion_capture.sensor",
     "outer_loop",
     "reference",
     "vehicle",

@@ -73,7 +73,8 @@ motion_capture | server = 192 | motion_capture.server | 192 | quotation marks
 motion_capture | up_axis = "x" | motion_capture.up_axis | "x" | "y" or "z"
 motion_capture | up_axis = "up" | motion_capture.up_axis | "up" | "y" or "z"
 motion_capture | up_axis = z | motion_capture.up_axis | z | quotation marks
-motion_capture | transport = "tcp" | motion_capture.transport | "tcp" | "unicast" or "multicast"
+motion_capture | transport = "serial" | motion_capture.transport | "serial" | "unicast", "multicast" or "tcp"
+motion_capture | kind = "vicon" | motion_capture.kind | "vicon" | "natnet", "vrpn" or "qualisys"
 motion_capture | bitstream = "new" | motion_capture.bitstream | "new" | write it as "4.1"
 motion_capture | bitstream = "2.5" | motion_capture.bitstream | "2.5" | 2.7 to 4.4
 motion_capture | bitstream = 4.1 | motion_capture.bitstream | 4.1 | quotation marks
@@ -103,6 +104,8 @@ serial | port = "" | serial.port | empty | /dev/ttyACM0
 serial | baud = 300 | serial.baud | 300 | between 9600 and 2000000
 motion_capture | server = "0.0.0.0" | motion_capture.server | 0.0.0.0 | address of the computer
 motion_capture | server = "239.255.42.99" | motion_capture.server | 239.255.42.99 | address of the computer
+motion_capture | transport = "tcp" | motion_capture.transport | "tcp" | "unicast" or "multicast"
+motion_capture | sensor = 1 | motion_capture.sensor | 1 | only kind = "vrpn" has sensors
 motion_capture | rigid_body = "" | motion_capture.rigid_body | "" | 1 to 255
 motion_capture | command_port = 0 | motion_capture.command_port | 0 | between 1 and 65535
 motion_capture | data_port = 0 | motion_capture.data_port | 0 | between 1 and 65535
@@ -353,6 +356,37 @@ fn every_section_refuses_a_key_that_it_has_not() {
         count += 1;
     }
     assert!(count >= 18, "{count}");
+}
+
+#[test]
+fn a_kind_of_server_takes_its_own_keys_only() {
+    for (lines, message) in [
+        ("kind = \"vrpn\"\nsensor = 2", ""),
+        ("kind = \"qualisys\"\ntransport = \"tcp\"", ""),
+        (
+            "kind = \"vrpn\"\nbitstream = \"4.1\"",
+            "motion_capture.bitstream is 4.1: only NatNet has it",
+        ),
+        (
+            "kind = \"qualisys\"\ntransport = \"multicast\"",
+            "motion_capture.transport is \"multicast\": only NatNet has it",
+        ),
+        (
+            "kind = \"vrpn\"\nrigid_body = \"car@192.168.1.10:3883\"",
+            "write the tracker's name alone, of at most 99 bytes: \"car\" for",
+        ),
+    ] {
+        let example = match lines.contains("rigid_body") {
+            true => EXAMPLE.replacen("\nrigid_body = \"car\"\n", "\n", 1),
+            false => EXAMPLE.to_owned(),
+        };
+        let section = format!("\n[motion_capture]\n{lines}\n");
+        let text = example.replacen("\n[motion_capture]\n", &section, 1);
+        match message {
+            "" => drop(Config::from_toml(&text).unwrap()),
+            message => assert!(refusal(&text).contains(message), "{}", refusal(&text)),
+        }
+    }
 }
 
 #[test]

@@ -3,11 +3,11 @@
 use std::{net::SocketAddr, thread::Thread, time::Duration};
 
 use singletrack_core::{
-    cameras::{CameraReceiver, Channel, Sockets},
+    cameras::{CameraReceiver, Channel, Sockets, StreamEvent},
     config::MotionCaptureSection,
 };
 use singletrack_mocap::{
-    Binding, SessionEvent,
+    Binding, SessionEvent, Stream,
     planar::{PlanarCounters, PlanarEvent},
 };
 use tracing::{info, warn};
@@ -30,7 +30,7 @@ impl Sockets for LoggedSockets {
     }
 
     fn send(&mut self, to: SocketAddr, bytes: &[u8]) {
-        let result = self.sockets.send(to, bytes);
+        let result = self.sockets.try_send(to, bytes);
         if let Err(error) = &result
             && self.is_reachable
         {
@@ -38,7 +38,18 @@ impl Sockets for LoggedSockets {
         }
         self.is_reachable = result.is_ok();
     }
+
+    fn stream(&mut self, wanted: Option<Stream>, received: &mut Vec<u8>) -> StreamEvent {
+        self.sockets.stream(wanted, received)
+    }
+
+    fn write_stream(&mut self, bytes: &[u8]) {
+        self.sockets.write_stream(bytes);
+    }
 }
+
+/// How often a stream that is being opened is looked at.
+const OPENING: Duration = Duration::from_millis(5);
 
 /// Runs until `stop` is raised, and wakes `control` for every observation. Returns the counters,
 /// and the number of observations that found no room in the ring to the control loop.
@@ -62,7 +73,10 @@ pub(crate) fn run(
             passed = receiver.passed();
             control.unpark();
         }
-        let wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
+        let mut wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
+        if sockets.sockets.is_opening() {
+            wait = wait.min(OPENING);
+        }
         if stop.wait(&sockets.sockets.files(), wait) == Woken::Stop {
             receiver.close(&monotonic_ns, &mut sockets);
             return (receiver.counters(), receiver.dropped());
@@ -80,6 +94,16 @@ fn log(event: &PlanarEvent, config: &MotionCaptureSection) {
                 "motion capture connected"
             );
         }
+        PlanarEvent::Session(SessionEvent::Opened) => info!("motion capture connected"),
+        PlanarEvent::Session(SessionEvent::Foreign) => warn!(
+            server = %config.server, port = config.port(), kind = config.kind.name(),
+            "what answers speaks another protocol or an unsupported version of it: look at \
+             motion_capture.kind and command_port"
+        ),
+        PlanarEvent::Session(SessionEvent::DatagramsBlocked) => warn!(
+            "poses come over TCP, because none arrive over UDP: open UDP from the server in this \
+             computer's firewall, or set motion_capture.transport = \"tcp\""
+        ),
         PlanarEvent::Session(SessionEvent::Refused(version)) => warn!("motion capture: {version}"),
         PlanarEvent::Session(SessionEvent::BitstreamKept { requested, kept }) => warn!(
             %requested, %kept,

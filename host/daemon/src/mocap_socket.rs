@@ -1,4 +1,4 @@
-//! The UDP sockets to the motion capture.
+//! The sockets to the motion capture.
 
 use std::{
     io,
@@ -7,10 +7,13 @@ use std::{
 };
 
 use singletrack_core::{
-    cameras::Channel,
+    cameras::{Channel, Sockets, StreamEvent},
     config::{MotionCaptureSection, TransportKind},
 };
+use singletrack_mocap::Stream;
 use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::mocap_stream::MocapStream;
 
 /// Why a socket can't be opened, and what to do about it.
 #[derive(Debug, thiserror::Error)]
@@ -22,40 +25,60 @@ pub struct MocapSocketError {
     fix: &'static str,
 }
 
-/// One socket for unicast; a second one for the frames of multicast.
+/// One socket for unicast; a second one for the frames of multicast; and a stream for protocols
+/// that have one.
 #[derive(Debug)]
-pub(crate) struct MocapSockets {
+pub struct MocapSockets {
     command: UdpSocket,
     data: Option<UdpSocket>,
+    stream: MocapStream,
 }
 
 impl MocapSockets {
-    pub(crate) fn open(config: &MotionCaptureSection) -> Result<Self, MocapSocketError> {
+    /// Opens the sockets that the transport needs.
+    ///
+    /// # Errors
+    ///
+    /// An address can't be bound, or a group can't be joined.
+    pub fn open(config: &MotionCaptureSection) -> Result<Self, MocapSocketError> {
         let command = bind(
             SocketAddrV4::new(config.interface, 0),
             "motion_capture.interface must be an address of this computer, or 0.0.0.0",
         )?;
         let data = match config.transport {
-            TransportKind::Unicast => None,
+            TransportKind::Unicast | TransportKind::Tcp => None,
             TransportKind::Multicast => Some(join(config)?),
         };
-        Ok(Self { command, data })
+        let datagram_port = command.local_addr().map_or(0, |address| address.port());
+        Ok(Self {
+            command,
+            data,
+            stream: MocapStream::new(datagram_port),
+        })
     }
 
-    /// The sockets, to poll them for datagrams.
-    pub(crate) fn files(&self) -> heapless::Vec<BorrowedFd<'_>, 2> {
+    /// The sockets, to poll them for what arrives.
+    pub fn files(&self) -> heapless::Vec<BorrowedFd<'_>, 3> {
         core::iter::once(&self.command)
             .chain(&self.data)
             .map(AsFd::as_fd)
+            .chain(self.stream.file())
             .collect()
     }
 
-    /// The next datagram that waits; `None` if there is none.
-    pub(crate) fn receive(
-        &self,
-        channel: Channel,
-        buffer: &mut [u8],
-    ) -> Option<(usize, SocketAddr)> {
+    /// Whether a stream is being opened, which no file tells.
+    #[must_use]
+    pub const fn is_opening(&self) -> bool {
+        self.stream.is_opening()
+    }
+
+    pub(crate) fn try_send(&self, to: SocketAddr, bytes: &[u8]) -> io::Result<()> {
+        self.command.send_to(bytes, to).map(drop)
+    }
+}
+
+impl Sockets for MocapSockets {
+    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
         let socket = match channel {
             Channel::Command => &self.command,
             Channel::Data => self.data.as_ref()?,
@@ -64,8 +87,17 @@ impl MocapSockets {
         socket.recv_from(buffer).ok()
     }
 
-    pub(crate) fn send(&self, to: SocketAddr, bytes: &[u8]) -> io::Result<()> {
-        self.command.send_to(bytes, to).map(drop)
+    fn send(&mut self, to: SocketAddr, bytes: &[u8]) {
+        // The session repeats what matters.
+        let _ = self.try_send(to, bytes);
+    }
+
+    fn stream(&mut self, wanted: Option<Stream>, received: &mut Vec<u8>) -> StreamEvent {
+        self.stream.poll(wanted, received)
+    }
+
+    fn write_stream(&mut self, bytes: &[u8]) {
+        self.stream.write(bytes);
     }
 }
 

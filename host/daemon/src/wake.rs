@@ -38,11 +38,11 @@ impl StopFlag {
         let _ = rustix::io::write(&*self.0, &1_u64.to_ne_bytes());
     }
 
-    /// Waits for the flag, the timeout or one of at most two `files`.
+    /// Waits for the flag, the timeout or one of at most three `files`.
     pub(crate) fn wait(&self, files: &[BorrowedFd<'_>], timeout: Duration) -> Woken {
-        let mut polled = heapless::Vec::<PollFd<'_>, 3>::new();
+        let mut polled = heapless::Vec::<PollFd<'_>, 4>::new();
         for file in [self.0.as_fd()].iter().chain(files) {
-            // The capacity is the flag and two files.
+            // The capacity is the flag and three files.
             let _ = polled.push(PollFd::from_borrowed_fd(*file, PollFlags::IN));
         }
         let timeout = Timespec {

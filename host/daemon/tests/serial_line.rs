@@ -30,7 +30,7 @@ fn config(port: &Path) -> Config {
     config.serial.port = port.to_owned();
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
     // No server listens there.
-    config.motion_capture.command_port = 9;
+    config.motion_capture.command_port = Some(9);
     config.control.realtime_priority = 0;
     config.record.enabled = false;
     config.socket.enabled = false;

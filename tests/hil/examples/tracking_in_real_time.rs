@@ -111,7 +111,7 @@ fn configuration(believed: Config, simulator: &RealTimeSimulator, folder: &Path)
     let mut config = believed;
     config.serial = SerialSection::new(simulator.pty_path());
     config.motion_capture = MotionCaptureSection {
-        command_port: cameras.port(),
+        command_port: Some(cameras.port()),
         ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxis::Y)
     };
     config.supervisor.require_calibration = false;

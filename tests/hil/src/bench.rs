@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use singletrack_core::config::Config;
+use singletrack_core::config::{Config, ServerKind};
 use singletrack_protocol::UNNAMED;
 use singletrack_sim::BoardKind;
 use tempfile::TempDir;
@@ -112,6 +112,35 @@ impl Bench {
         })
     }
 
+    /// Replaces the rig by one whose cameras have another kind of server, and configures the next
+    /// daemon for it.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the rig does not start, and with a physical board.
+    pub fn exchange_cameras(&mut self, kind: ServerKind) -> Outcome {
+        if let Some(lack) = self.lacks(Need::OtherCameras) {
+            return Err(Failure::new(lack));
+        }
+        let simulated = match kind {
+            ServerKind::NatNet => singletrack_sim::ServerKind::NatNet,
+            ServerKind::Vrpn => singletrack_sim::ServerKind::Vrpn,
+            ServerKind::Qualisys => singletrack_sim::ServerKind::Qualisys,
+        };
+        let link = self.folder().join(format!("board-{}", kind.name()));
+        self.rig = Box::new(SimulatedRig::with_cameras(
+            link,
+            1,
+            self.equipment.board,
+            UNNAMED,
+            simulated,
+        )?);
+        self.config.serial.port = self.rig.port().to_owned();
+        self.config.motion_capture.kind = kind;
+        self.config.motion_capture.command_port = Some(self.rig.cameras().port());
+        Ok(())
+    }
+
     /// Replaces board, car and cameras by those of another car, and configures the next daemon
     /// for it. The daemon must have ended.
     ///
@@ -131,7 +160,7 @@ impl Bench {
         )?);
         self.config.serial.port = self.rig.port().to_owned();
         self.config.motion_capture.server = *self.rig.cameras().ip();
-        self.config.motion_capture.command_port = self.rig.cameras().port();
+        self.config.motion_capture.command_port = Some(self.rig.cameras().port());
         self.config.board.car_id = car_id;
         Ok(())
     }

@@ -25,7 +25,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
     Config {
         serial: SerialSection::new(port),
         motion_capture: MotionCaptureSection {
-            command_port: cameras.port(),
+            command_port: Some(cameras.port()),
             ..MotionCaptureSection::new(*cameras.ip(), "car", UpAxis::Y)
         },
         law: LawSection {

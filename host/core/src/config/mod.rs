@@ -52,7 +52,7 @@ pub use limits::LimitsSection;
 pub use loop_model::LoopModel;
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
-    Bitstream, MotionCaptureSection, PoseSection, TimingSection, TransportKind,
+    Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
 pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};

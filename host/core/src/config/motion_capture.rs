@@ -8,9 +8,8 @@ use core::{
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use singletrack_mocap::{
-    DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP,
-    DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits, Timing, Transport, UpAxis,
-    codec::BitstreamVersion, planar::PlanarConfig,
+    DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits,
+    Protocol, Timing, Transport, UpAxis, codec::BitstreamVersion, planar::PlanarConfig,
 };
 use singletrack_settings::{Declared as _, Maps as _, section};
 use singletrack_words::words;
@@ -21,27 +20,34 @@ use super::ConfigError;
 pub(crate) const EXAMPLE_SERVER: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 10);
 
 section! {
-    /// The cameras: a NatNet server, such as OptiTrack Motive, 2.7 to 4.4.
+    /// The cameras: a server of poses.
     "motion_capture" => pub MotionCaptureSection;
     [new];
 
     /// Address of the computer that runs the server.
     @restart server: Ipv4Addr, example EXAMPLE_SERVER;
-    /// Name of the car's rigid body in the server's asset list. Its x axis points forward, or
-    /// see `marker_yaw_rad`.
+    /// Name of the car's rigid body in the server's list; with VRPN of the tracker. Its x axis
+    /// points forward, or see `marker_yaw_rad`.
     @restart rigid_body: String, example "car";
-    /// The axis that points up, a streaming setting of the server ("y" by default in Motive).
-    /// It is not on the wire: ask the server's operator, and check that a car driven forward
+    /// The axis that points up, a streaming setting of the server ("y" by default in Motive,
+    /// "z" in QTM). It is not on the wire: ask the server's operator, and check that a car driven forward
     /// moves forward.
     @restart up_axis: UpAxis, words UpAxis, example UpAxis::Y;
+    /// What the server speaks: "natnet" (OptiTrack Motive, 2.7 to 4.4), "vrpn" (Vicon and many
+    /// others, 07.xx) or "qualisys" (QTM, 1.8 and later).
+    @restart kind: ServerKind = ServerKind::NatNet, words ServerKind;
+    /// Number of the tracker's sensor (VRPN).
+    @restart sensor: u16 = 0, in 0..=999;
     /// Address of the local network interface to the cameras; mandatory for multicast.
     @restart interface: Ipv4Addr = Ipv4Addr::UNSPECIFIED;
-    /// How the frames arrive: "unicast", or "multicast" to `group`.
+    /// How the frames arrive: "unicast" on UDP; "multicast" to `group` (NatNet); "tcp" (VRPN,
+    /// Qualisys), which is also what takes over where no UDP arrives.
     @restart transport: TransportKind = TransportKind::Unicast, words TransportKind;
-    /// Bitstream to request from the server (unicast only); the server's own if left out.
+    /// NatNet bitstream to request from the server (unicast only); the server's own if left out.
     @restart bitstream: Option<Bitstream> = None, text "2.7 to 4.4", example "4.1";
-    /// Command port of the server.
-    @restart command_port: u16 = DEFAULT_COMMAND_PORT, in 1..=65_535;
+    /// Port of the server. Left out: 1510 (NatNet), 3883 (VRPN), 22223 (Qualisys, little-endian;
+    /// a big-endian port serves as well).
+    @restart command_port: Option<u16> = None, in 1..=65_535, example 1510;
     /// Port on which multicast frames arrive; unicast needs none.
     @restart data_port: u16 = DEFAULT_DATA_PORT, in 1..=65_535;
     /// Multicast group to which the server sends.
@@ -63,6 +69,20 @@ words! {
         Unicast = "unicast",
         /// Sent to a group.
         Multicast = "multicast",
+        /// Sent on the connection.
+        Tcp = "tcp",
+    }
+}
+
+words! {
+    /// What the server speaks.
+    pub enum ServerKind: serde {
+        /// OptiTrack Motive.
+        NatNet = "natnet",
+        /// Vicon and many others.
+        Vrpn = "vrpn",
+        /// Qualisys Track Manager.
+        Qualisys = "qualisys",
     }
 }
 
@@ -104,7 +124,8 @@ section! {
     @restart reconnect_after_ms: u32 => reconnect_after_ns, in 500..=60_000;
     /// Network delay assumed of servers before NatNet 3.0, which answer no echo requests.
     @restart assumed_network_delay_us: u32 => assumed_network_delay_ns, in 0..=20_000;
-    /// Age assumed of a frame at its arrival, if the server sends no mid-exposure time.
+    /// Age assumed of a frame at its arrival, if the server sends no mid-exposure time, or its
+    /// clock can't be asked (Qualisys).
     @restart assumed_latency_us: u32 => assumed_latency_ns, in 0..=50_000;
     /// Constant error of the server's time stamps, subtracted from every mid-exposure.
     /// Positive: the stamps are too late. `singletrack doctor` measures it.
@@ -151,6 +172,23 @@ impl<'de> Deserialize<'de> for Bitstream {
 }
 
 impl MotionCaptureSection {
+    const fn protocol(&self) -> Protocol {
+        match self.kind {
+            ServerKind::NatNet => Protocol::NatNet,
+            ServerKind::Vrpn => Protocol::Vrpn {
+                sensor: self.sensor as i32,
+            },
+            ServerKind::Qualisys => Protocol::Qualisys,
+        }
+    }
+
+    /// Port of the server.
+    #[must_use]
+    pub fn port(&self) -> u16 {
+        self.command_port
+            .unwrap_or_else(|| self.protocol().default_port())
+    }
+
     /// For the session.
     ///
     /// # Errors
@@ -162,6 +200,7 @@ impl MotionCaptureSection {
                 bitstream: self.bitstream.map(|bitstream| bitstream.0),
             },
             TransportKind::Multicast => Transport::Multicast,
+            TransportKind::Tcp => Transport::Stream,
         };
         let mut config = PlanarConfig::new(
             IpAddr::V4(self.server),
@@ -176,14 +215,20 @@ impl MotionCaptureSection {
                 error.to_string(),
             )
         })?;
-        config.session.command_port = self.command_port;
+        config.session.protocol = self.protocol();
+        config.session.command_port = self.port();
         config.session.quaternion_norm_tolerance = self.pose.quaternion_norm_tolerance;
         config.session.timing = self.timing.onto(config.session.timing);
         config.limits = self.pose.onto(config.limits);
         Ok(config)
     }
 
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+    /// Refuses a value that can't be used.
+    ///
+    /// # Errors
+    ///
+    /// The first such key, with its value and what it may be.
+    pub fn validate(&self) -> Result<(), ConfigError> {
         self.validate_network()?;
         self.pose.check()?;
         self.timing.check()?;
@@ -199,8 +244,50 @@ impl MotionCaptureSection {
                 "give the address of the computer that runs the motion capture",
             ));
         }
-        if self.transport == TransportKind::Unicast {
-            return Ok(());
+        let refused = |key, value: &str, fix: &str| Err(ConfigError::value(key, value, fix));
+        match (self.kind, self.transport) {
+            (ServerKind::NatNet, TransportKind::Tcp) => {
+                return refused(
+                    "motion_capture.transport",
+                    "\"tcp\"",
+                    "NatNet sends frames on UDP: \"unicast\" or \"multicast\"",
+                );
+            }
+            (ServerKind::Vrpn | ServerKind::Qualisys, TransportKind::Multicast) => {
+                return refused(
+                    "motion_capture.transport",
+                    "\"multicast\"",
+                    "only NatNet has it: write \"unicast\" or \"tcp\"",
+                );
+            }
+            (ServerKind::Vrpn | ServerKind::Qualisys, _) if self.bitstream.is_some() => {
+                return refused(
+                    "motion_capture.bitstream",
+                    &self
+                        .bitstream
+                        .map_or_else(String::new, |it| it.0.to_string()),
+                    "only NatNet has it: leave it out",
+                );
+            }
+            (ServerKind::NatNet | ServerKind::Qualisys, _) if self.sensor != 0 => {
+                return refused(
+                    "motion_capture.sensor",
+                    &self.sensor.to_string(),
+                    "only kind = \"vrpn\" has sensors: leave it out",
+                );
+            }
+            (ServerKind::Vrpn, _)
+                if self.rigid_body.len() > 99 || self.rigid_body.contains('@') =>
+            {
+                return refused(
+                    "motion_capture.rigid_body",
+                    &format!("{:?}", self.rigid_body),
+                    "write the tracker's name alone, of at most 99 bytes: \"car\" for \
+                     car@192.168.1.10:3883, with server = \"192.168.1.10\" and command_port = 3883",
+                );
+            }
+            (_, TransportKind::Unicast | TransportKind::Tcp) => return Ok(()),
+            (ServerKind::NatNet, TransportKind::Multicast) => {}
         }
         if !self.group.is_multicast() {
             return Err(ConfigError::value(

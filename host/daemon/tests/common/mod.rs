@@ -14,7 +14,7 @@ pub(crate) fn config(folder: &Path) -> Config {
     let mut config = Config::from_toml(include_str!("../../singletrackd.example.toml")).unwrap();
     config.serial.port = folder.join("board");
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
+    config.motion_capture.command_port = Some(9);
     config.control.realtime_priority = 0;
     config.record.directory = folder.join("records");
     config.state.directory = folder.join("state");

@@ -166,6 +166,8 @@ pub enum Need {
     FreshBoard,
     /// A board with another car's number.
     AnotherCar,
+    /// Cameras with another kind of server.
+    OtherCameras,
     /// The real image, on a processor with faults.
     Image,
     /// A car that may be faster than the circle.

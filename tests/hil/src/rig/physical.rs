@@ -276,6 +276,7 @@ pub(crate) fn lacks(need: Need) -> Option<&'static str> {
         Need::Reset => Some("the harness has no reset line to a physical UNO"),
         Need::MotorSensor => Some("the harness can't cut the motor sensor of a physical car"),
         Need::StopSwitch => Some("the harness can't open the stop switch of a physical car"),
+        Need::OtherCameras => Some("the cameras are there already"),
         Need::AnotherCar => Some("the harness can't give a physical UNO another car's number"),
         Need::Image => Some("the harness can't make the processor of a physical UNO fail"),
         Need::Fast => Some("the motor of a car on a stand turns up to the speed of the circle"),

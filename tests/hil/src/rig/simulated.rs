@@ -9,7 +9,8 @@ use std::{
 
 use singletrack_protocol::{COMMAND_TIME_TO_LIVE_US, ResetCause, StopCause};
 use singletrack_sim::{
-    BoardKind, BusFault, Hang, LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator, Truth,
+    BoardKind, BusFault, Hang, LossKind, MotorSensorFault, RealTimeConfig, RealTimeSimulator,
+    ServerKind, Truth,
 };
 
 use super::{LineFaults, Need, Rig, canary::Canary, priority::raise_priority, uinput_lacks};
@@ -30,12 +31,28 @@ impl SimulatedRig {
     ///
     /// Fails if the simulator does not start.
     pub fn start(link: PathBuf, seed: u64, board: BoardKind, car_id: u16) -> Outcome<Self> {
+        Self::with_cameras(link, seed, board, car_id, ServerKind::NatNet)
+    }
+
+    /// The same with cameras whose server speaks this.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the simulator does not start.
+    pub fn with_cameras(
+        link: PathBuf,
+        seed: u64,
+        board: BoardKind,
+        car_id: u16,
+        cameras: ServerKind,
+    ) -> Outcome<Self> {
         let mut simulation = settings::simulation(seed);
         simulation.board.kind = board;
         simulation.board.car_id = car_id;
         let config = RealTimeConfig {
             simulation,
             pty_link: Some(link),
+            cameras,
             ..RealTimeConfig::default()
         };
         Ok(Self {

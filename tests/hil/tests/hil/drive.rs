@@ -3,6 +3,7 @@
 use std::{process::Command, time::Duration};
 
 use singletrack_control::VehicleParameters;
+use singletrack_core::config::ServerKind;
 use singletrack_hil::{
     Failure, Outcome,
     bench::Bench,
@@ -17,6 +18,16 @@ use crate::Scenario;
 
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario::new("drives_the_circle_and_disarms", drives_the_circle),
+    Scenario::new("drives_the_circle_by_vrpn", |bench| {
+        bench.exchange_cameras(ServerKind::Vrpn)?;
+        drives_the_circle(bench)
+    })
+    .needing(&[Need::OtherCameras]),
+    Scenario::new("drives_the_circle_by_qualisys", |bench| {
+        bench.exchange_cameras(ServerKind::Qualisys)?;
+        drives_the_circle(bench)
+    })
+    .needing(&[Need::OtherCameras]),
     Scenario::new(
         "nothing_moves_before_configuring_and_arming",
         moves_nothing_before,
