@@ -128,13 +128,14 @@ fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
         .map_err(|error| Failure(error.to_string()))
 }
 
-/// Two readers from the Python package index open a record and compare its contents.
+/// Two readers from the Python package index open a record and compare its contents, and clients
+/// of other cameras read the simulated ones.
 pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
     let source = root().join("tests/readers");
     let python = Environment {
         name: "readers-venv",
         source: source.clone(),
-        probe: "import mcap_ros2, rosbags",
+        probe: "import mcap_ros2, motioncapture, qtm_rt, rosbags",
         ..Environment::default()
     }
     .ensure(&|_| Ok(()))?;
@@ -148,9 +149,12 @@ pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
         .arg("--record")
         .arg(&record)
         .stdout(Stdio::null()))?;
-    run(Command::new(python)
+    run(Command::new(&python)
         .arg(source.join("check.py"))
-        .args([&singletrack, &record]))
+        .args([&singletrack, &record]))?;
+    run(Command::new(python)
+        .arg(source.join("cameras.py"))
+        .arg(packages.path("singletrack-sim")?))
 }
 
 /// Creates or empties a folder.

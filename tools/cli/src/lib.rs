@@ -6,6 +6,8 @@ pub mod arm;
 #[cfg(feature = "operator")]
 pub mod bench;
 #[cfg(feature = "operator")]
+pub mod cameras;
+#[cfg(feature = "operator")]
 pub mod control;
 #[cfg(feature = "demo")]
 pub mod demo;

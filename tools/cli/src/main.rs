@@ -13,8 +13,8 @@ use singletrack::viewers;
 use singletrack::{arguments::take_negative_numbers, help::grouped, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
-    arm, bench, control, drive, dump, import, install_files, jog, recover, replay, set_reference,
-    setpoint, status, teach, tune,
+    arm, bench, cameras, control, drive, dump, import, install_files, jog, recover, replay,
+    set_reference, setpoint, status, teach, tune,
 };
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
@@ -52,6 +52,11 @@ enum Command {
     #[cfg(feature = "demo")]
     /// Drive the paper's circle on the simulated car, in real time.
     Demo(demo::DemoArgs),
+    #[cfg(feature = "operator")]
+    /// Look at the motion capture without a daemon: its bodies, rate, jitter, latency and ghosts.
+    ///
+    /// The exit status is 1 if no server sends poses.
+    Cameras(cameras::CamerasArgs),
     #[cfg(feature = "operator")]
     /// Check a new car without moving it, and measure what a hand can show; with --stand, how much
     /// the IMU vibrates with turning wheels.
@@ -195,7 +200,7 @@ const OPTIONAL: [(&str, &str); 5] = [
     ("page", "page"),
     (
         "operator",
-        "doctor bring-up calibrate status arm jog disarm stop set-reference setpoint tune drive \
+        "cameras doctor bring-up calibrate status arm jog disarm stop set-reference setpoint tune drive \
          teach dump import judge recover replay install-files",
     ),
     ("paper", "compare reproduce stability identify merge"),
@@ -229,6 +234,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
     let done: Result<(), Box<dyn std::error::Error>> = match &cli.command {
         #[cfg(feature = "demo")]
         Command::Demo(args) => Ok(demo::run(args)?),
+        #[cfg(feature = "operator")]
+        Command::Cameras(args) => return Ok(cameras::run(args)?),
         #[cfg(feature = "operator")]
         Command::Doctor(args) => return Ok(bench::run(args.procedure(), &args.bench)?),
         #[cfg(feature = "operator")]

@@ -8,6 +8,7 @@
 )]
 
 mod arm_command;
+mod cameras_command;
 mod command_line;
 mod control_command;
 #[path = "../../../host/daemon/tests/common/mod.rs"]

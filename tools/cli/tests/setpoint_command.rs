@@ -28,7 +28,7 @@ fn start(reference: Option<ReferenceSection>) -> Fixture {
     let mut config = Config::from_toml(example).unwrap();
     config.serial.port = folder.path().join("board");
     config.motion_capture.server = Ipv4Addr::LOCALHOST;
-    config.motion_capture.command_port = 9;
+    config.motion_capture.command_port = Some(9);
     config.control.realtime_priority = 0;
     config.record.enabled = false;
     config.socket.path = folder.path().join("control.sock");

@@ -95,7 +95,7 @@ pub(super) fn connected(
 ) -> Result<Config, DemoError> {
     let mut config = daemon(args)?;
     config.serial.port = simulator.pty_path().to_owned();
-    config.motion_capture.command_port = simulator.command_address().port();
+    config.motion_capture.command_port = Some(simulator.command_address().port());
     config.motion_capture.data_port = simulator.data_address().port();
     config.state.directory = private.join("state");
     config.socket.path = private.join("control.sock");

@@ -1,0 +1,389 @@
+//! `singletrack cameras`: what the motion capture sends, without a daemon.
+
+mod discovery;
+mod survey;
+
+use std::{
+    fmt::Write as _,
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    path::PathBuf,
+    process::ExitCode,
+    thread,
+    time::Duration,
+};
+
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use singletrack_core::{
+    cameras::{Channel, Sockets as _, StreamEvent},
+    config::{Config, ConfigError, MotionCaptureSection, ServerKind, TransportKind, UpAxis},
+};
+use singletrack_figures::output;
+use singletrack_mocap::{Input, Phase, PoseSource as _, SessionConfigError, SessionEvent, Source};
+use singletrackd::{MocapSocketError, MocapSockets, monotonic_ns};
+
+use crate::{arguments::parse_duration, printable::printable, progress::progress_bar};
+use survey::{BodyReport, Survey, Times};
+
+/// Options of `singletrack cameras`.
+#[derive(Args, Debug)]
+pub struct CamerasArgs {
+    /// The daemon's configuration: what is looked at is its `[motion_capture]`
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "server")]
+    config: Option<PathBuf>,
+
+    /// Address of the computer with the cameras' program; every kind of server is tried. Without
+    /// it and a configuration, the network is asked for NatNet and Qualisys servers
+    #[arg(long, value_name = "ADDRESS")]
+    server: Option<Ipv4Addr>,
+
+    /// What the server speaks: natnet, vrpn or qualisys
+    #[arg(long, value_name = "KIND", value_parser = parse_kind, conflicts_with = "config")]
+    kind: Option<ServerKind>,
+
+    /// Port of the server, if it is not the usual one
+    #[arg(long, value_name = "PORT", requires = "kind")]
+    port: Option<u16>,
+
+    /// How the frames arrive: unicast, multicast or tcp
+    #[arg(long, value_name = "TRANSPORT", value_parser = parse_transport, conflicts_with = "config")]
+    transport: Option<TransportKind>,
+
+    /// Address of this computer in the cameras' network, for multicast
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "config")]
+    interface: Option<Ipv4Addr>,
+
+    /// The server's axis that points up
+    #[arg(long, value_name = "y|z", value_parser = parse_up_axis, conflicts_with = "config")]
+    up_axis: Option<UpAxis>,
+
+    /// How long to look
+    #[arg(long = "for", value_name = "DURATION", default_value = "3s", value_parser = parse_duration)]
+    duration: Duration,
+
+    /// What to print
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    /// A table.
+    Text,
+    /// One JSON object a server.
+    Json,
+}
+
+fn parse_kind(text: &str) -> Result<ServerKind, String> {
+    ServerKind::named(text).ok_or_else(|| "choose natnet, vrpn or qualisys".to_owned())
+}
+
+fn parse_transport(text: &str) -> Result<TransportKind, String> {
+    TransportKind::named(text).ok_or_else(|| "choose unicast, multicast or tcp".to_owned())
+}
+
+fn parse_up_axis(text: &str) -> Result<UpAxis, String> {
+    UpAxis::named(text).ok_or_else(|| "choose y or z".to_owned())
+}
+
+/// Why the cameras can't be looked at.
+#[derive(Debug, thiserror::Error)]
+pub enum CamerasError {
+    /// The configuration can't be used.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A value of it can't be used.
+    #[error(transparent)]
+    Session(#[from] SessionConfigError),
+    /// Nobody answered.
+    #[error(
+        "no NatNet or Qualisys server answers in this network; a firewall may keep answers away, \
+         and VRPN can't be asked: give its address with --server"
+    )]
+    NoServer,
+    /// A socket can't be opened.
+    #[error(transparent)]
+    Socket(#[from] MocapSocketError),
+    /// The result can't be printed.
+    #[error(transparent)]
+    Output(#[from] io::Error),
+}
+
+/// A server that is looked at.
+struct Watched {
+    section: MotionCaptureSection,
+    source: Source,
+    sockets: MocapSockets,
+    survey: Survey,
+    stream: Vec<u8>,
+}
+
+/// What was found.
+#[derive(Serialize)]
+struct Report {
+    kind: &'static str,
+    server: String,
+    answers: bool,
+    frames: u64,
+    lost: u64,
+    late: u64,
+    malformed: u64,
+    times: Option<Times>,
+    bodies: Vec<BodyReport>,
+    notes: Vec<String>,
+}
+
+/// Looks at the cameras, and prints what they send. Failure: nothing sends poses.
+///
+/// # Errors
+///
+/// The configuration or a socket can't be used.
+pub fn run(args: &CamerasArgs) -> Result<ExitCode, CamerasError> {
+    let mut watched = sections(args)?
+        .into_iter()
+        .map(Watched::new)
+        .collect::<Result<Vec<_>, _>>()?;
+    let millis = args.duration.as_millis() as u64;
+    let bar = progress_bar(millis, "looking at the cameras {wide_bar} {eta}");
+    let began_ns = monotonic_ns();
+    loop {
+        let elapsed_ms = (monotonic_ns() - began_ns) / 1_000_000;
+        if elapsed_ms >= millis {
+            break;
+        }
+        bar.set_position(elapsed_ms);
+        watched.iter_mut().for_each(Watched::poll);
+        thread::sleep(Duration::from_micros(200));
+    }
+    bar.finish_and_clear();
+    let seconds = args.duration.as_secs_f64();
+    watched.iter_mut().for_each(Watched::close);
+    let mut reports: Vec<_> = watched.iter().map(|it| it.report(seconds)).collect();
+    // Where all kinds were tried, those that do not answer are no news if one does.
+    if reports.iter().any(|report| report.answers) && args.kind.is_none() {
+        reports.retain(|report| report.answers);
+    }
+    let mut text = String::new();
+    for report in &reports {
+        match args.format {
+            Format::Json => {
+                text += &serde_json::to_string(report).map_err(io::Error::from)?;
+                text.push('\n');
+            }
+            Format::Text => report.write(&mut text),
+        }
+    }
+    output::print(&text)?;
+    let is_good = reports.iter().any(|report| report.frames > 0);
+    Ok(ExitCode::from(u8::from(!is_good)))
+}
+
+fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasError> {
+    if let Some(path) = &args.config {
+        return Ok(vec![Config::read(path)?.motion_capture]);
+    }
+    let of_server = |server| match args.kind {
+        Some(kind) => vec![(kind, server)],
+        None if args.transport == Some(TransportKind::Multicast) => {
+            vec![(ServerKind::NatNet, server)]
+        }
+        None => ServerKind::ALL.map(|kind| (kind, server)).to_vec(),
+    };
+    let servers = match args.server {
+        Some(server) => of_server(server),
+        None => discovery::servers(Ipv4Addr::BROADCAST)?,
+    };
+    if servers.is_empty() {
+        return Err(CamerasError::NoServer);
+    }
+    let section = |(kind, server)| MotionCaptureSection {
+        kind,
+        command_port: args.port,
+        transport: args.transport.unwrap_or(TransportKind::Unicast),
+        interface: args.interface.unwrap_or(Ipv4Addr::UNSPECIFIED),
+        ..MotionCaptureSection::new(server, "car", args.up_axis.unwrap_or(UpAxis::Z))
+    };
+    Ok(servers.into_iter().map(section).collect())
+}
+
+impl Watched {
+    fn new(section: MotionCaptureSection) -> Result<Self, CamerasError> {
+        section.validate()?;
+        // All bodies: without a name that is followed.
+        let source = Source::new(section.session()?.session, None)?;
+        Ok(Self {
+            source,
+            sockets: MocapSockets::open(&section)?,
+            section,
+            survey: Survey::default(),
+            stream: Vec::new(),
+        })
+    }
+
+    fn poll(&mut self) {
+        let survey = &mut self.survey;
+        let mut take = |output: singletrack_mocap::Output<'_>| survey.take(&output);
+        let mut buffer = [0; 65_535];
+        for channel in [Channel::Command, Channel::Data] {
+            while let Some((length, source)) = self.sockets.receive(channel, &mut buffer) {
+                let bytes = buffer.get(..length).unwrap_or_default();
+                let input = Input::Datagram { source, bytes };
+                self.source.handle_input(monotonic_ns(), input, &mut take);
+            }
+        }
+        match self.sockets.stream(self.source.stream(), &mut self.stream) {
+            StreamEvent::Nothing => {}
+            StreamEvent::Opened(local) => {
+                self.source
+                    .handle_input(monotonic_ns(), Input::Opened(local), &mut take);
+            }
+            StreamEvent::Received => {
+                let input = Input::Stream(&self.stream);
+                let used = self.source.handle_input(monotonic_ns(), input, &mut take);
+                self.stream.drain(..used.min(self.stream.len()));
+            }
+            StreamEvent::Closed => {
+                self.stream.clear();
+                self.source
+                    .handle_input(monotonic_ns(), Input::Closed, &mut take);
+            }
+        }
+        self.source.handle_timeout(monotonic_ns(), &mut take);
+        self.transmit();
+    }
+
+    fn transmit(&mut self) {
+        while let Some(transmit) = self.source.poll_transmit(monotonic_ns()) {
+            if transmit.on_stream {
+                self.sockets.write_stream(&transmit.bytes);
+            } else {
+                self.sockets.send(transmit.destination, &transmit.bytes);
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        self.source.close();
+        self.transmit();
+    }
+
+    fn report(&self, seconds: f64) -> Report {
+        let address = SocketAddr::new(self.section.server.into(), self.section.port());
+        let counters = self.source.counters();
+        let events = &self.survey.events;
+        let said = |event: SessionEvent| events.contains(&event);
+        let is_foreign = said(SessionEvent::Foreign);
+        let answers = events.iter().any(|event| {
+            matches!(
+                event,
+                SessionEvent::Connected(_) | SessionEvent::Opened | SessionEvent::Refused(_)
+            )
+        });
+        let mut notes = Vec::new();
+        let mut note = |is_so: bool, text: String| {
+            if is_so {
+                notes.push(text);
+            }
+        };
+        note(
+            !answers && !is_foreign,
+            format!("nothing answers at {address}: address, program, streaming, firewall?"),
+        );
+        note(
+            is_foreign,
+            format!("what answers at {address} speaks something else: another kind, or port?"),
+        );
+        for event in events {
+            if let SessionEvent::Refused(version) = event {
+                note(true, version.to_string());
+            }
+            if let SessionEvent::OtherSource(other) = event {
+                note(
+                    true,
+                    format!("packets come from {other}: a second network card?"),
+                );
+            }
+        }
+        note(
+            answers && self.survey.frames() == 0,
+            "it answers and sends no frames: is it measuring, and streaming?".to_owned(),
+        );
+        note(
+            said(SessionEvent::DatagramsBlocked),
+            "poses come over TCP: none arrive over UDP, which a firewall closes".to_owned(),
+        );
+        note(
+            said(SessionEvent::Contradicted),
+            "two programs send with the server's address".to_owned(),
+        );
+        note(
+            counters.clock_steps > 0,
+            "the server's clock was set while it was looked at".to_owned(),
+        );
+        Report {
+            kind: self.section.kind.name(),
+            server: address.to_string(),
+            answers: answers && !matches!(self.source.phase(), Phase::Foreign),
+            frames: self.survey.frames(),
+            lost: counters.lost,
+            late: counters.late,
+            malformed: counters.malformed,
+            times: self.survey.times(),
+            bodies: self.survey.bodies(seconds),
+            notes,
+        }
+    }
+}
+
+impl Report {
+    fn write(&self, text: &mut String) {
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "{} server {}: {} frames, {} lost, {} late, {} damaged",
+            self.kind, self.server, self.frames, self.lost, self.late, self.malformed
+        );
+        if let Some(times) = &self.times {
+            let _ = writeln!(
+                text,
+                "latency {:.1} ms, known to {:.1} ms ({})",
+                times.latency_ms, times.uncertainty_ms, times.source
+            );
+        }
+        for note in &self.notes {
+            let _ = writeln!(text, "{}", printable(note));
+        }
+        if self.bodies.is_empty() {
+            return;
+        }
+        let _ = writeln!(
+            text,
+            "\n{:<16} {:>6} {:>6} {:>6} {:>6} {:>9}  {:>23} {:>7}",
+            "body", "id", "Hz", "seen", "jitter", "spread", "x, y, z (m)", "yaw"
+        );
+        for body in &self.bodies {
+            let name = body.name.as_deref().unwrap_or("(no name)");
+            let position = body.position_m.map_or_else(
+                || "-".to_owned(),
+                |[x, y, z]| format!("{x:7.3} {y:7.3} {z:7.3}"),
+            );
+            let yaw = body
+                .yaw_deg
+                .map_or_else(|| "-".to_owned(), |yaw| format!("{yaw:.1}"));
+            let _ = writeln!(
+                text,
+                "{:<16} {:>6} {:>6.1} {:>4.0} % {:>3.1} ms {:>6.2} mm  {position:>23} {yaw:>7}",
+                printable(name),
+                body.id,
+                body.rate_hz,
+                100.0 * body.seen,
+                body.jitter_ms,
+                body.spread_mm,
+            );
+            for remark in &body.remarks {
+                let _ = writeln!(text, "  {remark}");
+            }
+        }
+    }
+}
