@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import singletrack
 from singletrack import Car, law, model, stability
 
 
-def test_a_record_of_a_simulation_is_read_into_arrays(tmp_path: Path) -> None:
+def test_a_record_of_a_simulation_is_read_into_arrays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "drive.mcap"
     speeds = []
     with Car("sim", record=path, seed=5) as car, car.drive() as drive:
@@ -33,6 +36,18 @@ def test_a_record_of_a_simulation_is_read_into_arrays(tmp_path: Path) -> None:
     assert apart.mean() == pytest.approx(0.01, abs=5e-5)
     assert "driving" in record["tick"]["mode"]
     assert list(singletrack.read(path, ["telemetry"])) == ["telemetry"]
+    ticks_count = len(ticks["start_ns"])
+    assert repr(record).startswith(f"<Record {str(path)!r}: {record.duration:.2f} s, ended: requested, ")
+    assert f", {ticks_count} tick, " in repr(record) and record.duration > 2.0
+    with pytest.raises(KeyError, match="did you mean tick"):
+        record["/singletrack/tik"]
+    with pytest.raises(KeyError, match="did you mean estimate.yaw_rad"):
+        ticks["estimate.yaw"]
+    for frame in (record.to_pandas, record.to_polars):
+        module = frame.__name__.removeprefix("to_")
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(ImportError, match=rf"python\[{module}\]"):
+            frame()
     with pytest.raises(ValueError, match="no topic"):
         singletrack.read(path, ["tack"])
     with pytest.raises(OSError):
@@ -47,7 +62,7 @@ def test_an_unfinished_record_is_read_up_to_its_end(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[:-20_000])
     record = singletrack.read(cut)
-    assert not record.finished
+    assert not record.finished and "not finished" in repr(record) and "no drive" in repr(record)
     assert 0 < len(record["tick"]["start_ns"]) <= 400
 
 

@@ -83,7 +83,7 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let python = Environment {
         name: "python-venv",
         source: source.clone(),
-        probe: "import gymnasium, maturin, mypy, osqp, pytest, xdist",
+        probe: "import gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist",
         ..Environment::default()
     }
     .ensure(&|_| Ok(()))?;
