@@ -10,6 +10,7 @@ Names are those of f1tenth_gym where both have the same thing.
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from . import _native
 from ._register import MAX_STEPS, register
+from ._render import Frame, Picture, Window
 from ._toml import Table, text
 
 __all__ = ["RANDOMISE", "SingletrackEnv", "SingletrackVectorEnv", "register"]
@@ -132,6 +134,12 @@ def _action_space(native: _native.Batch, control: str) -> spaces.Box:
     return spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
 
 
+def _picture(native: _native.Batch, mode: str | None, known: Sequence[str]) -> Picture | None:
+    if mode not in (None, *known):
+        raise ValueError(f"render_mode is {mode!r}: use {' or '.join(known)}")
+    return Picture(native.path(), native.geometry) if mode else None
+
+
 def _observation_space(native: _native.Batch, kind: str) -> spaces.Space[Any]:
     if kind == "tracking":
         return spaces.Box(-np.inf, np.inf, (native.columns,), np.float32)
@@ -165,12 +173,17 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         preview: Times ahead at which the reference is seen, in s.
         lost: Distance between P and the reference that ends the episode, in m.
         start_error: Largest errors of the start: of P along each axis (m), and of the yaw (rad).
+        render_mode: ``"rgb_array"``: :meth:`render` returns a view from above, uint8 of the shape
+            ``(480, 480, 3)``; ``"human"``: a window, in real time (the extra ``plots``).
 
     ``info`` has ``point_error`` (m), ``progress`` (m), ``speed`` (the true one, m/s) and, once the
     episode has been terminated, ``reason``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class)
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class)
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 100,
+    }
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         chosen = _options(**options)
@@ -178,10 +191,13 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         # The wrapper TimeLimit of `make` truncates.
         chosen["native"]["max_steps"] = 2**31
         self._native = _native.Batch(1, autoreset="disabled", threads=1, **chosen["native"])
-        self.render_mode = render_mode
         self.action_space = _action_space(self._native, chosen["native"]["control"])
         self.observation_space = _observation_space(self._native, self._kind)
         self.timestep = chosen["native"]["periods"] * 0.01
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1 / self.timestep)}
+        self._picture = _picture(self._native, render_mode, self.metadata["render_modes"])
+        self._window = Window() if render_mode == "human" else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -192,6 +208,8 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         if seed is not None or first:
             seed = int(self.np_random.integers(2**63))
         state, observation, *_ = self._native.reset([seed])
+        if self._picture:
+            self._follow(self._picture)
         return self._observation(state[0], observation[0]), {}
 
     def step(
@@ -207,7 +225,27 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         information: dict[str, Any] = dict(zip(_INFORMATION, known, strict=True))
         if reason:
             information["reason"] = reason
+        if self._picture:
+            self._follow(self._picture)
         return self._observation(state, observation), reward, terminated, truncated, information
+
+    def render(self) -> Any:
+        """The view from above of ``"rgb_array"``; ``"human"`` draws it in its window."""
+        if not self._picture:
+            gymnasium.logger.warn('render() draws with render_mode="rgb_array" or "human"')
+            return None
+        frame = self._picture.draw(self._native.truth()[0], self._native.reference()[0, :2])
+        return self._window.show(frame) if self._window else frame
+
+    def close(self) -> None:
+        """Closes the window."""
+        if self._window:
+            self._window.close()
+
+    def _follow(self, picture: Picture) -> None:
+        picture.follow(self._native.steps()[0], self._native.truth()[0])
+        if self._window and self._window.is_due(self.timestep):
+            self.render()
 
     @property
     def truth(self) -> dict[str, float]:
@@ -230,6 +268,8 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
 
 class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
     """Many cars, stepped natively on several threads; arguments as :class:`SingletrackEnv`.
+
+    With ``render_mode="rgb_array"``, :meth:`render` returns a tuple with the frame of each car.
 
     Args:
         num_envs: The number of cars.
@@ -265,14 +305,20 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
         self._native = _native.Batch(
             num_envs, autoreset=words[mode], threads=threads, **chosen["native"]
         )
-        self.metadata = {"render_modes": [], "autoreset_mode": mode}
-        self.render_mode = render_mode
         self.num_envs = num_envs
         self.single_action_space = _action_space(self._native, chosen["native"]["control"])
         self.single_observation_space = _observation_space(self._native, self._kind)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.timestep = chosen["native"]["periods"] * 0.01
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": round(1 / self.timestep),
+            "autoreset_mode": mode,
+        }
+        picture = _picture(self._native, render_mode, self.metadata["render_modes"])
+        self._pictures = [copy.copy(picture) for _ in range(num_envs)] if picture else []
 
     def reset(
         self,
@@ -304,6 +350,7 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             if len(mask) != self.num_envs:
                 raise ValueError(f"the mask has {len(mask)} of {self.num_envs} environments")
         state, observation, *_ = self._native.reset(seeds, mask)
+        self._follow()
         return self._observation(state, observation), {}
 
     def step(
@@ -332,6 +379,7 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
                 final[index] = row if self._kind == "tracking" else _named(last)
                 ended[index] = True
             information.update(final_obs=final, _final_obs=ended)
+        self._follow()
         return (
             self._observation(state, observation),
             rewards,
@@ -339,6 +387,19 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             truncated,
             information,
         )
+
+    def render(self) -> tuple[Frame, ...] | None:
+        """The views from above of ``"rgb_array"``."""
+        if not self._pictures:
+            gymnasium.logger.warn('render() draws with render_mode="rgb_array"')
+            return None
+        rows = zip(self._pictures, self.truth, self.reference[:, :2], strict=True)
+        return tuple(picture.draw(state, wanted) for picture, state, wanted in rows)
+
+    def _follow(self) -> None:
+        if self._pictures:
+            for each in zip(self._pictures, self._native.steps(), self.truth, strict=True):
+                each[0].follow(*each[1:])
 
     @property
     def truth(self) -> NDArray[np.float64]:

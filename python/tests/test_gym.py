@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from typing import Any
 
 import gymnasium
@@ -22,11 +24,72 @@ OPTIONS: list[dict[str, Any]] = [
 DRIVE = np.array([0.25, 0.5], np.float32)
 
 
-@pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_gymnasiums_checker_passes(name: str, options: dict[str, Any]) -> None:
-    check_env(gymnasium.make(name, **options).unwrapped, skip_render_check=True)
+    with warnings.catch_warnings(record=True) as warned:
+        check_env(gymnasium.make(name, **options).unwrapped)
+    # Others advise symmetric actions and bounded observations.
+    assert not [str(one.message) for one in warned if "render" in str(one.message).lower()]
+
+
+def reddish(frame: Any) -> int:
+    """The pixels of P and its trail."""
+    red, green, _ = np.moveaxis(frame.astype(int), 2, 0)
+    return int(np.count_nonzero(red > green + 60))
+
+
+def test_a_frame_shows_p_its_reference_and_the_trail() -> None:
+    env = gymnasium.make("Singletrack-v0", render_mode="rgb_array", timestep=0.02)
+    assert env.metadata["render_fps"] == 50
+    env.reset(seed=1)
+    car: Any = env.unwrapped
+    frames = []
+    for _ in range(3):
+        for _ in range(25):
+            env.step(DRIVE)
+        frame: Any = env.render()
+        frames.append(frame)
+        assert frame.shape == (480, 480, 3) and frame.dtype == np.uint8
+        # The view is the circle of 1 m with 0.8 m around it.
+        for (x, y), red in ((car.point, True), (car.reference[:2], False)):
+            row, column = round(240 - y * 480 / 3.6), round(240 + x * 480 / 3.6)
+            assert bool(frame[row, column, 0] > 2 * frame[row, column, 1]) is red
+    trails = [reddish(frame) for frame in frames]
+    assert trails == sorted(set(trails))
+    # Another episode has another trail.
+    env.reset(seed=1)
+    again: Any = env.render()
+    assert reddish(again) < trails[0]
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_many_cars_are_drawn_as_one_is(mode: AutoresetMode) -> None:
+    options: dict[str, Any] = {"max_episode_steps": 20, "render_mode": "rgb_array"}
+    vector = gymnasium.make_vec("Singletrack-v0", num_envs=2, autoreset_mode=mode, **options)
+    vector.reset(seed=3)
+    for _ in range(15 if mode is AutoresetMode.DISABLED else 30):
+        vector.step(np.tile(DRIVE, (2, 1)))
+    frames: Any = vector.render()
+    env = gymnasium.make("Singletrack-v0", **options)
+    env.reset(seed=4)
+    steps = {AutoresetMode.DISABLED: 15, AutoresetMode.SAME_STEP: 10, AutoresetMode.NEXT_STEP: 9}
+    if mode is not AutoresetMode.DISABLED:
+        for _ in range(20):
+            env.step(DRIVE)
+        env.reset()
+    for _ in range(steps[mode]):
+        env.step(DRIVE)
+    alone: Any = env.render()
+    assert len(frames) == 2 and np.array_equal(frames[1], alone)
+
+
+def test_a_window_without_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    with pytest.raises(ImportError, match=r"python\[plots\]"):
+        gymnasium.make("Singletrack-v0", render_mode="human")
+    with pytest.raises(ValueError, match="rgb_array"):
+        gymnasium.make_vec("Singletrack-v0", num_envs=2, render_mode="human")
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)

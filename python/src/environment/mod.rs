@@ -21,6 +21,9 @@ use crate::{
 mod lap;
 mod task;
 
+/// Places of the picture of a reference.
+const PLACES: usize = 400;
+
 /// Cars side by side, which are stepped together.
 #[pyclass(frozen, module = "singletrack._native")]
 pub(crate) struct Batch(Mutex<Cars>);
@@ -207,6 +210,32 @@ impl Batch {
         ))
     }
 
+    /// Distances from G to the front and to the rear axle, and from the front axle to P.
+    #[getter]
+    fn geometry(&self) -> PyResult<(f64, f64, f64)> {
+        let cars = self.cars()?;
+        let config = &cars.task.setup.config;
+        let rear = config.vehicle.rear_axle_distance_m;
+        Ok((cars.task.front, rear, cars.task.length))
+    }
+
+    /// Places of a lap of the reference, or of its whole way: x, y.
+    fn path<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let cars = self.cars()?;
+        let reference = &cars.task.reference;
+        let lap = reference.lap_time();
+        let duration = lap.or_else(|| reference.duration()).unwrap_or_default();
+        // The first lap of a path begins at rest.
+        let begin = lap.unwrap_or_default();
+        let places: Vec<[f64; 2]> = (0..=PLACES)
+            .filter_map(|index| {
+                let time = begin + duration * index as f64 / PLACES as f64;
+                reference.at(time).position.map(|place| [place.x, place.y])
+            })
+            .collect();
+        Ok(PyArray2::from_owned_array(py, Array2::from(places)))
+    }
+
     /// Resets the cars in `mask`, all without one. A seed of a car restarts its random numbers.
     #[pyo3(signature = (seeds, mask = None))]
     fn reset<'py>(
@@ -314,6 +343,16 @@ impl Batch {
             .enumerate()
             .filter(|(_, instance)| !instance.outcome.reason.is_empty())
             .map(|(index, instance)| (index, instance.outcome.reason))
+            .collect())
+    }
+
+    /// Steps of each episode so far.
+    fn steps(&self) -> PyResult<Vec<u32>> {
+        let cars = self.cars()?;
+        Ok(cars
+            .instances
+            .iter()
+            .map(|instance| instance.steps)
             .collect())
     }
 
