@@ -62,7 +62,7 @@ def _options(
     whole_system: bool = False,
     reference: Table = None,
     reward: Literal["tracking", "progress"] = "tracking",
-    control_input: Sequence[str] | str = ("speed", "steering_angle"),
+    control_input: Sequence[str] | str = ("steering_angle", "speed"),
     observation: Literal["tracking", "kinematic_state", "original"] = "tracking",
     randomise: Ranges | Literal["other-cars"] | None = None,
     configuration: Table = None,
@@ -85,15 +85,7 @@ def _options(
     periods = round(timestep / 0.01)
     if periods < 1 or abs(periods * 0.01 - timestep) > 1e-9:
         raise ValueError(f"timestep is {timestep} s: it must be a multiple of 0.01")
-    words = [control_input] if isinstance(control_input, str) else list(control_input)
-    if sorted(words) == ["speed", "steering_angle"]:
-        control = "actuation"
-    elif words == ["point_velocity"]:
-        control = "point_velocity"
-    else:
-        raise ValueError(
-            f'control_input is {words}: use ["speed", "steering_angle"] or ["point_velocity"]'
-        )
+    words = [control_input] if isinstance(control_input, str) else control_input
     if observation not in ("tracking", "kinematic_state", "original"):
         raise ValueError(
             f'observation is {observation!r}: use "tracking", "kinematic_state" or "original"'
@@ -114,7 +106,7 @@ def _options(
             "truth": text(truth),
             "randomise": [(name, float(low), float(high)) for name, (low, high) in ranges.items()],
             "reward": reward,
-            "control": control,
+            "control": ", ".join(words),
             "periods": periods,
             "max_steps": max_episode_steps or MAX_STEPS,
             "preview": [float(time) for time in preview],
@@ -126,12 +118,10 @@ def _options(
 
 def _action_space(native: _native.Batch, control: str) -> spaces.Box:
     steering, reverse, speed = native.limits
-    if control == "actuation":
-        # The order of f1tenth_gym: steering, then speed.
-        low, high = [-steering, -reverse], [steering, speed]
-    else:
-        low, high = [-speed, -speed], [speed, speed]
-    return spaces.Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
+    ranges = {"steering_angle": (-steering, steering), "speed": (-reverse, speed)}
+    both = [ranges.get(word, (-speed, speed)) for word in control.split(", ")]
+    low, high = np.array(both * (2 // len(both)), np.float32).T
+    return spaces.Box(low, high, dtype=np.float32)
 
 
 def _picture(native: _native.Batch, mode: str | None, known: Sequence[str]) -> Picture | None:
@@ -158,8 +148,10 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         reward: ``"tracking"``: exp(-e/0.1 m) of the distance e between P and the reference at
             its time; ``"progress"``: way of P along the path, less its distance from it. Both
             less 0.05 of the squared change of the action; -10 for a car that is lost.
-        control_input: ``["speed", "steering_angle"]``: the action is ``[steering (rad),
-            speed (m/s)]``; or ``["point_velocity"]``: the velocity of P in the world, m/s.
+        control_input: The columns of the action, in their order: ``["steering_angle",
+            "speed"]`` (rad and m/s; the default, and the order of f1tenth_gym's arrays),
+            ``["speed", "steering_angle"]``, or ``["point_velocity"]``: the velocity of P in the
+            world, m/s.
         observation: ``"tracking"``: float32 of the shape ``(6 + 4 k,)``: speed, sideslip, yaw
             rate, steering and the last action; then, for each of the ``k`` times of
             ``preview``, distance from P to the reference and velocity of the reference, forward

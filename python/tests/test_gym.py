@@ -92,6 +92,25 @@ def test_a_window_without_matplotlib_names_the_extra(monkeypatch: pytest.MonkeyP
         gymnasium.make_vec("Singletrack-v0", num_envs=2, render_mode="human")
 
 
+def test_the_columns_of_an_action_are_in_the_order_of_control_input() -> None:
+    last = []
+    for words in (["steering_angle", "speed"], ["speed", "steering_angle"], ["point_velocity"]):
+        env = gymnasium.make("Singletrack-v0", control_input=words)
+        env.reset(seed=1)
+        box: Any = env.action_space
+        limits = {"steering_angle": 0.5, "speed": 1.0}
+        for _ in range(50):
+            observation, *_ = env.step(DRIVE if words[0] != "speed" else DRIVE[::-1])
+        last.append(observation)
+        assert box.shape == (2,)
+        if len(words) == 2:
+            assert [limits[word] > 0.6 for word in words] == (box.high > 0.6).tolist()
+    assert np.array_equal(last[0][:4], last[1][:4]) and np.array_equal(last[0][6:], last[1][6:])
+    assert np.array_equal(last[0][4:6], DRIVE) and np.array_equal(last[1][4:6], DRIVE[::-1])
+    default = gymnasium.make("Singletrack-v0").action_space
+    assert default == gymnasium.make("Singletrack-v0", control_input=["steering_angle", "speed"]).action_space
+
+
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_the_same_seed_gives_the_same_bits_alone_and_side_by_side(name: str) -> None:
     steps = 120

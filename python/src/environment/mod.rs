@@ -150,10 +150,11 @@ impl Batch {
             ));
         }
         let control = choice(
-            "control",
+            "control_input",
             control,
             &[
-                ("actuation", Control::Actuation),
+                ("steering_angle, speed", Control::SteeringSpeed),
+                ("speed, steering_angle", Control::SpeedSteering),
                 ("point_velocity", Control::PointVelocity),
             ],
         )?;

@@ -30,10 +30,11 @@ pub(super) enum Reward {
     Progress,
 }
 
-/// The level of the action.
+/// The columns of the action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Control {
-    Actuation,
+    SteeringSpeed,
+    SpeedSteering,
     PointVelocity,
 }
 
@@ -240,8 +241,12 @@ impl Task {
         }
         let limits = &self.setup.config.limits;
         let command = match self.control {
-            Control::Actuation => {
-                let [steering, speed] = action;
+            Control::SteeringSpeed | Control::SpeedSteering => {
+                let [first, second] = action;
+                let (steering, speed) = match self.control {
+                    Control::SpeedSteering => (second, first),
+                    _ => (first, second),
+                };
                 let most = limits.max_steering_rad;
                 Command::Actuate([
                     steering.clamp(-most, most),
