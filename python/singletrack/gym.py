@@ -35,8 +35,13 @@ Ranges = Mapping[str, tuple[float, float]]
 #: The columns of the state, with f1tenth_gym's names.
 STATE = ("pose_x", "pose_y", "delta", "linear_vel_x", "pose_theta", "ang_vel_z", "beta")
 
-#: The paper's circle: radius 1 m, 0.5 m/s.
-CIRCLE: Mapping[str, Any] = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
+#: The paper's circle: radius 1 m, 0.5 m/s, from its right end on.
+CIRCLE: Mapping[str, Any] = {
+    "kind": "circle",
+    "radius_m": 1.0,
+    "angular_velocity_rad_s": 0.5,
+    "start": "beginning",
+}
 
 #: Cars that differ from their configuration as other people's cars do: domain randomisation
 #: for ``randomise``, by the names of the table ``[truth]``.
@@ -144,7 +149,10 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
             the estimate; a drive that the supervisor ends is an end of the episode, with its
             reason in ``info["reason"]``.
         reference: Keys of ``[reference]``: a circle (the default: the paper's), a path,
-            a figure of eight or waypoints.
+            a figure of eight or waypoints. The car is put down near its beginning. A closed
+            reference then begins at the place nearest to P, or with ``start = "beginning"``,
+            which the default has, at its beginning. With the reward ``"progress"`` it is always
+            at the place that P has come to.
         reward: ``"tracking"``: exp(-e/0.1 m) of the distance e between P and the reference at
             its time; ``"progress"``: way of P along the path, less its distance from it. Both
             less 0.05 of the squared change of the action; -10 for a car that is lost.

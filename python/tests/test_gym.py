@@ -12,7 +12,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-import singletrack  # noqa: F401  (registers the environments)
+import singletrack  # registers the environments
 
 ENVIRONMENTS = ["Singletrack-v0", "Singletrack-System-v0"]
 OPTIONS: list[dict[str, Any]] = [
@@ -109,6 +109,24 @@ def test_the_columns_of_an_action_are_in_the_order_of_control_input() -> None:
     assert np.array_equal(last[0][4:6], DRIVE) and np.array_equal(last[1][4:6], DRIVE[::-1])
     default = gymnasium.make("Singletrack-v0").action_space
     assert default == gymnasium.make("Singletrack-v0", control_input=["steering_angle", "speed"]).action_space
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_an_episode_begins_where_the_reference_says(name: str) -> None:
+    circle = {"kind": "circle", "radius_m": 1.0, "angular_velocity_rad_s": 0.5}
+    for start in ("nearest", "beginning"):
+        env = gymnasium.make(name, reference={**circle, "start": start})
+        env.reset(seed=2)
+        car: Any = env.unwrapped
+        state = car.truth
+        x, y = state["pose_x"], state["pose_y"]
+        x, y = (1.0, 0.0) if start == "beginning" else _point(x, y, state["pose_theta"])
+        assert np.allclose(car.reference[:2], np.array([x, y]) / np.hypot(x, y), atol=1e-4)
+    # Without the key as in the configuration of a car.
+    env = gymnasium.make(name, reference=circle)
+    env.reset(seed=2)
+    unwrapped: Any = env.unwrapped
+    assert not np.allclose(unwrapped.reference[:2], (1.0, 0.0), atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
@@ -238,3 +256,7 @@ def test_an_action_that_is_not_finite_is_refused() -> None:
     env.reset(seed=1)
     with pytest.raises(ValueError, match="finite"):
         env.step(np.array([np.nan, 0.1], np.float32))
+
+
+def _point(x: float, y: float, yaw: float) -> tuple[float, float]:
+    return singletrack.law.point(x, y, yaw, 0.0)

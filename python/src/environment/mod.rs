@@ -8,6 +8,7 @@ use std::{
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::prelude::*;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use singletrack_control::Start;
 
 use self::{
     lap::Lap,
@@ -127,6 +128,7 @@ impl Batch {
     ) -> PyResult<Self> {
         let section = reference(reference_toml).map_err(refuse)?;
         let wanted = section.reference().map_err(refuse)?;
+        let start = section.start();
         let setup = Setup::new(section, configuration, truth).map_err(refuse)?;
         if wanted.at(0.0).position.is_none() {
             return Err(refuse("the reference must have positions"));
@@ -169,6 +171,8 @@ impl Batch {
         )?;
         let task = Task {
             whole_system,
+            // The progress along a lap is measured wherever a drive begins.
+            nearest: reward == Reward::Tracking && start == Start::Nearest,
             lap,
             reward,
             control,
@@ -367,7 +371,7 @@ impl Batch {
     fn reference<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let cars = self.cars()?;
         Ok(cars.rows(py, |instance| {
-            let at = cars.task.reference.at(cars.task.time(instance));
+            let at = cars.task.at(instance);
             let position = at.position.unwrap_or_default();
             [position.x, position.y, at.velocity.x, at.velocity.y]
         }))

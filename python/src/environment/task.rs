@@ -4,7 +4,7 @@ use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
 };
-use singletrack_control::{Position, Reference, front_point};
+use singletrack_control::{Position, Reference, ReferencePoint, Start, front_point};
 
 use super::lap::Lap;
 use crate::{
@@ -51,6 +51,8 @@ pub(super) struct Task {
     pub(super) setup: Setup,
     pub(super) whole_system: bool,
     pub(super) reference: Reference,
+    /// Whether an episode begins at the nearest place of the reference.
+    pub(super) nearest: bool,
     pub(super) lap: Option<Lap>,
     pub(super) reward: Reward,
     pub(super) control: Control,
@@ -72,6 +74,8 @@ pub(super) struct Task {
 /// One car.
 pub(super) struct Instance {
     pub(super) vehicle: Option<Vehicle>,
+    /// The reference of an episode that began at its nearest place.
+    pub(super) reference: Option<Box<Reference>>,
     pub(super) generator: ChaCha8Rng,
     pub(super) steps: u32,
     pub(super) action: [f64; 2],
@@ -100,6 +104,7 @@ impl Instance {
     pub(super) fn new(columns: usize) -> Self {
         Self {
             vehicle: None,
+            reference: None,
             generator: ChaCha8Rng::seed_from_u64(0),
             steps: 0,
             action: [0.0; 2],
@@ -185,6 +190,12 @@ impl Task {
         }
     }
 
+    /// The reference of a car.
+    pub(super) fn at(&self, instance: &Instance) -> ReferencePoint {
+        let reference = instance.reference.as_deref().unwrap_or(&self.reference);
+        reference.at(self.time(instance))
+    }
+
     pub(super) fn reset(&self, instance: &mut Instance) -> Result<(), SetupError> {
         let at = self.reference.at(0.0);
         let soon = self.reference.at(0.05);
@@ -208,6 +219,11 @@ impl Task {
             Vehicle::System(Box::new(System::new(&self.setup, simulation, seed)?))
         } else {
             Vehicle::Plant(Box::new(Plant::new(&self.setup, &simulation)?))
+        });
+        instance.reference = self.nearest.then(|| {
+            let mut reference = Box::new(self.reference.clone());
+            reference.begin(Start::Nearest, &Position::from(point), yaw);
+            reference
         });
         instance.steps = 0;
         instance.action = [0.0; 2];
@@ -277,7 +293,7 @@ impl Task {
         }
         let time = self.time(instance);
         if self.reward == Reward::Tracking
-            && let Some(wanted) = self.reference.at(time).position
+            && let Some(wanted) = self.at(instance).position
         {
             distance = (wanted - point).norm();
         }
@@ -325,6 +341,7 @@ impl Task {
     fn observe(&self, instance: &mut Instance) {
         let seen = instance.seen();
         let time = self.time(instance);
+        let reference = instance.reference.as_deref().unwrap_or(&self.reference);
         let outcome = &mut instance.outcome;
         outcome.state = state(&seen);
         let point = self.point(&seen);
@@ -341,7 +358,7 @@ impl Task {
         ];
         columns.extend(head.map(|value| value as f32));
         for ahead in &self.preview {
-            let wanted = self.reference.at(time + ahead);
+            let wanted = reference.at(time + ahead);
             let way = wanted.position.unwrap_or(point) - point;
             let velocity = wanted.velocity;
             let turned = [
