@@ -6,10 +6,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import pytest
 from answers import ANSWERS
+from matplotlib import pyplot
 
 from singletrack.exercise import Student
+
+matplotlib.use("agg")
+
+#: The figures that each draws.
+FIGURES = {"1-law": 2, "2-centre-of-mass": 2, "3-delay": 2, "4-faults": 1}
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
@@ -31,6 +38,7 @@ def test_a_notebook_runs_with_its_exercises(name: str) -> None:
     def run(source: str) -> None:
         exec(compile(source, name, "exec"), names)
 
+    pyplot.close("all")
     answers = iter(ANSWERS[name])
     blank = right = wrong = ""
     for kind, source in cells(name):
@@ -46,6 +54,10 @@ def test_a_notebook_runs_with_its_exercises(name: str) -> None:
             run(right)
         run(source)
     assert next(answers, None) is None, "an answer without an exercise"
+    figures = [pyplot.figure(number) for number in pyplot.get_fignums()]
+    assert len(figures) == FIGURES[name]
+    for axes in (axes for figure in figures for axes in figure.axes):
+        assert axes.lines and (axes.get_ylabel() or axes.get_xlabel())
 
 
 def test_every_notebook_has_its_answers() -> None:
