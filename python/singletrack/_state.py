@@ -30,8 +30,9 @@ class State:
     reason: str | None
     #: Number of the tick.
     tick: int = 0
-    #: Position of G, in m.
+    #: Position of G along x, in m.
     x: float = nan
+    #: Position of G along y, in m.
     y: float = nan
     #: Yaw, in rad, not wrapped.
     yaw: float = nan
