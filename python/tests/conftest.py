@@ -15,6 +15,9 @@ import pytest
 
 from singletrack import Simulator
 
+# Windows are drawn and not shown.
+os.environ["MPLBACKEND"] = "agg"
+
 PROGRAMS = ("SINGLETRACKD", "SINGLETRACK_SIM")
 #: The Arduino's image too, where it is given.
 BOARDS = ["native", *(["uno"] if "SINGLETRACK_UNO" in os.environ else [])]

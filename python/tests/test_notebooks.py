@@ -6,14 +6,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import pytest
 from answers import ANSWERS
 from matplotlib import pyplot
 
 from singletrack.exercise import Student
-
-matplotlib.use("agg")
 
 #: The figures that each draws.
 FIGURES = {"1-law": 2, "2-centre-of-mass": 2, "3-delay": 2, "4-faults": 1}
