@@ -24,6 +24,7 @@
 //! [`RealTimeSimulator`] runs a world on its own thread, with a pseudo-terminal and
 //! UDP sockets for a host in another process.
 
+#[cfg(feature = "real-time")]
 mod arguments;
 mod attitude;
 mod board;
@@ -36,23 +37,29 @@ mod epoch;
 mod loss;
 mod natnet_server;
 mod parameters;
+#[cfg(feature = "real-time")]
 mod pty;
 mod pulse_log;
 mod qtm_server;
 mod random;
+#[cfg(feature = "real-time")]
 mod real_time;
 mod scripted;
 mod stream_server;
 mod truth;
+#[cfg(feature = "real-time")]
 mod udp;
 mod vrpn_server;
 mod wire;
 mod world;
 
+#[cfg(feature = "real-time")]
 pub use arguments::Arguments;
+#[cfg(feature = "real-time")]
+pub use board::ImageSize;
 pub use board::{
-    BoardKind, BoardParameters, ImageSize, Installation, ReceivedMessage, SERVO_FRAME_US,
-    SimulatedBoard, UnknownBoard, UnoError,
+    BoardKind, BoardParameters, Installation, ReceivedMessage, SERVO_FRAME_US, SimulatedBoard,
+    UnknownBoard, UnoError,
 };
 pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
@@ -71,9 +78,13 @@ pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
-pub use parameters::{ConfigError, SimulationConfig, SimulationFileError};
+#[cfg(feature = "real-time")]
+pub use parameters::SimulationFileError;
+pub use parameters::{ConfigError, SimulationConfig};
+#[cfg(feature = "real-time")]
 pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
+#[cfg(feature = "real-time")]
 pub use real_time::{
     Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
 };
@@ -81,6 +92,7 @@ pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
 pub use truth::{CarTruth, TRUTH_KEYS, TruthKey};
+#[cfg(feature = "real-time")]
 pub use udp::{UdpConfig, UdpError};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

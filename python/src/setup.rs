@@ -44,7 +44,8 @@ impl Setup {
         let mut config = daemon_config(Drive::following(reference));
         let written: Table = parse("configuration", configuration)?;
         if !written.is_empty() {
-            let mut table = Table::try_from(&config).map_err(SetupError::new)?;
+            let own = config.to_toml().map_err(SetupError::new)?;
+            let mut table: Table = parse("configuration", &own)?;
             merge(&mut table, written);
             let text = toml::to_string(&table).map_err(SetupError::new)?;
             config = Config::from_toml(&text).map_err(SetupError::new)?;

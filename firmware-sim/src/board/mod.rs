@@ -6,6 +6,7 @@ mod image;
 mod monitor;
 mod native;
 mod process;
+#[cfg(feature = "real-time")]
 mod size;
 
 use singletrack_board::Board;
@@ -16,6 +17,7 @@ use singletrack_words::words;
 
 pub use image::{Installation, UnoError};
 pub use monitor::ReceivedMessage;
+#[cfg(feature = "real-time")]
 pub use size::ImageSize;
 
 use self::{image::Image, monitor::Monitor, native::Native};

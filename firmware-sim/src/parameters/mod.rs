@@ -1,5 +1,6 @@
 //! The configuration of a simulation.
 
+#[cfg(feature = "real-time")]
 mod file;
 mod ranges;
 
@@ -16,6 +17,7 @@ use crate::{
     wire::WireParameters,
 };
 
+#[cfg(feature = "real-time")]
 pub use file::SimulationFileError;
 pub(crate) use ranges::{EDGE_RATE, FINITE, LAG, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY};
 

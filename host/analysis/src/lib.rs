@@ -5,5 +5,6 @@
 //! [`singletrack_control`], whose vehicle models they share.
 
 mod dual;
+#[cfg(feature = "identification")]
 pub mod identification;
 pub mod stability;

@@ -37,6 +37,7 @@ struct Head {
 /// All its memory has been touched when this returns: a later push meets no page fault,
 /// unless the system has swapped the memory out.
 #[must_use]
+#[inline]
 pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
     let (mut heads, mut heads_out) = RingBuffer::new(capacity);
     let (mut events, mut events_out) = RingBuffer::new(capacity.saturating_mul(MAX_EVENTS));
@@ -54,7 +55,9 @@ pub fn tick_feed(capacity: usize) -> (TickInput, TickOutput) {
 }
 
 impl TickInput {
+    // Inlined, with its opposite: the Python package compiles this crate without optimisation.
     /// Pushes a tick; false if the ring is full.
+    #[inline]
     pub fn push(&mut self, tick: &TickRecord) -> bool {
         // Where there is room for a tick, there is room for its events.
         if self.heads.is_full() {
@@ -75,6 +78,7 @@ impl TickInput {
 
 impl TickOutput {
     /// The next tick; none if the ring is empty.
+    #[inline]
     pub fn pop(&mut self) -> Option<TickRecord> {
         // The head is removed last: until then its place and that of its events stay
         // taken.

@@ -1,9 +1,12 @@
 //! Closed loops in virtual time: scenario files, the host against the simulated car,
 //! and the law alone against the paper's equations.
 
+#[cfg(feature = "files")]
 pub mod csv_text;
+#[cfg(feature = "files")]
 pub mod simulate;
 pub mod simulated;
+#[cfg(feature = "files")]
 pub mod tracking;
 pub mod virtual_drive;
 pub mod virtual_record;
