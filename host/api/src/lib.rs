@@ -5,6 +5,7 @@
 
 mod connection;
 mod error;
+mod explain;
 mod messages;
 mod reply;
 mod request;
@@ -13,6 +14,7 @@ mod status;
 
 pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
+pub use explain::explain;
 pub use messages::{Clocks, Message, MessageStream, Received};
 pub use reply::{Answer, Drive, Ended, Reply, Tuning, TuningBounds, Word};
 pub use request::{

@@ -3,7 +3,10 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::SOCKET_VERSION;
+use crate::{
+    SOCKET_VERSION,
+    explain::{duplicate, explain, no_object},
+};
 
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -206,13 +209,6 @@ struct Line<R> {
     request: R,
 }
 
-/// What of a line is needed to say what is wrong with it.
-#[derive(Default, Deserialize)]
-struct Head {
-    version: Option<u32>,
-    command: Option<String>,
-}
-
 impl Request {
     /// A disarm with a ramp, of a car that was not carried.
     pub const DISARM: Self = Self::Disarm {
@@ -232,19 +228,30 @@ impl Request {
             Ok(line) => return Err(other_version(line.version)),
             Err(error) => error,
         };
-        let Head { version, command } = serde_json::from_slice(line).unwrap_or_default();
-        if let Some(version) = version.filter(|version| *version != SOCKET_VERSION) {
-            return Err(other_version(version));
+        let keys = match serde_json::from_slice::<Map<String, Value>>(line) {
+            Ok(keys) => keys,
+            Err(error) => {
+                let text = String::from_utf8_lossy(line);
+                let after = text.split_once("\"command\":\"").map(|(_, after)| after);
+                let command = after.and_then(|after| after.split('"').next());
+                return Err(with_example(command, &no_object(line, &error)));
+            }
+        };
+        let version = keys.get("version");
+        match version.map(|version| (version, version.as_u64())) {
+            Some((_, Some(version))) if version == u64::from(SOCKET_VERSION) => {}
+            Some((_, Some(version))) => return Err(other_version(version)),
+            Some((version, None)) => {
+                let text = format!("version is {version}: it takes the number {SOCKET_VERSION}");
+                return Err(with_example(None, &text));
+            }
+            None => return Err(with_example(None, "version is missing")),
         }
-        let example = command.and_then(|command| {
-            let name = format!("\"command\":\"{command}\"");
-            let example = EXAMPLES.iter().find(|(line, _)| line.contains(&name));
-            Some((command, example?.0))
-        });
-        Err(RequestError(match example {
-            Some((command, example)) => format!("{command}: {error}; write {example}"),
-            None => format!("{error}; write {}", EXAMPLES[0].0),
-        }))
+        let command = keys.get("command").and_then(Value::as_str);
+        let what = duplicate(&error.to_string())
+            .or_else(|| explain::<Line<Self>>(&keys, &["command", "version"], ""))
+            .unwrap_or_else(|| error.to_string());
+        Err(with_example(command, &what))
     }
 
     /// The line, with its end.
@@ -293,7 +300,21 @@ fn without_nulls(line: &[u8]) -> Option<Line<Request>> {
     serde_json::from_value(given.into()).ok()
 }
 
-fn other_version(version: u32) -> RequestError {
+/// What is wrong with a line, and what to write for this command.
+fn with_example(command: Option<&str>, what: &str) -> RequestError {
+    let example = command.and_then(|command| {
+        let name = format!("\"command\":\"{command}\"");
+        let example = EXAMPLES.iter().find(|(line, _)| line.contains(&name));
+        Some((command, example?.0))
+    });
+    RequestError(match example {
+        Some((command, example)) => format!("{command}: {what}; write {example}"),
+        None => format!("{what}; write {}", EXAMPLES[0].0),
+    })
+}
+
+fn other_version(version: impl Into<u64>) -> RequestError {
+    let version = version.into();
     RequestError(format!(
         "version is {version}: this daemon speaks version {SOCKET_VERSION}; use the singletrack \
          of its release"

@@ -129,10 +129,13 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
             json!({ "gain_per_s": [1.0] }),
             ["gain_per_s is [1.0]", "two for x and y"],
         ),
-        (json!({ "weight": 1.0 }), ["weight", "unknown field"]),
+        (
+            json!({ "weight": 1.0 }),
+            ["tune: unknown key weight", "gain_per_s"],
+        ),
         (
             json!({ "for_s": 1.0, "gain_per_s": 2.0 }),
-            ["tune: unknown field `for_s`", "point_distance_m"],
+            ["tune: unknown key for_s", "point_distance_m"],
         ),
     ] {
         let answer = ask(&mut client, &keys);

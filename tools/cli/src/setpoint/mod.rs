@@ -17,7 +17,7 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Answer, ClientError, Request, Setpoint, ask, connect};
+use singletrack_api::{Answer, ClientError, Request, Setpoint, ask, connect, explain};
 use singletrackd::monotonic_ns;
 
 use crate::control::ControlArgs;
@@ -300,7 +300,11 @@ fn setpoint(line: &str) -> Result<Setpoint, String> {
         return Ok(setpoint);
     }
     if line.trim_start().starts_with('{') {
-        return serde_json::from_str(line).map_err(|error| error.to_string());
+        return serde_json::from_str(line).map_err(|error| {
+            let keys = serde_json::from_str(line).ok();
+            keys.and_then(|keys| explain::<Setpoint>(&keys, &[], ""))
+                .unwrap_or_else(|| error.to_string())
+        });
     }
     let numbers = line
         .split_whitespace()

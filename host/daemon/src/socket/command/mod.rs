@@ -5,7 +5,8 @@ mod tests;
 
 use core::{str::FromStr, time::Duration};
 
-use singletrack_api::{Request, RequestError};
+use serde_json::Value;
+use singletrack_api::{Request, RequestError, explain};
 use singletrack_control::{Time, Velocity};
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
@@ -147,7 +148,7 @@ impl Command {
     pub fn parse(line: &[u8], now_ns: u64) -> Result<Self, ParseError> {
         match Request::parse(line) {
             Ok(request) => Self::of(request, now_ns),
-            Err(RequestError(text)) => Err(match unreadable(line, &text) {
+            Err(RequestError(text)) => Err(match unreadable(line) {
                 Some(why) => Rejected { why, text }.into(),
                 None => text.into(),
             }),
@@ -183,9 +184,7 @@ impl Command {
                 (false, false) => Question::Disarm,
             }),
             Request::Stop {} => Self::Ask(Question::Stop),
-            Request::SetReference { reference } => Self::SetReference(
-                serde_json::from_value(reference).map_err(|error| error.to_string())?,
-            ),
+            Request::SetReference { reference } => Self::SetReference(section(reference)?),
             Request::Tune(tune) => Self::Tune(Tuning {
                 gain: tune.gain_per_s.map(|gain| Velocity::from(gain.each())),
                 point_distance: tune.point_distance_m,
@@ -221,6 +220,18 @@ impl Command {
             },
         })
     }
+}
+
+/// The reference that a client gives.
+fn section(reference: Value) -> Result<ReferenceSection, String> {
+    let explained = match &reference {
+        Value::Object(keys) => explain::<ReferenceSection>(keys, &["kind"], "reference."),
+        other => Some(format!(
+            "reference is {other}: it takes an object in braces"
+        )),
+    };
+    serde_json::from_value(reference)
+        .map_err(|error| explained.unwrap_or_else(|| error.to_string()))
 }
 
 /// The shortest and the longest time of a timed drive, s.

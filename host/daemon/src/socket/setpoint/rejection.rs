@@ -4,6 +4,7 @@ use core::sync::atomic::AtomicU64;
 use std::{collections::BTreeMap, sync::atomic::Ordering};
 
 use serde::Serialize;
+use serde_json::Value;
 use singletrack_core::setpoint::Rejection;
 use singletrack_pilot::SetpointRefusal;
 
@@ -77,11 +78,14 @@ fn counted<const N: usize>(
 ///
 /// JSON has no word for what is not finite. Programs write `NaN` or `Infinity`, which is no
 /// JSON, `null`, or a number that is too large.
-pub(in crate::socket) fn unreadable(line: &[u8], text: &str) -> Option<Rejection> {
+pub(in crate::socket) fn unreadable(line: &[u8]) -> Option<Rejection> {
     let contains = |part: &[u8]| line.windows(part.len()).any(|window| window == part);
     contains(b"\"setpoint\"").then(|| {
-        let is_number = text.contains("invalid type: null, expected f64")
-            || text.contains("number out of range");
+        let is_number = match serde_json::from_slice::<Value>(line) {
+            Ok(Value::Object(keys)) => keys.values().any(has_null),
+            Ok(_) => false,
+            Err(error) => error.to_string().contains("number out of range"),
+        };
         let is_word = [&b"NaN"[..], b"nan", b"Infinity", b"inf"];
         if is_number || is_word.into_iter().any(contains) {
             Rejection::NotFinite
@@ -89,6 +93,19 @@ pub(in crate::socket) fn unreadable(line: &[u8], text: &str) -> Option<Rejection
             Rejection::Invalid
         }
     })
+}
+
+/// Whether it is a list with null in the place of a number. The null of a key counts as left out.
+fn has_null(value: &Value) -> bool {
+    match value {
+        Value::Array(values) => values
+            .iter()
+            .any(|value| value.is_null() || has_null(value)),
+        Value::Object(keys) => keys
+            .values()
+            .any(|value| value.is_null() || has_null(value)),
+        _ => false,
+    }
 }
 
 #[cfg(test)]
