@@ -50,5 +50,7 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::Snapshot;
-pub use socket::{Arm, Attendance, Command, ParseError, Question, SetpointFigures, SocketError};
+pub use socket::{
+    Arm, Attendance, Command, ParseError, SetpointFigures, SimpleRequest, SocketError,
+};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

@@ -135,12 +135,12 @@ fn check_accepted(command: &Command, line: &[u8]) {
     let text = core::str::from_utf8(line).expect("JSON is UTF-8");
     assert!(text.contains('2'), "another version is accepted: {text}");
     let word = match command {
-        Command::Ask(question) => match question {
-            singletrackd::Question::Status => "status",
-            singletrackd::Question::Disarm
-            | singletrackd::Question::Carried
-            | singletrackd::Question::Halt => "disarm",
-            singletrackd::Question::Stop => "stop",
+        Command::Simple(request) => match request {
+            singletrackd::SimpleRequest::Status => "status",
+            singletrackd::SimpleRequest::Disarm
+            | singletrackd::SimpleRequest::Carried
+            | singletrackd::SimpleRequest::Halt => "disarm",
+            singletrackd::SimpleRequest::Stop => "stop",
         },
         Command::Commissioned { .. } => "commissioned",
         Command::Arm(_) | Command::ArmJog => "arm",
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn objects_of_choices_are_commands_of_every_kind() {
-        assert!(matches!(parse(&[1, 1, 6]), Ok(Command::Ask(_))));
+        assert!(matches!(parse(&[1, 1, 6]), Ok(Command::Simple(_))));
         assert!(matches!(
             parse(&[1, 1, 13, 2, 18]),
             Ok(Command::Watch { .. })

@@ -184,8 +184,8 @@ async fn serve_drive(
                     daemon.jogs.send(pulses);
                 }
             }
-            Ok(Command::Ask(question)) => {
-                send(write, &answer(question, daemon).await).await?;
+            Ok(Command::Simple(request)) => {
+                send(write, &answer(request, daemon).await).await?;
             }
             Ok(Command::Tune(tuning)) if !drive.jogs => {
                 send(write, &tune(tuning, daemon).await).await?;

@@ -24,7 +24,7 @@ use tokio::{
 use super::{
     arm::arm,
     attend::{hold, hung_up, jog},
-    command::{Attendance, Command, ParseError, Question},
+    command::{Attendance, Command, ParseError, SimpleRequest},
     setpoint::{SetpointStream, reject},
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     tune::tune,
@@ -67,10 +67,13 @@ pub(super) async fn refuse(
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
         (
             Some(Ok(Ok(_))),
-            Ok(Command::Ask(
-                question @ (Question::Stop | Question::Disarm | Question::Halt | Question::Carried),
+            Ok(Command::Simple(
+                request @ (SimpleRequest::Stop
+                | SimpleRequest::Disarm
+                | SimpleRequest::Halt
+                | SimpleRequest::Carried),
             )),
-        ) => answer(question, daemon).await,
+        ) => answer(request, daemon).await,
         _ => Answer::failure(format!("{CLIENTS} clients are connected; close one")),
     };
     send(&mut write, &answer).await
@@ -170,8 +173,8 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
                              \"hold\"; there is none";
                 send(&mut write, &Answer::failure(error)).await?;
             }
-            Ok(Command::Ask(question)) => {
-                send(&mut write, &answer(question, daemon).await).await?;
+            Ok(Command::Simple(request)) => {
+                send(&mut write, &answer(request, daemon).await).await?;
             }
             Ok(Command::Configuration) => send(&mut write, &configuration(daemon)).await?,
             Ok(Command::SetReference(reference)) => {
@@ -222,37 +225,39 @@ pub(super) async fn send(write: &mut WriteHalf, answer: &impl Serialize) -> io::
     write.write_all(&line).await
 }
 
-pub(super) async fn answer(question: Question, daemon: &DaemonHandle) -> Answer {
+pub(super) async fn answer(request: SimpleRequest, daemon: &DaemonHandle) -> Answer {
     let push = |request| {
         let pushed = daemon.requests.push(ControlRequest::Pilot(request));
         pushed.map_err(|error| error.to_string())
     };
-    if question != Question::Status {
+    if request != SimpleRequest::Status {
         daemon.drives.stop();
     }
     let stuck = daemon.snapshot().tick.is_some_and(|tick| {
         monotonic_ns().saturating_sub(tick.start_ns) > TICK_TIMEOUT.as_nanos() as u64
     });
     // No mode in an answer: the effect of a request shows after the next tick only.
-    let done = match question {
-        Question::Status => {
+    let done = match request {
+        SimpleRequest::Status => {
             return Answer {
                 status: Some(daemon.snapshot().status()),
                 ..Answer::done()
             };
         }
-        Question::Carried => push(PilotRequest::Carried),
-        Question::Disarm => match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
-            (Ok(()), Some(note)) if !stuck => {
-                return Answer {
-                    note: Some(note.into()),
-                    ..Answer::done()
-                };
+        SimpleRequest::Carried => push(PilotRequest::Carried),
+        SimpleRequest::Disarm => {
+            match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
+                (Ok(()), Some(note)) if !stuck => {
+                    return Answer {
+                        note: Some(note.into()),
+                        ..Answer::done()
+                    };
+                }
+                (result, _) => result,
             }
-            (result, _) => result,
-        },
-        Question::Halt => push(PilotRequest::Halt),
-        Question::Stop => push(PilotRequest::EmergencyStop),
+        }
+        SimpleRequest::Halt => push(PilotRequest::Halt),
+        SimpleRequest::Stop => push(PilotRequest::EmergencyStop),
     };
     match done {
         Ok(()) if stuck => Answer::failure(

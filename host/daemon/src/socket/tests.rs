@@ -19,7 +19,7 @@ use tokio::{
 
 use super::{
     arm::begin,
-    command::{Arm, Attendance, Question},
+    command::{Arm, Attendance, SimpleRequest},
     drives::Drives,
     serve::{answer, serve},
     setpoint::SetpointSource,
@@ -129,8 +129,8 @@ impl Bench {
         }
     }
 
-    fn ask(&self, question: Question) {
-        let answered = self.runtime.block_on(answer(question, &self.daemon));
+    fn ask(&self, request: SimpleRequest) {
+        let answered = self.runtime.block_on(answer(request, &self.daemon));
         assert!(answered.ok);
     }
 
@@ -158,12 +158,12 @@ fn what_comes_while_an_arm_is_judged_ends_it() {
     type Happens = fn(&Bench);
     let cases: [(Happens, &str, Option<PilotRequest>); 4] = [
         (
-            |bench| bench.ask(Question::Disarm),
+            |bench| bench.ask(SimpleRequest::Disarm),
             "a disarm or a stop has come meanwhile",
             Some(PilotRequest::Disarm),
         ),
         (
-            |bench| bench.ask(Question::Stop),
+            |bench| bench.ask(SimpleRequest::Stop),
             "a disarm or a stop has come meanwhile",
             Some(PilotRequest::EmergencyStop),
         ),

@@ -21,8 +21,8 @@ use super::setpoint::unreadable;
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// A question or request, answered by one line.
-    Ask(Question),
+    /// Answered by one line.
+    Simple(SimpleRequest),
     /// The configuration in force, answered by one line.
     Configuration,
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
@@ -126,7 +126,7 @@ pub enum Attendance {
 
 /// A command without arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Question {
+pub enum SimpleRequest {
     /// The status of daemon, board and figures.
     Status,
     /// Slow down, stop and disarm.
@@ -157,7 +157,7 @@ impl Command {
 
     fn of(request: Request, now_ns: u64) -> Result<Self, ParseError> {
         Ok(match request {
-            Request::Status {} => Self::Ask(Question::Status),
+            Request::Status {} => Self::Simple(SimpleRequest::Status),
             Request::Arm(arm) => {
                 let attendance = attendance(&arm)?;
                 match (arm.jog, attendance) {
@@ -175,15 +175,15 @@ impl Command {
             Request::Jog { servo_us, esc_us } => Self::Jog(Jog { servo_us, esc_us }),
             Request::Reload {} => Self::Reload,
             Request::Configuration {} => Self::Configuration,
-            Request::Disarm { at_once, carried } => Self::Ask(match (at_once, carried) {
+            Request::Disarm { at_once, carried } => Self::Simple(match (at_once, carried) {
                 (true, true) => {
                     return Err("disarm takes at_once or carried, not both".into());
                 }
-                (true, false) => Question::Halt,
-                (false, true) => Question::Carried,
-                (false, false) => Question::Disarm,
+                (true, false) => SimpleRequest::Halt,
+                (false, true) => SimpleRequest::Carried,
+                (false, false) => SimpleRequest::Disarm,
             }),
-            Request::Stop {} => Self::Ask(Question::Stop),
+            Request::Stop {} => Self::Simple(SimpleRequest::Stop),
             Request::SetReference { reference } => Self::SetReference(section(reference)?),
             Request::Tune(tune) => Self::Tune(Tuning {
                 gain: tune.gain_per_s.map(|gain| Velocity::from(gain.each())),

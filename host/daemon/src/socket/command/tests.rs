@@ -56,19 +56,19 @@ fn valid_lines_are_parsed() {
     for (line, command) in [
         (
             r#"{"version":2,"command":"status"}"#,
-            Command::Ask(Question::Status),
+            Command::Simple(SimpleRequest::Status),
         ),
         (
             r#"{"version":2,"command":"disarm","at_once":true}"#,
-            Command::Ask(Question::Halt),
+            Command::Simple(SimpleRequest::Halt),
         ),
         (
             r#"{"version":2,"command":"disarm","carried":true}"#,
-            Command::Ask(Question::Carried),
+            Command::Simple(SimpleRequest::Carried),
         ),
         (
             r#"{"version":2,"command":"disarm","at_once":false}"#,
-            Command::Ask(Question::Disarm),
+            Command::Simple(SimpleRequest::Disarm),
         ),
         (
             r#"{"version":2,"command":"arm","attendance":"hold"}"#,
@@ -115,7 +115,7 @@ fn valid_lines_are_parsed() {
         (r#"{"version":2,"command":"hold"}"#, Command::Hold),
         (
             "{\"command\":\"stop\",\"version\":2}\r\n",
-            Command::Ask(Question::Stop),
+            Command::Simple(SimpleRequest::Stop),
         ),
         (
             r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
