@@ -159,7 +159,7 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         topics: vec!["state".to_owned()],
     })?;
     let now = Time(monotonic_ns());
-    let mut shell = Shell {
+    let mut drive = DriveSession {
         pad: Pad::new(args.speed, args.silence, now),
         session: Connection::open(&args.control.socket, PATIENCE)?,
         watch,
@@ -173,16 +173,16 @@ pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
         car: None,
     };
     for event in state {
-        shell.pad.handle(now, event);
+        drive.pad.handle(now, event);
     }
     print(&match source.name() {
         Some(name) => format!("{name}: hold a shoulder button to drive"),
         None => "hold a shoulder button to drive".to_owned(),
     })?;
-    let result = shell.attend(source, &interrupt);
-    let is_external = matches!(shell.in_force, Some((Driver::Sticks, _)));
+    let result = drive.attend(source, &interrupt);
+    let is_external = matches!(drive.in_force, Some((Driver::Sticks, _)));
     // Ends a drive that goes on after an error.
-    drop(shell);
+    drop(drive);
     if is_external {
         restore(&args.control.socket);
     }
@@ -217,7 +217,7 @@ impl Stage {
     }
 }
 
-struct Shell<'a> {
+struct DriveSession<'a> {
     pad: Pad,
     /// Holds the drive.
     session: Connection,
@@ -235,7 +235,7 @@ struct Shell<'a> {
     car: Option<(Instant, Box<State>)>,
 }
 
-impl Shell<'_> {
+impl DriveSession<'_> {
     fn attend(
         &mut self,
         mut source: Source,
