@@ -99,7 +99,7 @@ impl<L: Line> Host<L> {
             config.validate()?;
         }
         // Read once, so that pilot and record have the same waypoints.
-        config.reference = config.reference.written_out()?;
+        config.reference = config.reference.with_points_inlined()?;
         let controller = Controller::new(
             LinkSession::new(config.link(options.nonce_seed))?,
             config.steering_map()?,

@@ -148,7 +148,7 @@ impl Configurations {
         if self.is_changing() {
             return Err(Stalled.into());
         }
-        config.reference = config.reference.written_out()?;
+        config.reference = config.reference.with_points_inlined()?;
         let keys = restart_keys(&self.in_force, &config)?;
         if !keys.is_empty() {
             return Err(ChangeError::Restart(keys));

@@ -5,12 +5,12 @@
 
 mod error;
 mod explain;
-mod kind;
 mod section;
+mod tagged_section;
 mod value;
 
 pub use error::ValueError;
 pub use explain::{explain, explain_table};
-pub use kind::{Written, check_kind};
 pub use section::{Declared, Key, Maps, Section, or_default, toml_value};
+pub use tagged_section::{Written, check_kind};
 pub use value::{Convert, Numbers, Rule, UpTo, Worded, check, in_words, seconds, up_to};

@@ -62,7 +62,7 @@ pub trait Declared {
 /// A section that stands for the struct `T` of another crate.
 pub trait Maps<T> {
     /// The struct with the values of this section, and the others as they are.
-    fn onto(&self, inner: T) -> T;
+    fn apply_to(&self, inner: T) -> T;
 }
 
 /// A default or an example as TOML; none for a key that is left out.
@@ -220,7 +220,7 @@ macro_rules! section {
         }
 
         impl Maps<$type> for $section {
-            fn onto(&self, mut inner: $type) -> $type {
+            fn apply_to(&self, mut inner: $type) -> $type {
                 $($(inner.$inner = Convert::to_inner(self.$key, stringify!($key));)?)+
                 inner
             }

@@ -114,7 +114,7 @@ pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
         })
     };
     // The daemon reads files of one folder only. What fits into a line is sent.
-    let written = value(&reference.written_out()?)?;
+    let written = value(&reference.with_points_inlined()?)?;
     if written.to_string().len() <= LONGEST {
         return Ok(written);
     }

@@ -144,7 +144,7 @@ impl BoardSection {
             kill_output: self.kill_output,
             max_roll_out_ms: LONGEST_ROLL_OUT_MS,
             car_id: self.car_id,
-            imu_axes: self.imu.onto(ImuAxes::AS_PRINTED),
+            imu_axes: self.imu.apply_to(ImuAxes::AS_PRINTED),
         }
     }
 
@@ -204,7 +204,7 @@ impl BoardSection {
                  one on the motor instead of on the wheel",
             ));
         }
-        if !self.imu.onto(ImuAxes::AS_PRINTED).is_mounting() {
+        if !self.imu.apply_to(ImuAxes::AS_PRINTED).is_mounting() {
             let ImuSection { forward, left, up } = self.imu;
             return Err(ConfigError::value(
                 "board.imu",

@@ -54,7 +54,7 @@ impl EstimatorSection {
         marker_offset_m: [f64; 2],
         marker_yaw_rad: f64,
     ) -> EstimatorConfig {
-        self.onto(EstimatorConfig {
+        self.apply_to(EstimatorConfig {
             prediction_horizon: self.prediction_horizon_ms / 1_000.0,
             marker_offset: marker_offset_m,
             marker_yaw: marker_yaw_rad,

@@ -33,7 +33,7 @@ impl LimitsSection {
     /// For the controller of a car with this wheelbase, in m.
     #[must_use]
     pub fn limits(&self, wheelbase: f64) -> Limits {
-        self.onto(Limits {
+        self.apply_to(Limits {
             wheelbase,
             ..Limits::paper()
         })

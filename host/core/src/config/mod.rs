@@ -8,6 +8,7 @@ mod actuators;
 mod board;
 mod compensation;
 mod control;
+mod cross_checks;
 mod error;
 mod estimator;
 mod fence;
@@ -24,7 +25,7 @@ mod safety_filter;
 mod sections;
 mod serial;
 mod supervisor;
-mod together;
+
 mod tuning;
 mod tuning_rule;
 mod vehicle;
@@ -226,7 +227,7 @@ impl Config {
         self.state.validate()?;
         self.socket.validate()?;
         self.page.validate()?;
-        together::validate(self)?;
+        cross_checks::validate(self)?;
         self.pilot().map(drop)?;
         self.tuning.validate(self)
     }
@@ -265,10 +266,10 @@ impl Config {
                 self.motion_capture.marker_yaw_rad,
             ),
             supervisor: SupervisorConfig {
-                disarm_age: together::disarm_age(self),
+                disarm_age: cross_checks::disarm_age(self),
                 ..self.supervisor.config()
             },
-            watch: self.watch.onto(WatchConfig {
+            watch: self.watch.apply_to(WatchConfig {
                 pulse_distance: f64::from(self.board.speed.pulse_distance_um) * 1e-6,
                 height: self.motion_capture.pose.height_m.unwrap_or(ANY_HEIGHT),
                 max_capture_uncertainty: self.watch.max_capture_uncertainty_ms / 1_000.0,

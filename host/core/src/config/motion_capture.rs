@@ -135,7 +135,7 @@ section! {
 impl TimingSection {
     /// The constant error of the time stamps, in ns.
     pub(crate) fn stamp_offset_ns(self) -> i64 {
-        self.onto(Timing::default()).stamp_offset_ns
+        self.apply_to(Timing::default()).stamp_offset_ns
     }
 }
 
@@ -218,8 +218,8 @@ impl MotionCaptureSection {
         config.session.protocol = self.protocol();
         config.session.command_port = self.port();
         config.session.quaternion_norm_tolerance = self.pose.quaternion_norm_tolerance;
-        config.session.timing = self.timing.onto(config.session.timing);
-        config.limits = self.pose.onto(config.limits);
+        config.session.timing = self.timing.apply_to(config.session.timing);
+        config.limits = self.pose.apply_to(config.limits);
         Ok(config)
     }
 

@@ -312,7 +312,7 @@ impl ReferenceSection {
     /// # Errors
     ///
     /// Waypoints that can't be read.
-    pub fn written_out(&self) -> Result<Self, ConfigError> {
+    pub fn with_points_inlined(&self) -> Result<Self, ConfigError> {
         match self {
             Self::Waypoints { file } => {
                 let waypoints = waypoints_of(file)?;
@@ -396,7 +396,7 @@ impl ReferenceSection {
                     .collect();
                 Reference::Waypoints(Waypoints::new(&waypoints)?)
             }
-            Self::Path { .. } => self.written_out()?.reference()?,
+            Self::Path { .. } => self.with_points_inlined()?.reference()?,
             Self::PathList {
                 points,
                 closed,

@@ -63,6 +63,6 @@ impl SupervisorSection {
     /// For the controller.
     #[must_use]
     pub fn config(&self) -> SupervisorConfig {
-        self.onto(SupervisorConfig::paper())
+        self.apply_to(SupervisorConfig::paper())
     }
 }

@@ -67,7 +67,7 @@ pub fn virtual_drive_config(scenario: &Scenario) -> Result<(Config, SimulationCo
     scenario.outer_loop.validate_for(&scenario.reference()?)?;
     let mut config = scenario.daemon()?;
     let simulation = scenario.simulation(&config)?;
-    config.reference = config.reference.written_out()?;
+    config.reference = config.reference.with_points_inlined()?;
     config.validate()?;
     Ok((config, simulation))
 }
