@@ -1,4 +1,4 @@
-//! The example file and the table of the keys are those that the declarations of the sections
+//! The example file and the list of the keys are those that the declarations of the sections
 //! give. With `SINGLETRACK_RENEW=1` this test writes them instead.
 
 #![allow(
@@ -63,20 +63,20 @@ angular_velocity_rad_s = 0.5
 #   setpoint_timeout_ms = 200
 ";
 
-const TABLE_HEADER: &str = "\
+const PAGE_HEADER: &str = "\
 # Configuration
 
-The daemon reads one TOML file. This page lists every key;
-`host/daemon/singletrackd.example.toml` is a file to start
-from. A key's name ends with its unit: `_m_s2` is m/s², `_us` µs, `_um` µm, `_n_rad` N/rad,
-`_per_s` 1/s. Unknown keys are refused, and so is a value outside its range:
-`singletrackd --check --config FILE` reports what is wrong with a file.
+The daemon reads one TOML file. `host/daemon/singletrackd.example.toml` is a file to start from.
+Unknown keys are refused, and so is a value outside its range: `singletrackd --check --config FILE`
+reports what is wrong with a file.
 
-SIGHUP reloads the file while the car does not drive. A key marked ↻ takes a restart of the
-daemon.
+Each line has a key, in brackets its default and range, and its meaning. A key without a default is
+mandatory, in sections with a `kind` for its kind only. A key's name ends with its unit: `_m_s2` is
+m/s², `_us` µs, `_um` µm, `_n_rad` N/rad, `_per_s` 1/s.
 
-This page is generated from the declarations in `host/core/src/config`; see
-`host/core/tests/config_documents.rs`.
+SIGHUP reloads the file while the car does not drive. A key marked ↻ takes a restart of the daemon.
+
+Generated from the declarations in `host/core/src/config`; see `host/core/tests/config_documents.rs`.
 ";
 
 #[test]
@@ -85,8 +85,8 @@ fn the_example_file_is_that_of_the_declarations() {
 }
 
 #[test]
-fn the_table_of_the_keys_is_that_of_the_declarations() {
-    compare("docs/configuration.md", &table());
+fn the_list_of_the_keys_is_that_of_the_declarations() {
+    compare("docs/configuration.md", &page());
 }
 
 /// The ranges of `[board]` are text in the declarations: the board checks the numbers.
@@ -245,8 +245,8 @@ fn assignment(section: &Section, key: &Key) -> String {
     }
 }
 
-fn table() -> String {
-    let mut text = TABLE_HEADER.to_owned();
+fn page() -> String {
+    let mut text = PAGE_HEADER.to_owned();
     for section in SECTIONS {
         let restart = if section.restart { " ↻" } else { "" };
         text += &format!(
@@ -254,19 +254,28 @@ fn table() -> String {
             section.name,
             help(section.help)
         );
-        text += "| key | default | range | meaning |\n|---|---|---|---|\n";
         for key in section.keys.iter().filter(|key| !is_section(section, key)) {
             let default = match (key.default)() {
                 Some(value) => format!("`{value}`"),
-                None if key.mandatory => "mandatory".to_owned(),
-                None if has_kinds(section) => "mandatory for its kind".to_owned(),
+                None if key.mandatory || has_kinds(section) => String::new(),
                 None => "none".to_owned(),
             };
+            // The default shows a type.
+            let is_type = key.range.is_empty() && (key.words)().is_empty();
+            let range = if is_type && default.starts_with('`') {
+                String::new()
+            } else {
+                range(key)
+            };
+            let parts: Vec<_> = [default, range]
+                .into_iter()
+                .filter(|part| !part.is_empty())
+                .collect();
             let restart = if key.restart { " ↻" } else { "" };
             text += &format!(
-                "| `{}`{restart} | {default} | {} | {} |\n",
+                "- `{}`{restart} ({}): {}\n",
                 key.name,
-                range(key),
+                parts.join("; "),
                 help(key.help)
             );
         }
