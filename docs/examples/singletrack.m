@@ -3,9 +3,11 @@ function state = singletrack(file, radius, seconds)
 %
 %   state = singletrack('/run/singletrackd/control.sock.token', 1.0, 20)
 %
-% The daemon writes this file where socket.tcp_port is configured. The connection holds the drive:
-% the car also stops when the function fails, is interrupted, or hangs for 0.5 s. Returned is the
-% last state.
+% The daemon needs two keys: socket.tcp_port = 8766, with which it writes this file, and, for the
+% simulated car only, supervisor.require_calibration = false. Restart it after the change.
+%
+% The connection holds the drive: the car also stops when the function fails, is interrupted, or
+% hangs for 0.5 s. Returned is the last state.
 if exist('OCTAVE_VERSION', 'builtin'), pkg('load', 'instrument-control'); end
 speed = 0.3; gain = 1.0;                                     % m/s, 1/s
 drive = connect(file);
@@ -60,6 +62,9 @@ end
 end
 
 function connection = connect(file)
+if ~exist(file, 'file')
+  error('there is no %s: set socket.tcp_port and restart the daemon', file);
+end
 key = jsondecode(fileread(file));
 connection = tcpclient(key.address, key.port);
 send(connection, sprintf('{"version":2,"command":"token","token":"%s"}', key.token));
