@@ -18,6 +18,7 @@ mod other_cars;
 mod proofs;
 mod pulse_distance;
 mod rare_poses;
+mod scenario_page;
 mod start;
 mod taught_path;
 mod tracking;

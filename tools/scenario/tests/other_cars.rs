@@ -528,35 +528,3 @@ fn an_inverted_servo_turns_the_car_the_other_way() {
     assert!(yaw("") > 0.1);
     assert!(yaw("[truth.servo]\ngain_us_per_rad = 800\n") < -0.1);
 }
-
-/// The list of the keys of `[truth]` in the documentation is generated from their
-/// declarations: with `SINGLETRACK_RENEW=1` this test writes it.
-#[test]
-fn the_documented_keys_of_the_truth_are_those_of_the_declarations() {
-    const BEGIN: &str = "<!-- keys -->\n";
-    const END: &str = "<!-- end of keys -->";
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/other-cars.md");
-    let page = std::fs::read_to_string(&path).unwrap();
-    let (before, rest) = page.split_once(BEGIN).unwrap();
-    let (keys, after) = rest.split_once(END).unwrap();
-    let mut table = String::new();
-    let mut section = "";
-    for key in singletrack_sim::TRUTH_KEYS {
-        if key.section != section {
-            section = key.section;
-            table +=
-                &format!("\n### `[truth.{section}]`\n\n| key | range | meaning |\n|---|---|---|\n");
-        }
-        let help = key.help.trim().replace("  ", " ");
-        table += &format!("| `{}` | {} | {help} |\n", key.name, key.range);
-    }
-    table.push('\n');
-    if std::env::var_os("SINGLETRACK_RENEW").is_some() {
-        std::fs::write(&path, format!("{before}{BEGIN}{table}{END}{after}")).unwrap();
-    } else {
-        assert!(
-            keys == table,
-            "docs/other-cars.md is old: SINGLETRACK_RENEW=1 renews it"
-        );
-    }
-}

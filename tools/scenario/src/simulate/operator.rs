@@ -12,28 +12,28 @@ use crate::virtual_drive::VirtualDrive;
 pub(super) const MOMENT: RangeInclusive<f64> = 0.0..=86_400.0;
 
 section! {
-    /// What the operator does, and what happens to the board's cable. Times are those of the
-    /// trajectory, in s: zero is the first driving tick; with `arm = false` it is the start of
-    /// the run.
+    /// What the operator does, and what happens to the board's cable. Times, also those of
+    /// `[truth]`, count from the first driving tick, or, with `arm = false`, from switching the car
+    /// on.
     "operator" => pub OperatorSection: Copy;
     [default];
 
-    /// The daemon reaches the board so long after the car was switched on, in s: an ESC
-    /// is ready by then, and the board is not yet configured.
+    /// Time from switching the car on until the daemon reaches the board. The ESC is ready by then,
+    /// and the board is not yet configured.
     daemon_after_s: f64 = 2.0, in 0.0..=10.0;
-    /// Arms the car as soon as it is ready.
+    /// Arms the car once, as soon as it is ready; false: never.
     arm: bool = true;
     /// Requests an emergency stop.
     emergency_stop_at_s: Option<f64> = None, in MOMENT;
     /// Requests to stop and disarm.
     disarm_at_s: Option<f64> = None, in MOMENT;
-    /// Asks to arm once more.
+    /// Requests to arm once more.
     arm_again_at_s: Option<f64> = None, in MOMENT;
     /// Pulls the serial cable: bytes stop in both directions.
     unplug_at_s: Option<f64> = None, in MOMENT;
     /// Plugs it in again.
     plug_at_s: Option<f64> = None, in MOMENT;
-    /// Presses the board's reset: its pins float until its bootloader has ended.
+    /// Presses the board's reset: no pulses until its bootloader has ended.
     reset_board_at_s: Option<f64> = None, in MOMENT;
 }
 

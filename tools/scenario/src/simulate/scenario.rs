@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use singletrack_control::{
     FrontPointLaw, LawError, Limits, Position, Reference, TrackingLoop, VehicleParameters,
     VelocityPointLaw, direction,
@@ -88,14 +88,15 @@ pub struct Scenario {
     pub tuning: Option<Table>,
 }
 
-/// Where the car starts: yaw rate, sideslip and steering are zero.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct StartSection {
-    /// Position of P, placed with the true `l_f`, in m.
-    pub point_p_m: [f64; 2],
+section! {
+    /// Where the car starts; yaw rate, sideslip and steering are zero.
+    "start" => pub StartSection: Copy;
+    [];
+
+    /// Position of P, placed with the true distance of the front axle.
+    point_p_m: [f64; 2];
     /// Yaw, in degrees.
-    pub yaw_deg: f64,
+    yaw_deg: f64;
 }
 
 /// How the controller runs.
@@ -147,19 +148,21 @@ pub enum SteeringHold {
     Step,
 }
 
-/// The plant.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PlantSection {
-    /// The kind of plant.
-    pub kind: PlantKind,
-    /// The board of plant kind "car": its code, or the UNO image on a simulated processor.
-    #[serde(default)]
-    pub board: BoardKind,
+section! {
+    /// What is simulated.
+    "plant" => pub PlantSection: Copy;
+    [];
+
+    /// "ideal": outer loop and law alone on the paper's equations. "car": the whole pilot on the
+    /// simulated car, board and cameras.
+    kind: PlantKind;
+    /// The board of "car": "native", its code; or "uno", the flashed image on a simulated
+    /// processor.
+    board: BoardKind = BoardKind::default();
 }
 
 /// The paper's model, or the whole simulator.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlantKind {
     /// Outer loop and law alone on the paper's equations.
@@ -173,14 +176,14 @@ section! {
     "run" => pub RunSection: Copy;
     [];
 
-    /// Simulated time, in s.
+    /// Simulated time.
     duration_s: f64, in MOMENT;
     /// Seed of all random numbers.
     seed: u64 = 1;
 }
 
 section! {
-    /// Ticks without a pose of the cameras.
+    /// Ticks without a pose of the cameras, any number of times.
     "marker_loss" => pub MarkerLoss: Copy;
     [];
 

@@ -1,23 +1,24 @@
 //! When the operator of a scenario tunes the pilot.
 
-use serde::Deserialize;
 use singletrack_control::Velocity;
 use singletrack_core::config::TuningRule;
 use singletrack_pilot::Tuning;
-use singletrack_settings::check;
+use singletrack_settings::{check, section};
 
 use super::{error::ScenarioError, operator::MOMENT};
 
-/// A request to tune the pilot, as `singletrack tune`; `[tuning]` must allow it.
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TuneSection {
-    /// When, in s of the trajectory.
-    pub at_s: f64,
-    /// Gains along x and y, per second.
-    pub gain_per_s: Option<[f64; 2]>,
-    /// The distance p, in m.
-    pub point_distance_m: Option<f64>,
+section! {
+    /// A request to tune the pilot, as by `singletrack tune`, any number of times; `[tuning]` must
+    /// allow it.
+    "tune" => pub TuneSection: Copy;
+    [];
+
+    /// When.
+    at_s: f64;
+    /// Gains along x and y.
+    gain_per_s: Option<[f64; 2]> = None;
+    /// The distance p.
+    point_distance_m: Option<f64> = None;
 }
 
 impl TuneSection {
