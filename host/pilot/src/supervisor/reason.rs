@@ -118,7 +118,7 @@ words! {
         ///
         /// Effect: Refuses, until none for 0.2 s.
         ///
-        /// Remedy: Put the car down.
+        /// Remedy: Put the car down, and let it stand.
         ImuNotStill = 28 "imu-not-still",
         /// No pose yet.
         ///
