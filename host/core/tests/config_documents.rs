@@ -267,6 +267,10 @@ fn page() -> String {
             } else {
                 range(key)
             };
+            let range = match range.starts_with("above") {
+                true => range,
+                false => range.replace(" to ", "…"),
+            };
             let parts: Vec<_> = [default, range]
                 .into_iter()
                 .filter(|part| !part.is_empty())

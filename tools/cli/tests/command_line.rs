@@ -114,7 +114,7 @@ fn the_exit_status_is_the_documented_one() {
         );
         // What went wrong is said, and nowhere else than on standard error.
         assert_eq!(expected == 1 || expected == 2, !output.stderr.is_empty());
-        let row = format!("| {expected} | ");
+        let row = format!("\n- {expected}: ");
         assert!(PAGE.contains(&row), "no row {row} on the page");
     }
 }

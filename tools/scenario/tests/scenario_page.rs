@@ -86,7 +86,7 @@ fn truth() -> String {
             .collect();
         let range = match key.range {
             "" => String::new(),
-            _ => format!(" ({})", range.join(" ")),
+            _ => format!(" ({})", range.join(" ").replace(" to ", "…")),
         };
         writeln!(text, "- `{}`{range}: {}", key.name, line(key.help)).unwrap();
     }
