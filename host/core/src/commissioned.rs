@@ -147,7 +147,7 @@ impl fmt::Display for NotCommissioned {
             f,
             ". Run `singletrack {name}`, or arm with --uncalibrated: the car then drives with \
              values that have not been measured on it, and can steer to the wrong side, be faster \
-             than commanded and stop later than the geofence allows for"
+             than commanded and stop later than the geofence allows"
         )
     }
 }

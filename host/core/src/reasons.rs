@@ -103,7 +103,7 @@ impl Why {
         let word = preflight.or(status.reason.as_ref())?;
         let mut why = Self::explain(word, status);
         if status.mode == "ready" {
-            why.text.insert_str(0, "the last drive ended, ");
+            why.text.insert_str(0, "the last drive ended: ");
         }
         Some(why)
     }

@@ -155,7 +155,7 @@ fn in_plain_words(message: &str, place: &Place<'_>) -> Option<String> {
         return Some(match alike(unknown, expected(message)) {
             Some(known) => format!("unknown key; did you mean {known}?"),
             None => format!(
-                "unknown key; remove it (there are {})",
+                "unknown key; remove it, or use {}",
                 list(expected(message), "")
             ),
         });
@@ -315,8 +315,8 @@ mod tests {
             ),
             (
                 &format!("[wheel]\n{good}colour = 2\n"),
-                "line 5: wheel.colour: unknown key; remove it (there are radius_m, hold_ms, sides, \
-                 kind or hub)",
+                "line 5: wheel.colour: unknown key; remove it, or use radius_m, hold_ms, sides, \
+                 kind or hub",
             ),
             (
                 &format!("[wheels]\n{good}"),

@@ -5,15 +5,16 @@
 
 use std::{
     io::{self, IsTerminal as _, Write as _},
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::ExitCode,
     time::{Duration, Instant},
 };
 
 use clap::Args;
 use singletrack_api::{
-    Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request, ask,
+    Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request, ask, ask_within,
 };
+use singletrack_core::reasons::Why;
 
 use crate::{
     arguments::parse_duration,
@@ -38,7 +39,7 @@ pub struct ArmArgs {
     unattended: bool,
     /// Arm also if doctor, bring-up and calibrate have not passed with this configuration on
     /// this car: it then drives with values that have not been measured on it, and can steer to
-    /// the wrong side, be faster than commanded and stop later than the geofence allows for
+    /// the wrong side, be faster than commanded and stop later than the geofence allows
     #[arg(long)]
     uncalibrated: bool,
 }
@@ -169,7 +170,9 @@ impl Drive {
                 continue;
             };
             let answer = match line {
-                Reply::Ended { ended, .. } => return self.progress.end(&ended, begun),
+                Reply::Ended { ended, .. } => {
+                    return self.progress.end(&ended, begun, &self.socket);
+                }
                 Reply::Drive { drive, .. } => {
                     self.progress.show(drive);
                     continue;
@@ -181,7 +184,8 @@ impl Drive {
                 Some(status) if is_armed => {
                     if is_over(&status.mode) {
                         let (mode, reason) = (status.mode, status.reason);
-                        return self.progress.end(&Ended { mode, reason }, begun);
+                        let ended = Ended { mode, reason };
+                        return self.progress.end(&ended, begun, &self.socket);
                     }
                     self.progress.show(DriveState {
                         drive_time_s: status.drive_time_s,
@@ -250,7 +254,7 @@ impl Progress {
     }
 
     /// Prints how the drive ended, and chooses the exit status.
-    fn end(&self, ended: &Ended, begun: Instant) -> Result<ExitCode, ControlError> {
+    fn end(&self, ended: &Ended, begun: Instant, socket: &Path) -> Result<ExitCode, ControlError> {
         if self.is_terminal {
             let _ = write!(io::stderr(), "\r\x1b[K");
         }
@@ -263,11 +267,18 @@ impl Progress {
         let reason = ended.reason.as_deref();
         let as_wanted =
             reason.is_none_or(|reason| WANTED.contains(&reason)) && ended.mode != "fault";
-        Ok(if as_wanted {
-            ExitCode::SUCCESS
-        } else {
-            ExitCode::from(STOPPED)
-        })
+        if as_wanted {
+            return Ok(ExitCode::SUCCESS);
+        }
+        if let Some(word) = reason {
+            // What the board says about it, if the daemon still answers.
+            let status = ask_within(&Request::Status {}, socket, PATIENCE).ok();
+            print(&match status.and_then(|answer| answer.status) {
+                Some(status) => Why::explain(word, &status).to_string(),
+                None => Why::of_word("host", word).to_string(),
+            })?;
+        }
+        Ok(ExitCode::from(STOPPED))
     }
 }
 

@@ -384,6 +384,9 @@ pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> String 
             let why = Why::explain(reason.name(), &snapshot.status());
             format!("can't arm: mode {mode}: {why}")
         }
+        None if matches!(mode, Mode::Driving | Mode::Slowing | Mode::Jogging) => {
+            format!("can't arm: the car is driven already (mode {mode}); first end that drive")
+        }
         None => format!("can't arm: mode {mode}"),
     }
 }

@@ -25,7 +25,7 @@ use singletrack_api::{
     Answer, Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint, State, ask_within,
 };
 use singletrack_control::{Time, Velocity, direction};
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::{config::ReferenceSection, reasons::Why};
 use singletrackd::monotonic_ns;
 
 use crate::{
@@ -424,7 +424,11 @@ impl DriveSession<'_> {
             Reply::Ended { ended, .. } => {
                 self.pad.ended();
                 self.stage = Stage::Off;
-                let why = ended.reason.unwrap_or(ended.mode);
+                let why = match ended.reason {
+                    Some(word) if word == "requested" => word,
+                    Some(word) => Why::of_word("host", &word).text.into(),
+                    None => ended.mode,
+                };
                 return Ok(print(&format!("the drive has ended: {why}"))?);
             }
             _ => return Ok(()),

@@ -311,7 +311,7 @@ mod tests {
         status["board"]["stop_cause"] = json!("none");
         let line = of(&status).line();
         assert!(
-            line.starts_with("ready: the last drive ended, the board stopped the car by itself")
+            line.starts_with("ready: the last drive ended: the board stopped the car by itself")
                 && line.contains("has been reset since")
                 && line.contains("To do: Look at the stops in the record"),
             "{line}"
@@ -378,7 +378,7 @@ mod tests {
         let line = of(&status).line();
         assert_eq!(
             line,
-            "ready: the last drive ended, the time that was given with the arm request is over \
+            "ready: the last drive ended: the time that was given with the arm request is over \
              (time-up); pose 8 ms old, battery 7.41 V, link ready, speed 0.00 m/s"
         );
         status["estimate"]["speed_m_s"] = json!(-0.3);
