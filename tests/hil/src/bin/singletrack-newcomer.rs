@@ -13,6 +13,7 @@ use singletrack_hil::{
     newcomer::{Newcomer, Next, Session, Terminal},
 };
 use singletrack_onboard::{OnboardCar, Rehearsal};
+use singletrack_sim::{HandCommand, HandMotion};
 
 /// Watch a simulated person calibrate a simulated car.
 ///
@@ -81,6 +82,10 @@ fn run(options: &Options) -> Outcome {
     let rehearsal = Rehearsal::of(&car)
         .map_err(|error| Failure::new(format!("the car of --seed {}: {error}", options.seed)))?;
     let mut newcomer = Newcomer::start(car, &folder, &programs)?;
+    if options.from == "bring-up" {
+        // A bring-up that goes on does not ask again whether the car is on its stand.
+        newcomer.do_by_hand(HandCommand::Move(HandMotion::Lift { height_m: 0.1 }))?;
+    }
     for procedure in PROCEDURES
         .into_iter()
         .skip_while(|one| *one != options.from)
