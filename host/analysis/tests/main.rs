@@ -1,5 +1,6 @@
 //! The analyses against independent numbers.
 
+mod ages;
 mod circle;
 mod eigenvalues;
 mod hopf;

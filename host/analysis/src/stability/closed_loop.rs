@@ -138,6 +138,12 @@ impl ClosedLoop {
         }
     }
 
+    /// The car.
+    #[must_use]
+    pub const fn vehicle(&self) -> VehicleParameters {
+        self.vehicle
+    }
+
     /// The same loop with other distances wrong.
     #[must_use]
     pub const fn believing(self, belief: Belief) -> Self {

@@ -31,4 +31,6 @@ pub use hopf::{
 pub use limits::{first_unstable_speed, least_point_distance};
 pub use linearisation::Eigenvalues;
 pub use lyapunov::Lyapunov;
-pub use sampled::{MarginLimits, Prediction, SampledLoop, SamplingError, Servo};
+pub use sampled::{
+    Ages, Compensation, MarginLimits, Prediction, SampledLoop, SamplingError, Servo,
+};

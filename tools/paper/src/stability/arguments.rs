@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop, SamplingError, Servo};
+use singletrack_analysis::stability::{
+    Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Servo,
+};
 
 use super::{grid::Grid, subject::Subject};
 use crate::vehicle_file::{self, VehicleFileError};
@@ -143,17 +145,43 @@ pub struct TimingArgs {
     /// and servo
     #[arg(long)]
     pub predict: bool,
+    /// Age of the yaw rate at its tick, in ms
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    pub yaw_rate_age_ms: f64,
+    /// Age of the sideslip at its tick, in ms
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    pub sideslip_age_ms: f64,
+    /// Ticks for which a pose is predicted after the one that saw it, before it is held
+    #[arg(long, value_name = "TICKS", default_value_t = 0)]
+    pub predicted_ticks: u32,
+    /// Ticks from one pulse of the servo to the next; in between the wheels keep theirs
+    #[arg(long, value_name = "TICKS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub servo_frame: u32,
+    /// The pilot's compensation: its own prediction, and the lead of its steering
+    #[arg(long, conflicts_with = "predict")]
+    pub compensate: bool,
+    /// With --compensate: dead time from a tick to the wheels as modelled, in ms
+    #[arg(long, value_name = "MS", default_value_t = 18.0)]
+    pub modelled_dead_time_ms: f64,
 }
 
 impl TimingArgs {
-    /// The servo of the simulated car, as the defaults of `[actuators]` have it, and the time
-    /// from its tick to the servo's pulse.
+    /// The timing of the simulated car; each is a mean over the phases between the clocks of
+    /// cameras, inertial sensor and board.
+    ///
+    /// A command is 2 ms on the line and waits 5 ms for a servo pulse, one every 20 ms, which the
+    /// servo answers 2 ms later. A yaw rate is 1 ms on its way to the board, waits 5 ms for
+    /// telemetry, is 4 ms on the line and waits 5 ms for its tick. A pose 8 ms old is predicted up
+    /// to an age of 30 ms.
     #[must_use]
     pub fn simulated_car() -> Self {
         Self {
-            delay_ms: 6.0,
+            delay_ms: 7.0,
             steering_lag_ms: 40.0,
-            steering_dead_time_ms: 12.0,
+            steering_dead_time_ms: 2.0,
+            servo_frame: 2,
+            yaw_rate_age_ms: 15.0,
+            predicted_ticks: 2,
             ..Self::default()
         }
     }
@@ -166,9 +194,9 @@ impl TimingArgs {
     pub fn around(&self, closed_loop: ClosedLoop) -> Result<SampledLoop, SamplingError> {
         let dead_time = self.steering_dead_time_ms * 1e-3;
         let has_servo = self.steering_lag_ms != 0.0;
-        if self.predict && !has_servo {
+        if (self.predict || self.compensate) && !has_servo {
             return Err(SamplingError {
-                name: "--steering-lag-ms with --predict",
+                name: "--steering-lag-ms with --predict or --compensate",
                 value: 0.0,
                 rule: "above zero: the prediction is of a servo",
             });
@@ -176,12 +204,25 @@ impl TimingArgs {
         let delay = self.delay_ms * 1e-3 + if has_servo { 0.0 } else { dead_time };
         let mut sampled = SampledLoop::new(closed_loop, self.period_ms * 1e-3, delay)?
             .with_marker_interval(self.marker_interval)
-            .with_position_gain(self.position_gain)?;
-        if has_servo {
-            sampled = sampled.with_servo(Servo {
-                lag: self.steering_lag_ms * 1e-3,
-                dead_time,
+            .with_predicted_pose(self.predicted_ticks)
+            .with_servo_frame(self.servo_frame)
+            .with_position_gain(self.position_gain)?
+            .with_ages(Ages {
+                yaw_rate: self.yaw_rate_age_ms * 1e-3,
+                sideslip: self.sideslip_age_ms * 1e-3,
             })?;
+        if has_servo {
+            let lag = self.steering_lag_ms * 1e-3;
+            sampled = sampled.with_servo(Servo { lag, dead_time })?;
+            if self.compensate {
+                return sampled.with_compensation(Compensation {
+                    servo: Servo {
+                        lag,
+                        dead_time: self.modelled_dead_time_ms * 1e-3,
+                    },
+                    vehicle: closed_loop.vehicle(),
+                });
+            }
         }
         match sampled.exact_prediction() {
             Some(prediction) if self.predict => sampled.with_prediction(prediction),
@@ -200,6 +241,12 @@ impl Default for TimingArgs {
             steering_lag_ms: 0.0,
             steering_dead_time_ms: 0.0,
             predict: false,
+            yaw_rate_age_ms: 0.0,
+            sideslip_age_ms: 0.0,
+            predicted_ticks: 0,
+            servo_frame: 1,
+            compensate: false,
+            modelled_dead_time_ms: 18.0,
         }
     }
 }

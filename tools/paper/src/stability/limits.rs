@@ -55,9 +55,12 @@ pub(super) struct LeastArgs {
 /// The timing with the servo of the simulated car, and how to write the result.
 #[derive(Clone, Debug, Args)]
 #[command(
-    mut_arg("delay_ms", |arg| arg.default_value("6")),
+    mut_arg("delay_ms", |arg| arg.default_value("7")),
     mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
-    mut_arg("steering_dead_time_ms", |arg| arg.default_value("12")),
+    mut_arg("steering_dead_time_ms", |arg| arg.default_value("2")),
+    mut_arg("servo_frame", |arg| arg.default_value("2")),
+    mut_arg("yaw_rate_age_ms", |arg| arg.default_value("15")),
+    mut_arg("predicted_ticks", |arg| arg.default_value("2")),
 )]
 struct ServoArgs {
     /// Delays from tick to servo, in ms [default: the one of --delay-ms]

@@ -154,17 +154,30 @@ fn servo_text(timing: TimingArgs) -> String {
     let TimingArgs {
         steering_lag_ms: lag,
         steering_dead_time_ms: dead_time,
-        predict,
+        yaw_rate_age_ms: age,
         ..
     } = timing;
     if lag == 0.0 {
         return String::new();
     }
-    let predicted = if predict { ", state predicted" } else { "" };
-    format!(", servo with {dead_time} ms of dead time and {lag} ms of lag{predicted}")
+    let controller = controller_text(timing);
+    format!(
+        ", servo with {dead_time} ms of dead time and {lag} ms of lag, yaw rate {age} ms old{controller}"
+    )
 }
 
-/// What a servo leaves of the stability, with and without a prediction.
+fn controller_text(timing: TimingArgs) -> &'static str {
+    if timing.compensate {
+        ", compensated"
+    } else if timing.predict {
+        ", state predicted"
+    } else {
+        ""
+    }
+}
+
+/// What a servo leaves of the stability, without and with the pilot's compensation, and with an
+/// exact prediction.
 fn with_servo(
     out: &mut impl Write,
     subject: &Subject,
@@ -172,6 +185,7 @@ fn with_servo(
 ) -> Result<(), StabilityCommandError> {
     let plain = TimingArgs {
         predict: false,
+        compensate: false,
         ..timing
     };
     writeln!(
@@ -193,13 +207,17 @@ fn with_servo(
         ("with dl = 0", &[0.0][..]),
         ("over the whole meaningful range", all.values()),
     ] {
-        for predict in [false, true] {
-            let timing = TimingArgs { predict, ..plain };
+        for (compensate, predict) in [(false, false), (true, false), (false, true)] {
+            let timing = TimingArgs {
+                compensate,
+                predict,
+                ..plain
+            };
             let speed = first_unstable(subject, timing, deviations, subject.point_distance)?;
             writeln!(
                 out,
                 "  stable {what}{}: {}",
-                if predict { ", state predicted" } else { "" },
+                controller_text(timing),
                 up_to(speed)
             )?;
         }

@@ -11,8 +11,12 @@
 //! With a [`Servo`] the command is an angle under both laws, as on the car: the controller
 //! integrates the rate of the front-point law and sends the angle at every tick. The wheels
 //! follow after a dead time with a lag of first order. The law sees the commanded angle, and
-//! the state at the tick; with a [`Prediction`] it sees the state at which its command acts.
+//! the state at the tick, where [`Ages`] may make yaw rate and sideslip older; with a
+//! [`Prediction`] it sees the state at which its command acts, and with a [`Compensation`] the
+//! one that the pilot predicts.
 
+mod ages;
+mod compensation;
 mod growth;
 mod plant;
 mod servo;
@@ -21,8 +25,12 @@ mod tick;
 use nalgebra::DMatrix;
 
 use self::growth::{is_stable, spectral_radius};
-pub use self::servo::{Prediction, Servo};
-use super::closed_loop::ClosedLoop;
+pub use self::{
+    ages::Ages,
+    compensation::Compensation,
+    servo::{Prediction, Servo},
+};
+use super::closed_loop::{ClosedLoop, Law};
 
 /// A closed loop that runs in ticks.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +43,12 @@ pub struct SampledLoop {
     position_gain: f64,
     servo: Option<Servo>,
     prediction: Option<Prediction>,
+    compensation: Option<Compensation>,
+    ages: Ages,
+    /// In ticks.
+    predicted_pose: u32,
+    /// In ticks.
+    servo_frame: u32,
 }
 
 /// An invalid parameter of a sampled loop.
@@ -111,6 +125,10 @@ impl SampledLoop {
             position_gain: 0.0,
             servo: None,
             prediction: None,
+            compensation: None,
+            ages: Ages::default(),
+            predicted_pose: 0,
+            servo_frame: 1,
         })
     }
 
@@ -121,6 +139,57 @@ impl SampledLoop {
             marker_interval: interval.max(1),
             ..self
         }
+    }
+
+    /// The same loop with an estimator that predicts the pose for `ticks` ticks after the one that
+    /// saw it, before it holds it (`estimator.prediction_horizon_ms`).
+    #[must_use]
+    pub fn with_predicted_pose(self, ticks: u32) -> Self {
+        Self {
+            predicted_pose: ticks,
+            ..self
+        }
+    }
+
+    /// The same loop with a servo that takes the command of every `ticks`-th tick only, and keeps it
+    /// until the next one: a servo pulse every 20 ms.
+    #[must_use]
+    pub fn with_servo_frame(self, ticks: u32) -> Self {
+        Self {
+            servo_frame: ticks.max(1),
+            ..self
+        }
+    }
+
+    /// The same loop with measurements that are old at the tick. An exact [`Prediction`] is one
+    /// from their own time on: the ages have no effect with it.
+    ///
+    /// # Errors
+    ///
+    /// An age below zero or above a thousand periods.
+    pub fn with_ages(self, ages: Ages) -> Result<Self, SamplingError> {
+        ages.validate(MOST_TICKS * self.period)?;
+        Ok(Self { ages, ..self })
+    }
+
+    /// The same loop with the pilot's compensation, in place of a [`Prediction`]. It needs a servo
+    /// and the front-point law, and has no effect otherwise.
+    ///
+    /// # Errors
+    ///
+    /// A lag that is not above zero, or a dead time below zero or above a thousand periods.
+    pub fn with_compensation(self, compensation: Compensation) -> Result<Self, SamplingError> {
+        compensation.servo.validate()?;
+        let dead_time = compensation.servo.dead_time;
+        let is_valid = dead_time <= MOST_TICKS * self.period;
+        let rule = "at most 1000 control periods";
+        SamplingError::unless(is_valid, "the modelled dead time in s", dead_time, rule)?;
+        let applies = self.servo.is_some() && self.closed_loop.law == Law::FrontPoint;
+        Ok(Self {
+            compensation: applies.then_some(compensation),
+            prediction: None,
+            ..self
+        })
     }
 
     /// The same loop with a steering servo, whose dead time adds to the delay.
@@ -146,6 +215,7 @@ impl SampledLoop {
         prediction.validate()?;
         Ok(Self {
             prediction: self.servo.map(|_| prediction),
+            compensation: None,
             ..self
         })
     }
@@ -173,7 +243,7 @@ impl SampledLoop {
     /// Whether the motion is stable.
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        is_stable(self.over_interval())
+        is_stable(Cycle::of(self).map())
     }
 
     /// The same loop inside a proportional position loop of this gain, in 1/s, about a straight
@@ -196,8 +266,8 @@ impl SampledLoop {
     /// the long run. Below one the motion is stable.
     #[must_use]
     pub fn spectral_radius(&self) -> f64 {
-        let over_interval = spectral_radius(self.over_interval());
-        libm::pow(over_interval, 1.0 / f64::from(self.marker_interval))
+        let cycle = Cycle::of(self);
+        libm::pow(spectral_radius(cycle.map()), 1.0 / cycle.length())
     }
 
     /// The smallest delay in s that makes the motion unstable. Zero if it is unstable without a delay, none if it is stable with every delay up
@@ -237,26 +307,85 @@ impl SampledLoop {
     /// if it is stable up to the limit.
     #[must_use]
     pub fn longest_marker_interval(&self, limits: MarginLimits) -> Option<f64> {
-        let (measured, held) = (self.tick(true), self.tick(false));
-        let mut over_interval = measured;
-        for interval in 1..=limits.marker_interval {
-            if !is_stable(over_interval.clone()) {
-                return Some(f64::from(interval - 1) * self.period);
+        let mut cycle = Cycle::new(self);
+        while cycle.interval <= limits.marker_interval {
+            if !is_stable(cycle.map()) {
+                return Some(f64::from(cycle.interval - 1) * self.period);
             }
-            over_interval = &held * over_interval;
+            cycle.lengthen();
         }
         None
     }
+}
 
-    /// The map from a tick with a pose to the next tick with a pose.
-    fn over_interval(&self) -> DMatrix<f64> {
-        let mut map = self.tick(true);
-        if self.marker_interval > 1 {
-            let held = self.tick(false);
-            for _ in 1..self.marker_interval {
-                map = &held * map;
-            }
+/// The ticks until poses and servo pulses meet again.
+struct Cycle {
+    /// From a pose to the next, in ticks.
+    interval: u32,
+    predicted: u32,
+    frame: u32,
+    /// The maps of a tick with and without a pose, each with and without a servo pulse.
+    ticks: [[DMatrix<f64>; 2]; 2],
+    /// The maps of an interval that begins so many ticks after a servo pulse.
+    intervals: Vec<DMatrix<f64>>,
+}
+
+impl Cycle {
+    /// With an interval of one tick.
+    fn new(sampled: &SampledLoop) -> Self {
+        let ticks = [true, false].map(|pose| [true, false].map(|takes| sampled.tick(pose, takes)));
+        let [[taken, kept], _] = &ticks;
+        let others = (1..sampled.servo_frame).map(|_| kept);
+        Self {
+            interval: 1,
+            predicted: sampled.predicted_pose,
+            frame: sampled.servo_frame,
+            intervals: [taken].into_iter().chain(others).cloned().collect(),
+            ticks,
         }
-        map
+    }
+
+    fn of(sampled: &SampledLoop) -> Self {
+        let mut cycle = Self::new(sampled);
+        for _ in 1..sampled.marker_interval {
+            cycle.lengthen();
+        }
+        cycle
+    }
+
+    /// Makes the interval a tick longer.
+    fn lengthen(&mut self) {
+        let [measured, held] = &self.ticks;
+        let [taken, kept] = if self.interval <= self.predicted {
+            measured
+        } else {
+            held
+        };
+        for (after, map) in (0..).zip(&mut self.intervals) {
+            let takes = (self.interval + after).is_multiple_of(self.frame);
+            *map = if takes { taken } else { kept } * &*map;
+        }
+        self.interval += 1;
+    }
+
+    /// How many ticks after a servo pulse its intervals begin.
+    fn phases(&self) -> impl Iterator<Item = u32> {
+        let (interval, frame) = (self.interval, self.frame);
+        let next = move |phase: &u32| Some((phase + interval) % frame).filter(|next| *next > 0);
+        core::iter::successors(Some(0), next)
+    }
+
+    /// Its number of ticks.
+    fn length(&self) -> f64 {
+        self.phases().count() as f64 * f64::from(self.interval)
+    }
+
+    /// Its map.
+    fn map(&self) -> DMatrix<f64> {
+        let mut maps = self
+            .phases()
+            .filter_map(|phase| self.intervals.get(phase as usize));
+        let first = maps.next().cloned().unwrap_or_default();
+        maps.fold(first, |map, next| next * map)
     }
 }

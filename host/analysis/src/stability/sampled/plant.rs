@@ -8,6 +8,8 @@ use crate::dual::DualFunctions;
 
 pub(super) const POSITION: usize = 0;
 pub(super) const YAW: usize = 1;
+pub(super) const YAW_RATE: usize = 2;
+pub(super) const SIDESLIP: usize = 3;
 pub(super) const STEERING: usize = 4;
 
 /// How the input steers.

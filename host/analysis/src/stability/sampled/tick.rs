@@ -5,20 +5,21 @@ use singletrack_control::VehicleParameters;
 
 use super::{
     SampledLoop,
-    plant::{POSITION, Plant, STEERING, Steering, YAW},
+    compensation::{Compensation, Modelled},
+    plant::{POSITION, Plant, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
     servo::Prediction,
 };
 use crate::stability::closed_loop::{Belief, ClosedLoop, Law};
 
 /// A delay in whole ticks and the rest, in s.
 #[derive(Clone, Copy)]
-struct Delay {
-    ticks: usize,
-    late: f64,
+pub(super) struct Delay {
+    pub(super) ticks: usize,
+    pub(super) late: f64,
 }
 
 impl Delay {
-    fn new(delay: f64, period: f64) -> Self {
+    pub(super) fn new(delay: f64, period: f64) -> Self {
         let ticks = (delay / period + 1e-9) as usize;
         Self {
             ticks,
@@ -31,18 +32,50 @@ impl Delay {
 struct Layout {
     /// The steering angle as the predictor models it.
     modelled: Option<usize>,
-    /// The pending commands, from the newest to the oldest.
+    /// The commands of the last ticks, from the newest to the oldest.
     commands: usize,
     pending: usize,
+    /// Those of them that the servo takes: the same without servo frames.
+    taken: usize,
     /// The held pose: position and yaw.
     held: usize,
+    /// What is measured late: which state, the first of its values, and its age. The values are
+    /// those of the last ticks, from the newest to the oldest.
+    aged: Vec<(usize, usize, Delay)>,
+    /// The pilot's model: wheels, yaw rate, sideslip, and the yaw rates of the last ticks.
+    model: Option<(usize, usize)>,
     size: usize,
+}
+
+impl Layout {
+    fn unit(&self, at: usize) -> DVector<f64> {
+        let mut unit = DVector::zeros(self.size);
+        unit[at] = 1.0;
+        unit
+    }
+
+    /// The command that was given `age` ticks before; `command` is the new one.
+    fn given(&self, command: Option<&DVector<f64>>, age: usize) -> DVector<f64> {
+        match (age, command) {
+            (0, Some(command)) => command.clone(),
+            _ => self.unit(self.commands + age.max(1) - 1),
+        }
+    }
+
+    fn modelled(&self, model: usize) -> Modelled {
+        Modelled {
+            wheels: self.unit(model),
+            yaw_rate: self.unit(model + 1),
+            sideslip: self.unit(model + 2),
+        }
+    }
 }
 
 impl SampledLoop {
     /// The map of one tick on the car's state, the pending commands from the newest to the
-    /// oldest, and the held pose (position, yaw).
-    pub(super) fn tick(&self, has_pose: bool) -> DMatrix<f64> {
+    /// oldest, the held pose (position, yaw), and what else is remembered. The servo takes the
+    /// command of this tick, or keeps the last one.
+    pub(super) fn tick(&self, has_pose: bool, takes: bool) -> DMatrix<f64> {
         let (law, speed) = (self.closed_loop.law, self.closed_loop.speed);
         let steering = match (self.servo, law) {
             (Some(servo), _) => Steering::Servo(servo.lag),
@@ -56,25 +89,80 @@ impl SampledLoop {
         );
         let modelled_delay = self
             .prediction
-            .map(|prediction| Delay::new(prediction.delay, self.period));
+            .map(|prediction| prediction.delay)
+            .or(self.compensation.map(|by| by.servo.dead_time))
+            .map(|delay| Delay::new(delay, self.period));
 
         let states = plant.states();
         let pending = 1 + modelled_delay.map_or(delay.ticks, |other| other.ticks.max(delay.ticks));
         let commands = states + usize::from(self.prediction.is_some());
-        let layout = Layout {
+        let mut layout = Layout {
             modelled: self.prediction.map(|_| states),
             commands,
             pending,
+            taken: commands,
             held: commands + pending,
+            aged: Vec::new(),
+            model: None,
             size: commands + pending + 2,
         };
+        if self.servo_frame > 1 {
+            layout.taken = layout.size;
+            layout.size += pending;
+        }
+        for (state, age) in [
+            (YAW_RATE, self.ages.yaw_rate),
+            (SIDESLIP, self.ages.sideslip),
+        ] {
+            // An exact prediction knows what has happened since.
+            if age > 0.0 && self.prediction.is_none() {
+                let age = Delay::new(age, self.period);
+                layout.aged.push((state, layout.size, age));
+                layout.size += age.ticks + 1;
+            }
+        }
+        if self.compensation.is_some() {
+            let past = Compensation::past(Delay::new(self.ages.yaw_rate, self.period));
+            layout.model = Some((layout.size, past));
+            layout.size += 3 + past;
+        }
 
         let command = self.command(&layout, steering, has_pose);
+        let taken = match takes {
+            true => command.clone(),
+            false => layout.unit(layout.taken),
+        };
         let mut map = DMatrix::<f64>::zeros(layout.size, layout.size);
         map.view_mut((0, 0), (states, states))
             .copy_from(&plant.transition(self.period));
         let inputs = plant.split_input(self.period, delay.late);
-        add_input(&mut map, &layout, &command, 0, delay.ticks, &inputs);
+        add_input(&mut map, &layout, &taken, 0, delay.ticks, &inputs);
+        for &(state, first, age) in &layout.aged {
+            // The state so late before the next tick.
+            let until = self.period - age.late;
+            let transition = plant.transition(until);
+            map.view_mut((first, 0), (1, states))
+                .copy_from(&transition.row(state));
+            let inputs = plant
+                .split_input(until, delay.late.min(until))
+                .map(|input| DVector::from_element(1, input[state]));
+            add_input(&mut map, &layout, &taken, first, delay.ticks, &inputs);
+            for tick in 1..=age.ticks {
+                map[(first + tick, first + tick - 1)] = 1.0;
+            }
+        }
+        if let (Some((model, past)), Some(compensation)) = (layout.model, self.compensation) {
+            let given = |age| layout.given(Some(&command), age);
+            let now = layout.modelled(model);
+            let next = compensation.run(speed, self.period, self.period, now, given, |_, _| {});
+            map.set_row(model, &next.wheels.transpose());
+            map.set_row(model + 1, &next.yaw_rate.transpose());
+            map.set_row(model + 2, &next.sideslip.transpose());
+            map[(model + 3, model + 1)] = 1.0;
+            for tick in 1..past {
+                map[(model + 3 + tick, model + 2 + tick)] = 1.0;
+            }
+        }
         if let (Some(row), Some(delay), Some(prediction)) =
             (layout.modelled, modelled_delay, self.prediction)
         {
@@ -86,11 +174,13 @@ impl SampledLoop {
                 follows(rest),
             ]
             .map(|input| DVector::from_element(1, input));
-            add_input(&mut map, &layout, &command, row, delay.ticks, &inputs);
+            add_input(&mut map, &layout, &taken, row, delay.ticks, &inputs);
         }
-        map.row_mut(layout.commands).copy_from(&command.transpose());
-        for age in 1..layout.pending {
-            map[(layout.commands + age, layout.commands + age - 1)] = 1.0;
+        for (first, newest) in [(layout.taken, &taken), (layout.commands, &command)] {
+            map.set_row(first, &newest.transpose());
+            for age in 1..layout.pending {
+                map[(first + age, first + age - 1)] = 1.0;
+            }
         }
         for pose in [POSITION, YAW] {
             let from = if has_pose { pose } else { layout.held + pose };
@@ -118,6 +208,12 @@ impl SampledLoop {
             };
             measured[(state, from)] = 1.0;
         }
+        for &(state, first, age) in &layout.aged {
+            measured.set_row(state, &layout.unit(first + age.ticks).transpose());
+        }
+        if let (Some((model, past)), Some(compensation)) = (layout.model, self.compensation) {
+            return self.compensated(&compensation, measured, layout, model, past);
+        }
         let angle = match (steering, layout.modelled) {
             (_, Some(modelled)) => modelled,
             // The controller's own integral of the rate.
@@ -140,6 +236,41 @@ impl SampledLoop {
         } else {
             command
         }
+    }
+
+    /// The command of the pilot's compensation.
+    fn compensated(
+        &self,
+        compensation: &Compensation,
+        mut measured: DMatrix<f64>,
+        layout: &Layout,
+        model: usize,
+        past: usize,
+    ) -> DVector<f64> {
+        // Since it was measured, the yaw rate has changed by the model.
+        let age = Delay::new(self.ages.yaw_rate, self.period);
+        let part = if age.ticks < past {
+            age.late / self.period
+        } else {
+            1.0
+        };
+        let at = |ticks: usize| match ticks.min(past) {
+            0 => layout.unit(model + 1),
+            ticks => layout.unit(model + 2 + ticks),
+        };
+        let then = at(age.ticks) * (1.0 - part) + at(age.ticks + 1) * part;
+        let since = at(0) - then;
+        let mut yaw_rate = measured.row_mut(YAW_RATE);
+        yaw_rate += since.transpose();
+        let predicted = compensation.predicted(
+            self.closed_loop.speed,
+            self.period,
+            measured,
+            layout.modelled(model),
+            |age| layout.given(None, age),
+        );
+        let rate = predicted.transpose() * self.gains();
+        predicted.row(STEERING).transpose() + rate * compensation.lead(self.period)
     }
 
     /// The state when a command of this tick acts, by the models of servo and car, under the
@@ -168,7 +299,7 @@ impl SampledLoop {
             };
             if time > 0.0 {
                 predicted = model.transition(time) * predicted;
-                let mut column = predicted.column_mut(layout.commands + age - 1);
+                let mut column = predicted.column_mut(layout.taken + age - 1);
                 column += model.held(time);
                 left -= time;
             }
@@ -241,7 +372,7 @@ fn add_input(
             let mut rows = map.rows_mut(row, input.len());
             rows += input * command.transpose();
         } else {
-            let mut column = map.view_mut((row, layout.commands + age - 1), (input.len(), 1));
+            let mut column = map.view_mut((row, layout.taken + age - 1), (input.len(), 1));
             column += input;
         }
     }
