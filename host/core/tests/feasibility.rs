@@ -369,11 +369,13 @@ fn with_a_governor_the_governed_reference_is_judged() {
             .unwrap();
     config.fence.corners_m = square(3.0);
     // Too tight, too fast for the tyres, and too fast for the car.
-    for (radius, rate, word, wide) in [
-        (0.45, 1.0, "(steering)", true),
-        (1.0, 1.9, "(tyres)", false),
-        (1.5, 1.2, "(speed)", false),
+    let usual = config.limits.max_lateral_acceleration_m_s2;
+    for (radius, rate, lateral, word, wide) in [
+        (0.45, 1.0, usual, "(steering)", true),
+        (1.0, 1.25, 1.0, "(tyres)", false),
+        (1.5, 1.2, usual, "(speed)", false),
     ] {
+        config.limits.max_lateral_acceleration_m_s2 = lateral;
         config.reference = circle(radius, rate);
         config.governor.enabled = false;
         assert!(!found(&config).is_possible(), "{radius} m");

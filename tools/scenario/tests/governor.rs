@@ -46,8 +46,9 @@ fn a_reference_that_the_car_can_follow_is_driven_to_the_bit_as_without_a_governo
 fn an_eight_at_twice_the_speed_is_followed_as_fast_as_the_tyres_hold() {
     let fast = text("governor/fast-eight");
     let governed = rows(&fast);
+    // With all of the speed for the reference, and none to catch up, it was 0.2 m.
     assert!(
-        farthest(&governed, 5.0) < 0.25,
+        farthest(&governed, 5.0) < 0.05,
         "{}",
         farthest(&governed, 5.0)
     );
@@ -55,17 +56,19 @@ fn an_eight_at_twice_the_speed_is_followed_as_fast_as_the_tyres_hold() {
     assert!((45.0..58.0).contains(&path), "{path}");
     let left = rows(&fast.replace("enabled = true", "enabled = false"));
     assert!(farthest(&left, 5.0) > 1.0);
-    let (mut tyres, mut before) = (0, 0.0);
+    // The speed that it leaves to catch up is what limits it where the path is straighter.
+    let (mut tyres, mut speed, mut before) = (0, 0, 0.0);
     drive_entries(&scenario(&fast), &mut |entry| {
         if let Entry::Tick(tick) = entry {
             let path = tick.output.path.unwrap_or_default();
             assert!(path >= before, "{path} after {before}");
             before = path;
             tyres += u32::from(tick.output.slowed_by == Some(SlowedBy::Tyres));
+            speed += u32::from(tick.output.slowed_by == Some(SlowedBy::Speed));
         }
     })
     .unwrap();
-    assert!(tyres > 300, "{tyres}");
+    assert!(tyres > 30 && speed > 300, "{tyres} {speed}");
 }
 
 #[test]

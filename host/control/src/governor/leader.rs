@@ -2,7 +2,7 @@
 
 use libm::{atan2, fabs, sin, sqrt};
 
-use super::{GovernorConfig, SlowedBy, USABLE, bend};
+use super::{GovernorConfig, SPEED_RESERVE, SPEED_RESERVE_PART, SlowedBy, USABLE, bend};
 use crate::{Position, Reference, ReferencePoint, Velocity, direction};
 
 /// The steps of the leader, s.
@@ -210,7 +210,8 @@ impl Leader {
                 most = (rate, Some(by));
             }
         };
-        allows(limits.max_speed / speed, SlowedBy::Speed);
+        let reserve = SPEED_RESERVE.min(SPEED_RESERVE_PART * limits.max_speed);
+        allows((limits.max_speed - reserve) / speed, SlowedBy::Speed);
         let rear = motion.axle * self.body.dot(&self.wheels);
         let lateral = fabs(rear * motion.body_turn);
         allows(

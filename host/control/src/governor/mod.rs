@@ -22,6 +22,10 @@ use crate::{FrontPointLaw, Limits, Position, Reference, ReferencePoint, Velocity
 
 /// The part of a limit that the reference may take; the rest is for corrections.
 const USABLE: f64 = 0.95;
+/// The speed that is left to a P that is behind to catch up: this much, m/s, but at most this part
+/// of the limit.
+const SPEED_RESERVE: f64 = 0.2;
+const SPEED_RESERVE_PART: f64 = 0.2;
 /// The fastest change of the rate, s⁻¹.
 const SLOPE: f64 = 1.0;
 /// How far ahead the leader is, s: from a rate of 1, its time stops within 1 / (2 `SLOPE`); and
