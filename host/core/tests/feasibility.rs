@@ -39,6 +39,28 @@ fn own() -> Config {
     config
 }
 
+#[test]
+fn the_speed_that_the_braking_allows_is_the_highest_that_is_accepted() {
+    for braking in [1.0, 2.5, 8.5] {
+        let mut config = own();
+        config.board.max_pose_age_ms = 1_000;
+        config.board.speed.max_forward_mm_s = 15_000;
+        config.motion_capture.pose.max_speed_m_s = 15.0;
+        config.control.stop_deceleration_m_s2 = braking;
+        let fastest = config.fastest_stopped_m_s();
+        config.limits.max_speed_m_s = fastest;
+        assert!(config.validate().is_ok(), "{braking}: {fastest}");
+        config.limits.max_speed_m_s = fastest + 0.01;
+        let Err(error) = config.validate() else {
+            panic!("{braking}: {fastest}");
+        };
+        let error = error.to_string();
+        assert!(error.contains("board.max_pose_age_ms"), "{error}");
+        let allowed = format!("allows {fastest:.2} m/s");
+        assert!(error.contains(&allowed), "{error}");
+    }
+}
+
 fn square(half: f64) -> Vec<[f64; 2]> {
     vec![[-half, -half], [half, -half], [half, half], [-half, half]]
 }

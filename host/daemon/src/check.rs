@@ -34,6 +34,11 @@ pub(crate) fn run(path: &Path, config: &Config, stand: Option<Stand>) -> ExitCod
         return ExitCode::FAILURE;
     }
     println!("{}: good", path.display());
+    println!(
+        "its braking, {} m/s2, allows a limits.max_speed_m_s of {} (with board.max_pose_age_ms = 1000)",
+        config.control.stop_deceleration_m_s2,
+        config.fastest_stopped_m_s()
+    );
     if let Some(start) = judgement.start {
         println!("the car can drive its reference from: {start}");
     }

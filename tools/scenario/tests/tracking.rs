@@ -173,6 +173,27 @@ fn a_scenario_drives_faster_than_two_metres_per_second() {
 }
 
 #[test]
+fn a_car_with_a_strong_motor_and_strong_brakes_drives_at_five_metres_per_second() {
+    let text = best("../circle-5");
+    let error = error_mm(&text);
+    assert!(error < 6.0, "{error} mm");
+    let speed = simulate(&scenario(&text))
+        .unwrap()
+        .rows
+        .last()
+        .unwrap()
+        .speed;
+    assert!((speed - 5.0).abs() < 0.1, "{speed} m/s");
+    // Its braking is what the speed needs.
+    let weak = text.replace(
+        "stop_deceleration_m_s2 = 8.5",
+        "stop_deceleration_m_s2 = 4.0",
+    );
+    let error = simulate(&scenario(&weak)).err().unwrap().to_string();
+    assert!(error.contains("allows 3.21 m/s"), "{error}");
+}
+
+#[test]
 fn the_loops_with_a_model_know_the_lags_that_nothing_compensates() {
     // 8.6 and 12 mm with the proportional loop and the same gain.
     for (name, most) in [("eight-4x2", 3.6), ("eight-6x3", 4.6)] {

@@ -115,15 +115,17 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
         low,
         format!("the band ends at {high} m; give the lower value first"),
     )?;
-    let disarmed_ms = 1_000.0 * (longest_blind_drive(config) + seconds(LINE_MS));
+    let disarmed_ms = disarmed_ms(config, limits.max_speed_m_s);
     refuse_if(
-        disarmed_ms > f64::from(board.max_pose_age_ms) + 1e-6,
+        disarmed_ms > f64::from(board.max_pose_age_ms) + ROUNDING,
         "board.max_pose_age_ms",
         board.max_pose_age_ms,
         format!(
             "the host holds a lost pose for supervisor.hold_ms or hold_distance_m, stops from \
              limits.max_speed_m_s and disarms within {disarmed_ms:.0} ms, and must be first; raise \
-             it (up to 1000), shorten the hold, lower the speed or brake harder"
+             it (up to 1000), shorten the hold, lower the speed or brake harder; with 1000 ms this \
+             braking (control.stop_deceleration_m_s2) allows {:.2} m/s",
+            fastest_stopped(config)
         ),
     )?;
     refuse_if(
@@ -186,6 +188,16 @@ fn path_within_limits(config: &Config) -> Result<(), ConfigError> {
     Ok(())
 }
 
+/// What rounding adds to a time in ms.
+const ROUNDING: f64 = 1e-6;
+
+/// The longest `board.max_pose_age_ms`.
+const LONGEST_POSE_AGE_MS: f64 = 1_000.0;
+
+/// The largest `limits.max_speed_m_s`; a speed is found to this part of it: 2 to the power of this.
+const FASTEST: f64 = 20.0;
+const HALVES: u32 = 50;
+
 /// The age of the last pose, in s, at which the host disarms the board whatever the car does:
 /// one tick later the request would come too late.
 pub(super) fn disarm_age(config: &Config) -> f64 {
@@ -193,16 +205,36 @@ pub(super) fn disarm_age(config: &Config) -> f64 {
     seconds(age_ms.saturating_sub(LINE_MS + config.control.period_ms))
 }
 
+/// The age of the last pose, in ms, at which a car without markers is disarmed at the latest, from
+/// any speed up to `max_speed` (m/s).
+fn disarmed_ms(config: &Config, max_speed: f64) -> f64 {
+    1_000.0 * (longest_blind_drive(config, max_speed) + seconds(LINE_MS))
+}
+
+/// The highest speed in m/s, rounded down to cm/s, from which the host stops and disarms a car
+/// without markers before any board does: `board.max_pose_age_ms` ends at a second.
+pub(super) fn fastest_stopped(config: &Config) -> f64 {
+    let (mut in_time, mut late) = (0.0, FASTEST);
+    for _ in 0..HALVES {
+        let middle = 0.5 * (in_time + late);
+        if disarmed_ms(config, middle) <= LONGEST_POSE_AGE_MS + ROUNDING {
+            in_time = middle;
+        } else {
+            late = middle;
+        }
+    }
+    (100.0 * in_time + ROUNDING).floor() / 100.0
+}
+
 /// The age of the last pose, in s, at which the disarm request of a car without markers is
-/// written at the latest, whatever its speed.
+/// written at the latest, from any speed up to `max_speed` (m/s).
 ///
 /// Ticks are a period apart, so each age is noticed up to a period late. The ramp begins in
 /// the tick that notices. A stop for good begins to rest in the tick after its command to
 /// stand, and rests for whole ticks.
-fn longest_blind_drive(config: &Config) -> f64 {
+fn longest_blind_drive(config: &Config, max_speed: f64) -> f64 {
     let period = seconds(config.control.period_ms);
     let deceleration = config.control.stop_deceleration_m_s2;
-    let max_speed = config.limits.max_speed_m_s;
     let SupervisorConfig {
         hold,
         hold_distance,

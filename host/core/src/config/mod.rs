@@ -190,6 +190,14 @@ impl Config {
         toml::to_string(self)
     }
 
+    /// The highest `limits.max_speed_m_s` that the configured braking allows, in m/s, rounded down
+    /// to cm/s: without a pose, the host holds, stops (`control.stop_deceleration_m_s2`) and disarms
+    /// the car within the longest `board.max_pose_age_ms`, a second.
+    #[must_use]
+    pub fn fastest_stopped_m_s(&self) -> f64 {
+        together::fastest_stopped(self)
+    }
+
     /// Refuses a configuration that can't be driven with.
     ///
     /// # Errors
