@@ -12,7 +12,6 @@ mod stats;
 mod words;
 
 use std::{
-    fs,
     io::{self, IsTerminal, Write},
     path::PathBuf,
     time::{Duration, Instant},
@@ -212,13 +211,6 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         return Err(DumpError::StatsAsCsv);
     }
     let place = args.place();
-    // A path that leads nowhere counts as a record, which has other topics than the line.
-    if let Place::Record(path) = &place {
-        fs::metadata(path).map_err(|source| DumpError::Capture {
-            name: path.display().to_string(),
-            source,
-        })?;
-    }
     let of_record = matches!(place, Place::Record(_) | Place::Live);
     let kinds = if of_record {
         Kind::topics()
