@@ -195,7 +195,7 @@ impl Config {
     /// the car within the longest `board.max_pose_age_ms`, a second.
     #[must_use]
     pub fn fastest_stopped_m_s(&self) -> f64 {
-        together::fastest_stopped(self)
+        cross_checks::fastest_stopped(self)
     }
 
     /// Refuses a configuration that can't be driven with.

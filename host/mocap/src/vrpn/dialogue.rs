@@ -7,7 +7,7 @@ use super::{
         COOKIE, COOKIE_BEGINNING, Message, PING, PONG, POSE, Pose, SENDER_DESCRIPTION,
         TYPE_DESCRIPTION, UDP_DESCRIPTION, description,
     },
-    senders::{NAME_LEN, Name, Senders, body_id},
+    senders::{CONTROL, NAME_LEN, Name, Senders, body_id},
 };
 use crate::{
     body::{Body, BodyState},
@@ -37,6 +37,8 @@ pub struct VrpnDialogue {
     follow: Option<Name>,
     sensor: i32,
     welcomed: bool,
+    /// The sender has been described in whose name pings are sent.
+    introduced: bool,
     senders: Senders,
     /// The server's numbers of types.
     pose: Option<i32>,
@@ -65,6 +67,7 @@ impl VrpnDialogue {
             follow: body.map(|name| Name::try_from(name).unwrap_or_default()),
             sensor,
             welcomed: false,
+            introduced: false,
             senders: Senders::new(sensor),
             pose: None,
             ping: None,
@@ -105,17 +108,26 @@ impl VrpnDialogue {
             let port = i32::from(local.datagram_port);
             self.say(now_ns, port, UDP_DESCRIPTION, host.as_bytes(), link);
         }
-        // The server's object of this name answers pings.
-        let name = self.follow.clone().unwrap_or_default();
-        for (number, kind, name) in [
-            (OUR_SENDER, SENDER_DESCRIPTION, name.as_str()),
-            (OUR_PING, TYPE_DESCRIPTION, PING),
-            (OUR_PONG, TYPE_DESCRIPTION, PONG),
-        ] {
-            self.say(now_ns, number, kind, &description(name), link);
+        for (number, name) in [(OUR_PING, PING), (OUR_PONG, PONG)] {
+            self.say(now_ns, number, TYPE_DESCRIPTION, &description(name), link);
+        }
+        if let Some(name) = self.follow.clone() {
+            self.ask_as(now_ns, &name, link);
         }
         self.ping_due_ns = now_ns;
         self.ping_every_ns = link.config.timing.echo_ns;
+    }
+
+    /// The server's object of this name answers pings.
+    fn ask_as(&mut self, now_ns: u64, name: &str, link: &mut Link) {
+        self.introduced = true;
+        self.say(
+            now_ns,
+            OUR_SENDER,
+            SENDER_DESCRIPTION,
+            &description(name),
+            link,
+        );
     }
 
     fn take(
@@ -139,6 +151,9 @@ impl VrpnDialogue {
                     .senders
                     .describe(message.sender, name, self.follow.as_deref())
                 {
+                    if !self.introduced && name != CONTROL {
+                        self.ask_as(now_ns, name, link);
+                    }
                     on_output(Output::Names(Names::Senders(&self.senders)));
                 }
             }
@@ -294,6 +309,10 @@ impl Dialogue for VrpnDialogue {
 
     fn poll(&mut self, now_ns: u64, link: &mut Link) {
         if !self.welcomed || now_ns < self.ping_due_ns {
+            return;
+        }
+        if !self.introduced {
+            self.ping_due_ns = now_ns.saturating_add(QUICK_PING_NS);
             return;
         }
         let every_ns = if link.exchanges() < QUICK_PINGS {

@@ -17,7 +17,7 @@ pub struct Senders {
 }
 
 /// The name of the connection itself, which is no tracker.
-const CONTROL: &str = "VRPN Control";
+pub(super) const CONTROL: &str = "VRPN Control";
 
 impl Senders {
     pub(super) const fn new(sensor: i32) -> Self {
