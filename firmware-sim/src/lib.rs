@@ -40,15 +40,18 @@ mod parameters;
 #[cfg(feature = "real-time")]
 mod pty;
 mod pulse_log;
+#[cfg(feature = "real-time")]
 mod qtm_server;
 mod random;
 #[cfg(feature = "real-time")]
 mod real_time;
 mod scripted;
+#[cfg(feature = "real-time")]
 mod stream_server;
 mod truth;
 #[cfg(feature = "real-time")]
 mod udp;
+#[cfg(feature = "real-time")]
 mod vrpn_server;
 mod wire;
 mod world;
