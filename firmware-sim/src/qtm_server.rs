@@ -106,8 +106,14 @@ impl QtmServer {
                 let divisor = rest
                     .iter()
                     .find_map(|word| word.strip_prefix("frequencydivisor:")?.parse().ok());
+                let mut components = Vec::new();
+                for component in rest.iter().filter_map(|word| component(word)) {
+                    if !components.contains(&component) {
+                        components.push(component);
+                    }
+                }
                 client.state.stream = Some(Streamed {
-                    components: rest.iter().filter_map(|word| component(word)).collect(),
+                    components,
                     divisor: divisor.unwrap_or(1).max(1),
                 });
                 Vec::new()
@@ -175,7 +181,8 @@ impl StreamServer for QtmServer {
         client: &mut Client<QtmClient>,
     ) -> Result<bool, Refused> {
         let input = core::mem::take(&mut client.input);
-        let Some((packet, length)) = Packet::read(self.order, &input).map_err(|_| Refused)? else {
+        let unused = input.get(client.used..).unwrap_or_default();
+        let Some((packet, length)) = Packet::read(self.order, unused).map_err(|_| Refused)? else {
             client.input = input;
             return Ok(false);
         };
@@ -183,7 +190,8 @@ impl StreamServer for QtmServer {
             let answer = self.answer(cameras, client, packet.text().unwrap_or_default());
             client.output.extend(answer);
         }
-        client.input = input.get(length..).unwrap_or_default().to_vec();
+        client.used += length;
+        client.input = input;
         Ok(true)
     }
 

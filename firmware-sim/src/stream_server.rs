@@ -51,8 +51,9 @@ pub(crate) struct Client<S> {
     pub(crate) address: IpAddr,
     /// The server called it back.
     pub(crate) was_called: bool,
-    /// What was received and not used.
+    /// What was received, and how much of it was used.
     pub(crate) input: Vec<u8>,
+    pub(crate) used: usize,
     /// What is to be sent on the stream.
     pub(crate) output: Vec<u8>,
     /// Where frames go, if not on the stream.
@@ -92,6 +93,7 @@ impl<P: StreamServer> Serving<P> {
             address,
             was_called,
             input: Vec::new(),
+            used: 0,
             output: Vec::new(),
             datagrams_to: None,
         };
@@ -113,6 +115,7 @@ impl<P: StreamServer> Serving<P> {
                         Err(Refused) => break false,
                     }
                 };
+            client.input.drain(..core::mem::take(&mut client.used));
             is_alive && write(stream, &mut client.output)
         });
     }
@@ -252,14 +255,15 @@ impl StreamServers {
 /// VRPN's clients may send the address and port at which they wait for the server's call.
 fn call_back(udp: &UdpSocket, serving: &mut Serving<VrpnServer>) {
     let mut buffer = [0; 256];
-    while let Ok((length, from)) = udp.recv_from(&mut buffer) {
+    // One at a time: a client that does not answer delays the others.
+    if let Ok((length, from)) = udp.recv_from(&mut buffer) {
         let text = buffer.get(..length).map(String::from_utf8_lossy);
         let port = text.as_deref().and_then(|text| {
             let (_, port) = text.trim_end_matches('\0').split_once(' ')?;
             port.trim().parse().ok()
         });
         let Some(port) = port else {
-            continue;
+            return;
         };
         // The address is that of the datagram, and not what it says.
         let to = SocketAddr::new(from.ip(), port);
@@ -284,7 +288,7 @@ fn answer_discovery(socket: &UdpSocket, little_endian_port: u16) {
 }
 
 /// How long the server waits for a client that it calls back.
-const CALL_BACK: core::time::Duration = core::time::Duration::from_millis(20);
+const CALL_BACK: core::time::Duration = core::time::Duration::from_millis(5);
 
 fn listen(
     interface: Ipv4Addr,

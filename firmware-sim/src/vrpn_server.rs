@@ -23,8 +23,10 @@ pub(crate) struct VrpnServer;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct VrpnClient {
     welcomed: bool,
-    /// The client's number of pings.
+    /// The client's number of pings, and of the senders that are trackers here: as in VRPN's own
+    /// server, only these answer.
     ping: Option<i32>,
+    senders: Vec<i32>,
     sequence: u32,
 }
 
@@ -62,9 +64,10 @@ impl StreamServer for VrpnServer {
         client: &mut Client<VrpnClient>,
     ) -> Result<bool, Refused> {
         let input = core::mem::take(&mut client.input);
+        let unused = input.get(client.used..).unwrap_or_default();
         let state = &mut client.state;
         let used = if state.welcomed {
-            let Some((message, length)) = Message::read(&input).map_err(|_| Refused)? else {
+            let Some((message, length)) = Message::read(unused).map_err(|_| Refused)? else {
                 client.input = input;
                 return Ok(false);
             };
@@ -77,7 +80,15 @@ impl StreamServer for VrpnServer {
                     client.datagrams_to =
                         port.map(|port| core::net::SocketAddr::new(client.address, port));
                 }
-                kind if Some(kind) == state.ping => {
+                SENDER_DESCRIPTION
+                    if state.senders.len() < 100
+                        && cameras
+                            .names()
+                            .any(|(_, name)| message.described() == Some(name)) =>
+                {
+                    state.senders.push(message.sender);
+                }
+                kind if Some(kind) == state.ping && state.senders.contains(&message.sender) => {
                     let pong = state.say(clock_us, 0, PONG_TYPE, &[]);
                     client.output.extend(pong);
                 }
@@ -85,11 +96,11 @@ impl StreamServer for VrpnServer {
             }
             length
         } else {
-            let seen = input.len().min(COOKIE_BEGINNING.len());
-            if input.get(..seen) != COOKIE_BEGINNING.get(..seen) {
+            let seen = unused.len().min(COOKIE_BEGINNING.len());
+            if unused.get(..seen) != COOKIE_BEGINNING.get(..seen) {
                 return Err(Refused);
             }
-            if input.len() < COOKIE.len() {
+            if unused.len() < COOKIE.len() {
                 client.input = input;
                 return Ok(false);
             }
@@ -111,7 +122,8 @@ impl StreamServer for VrpnServer {
             }
             COOKIE.len()
         };
-        client.input = input.get(used..).unwrap_or_default().to_vec();
+        client.used += used;
+        client.input = input;
         Ok(true)
     }
 

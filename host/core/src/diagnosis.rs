@@ -288,8 +288,22 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
     } = session.config();
     let server = config.server;
     match cause {
+        Cause::Starting if config.protocol == Protocol::Qualisys => {
+            "waiting for a list of bodies that fits the frames: are all bodies of the project \
+             tracked?"
+                .to_owned()
+        }
         Cause::Starting => "waiting for the rigid bodies of the server".to_owned(),
         Cause::Good => "poses arrive".to_owned(),
+        Cause::NoServer
+            if session.stream().is_some() && session.counters().session.restarts > 0 =>
+        {
+            format!(
+                "what is at motion_capture.server = {server}, TCP port {}, accepts connections and \
+                 ends them, or has gone: is it the right program, and does it run?",
+                config.command_port
+            )
+        }
         Cause::NoServer => format!(
             "nothing comes from motion_capture.server = {server}: is the address right, the \
              program running there with streaming on, the cable plugged in, {} port {} open in \
@@ -306,7 +320,7 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
              that is its address, or choose the network in the server's streaming settings"
         ),
         Cause::UnsupportedVersion if session.phase() == Phase::Foreign => format!(
-            "what answers at {server}, TCP port {}, is no {}: look at motion_capture.kind and \
+            "what answers at {server}, TCP port {}, says nothing or is no {}: look at motion_capture.kind and \
              command_port",
             config.command_port,
             match config.protocol {
@@ -328,7 +342,7 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
             let on_udp = if config.transport == Transport::Stream {
                 ""
             } else {
-                "; UDP from the server may be closed here, and TCP is tried by itself"
+                "; where UDP from the server is closed, TCP is tried after 1.5 s"
             };
             format!(
                 "the server at {server} answers and sends no poses of {rigid_body:?}: do the \

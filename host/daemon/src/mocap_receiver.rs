@@ -48,6 +48,32 @@ impl Sockets for LoggedSockets {
     }
 }
 
+/// Lines that the cameras may write to the log in a span of time: a server that is out of order
+/// must not fill it.
+const LINES: u32 = 20;
+const SPAN_NS: u64 = 10_000_000_000;
+
+/// What is left of them.
+#[derive(Debug, Default)]
+struct LogBudget {
+    since_ns: u64,
+    lines: u32,
+}
+
+impl LogBudget {
+    /// Whether a line may be written; the last one says that no other follows.
+    fn allows(&mut self, now_ns: u64) -> bool {
+        if now_ns.saturating_sub(self.since_ns) >= SPAN_NS {
+            (self.since_ns, self.lines) = (now_ns, 0);
+        }
+        self.lines = self.lines.saturating_add(1);
+        if self.lines == LINES {
+            warn!("motion capture: more of this is not logged for some seconds");
+        }
+        self.lines < LINES
+    }
+}
+
 /// How often a stream that is being opened is looked at.
 const OPENING: Duration = Duration::from_millis(5);
 
@@ -64,10 +90,13 @@ pub(crate) fn run(
         sockets,
         is_reachable: true,
     };
+    let mut budget = LogBudget::default();
     let mut passed = 0;
     loop {
         let until_ns = receiver.poll(&monotonic_ns, &mut sockets, &mut |event| {
-            log(event, config);
+            if budget.allows(monotonic_ns()) {
+                log(event, config);
+            }
         });
         if receiver.passed() != passed {
             passed = receiver.passed();
@@ -134,5 +163,20 @@ fn log(event: &PlanarEvent, config: &MotionCaptureSection) {
             warn!(?reason, "motion capture reconnects");
         }
         event => info!(?event, "motion capture"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_is_out_of_order_writes_few_lines_and_is_heard_again_later() {
+        let mut budget = LogBudget::default();
+        let lines =
+            |budget: &mut LogBudget, now_ns| (0..1_000).filter(|_| budget.allows(now_ns)).count();
+        assert_eq!(lines(&mut budget, SPAN_NS), 19);
+        assert_eq!(lines(&mut budget, 2 * SPAN_NS - 1), 0);
+        assert_eq!(lines(&mut budget, 2 * SPAN_NS), 19);
     }
 }

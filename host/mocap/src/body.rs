@@ -54,6 +54,9 @@ pub enum InvalidBody {
     DuplicateId,
 }
 
+/// No camera sees farther.
+const FARTHEST_M: f64 = 10_000.0;
+
 /// How streamed bodies are read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct BodyReading {
@@ -82,8 +85,24 @@ impl BodyReading {
         )
     }
 
+    /// What a body's numbers say that a server with doubles sent.
+    pub(crate) fn state(
+        &self,
+        position_m: [f64; 3],
+        orientation_xyzw: [f64; 4],
+        mean_error_m: f64,
+    ) -> BodyState {
+        if position_m.iter().any(|x| libm::fabs(*x) > FARTHEST_M) {
+            return BodyState::Invalid(InvalidBody::NotFinite);
+        }
+        match self.read(position_m, orientation_xyzw, mean_error_m) {
+            Ok(pose) => BodyState::Tracked(pose),
+            Err(invalid) => BodyState::Invalid(invalid),
+        }
+    }
+
     /// A pose in the server's axes.
-    pub(crate) fn read(
+    fn read(
         &self,
         position_m: [f64; 3],
         [qx, qy, qz, w]: [f64; 4],

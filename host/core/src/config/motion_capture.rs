@@ -34,7 +34,7 @@ section! {
     /// moves forward.
     @restart up_axis: UpAxis, words UpAxis, example UpAxis::Y;
     /// What the server speaks: "natnet" (OptiTrack Motive, 2.7 to 4.4), "vrpn" (Vicon and many
-    /// others, 07.xx) or "qualisys" (QTM, 1.8 and later).
+    /// others, 07.xx) or "qualisys" (QTM, 1.13 and later).
     @restart kind: ServerKind = ServerKind::NatNet, words ServerKind;
     /// Number of the tracker's sensor (VRPN).
     @restart sensor: u16 = 0, in 0..=999;

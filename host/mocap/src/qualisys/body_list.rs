@@ -27,10 +27,14 @@ impl Iterator for BodyList<'_> {
     type Item = Name;
 
     fn next(&mut self) -> Option<Name> {
-        // `<Bodies>` is their number, in older versions.
-        let (_, body) = self.rest.split_once("<Body>")?;
-        self.rest = body;
-        let own = body.split_once("</Body>").map_or(body, |(own, _)| own);
+        // `<Bodies>` is their number, in older versions. Each part of the text is read once.
+        let ends = self
+            .rest
+            .split_once("<Body>")
+            .and_then(|(_, body)| body.split_once("</Body>"));
+        let (own, rest) = ends.unwrap_or_default();
+        self.rest = rest;
+        ends?;
         let text = own
             .split_once("<Name>")
             .and_then(|(_, name)| name.split_once("</Name>"))

@@ -47,8 +47,9 @@ pub struct QualisysDialogue {
     names_asked: bool,
     names_asked_ns: u64,
     stream_due_ns: u64,
-    /// How many bodies the names list.
+    /// How many bodies the names list, and how many the last frame had.
     listed: Option<usize>,
+    framed: Option<usize>,
     last: LastFrame,
 }
 
@@ -79,6 +80,10 @@ impl QualisysDialogue {
     ) -> Result<(), Broken> {
         let text = || packet.text().unwrap_or_default();
         match (self.stage, packet.kind) {
+            // All else comes on the stream, which nobody else can write to.
+            (_, kind) if over == Over::Datagram && kind != Kind::Data => {
+                link.counters.unsolicited += 1;
+            }
             (Stage::Greeting, Kind::Command) if text().starts_with("QTM RT Interface") => {
                 self.stage = Stage::Version;
                 self.say(VERSION, link);
@@ -101,15 +106,22 @@ impl QualisysDialogue {
             }
             (Stage::Open, Kind::Data) => self.frame(now_ns, order, packet, over, link, on_output),
             // Settings may have changed.
-            (Stage::Open, Kind::Event) => self.names_due_ns = now_ns,
+            (Stage::Open, Kind::Event) => self.names_incomplete(),
             _ => {}
         }
         Ok(())
     }
 
     fn listed(&mut self, names: BodyList<'_>, on_output: &mut dyn FnMut(Output<'_>)) {
-        self.listed = Some(names.clone().count());
-        on_output(Output::Names(Names::Listed(names)));
+        let count = names.clone().count();
+        // A list of other bodies than the frames' is none: it is asked for again.
+        let agrees = |framed: usize| framed == count.min(BODIES);
+        if self.framed.is_none_or(agrees) {
+            self.listed = Some(count);
+            on_output(Output::Names(Names::Listed(names)));
+        } else {
+            self.names_incomplete();
+        }
     }
 
     fn frame(
@@ -136,13 +148,14 @@ impl QualisysDialogue {
             // At most as many as there is room for.
             let _ = bodies.push(Body { id, state });
         }
+        self.framed = Some(bodies.len());
         // A body was added or removed: the places in the list mean others.
         if self
             .listed
             .is_some_and(|listed| listed.min(BODIES) != bodies.len())
         {
             self.listed = None;
-            self.names_due_ns = now_ns;
+            self.names_incomplete();
             on_output(Output::Event(SessionEvent::DefinitionsOutdated));
         }
         link.frame(now_ns, over, (number, frame.stamp_us), &bodies, on_output);
@@ -155,15 +168,11 @@ fn state(body: &FrameBody, link: &Link) -> BodyState {
         return BodyState::Untracked;
     }
     let metres = |mm: f32| f64::from(mm) * 1e-3;
-    let reading = link.config.reading();
-    match reading.read(
+    link.config.reading().state(
         body.position_mm.map(metres),
         quaternion(body.axes.map(|axis| axis.map(f64::from))),
         metres(body.residual_mm),
-    ) {
-        Ok(pose) => BodyState::Tracked(pose),
-        Err(invalid) => BodyState::Invalid(invalid),
-    }
+    )
 }
 
 /// The quaternion x, y, z, w of a rotation whose matrix has these columns; its norm is not one

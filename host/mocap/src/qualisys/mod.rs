@@ -1,4 +1,4 @@
-//! The real-time protocol of Qualisys Track Manager (QTM): versions 1.8 and later.
+//! The real-time protocol of Qualisys Track Manager (QTM): version 1.13 and later servers.
 //!
 //! - [`Session`] is a client of one server, over TCP, with frames in datagrams or on TCP, in
 //!   either byte order.

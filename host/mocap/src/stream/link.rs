@@ -18,6 +18,19 @@ use crate::{
 /// was set back.
 const SET_BACK: u32 = 10;
 
+/// Numbers that are farther ahead are those of another stream.
+const RESTARTED: i32 = 10_000;
+
+/// A capture time whose error can be larger is none, in ns.
+const MAX_UNCERTAINTY_NS: u64 = 1_000_000_000;
+
+/// Frames over the stream so soon after it was asked for them show that they did not arrive
+/// otherwise, in ns.
+const EVIDENCE_NS: u64 = 1_000_000_000;
+
+/// Other addresses that are reported: each once.
+const OTHER_SOURCES: usize = 4;
+
 /// The newest frame of a body or of all bodies.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct LastFrame {
@@ -46,9 +59,10 @@ pub struct Link {
     pub(crate) over_stream: bool,
     /// That is so because no datagram arrived, and was not reported yet.
     pub(super) fell_back: bool,
-    /// Frames since the stream is open.
-    pub(super) frames: u64,
+    /// When the last good datagram arrived since the stream is open.
+    pub(super) datagram_ns: Option<u64>,
     pub(super) datagram_port: Option<u16>,
+    pub(super) other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
     pub(super) other_source: Option<IpAddr>,
     clock: StampClock,
     pub(super) last_frame_ns: Option<u64>,
@@ -69,8 +83,9 @@ impl Link {
             outgoing: heapless::Deque::new(),
             over_stream: config.transport == Transport::Stream,
             fell_back: false,
-            frames: 0,
+            datagram_ns: None,
             datagram_port: None,
+            other_sources: heapless::Vec::new(),
             other_source: None,
             clock: StampClock::new(&config.timing),
             last_frame_ns: None,
@@ -136,18 +151,20 @@ impl Link {
                 self.counters.duplicates += 1;
                 return false;
             }
+            let ahead = number.map(|number| number.wrapping_sub(number_before));
             if stamp_us < newest_us {
-                self.counters.late += 1;
                 last.older += 1;
-                if last.older >= SET_BACK {
-                    self.counters.clock_steps += 1;
-                    self.clock = StampClock::new(&self.config.timing);
-                    *last = LastFrame::default();
+                // The next number with an older stamp is no late frame.
+                let is_set_back = ahead.is_some_and(|ahead| (1..RESTARTED).contains(&ahead));
+                if !is_set_back && last.older < SET_BACK {
+                    self.counters.late += 1;
+                    return false;
                 }
-                return false;
+                self.counters.clock_steps += 1;
+                self.clock = StampClock::new(&self.config.timing);
             }
-            let ahead = number.map_or(1, |number| number.wrapping_sub(number_before));
-            self.counters.lost += u64::from(ahead.max(1).unsigned_abs() - 1);
+            let lost = ahead.filter(|ahead| (1..RESTARTED).contains(ahead));
+            self.counters.lost += u64::from(lost.unwrap_or(1).unsigned_abs() - 1);
         }
         *last = LastFrame {
             newest: Some((stamp_us, number_now)),
@@ -165,10 +182,12 @@ impl Link {
         bodies: &[Body],
         on_output: &mut dyn FnMut(Output<'_>),
     ) {
-        if core::mem::take(&mut self.fell_back) && over == Over::Stream {
+        if core::mem::take(&mut self.fell_back)
+            && over == Over::Stream
+            && now_ns.saturating_sub(self.since_ns) <= EVIDENCE_NS
+        {
             on_output(Output::Event(SessionEvent::DatagramsBlocked));
         }
-        self.frames += 1;
         self.counters.frames += 1;
         self.last_frame_ns = Some(now_ns);
         self.is_stale = false;
@@ -189,6 +208,9 @@ impl Link {
     /// When the frame was captured: never after it arrived.
     fn capture(&mut self, stamp_us: u64, now_ns: u64) -> Option<CaptureTime> {
         let capture = self.clock.capture(stamp_us, now_ns)?;
+        if capture.uncertainty_ns > MAX_UNCERTAINTY_NS {
+            return None;
+        }
         let offset_ns = self.config.timing.stamp_offset_ns;
         let (capture, was_clamped) = capture.at_arrival(now_ns, offset_ns)?;
         self.counters.capture_clamped += u64::from(was_clamped);
@@ -202,7 +224,7 @@ impl Link {
         self.local = None;
         self.outgoing.clear();
         self.datagram_port = None;
-        self.frames = 0;
+        self.datagram_ns = None;
         self.clock = StampClock::new(&self.config.timing);
         if !matches!(self.phase, Phase::Foreign) {
             self.phase = Phase::Connecting;

@@ -10,7 +10,7 @@ use crate::{
     source::{Input, LocalEnd, Output, PoseSource, Stream},
 };
 
-/// If no datagram has arrived after this time, frames are requested over the stream.
+/// If no datagram arrives for this time, frames are requested over the stream.
 const DATAGRAMS_WITHIN_NS: u64 = 1_500_000_000;
 
 /// A client of a server that is reached over a stream, without I/O.
@@ -112,9 +112,12 @@ impl<D: Dialogue> StreamSession<D> {
         // A server sends from one port.
         if address != link.config.server || link.datagram_port.is_some_and(|known| known != port) {
             link.counters.wrong_source += 1;
-            if address != link.config.server && link.other_source != Some(address) {
+            if address != link.config.server {
                 link.other_source = Some(address);
-                on_output(Output::Event(SessionEvent::OtherSource(address)));
+                let is_news = !link.other_sources.contains(&address);
+                if is_news && link.other_sources.push(address).is_ok() {
+                    on_output(Output::Event(SessionEvent::OtherSource(address)));
+                }
             }
             return;
         }
@@ -122,7 +125,6 @@ impl<D: Dialogue> StreamSession<D> {
             link.counters.early += 1;
             return;
         }
-        let frames = link.frames;
         let mut rest = bytes;
         while !rest.is_empty() && self.link.local.is_some() {
             let read = self
@@ -130,14 +132,13 @@ impl<D: Dialogue> StreamSession<D> {
                 .read(now_ns, rest, Over::Datagram, &mut self.link, on_output);
             let Ok(Progress::Used(length)) = read else {
                 self.link.counters.malformed += 1;
-                break;
+                return;
             };
             rest = rest.get(length.max(1)..).unwrap_or_default();
         }
-        if self.link.frames > frames {
-            self.link.datagram_port = Some(port);
-            self.link.heard_ns = now_ns;
-        }
+        self.link.datagram_port = Some(port);
+        self.link.datagram_ns = Some(now_ns);
+        self.link.heard_ns = now_ns;
     }
 
     /// When the owner's stream, or the server behind it, has been silent for too long.
@@ -148,11 +149,17 @@ impl<D: Dialogue> StreamSession<D> {
             .saturating_add(self.link.config.timing.reconnect_after_ns)
     }
 
-    /// When it is clear that no datagram arrives.
+    /// When it is clear that no datagram arrives, or none any more. Nobody may be seen, too: then
+    /// the stream is as good.
     fn datagrams_due_ns(&self) -> Option<u64> {
         let link = &self.link;
-        (link.phase == Phase::Open && !link.over_stream && link.frames == 0)
-            .then_some(link.since_ns.saturating_add(DATAGRAMS_WITHIN_NS))
+        // A server may send its frames over the stream by itself.
+        let heard_ns = link.datagram_ns.or(link.last_frame_ns).unwrap_or_default();
+        (link.phase == Phase::Open && !link.over_stream).then_some(
+            link.since_ns
+                .max(heard_ns)
+                .saturating_add(DATAGRAMS_WITHIN_NS),
+        )
     }
 }
 

@@ -24,6 +24,11 @@ const OUR_PONG: i32 = 1;
 const QUICK_PINGS: usize = 8;
 const QUICK_PING_NS: u64 = 100_000_000;
 
+/// A ping that is not answered for this time will not be; an answer that takes longer than the
+/// other tells too little of the clock.
+const ANSWER_WITHIN_NS: u64 = 1_000_000_000;
+const QUICK_ANSWER_NS: u64 = 250_000_000;
+
 /// How many bodies are remembered.
 const BODIES: usize = 24;
 
@@ -140,6 +145,8 @@ impl VrpnDialogue {
     ) {
         let kind = Some(message.kind);
         match message.kind {
+            // Names and clock come on the stream, which nobody else can write to.
+            _ if over == Over::Datagram && kind != self.pose => link.counters.unsolicited += 1,
             SENDER_DESCRIPTION | TYPE_DESCRIPTION => {
                 let Some(name) = message.described() else {
                     link.counters.malformed += 1;
@@ -162,7 +169,9 @@ impl VrpnDialogue {
                 None => link.counters.malformed += 1,
             },
             _ if kind == self.pong => {
-                if let Some(sent_ns) = self.ping_sent_ns.take() {
+                let sent_ns = self.ping_sent_ns.take();
+                let is_quick = |sent_ns: &u64| now_ns.saturating_sub(*sent_ns) <= QUICK_ANSWER_NS;
+                if let Some(sent_ns) = sent_ns.filter(is_quick) {
                     link.exchanged(sent_ns, now_ns, message.stamp_us);
                 } else {
                     link.counters.unsolicited += 1;
@@ -261,11 +270,9 @@ fn state(pose: &Pose, link: &Link) -> BodyState {
     if zeros {
         return BodyState::Untracked;
     }
-    let reading = link.config.reading();
-    match reading.read(pose.position_m, pose.orientation_xyzw, 0.0) {
-        Ok(pose) => BodyState::Tracked(pose),
-        Err(invalid) => BodyState::Invalid(invalid),
-    }
+    link.config
+        .reading()
+        .state(pose.position_m, pose.orientation_xyzw, 0.0)
 }
 
 impl Dialogue for VrpnDialogue {
@@ -321,8 +328,10 @@ impl Dialogue for VrpnDialogue {
             self.ping_every_ns
         };
         self.ping_due_ns = now_ns.saturating_add(every_ns.max(1));
-        // An answer has no number: one ping at a time, or the next could take its answer.
-        if self.ping_sent_ns.is_none() {
+        // An answer has no number: one ping at a time, or the next could take its answer. An object
+        // that was made since may answer the next.
+        let is_lost = |sent_ns: u64| now_ns.saturating_sub(sent_ns) >= ANSWER_WITHIN_NS;
+        if self.ping_sent_ns.is_none_or(is_lost) {
             self.ping_sent_ns = Some(now_ns);
             self.say(now_ns, OUR_SENDER, OUR_PING, &[], link);
         }

@@ -26,6 +26,8 @@ pub(crate) struct Bench {
     pub(crate) impostor: Option<&'static str>,
     /// Datagrams do not arrive.
     pub(crate) blocks_udp: bool,
+    /// Time that frames take in addition, in ms.
+    pub(crate) delay_ms: u64,
     /// No frame is sent.
     pub(crate) is_paused: bool,
     /// With the time at which they were made.
@@ -63,6 +65,7 @@ impl Bench {
             is_down: false,
             impostor: None,
             blocks_udp: false,
+            delay_ms: 0,
             is_paused: false,
             observations: Vec::new(),
             events: Vec::new(),
@@ -90,7 +93,7 @@ impl Bench {
                 self.exposed.push(self.now_ns);
             }
             while let Some(exposed_ns) = self.exposed.first().copied()
-                && self.now_ns >= exposed_ns + LATENCY_MS * MS
+                && self.now_ns >= exposed_ns + (LATENCY_MS + self.delay_ms) * MS
             {
                 self.exposed.remove(0);
                 if !self.is_down && !self.is_paused {

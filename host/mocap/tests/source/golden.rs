@@ -135,3 +135,11 @@ fn names_of_qtm_in_xml_of_old_and_new_versions() {
         assert!(names(nothing).is_empty());
     }
 }
+
+#[test]
+fn a_list_without_ends_is_read_in_one_go() {
+    let bodies = "<The_6D>".to_owned() + &"<Body><Name>a".repeat(50_000);
+    assert_eq!(BodyList::new(&bodies).count(), 0);
+    let nested = bodies + &"</Name></Body>".repeat(50_000);
+    assert_eq!(BodyList::new(&nested).count(), 1);
+}

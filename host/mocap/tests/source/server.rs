@@ -53,6 +53,12 @@ pub(crate) struct Server {
     pub(crate) unseen: Vec<&'static str>,
     /// VRPN: zeros instead of silence for them.
     pub(crate) zeros: bool,
+    /// VRPN: pings that are not answered.
+    pub(crate) ignored_pings: u32,
+    /// Qualisys: the list has a body more than the frames.
+    pub(crate) lists_more: bool,
+    /// Questions for the names.
+    pub(crate) questions: u32,
     models_changed: bool,
     frame: i32,
     input: Vec<u8>,
@@ -74,6 +80,9 @@ impl Server {
             numbers: 3,
             unseen: Vec::new(),
             zeros: false,
+            ignored_pings: 0,
+            lists_more: false,
+            questions: 0,
             models_changed: false,
             frame: 0,
             input: Vec::new(),
@@ -225,6 +234,9 @@ impl Server {
                 TYPE_DESCRIPTION if message.described() == Some(PING) => {
                     self.client_ping = Some(message.sender);
                 }
+                kind if Some(kind) == self.client_ping && self.ignored_pings > 0 => {
+                    self.ignored_pings -= 1;
+                }
                 kind if Some(kind) == self.client_ping => {
                     let n = self.numbers;
                     self.vrpn(stamp_us, n, n + 2, &[], &mut sent.stream);
@@ -242,7 +254,11 @@ impl Server {
         } else if command == "GetParameters 6D" {
             let bodies = self.bodies.iter();
             let named = bodies.map(|name| format!("<Body>\n<Name>{name}</Name><Point/></Body>"));
-            let list: String = named.collect();
+            let mut list: String = named.collect();
+            self.questions += 1;
+            if self.lists_more {
+                list += "<Body><Name>more</Name></Body>";
+            }
             let xml = format!("<QTM_Parameters_Ver_1.13><The_6D>{list}</The_6D></QTM>");
             say(order, PacketKind::Xml, &xml, sent);
         } else if command.starts_with("StreamFrames AllFrames") {

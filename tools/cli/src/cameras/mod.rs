@@ -35,11 +35,11 @@ pub struct CamerasArgs {
 
     /// Address of the computer with the cameras' program; every kind of server is tried. Without
     /// it and a configuration, the network is asked for NatNet and Qualisys servers
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = parse_address)]
     server: Option<Ipv4Addr>,
 
     /// What the server speaks: natnet, vrpn or qualisys
-    #[arg(long, value_name = "KIND", value_parser = parse_kind, conflicts_with = "config")]
+    #[arg(long, value_name = "KIND", value_parser = parse_kind, requires = "server")]
     kind: Option<ServerKind>,
 
     /// Port of the server, if it is not the usual one
@@ -54,7 +54,7 @@ pub struct CamerasArgs {
     #[arg(long, value_name = "ADDRESS", conflicts_with = "config")]
     interface: Option<Ipv4Addr>,
 
-    /// The server's axis that points up
+    /// The server's axis that points up [default: y with NatNet, as Motive's; z with others]
     #[arg(long, value_name = "y|z", value_parser = parse_up_axis, conflicts_with = "config")]
     up_axis: Option<UpAxis>,
 
@@ -75,8 +75,18 @@ enum Format {
     Json,
 }
 
+fn parse_address(text: &str) -> Result<Ipv4Addr, String> {
+    match text {
+        "localhost" => Ok(Ipv4Addr::LOCALHOST),
+        _ => text
+            .parse()
+            .map_err(|_| "write an IPv4 address, such as 192.168.1.10".to_owned()),
+    }
+}
+
 fn parse_kind(text: &str) -> Result<ServerKind, String> {
-    ServerKind::named(text).ok_or_else(|| "choose natnet, vrpn or qualisys".to_owned())
+    ServerKind::named(&text.to_lowercase())
+        .ok_or_else(|| "choose natnet, vrpn or qualisys".to_owned())
 }
 
 fn parse_transport(text: &str) -> Result<TransportKind, String> {
@@ -124,6 +134,8 @@ struct Watched {
 struct Report {
     kind: &'static str,
     server: String,
+    /// The axis with which the poses were read.
+    up_axis: &'static str,
     answers: bool,
     frames: u64,
     lost: u64,
@@ -192,7 +204,12 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasErro
     };
     let servers = match args.server {
         Some(server) => of_server(server),
-        None => discovery::servers(Ipv4Addr::BROADCAST)?,
+        // A question to the network does not reach this computer's own servers.
+        None => [Ipv4Addr::LOCALHOST, Ipv4Addr::BROADCAST]
+            .into_iter()
+            .filter_map(|asked| discovery::servers(asked).ok())
+            .flatten()
+            .collect(),
     };
     if servers.is_empty() {
         return Err(CamerasError::NoServer);
@@ -202,7 +219,14 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasErro
         command_port: args.port,
         transport: args.transport.unwrap_or(TransportKind::Unicast),
         interface: args.interface.unwrap_or(Ipv4Addr::UNSPECIFIED),
-        ..MotionCaptureSection::new(server, "car", args.up_axis.unwrap_or(UpAxis::Z))
+        ..MotionCaptureSection::new(
+            server,
+            "car",
+            args.up_axis.unwrap_or(match kind {
+                ServerKind::NatNet => UpAxis::Y,
+                ServerKind::Vrpn | ServerKind::Qualisys => UpAxis::Z,
+            }),
+        )
     };
     Ok(servers.into_iter().map(section).collect())
 }
@@ -235,6 +259,7 @@ impl Watched {
         match self.sockets.stream(self.source.stream(), &mut self.stream) {
             StreamEvent::Nothing => {}
             StreamEvent::Opened(local) => {
+                self.stream.clear();
                 self.source
                     .handle_input(monotonic_ns(), Input::Opened(local), &mut take);
             }
@@ -292,7 +317,7 @@ impl Watched {
         );
         note(
             is_foreign,
-            format!("what answers at {address} speaks something else: another kind, or port?"),
+            format!("what is at {address} says nothing or something else: another kind, or port?"),
         );
         for event in events {
             if let SessionEvent::Refused(version) = event {
@@ -324,6 +349,7 @@ impl Watched {
         Report {
             kind: self.section.kind.name(),
             server: address.to_string(),
+            up_axis: self.section.up_axis.name(),
             answers: answers && !matches!(self.source.phase(), Phase::Foreign),
             frames: self.survey.frames(),
             lost: counters.lost,
@@ -341,8 +367,19 @@ impl Report {
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{} server {}: {} frames, {} lost, {} late, {} damaged",
-            self.kind, self.server, self.frames, self.lost, self.late, self.malformed
+            "{} server {}: {} {}, {} lost, {} late, {} damaged",
+            self.kind,
+            self.server,
+            self.frames,
+            // VRPN knows no frames.
+            if self.kind == "vrpn" {
+                "poses"
+            } else {
+                "frames"
+            },
+            self.lost,
+            self.late,
+            self.malformed
         );
         if let Some(times) = &self.times {
             let _ = writeln!(
@@ -357,6 +394,11 @@ impl Report {
         if self.bodies.is_empty() {
             return;
         }
+        let _ = writeln!(
+            text,
+            "read with {} up (--up-axis); a car on the floor is at z = 0 to 0.3 m",
+            self.up_axis
+        );
         let _ = writeln!(
             text,
             "\n{:<16} {:>6} {:>6} {:>6} {:>6} {:>9}  {:>23} {:>7}",
