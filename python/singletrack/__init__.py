@@ -17,6 +17,7 @@ steering are positive to the left. ``singletrack.gym`` needs the package ``gymna
 
 from . import law, model, stability
 from ._car import Car
+from ._compare import Comparison, Path, compare
 from ._drive import Drive
 from ._errors import ArmError, Rejected, SingletrackError
 from ._register import register as _register
@@ -27,12 +28,15 @@ from ._state import State
 __all__ = [
     "ArmError",
     "Car",
+    "Comparison",
     "Drive",
+    "Path",
     "Record",
     "Rejected",
     "Simulator",
     "SingletrackError",
     "State",
+    "compare",
     "law",
     "model",
     "read",

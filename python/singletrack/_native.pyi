@@ -1,6 +1,6 @@
 """The native module; its functions are used through the package."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,11 @@ class Batch:
     def reference(self) -> NDArray[np.float64]: ...
     def point(self) -> NDArray[np.float64]: ...
 
+class Course:
+    @property
+    def until(self) -> float: ...
+    def at(self, time: float) -> tuple[tuple[float, float], tuple[float, float]]: ...
+
 class Connection:
     def __new__(cls, path: str) -> Connection: ...
     def send(self, command: str, **keys: Any) -> None: ...
@@ -99,6 +104,19 @@ class Simulator:
     def configuration(self) -> str: ...
     def finish(self) -> None: ...
 
+def compare(
+    begin: Callable[[Course], Callable[[dict[str, Any]], dict[str, Any]]],
+    *,
+    name: str,
+    point: str,
+    controllers: Sequence[str],
+    paths: Sequence[str],
+    speeds: Sequence[float],
+    conditions: Sequence[str],
+    first_seed: int,
+    count: int,
+    threads: int | None,
+) -> tuple[str, str]: ...
 def truth_keys() -> list[tuple[str, str, str]]: ...
 def read_record(
     path: str, topics: Sequence[str] | None = None

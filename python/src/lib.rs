@@ -11,6 +11,7 @@
 use pyo3::prelude::*;
 
 mod argument;
+mod comparison;
 mod environment;
 mod law;
 mod model;
@@ -25,6 +26,7 @@ mod vehicle;
 mod _native {
     #[pymodule_export]
     use crate::{
+        comparison::{Course, compare},
         environment::Batch,
         law::{front_point, point_p, velocity_point},
         model::{model_derivative, model_simulate, paper_vehicle},

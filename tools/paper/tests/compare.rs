@@ -28,6 +28,9 @@ const STOPS: usize = 9;
 /// That of `worst_condition`.
 const WORST: usize = 13;
 
+/// That of `rank`.
+const RANK: usize = 14;
+
 /// Those that drive the car.
 fn drivers() -> Vec<ControllerName> {
     let all = ControllerName::value_variants().iter().copied();
@@ -130,7 +133,12 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
         assert!((estimate.value - 1e3 * value(&name, 1)).abs() < 1e-9);
     }
     let best = page.lines().find(|line| line.contains(" of 2 |")).unwrap();
-    assert!(!best.starts_with("| p |"), "{page}");
+    assert!(
+        best.starts_with("| 1 | ") && !best.contains("| p |"),
+        "{page}"
+    );
+    let rank = |row: &str| rows_of_all[row][RANK].parse::<usize>().unwrap();
+    assert_eq!(rank("p nominal"), drivers().len(), "{table}");
 }
 
 #[test]
@@ -190,6 +198,99 @@ fn a_car_that_stops_is_counted_and_has_no_error() {
     let picture = figure(&lines).unwrap();
     assert_eq!(picture.panels[0].estimates, []);
     assert_eq!(picture.panels[0].marks.len(), 1);
+}
+
+#[test]
+fn differences_that_say_nothing_are_not_ranked() {
+    use ControllerName::{PCompensated, PFf, PTuned, Stanley};
+    let plan = plan(&[PFf, PTuned, PCompensated, Stanley], &[Condition::Nominal]);
+    let mut campaign = run(&plan, &CampaignArgs::default());
+    // By controller, the RMS in mm with both seeds.
+    let found = [[4.0, 6.0], [4.5, 5.6], [2.0, 2.2], [2.05, 2.25]];
+    for (unit, result) in &mut campaign.results {
+        let [controller, seed] = [*unit as usize / 2, *unit as usize % 2];
+        result.own.as_mut().unwrap().rms = 1e-3 * found[controller][seed];
+    }
+    let lines = lines(&plan, &campaign.results);
+    let rows = rows(&csv(&lines));
+    let rank = |name: &str| rows[&format!("{name} nominal")][RANK].clone();
+    // Less than the floor between the best, and an interval with zero between the others.
+    assert_eq!(rank("p-compensated"), "1");
+    assert_eq!(rank("stanley"), "1");
+    assert_eq!(rank("p-ff"), "3");
+    assert_eq!(rank("p-tuned"), "3");
+    let page = markdown(&lines);
+    assert!(page.contains("| same | stanley |"), "{page}");
+
+    // One seed tells nothing.
+    let single = Comparison { seeds: 1, ..plan };
+    let results = campaign.results.iter().step_by(2).cloned();
+    let results: Vec<_> = results
+        .enumerate()
+        .map(|(unit, (_, result))| (unit as u64, result))
+        .collect();
+    let page = markdown(&singletrack_paper::compare::lines(&single, &results));
+    assert!(page.contains("| - | stanley |"), "{page}");
+}
+
+#[test]
+fn the_compensation_makes_the_laws_of_the_literature_better() {
+    use ControllerName::{PurePursuit, PurePursuitCompensated, Stanley, StanleyCompensated};
+    let mut plan = plan(
+        &[
+            PurePursuit,
+            PurePursuitCompensated,
+            Stanley,
+            StanleyCompensated,
+        ],
+        &[Condition::Nominal],
+    );
+    plan.paths = vec![PathName::WideEight];
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    let rows = rows(&table);
+    let along = |name: &str| rows[&format!("{name} nominal")][6].parse::<f64>().unwrap();
+    for name in ["pure-pursuit", "stanley"] {
+        assert!(
+            along(&format!("{name}-compensated")) < along(name),
+            "{table}"
+        );
+    }
+}
+
+#[test]
+fn a_wrong_belief_costs_and_the_test_paths_are_driven() {
+    let mut plan = plan(
+        &[ControllerName::PCompensated],
+        &[
+            Condition::Nominal,
+            Condition::WeakSteering,
+            Condition::WrongTrim,
+            Condition::LateStamps,
+        ],
+    );
+    plan.paths = vec![
+        PathName::Ellipse,
+        PathName::DoubleLaneChange,
+        PathName::Corners,
+        PathName::WideEight,
+        PathName::Stop,
+    ];
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    for path in &plan.paths {
+        let rms = |condition: &str| {
+            let start = format!("p-compensated,{path},1,{condition},2,");
+            let line = table.lines().find(|line| line.starts_with(&start)).unwrap();
+            let rms = line.split(',').nth(5).unwrap();
+            rms.parse::<f64>().unwrap_or_else(|_| panic!("{line}"))
+        };
+        let most = if *path == PathName::Corners {
+            0.05
+        } else {
+            0.01
+        };
+        assert!(rms("nominal") < most, "{path}: {table}");
+        assert!(rms("trim-3deg") > 1.5 * rms("nominal"), "{path}: {table}");
+    }
 }
 
 #[test]

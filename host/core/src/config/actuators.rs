@@ -37,7 +37,8 @@ const MOST_AT_CENTRE_RAD: f64 = 0.02;
 
 impl ActuatorsSection {
     /// In s.
-    pub(super) fn model(&self) -> ActuatorModel {
+    #[must_use]
+    pub fn model(&self) -> ActuatorModel {
         ActuatorModel {
             steering_dead_time: 1e-3 * self.steering_dead_time_ms,
             steering_lag: 1e-3 * self.steering_lag_ms,

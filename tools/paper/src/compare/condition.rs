@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use singletrack_control::VehicleParameters;
+use singletrack_sim::SimulationConfig;
 use singletrack_words::words;
 
 words! {
@@ -28,6 +29,15 @@ words! {
         /// The rear axle is believed to be at the centre of mass: dl = `l_r`.
         #[value(name = "axle+lr")]
         AxleMost = "axle+lr",
+        /// The wheels turn 20 % less than commanded.
+        #[value(name = "gain-20%")]
+        WeakSteering = "gain-20%",
+        /// The true trim of the steering is 3 degrees off.
+        #[value(name = "trim-3deg")]
+        WrongTrim = "trim-3deg",
+        /// The poses are 20 ms older than their stamps.
+        #[value(name = "stamps-20ms")]
+        LateStamps = "stamps-20ms",
         /// The cameras see nothing for 50 ms, a second after the counting begins.
         #[value(name = "loss-50ms")]
         Loss50 = "loss-50ms",
@@ -71,6 +81,17 @@ impl Condition {
         }
     }
 
+    /// Makes steering and cameras differ from what is believed of them.
+    pub(super) fn falsify(self, simulation: &mut SimulationConfig) {
+        let servo = &mut simulation.car.servo;
+        match self {
+            Self::WeakSteering => servo.gain_us_per_rad /= 0.8,
+            Self::WrongTrim => servo.centre_us += 3_f64.to_radians() * servo.gain_us_per_rad.abs(),
+            Self::LateStamps => simulation.cameras.stamp_bias_ms = 20.0,
+            _ => {}
+        }
+    }
+
     /// How long the cameras see nothing, in µs.
     pub(super) const fn loss_us(self) -> u64 {
         match self {
@@ -84,15 +105,22 @@ impl Condition {
     }
 }
 
-use Condition::{AxleLeast, AxleLess, AxleMore, AxleMost, Nominal, SoftTyres, StiffTyres};
+use Condition::{
+    AxleLeast, AxleLess, AxleMore, AxleMost, LateStamps, Nominal, SoftTyres, StiffTyres,
+    WeakSteering, WrongTrim,
+};
 
 /// Conditions of which the worst has a row of its own, with its name in the table: within 50 % of
-/// the cornering stiffness, and over the believed place of the front axle, dl from `-l_f` to
-/// `l_r`.
-pub(super) const WORST: [(&str, &[Condition]); 2] = [
+/// the cornering stiffness, over the believed place of the front axle, dl from `-l_f` to `l_r`,
+/// and over the wrong beliefs about steering and cameras.
+pub(super) const WORST: [(&str, &[Condition]); 3] = [
     ("worst-tyres", &[Nominal, SoftTyres, StiffTyres]),
     (
         "worst-axle",
         &[Nominal, AxleLeast, AxleLess, AxleMore, AxleMost],
+    ),
+    (
+        "worst-belief",
+        &[Nominal, WeakSteering, WrongTrim, LateStamps],
     ),
 ];

@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 use singletrack_words::words;
 
-use super::{condition::Condition, foreign::Law};
+use super::{condition::Condition, counted::OwnPoint, foreign::Law};
 
 words! {
     /// A controller.
@@ -28,10 +28,17 @@ words! {
         MpcCompensated = "mpc-compensated",
         /// Pure pursuit, tuned.
         PurePursuit = "pure-pursuit",
+        /// The same, with the compensation of clock and actuators, tuned for it.
+        PurePursuitCompensated = "pure-pursuit-compensated",
         /// Stanley, tuned.
         Stanley = "stanley",
+        /// The same, with the compensation.
+        StanleyCompensated = "stanley-compensated",
         /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
         Appendix = "appendix",
+        /// A program's own; see [`Comparison::drive_yours`](super::Comparison::drive_yours).
+        #[value(skip)]
+        Yours = "yours",
     }
 }
 
@@ -50,7 +57,13 @@ pub(super) enum Drives {
     /// By velocities of the appendix's P, with this gain in 1/s and feed-forward.
     Appendix { gain: f64 },
     /// By steering and speed, from outside.
-    Actuators { law: Law, catch_up: f64 },
+    Actuators {
+        law: Law,
+        catch_up: f64,
+        compensated: bool,
+    },
+    /// By set-points of a program.
+    Yours(OwnPoint),
 }
 
 impl Drives {
@@ -84,9 +97,12 @@ impl ControllerName {
             Self::Lqi => [100.0, 0.03],
             Self::LqiCompensated => [300.0, 0.1],
             Self::Mpc => [0.1, 0.15],
-            Self::MpcCompensated => [0.01, 0.1],
+            Self::MpcCompensated => [0.01, 0.25],
             Self::PurePursuit => [0.2, 12.0],
+            Self::PurePursuitCompensated => [0.15, 8.0],
             Self::Stanley => [16.0, 12.0],
+            Self::StanleyCompensated => [16.0, 8.0],
+            Self::Yours => [0.0; 2],
         }
     }
 
@@ -117,21 +133,29 @@ impl ControllerName {
                 }),
                 compensated: self == Self::MpcCompensated,
             },
-            Self::PurePursuit => Drives::Actuators {
+            Self::PurePursuit | Self::PurePursuitCompensated => Drives::Actuators {
                 law: Law::PurePursuit { time: first },
                 catch_up: second,
+                compensated: self == Self::PurePursuitCompensated,
             },
-            Self::Stanley => Drives::Actuators {
+            Self::Stanley | Self::StanleyCompensated => Drives::Actuators {
                 law: Law::Stanley { gain: first },
                 catch_up: second,
+                compensated: self == Self::StanleyCompensated,
             },
+            Self::Yours => Drives::Yours(OwnPoint::P),
             Self::Appendix => Drives::Appendix { gain: first },
         }
     }
 
     /// Whether it can drive under a condition.
     pub(super) fn drives_under(self, condition: Condition) -> bool {
-        self != Self::Appendix || condition == Condition::IdealPlant
+        match self {
+            Self::Appendix => condition == Condition::IdealPlant,
+            // It drives the car, once with each seed.
+            Self::Yours => !matches!(condition, Condition::IdealPlant | Condition::AddedDelay),
+            _ => true,
+        }
     }
 
     /// The condition under which it is tuned.
@@ -146,7 +170,7 @@ impl ControllerName {
     /// The values that are tried for each parameter; none for what is given.
     pub(super) const fn tried(self) -> Option<[&'static [f64]; 2]> {
         match self {
-            Self::P | Self::PFf => None,
+            Self::P | Self::PFf | Self::Yours => None,
             Self::PTuned | Self::PCompensated | Self::Appendix => Some([
                 &[
                     0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0, 3.4, 3.8,
@@ -161,8 +185,12 @@ impl ControllerName {
             Self::Mpc | Self::MpcCompensated => {
                 Some([&[0.01, 0.03, 0.1, 0.3, 1.0], &[0.02, 0.05, 0.1, 0.15, 0.25]])
             }
-            Self::PurePursuit => Some([&[0.1, 0.15, 0.2, 0.3, 0.5], &[2.0, 4.0, 8.0, 12.0, 16.0]]),
-            Self::Stanley => Some([&[4.0, 8.0, 16.0, 32.0, 64.0], &[2.0, 4.0, 8.0, 12.0, 16.0]]),
+            Self::PurePursuit | Self::PurePursuitCompensated => {
+                Some([&[0.1, 0.15, 0.2, 0.3, 0.5], &[2.0, 4.0, 8.0, 12.0, 16.0]])
+            }
+            Self::Stanley | Self::StanleyCompensated => {
+                Some([&[4.0, 8.0, 16.0, 32.0, 64.0], &[2.0, 4.0, 8.0, 12.0, 16.0]])
+            }
         }
     }
 }

@@ -72,15 +72,18 @@ const RIPPLE_HALF_S: f64 = 0.25;
 
 /// The point whose errors are the controller's own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Own {
+pub enum OwnPoint {
+    /// P, in front of the front axle.
     P,
+    /// The front axle.
     FrontAxle,
+    /// The rear axle.
     RearAxle,
     /// P of the appendix: ahead of G along its velocity.
     VelocityPoint,
 }
 
-impl Own {
+impl OwnPoint {
     pub(super) const fn of(drives: &Drives) -> Self {
         match drives {
             Drives::Point { .. } => Self::P,
@@ -89,6 +92,7 @@ impl Own {
                 Law::PurePursuit { .. } => Self::RearAxle,
                 Law::Stanley { .. } => Self::FrontAxle,
             },
+            Drives::Yours(own) => *own,
         }
     }
 
@@ -105,7 +109,7 @@ impl Own {
 
 /// The errors of a drive, from the true states.
 pub(super) struct Counted<'a> {
-    own: Own,
+    own: OwnPoint,
     /// The true car.
     vehicle: VehicleParameters,
     /// The time that is counted, in s.
@@ -125,7 +129,7 @@ pub(super) struct Counted<'a> {
 
 impl<'a> Counted<'a> {
     pub(super) fn new(
-        own: Own,
+        own: OwnPoint,
         vehicle: &VehicleParameters,
         counted: [f64; 2],
         table: &'a Table,
@@ -161,9 +165,9 @@ impl<'a> Counted<'a> {
         let [_, across] = error(front, nearest.position, nearest.heading);
         self.front_errors.push([0.0, across]);
         let own = match self.own {
-            Own::P => truth.point_p(self.vehicle.front_axle_distance_m, POINT_DISTANCE_M),
-            Own::FrontAxle | Own::RearAxle => on_axis(self.own.reach(&self.vehicle)),
-            Own::VelocityPoint => {
+            OwnPoint::P => truth.point_p(self.vehicle.front_axle_distance_m, POINT_DISTANCE_M),
+            OwnPoint::FrontAxle | OwnPoint::RearAxle => on_axis(self.own.reach(&self.vehicle)),
+            OwnPoint::VelocityPoint => {
                 let centre = Position::new(truth.x, truth.y);
                 let point = velocity_point(centre, truth.yaw, truth.sideslip, POINT_DISTANCE_M);
                 [point.x, point.y]
@@ -177,6 +181,11 @@ impl<'a> Counted<'a> {
         let acceleration = hypot(truth.longitudinal_acceleration, truth.lateral_acceleration);
         let sliding = self.vehicle.friction * GRAVITY;
         self.tyre_use = self.tyre_use.max(acceleration / sliding);
+    }
+
+    /// When the path ends, in s; none if it does not.
+    pub(super) fn path_duration(&self) -> Option<f64> {
+        self.table.reference().duration()
     }
 
     /// The largest error so far, in m.

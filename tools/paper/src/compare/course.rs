@@ -4,9 +4,11 @@ use clap::ValueEnum;
 use singletrack_control::{Reference, ReferencePoint};
 use singletrack_core::{
     ConfigError,
-    config::{ReferenceSection, Start},
+    config::{ReferenceSection, Start, WaypointSection},
 };
 use singletrack_words::words;
+
+use super::drive::LATERAL_M_S2;
 
 words! {
     /// A path.
@@ -18,15 +20,47 @@ words! {
         Eight = "eight",
         /// Half a metre to the left over 3 m of a straight line.
         LaneChange = "lane-change",
+        /// An ellipse of 6 x 4 m.
+        Ellipse = "ellipse",
+        /// Half a metre to the left over 3 m, and back after another metre.
+        DoubleLaneChange = "double-lane-change",
+        /// Waypoints at the corners of a polygon with twelve sides of a metre.
+        Corners = "corners",
+        /// An eight of 7 x 3 m.
+        WideEight = "wide-eight",
+        /// A lane change with whose end the car stops, and stands.
+        Stop = "stop",
+        /// An ellipse of 4 x 2 m: at its ends the wheels can't be turned far enough.
+        TightEllipse = "tight-ellipse",
         /// A circle of 0.45 m: the wheels can't be turned that far.
         InfeasibleCircle = "infeasible-circle",
     }
 }
 
+/// The paths that the parameters were not chosen on, and that a car can drive.
+pub(super) const TEST_PATHS: [PathName; 5] = [
+    PathName::Ellipse,
+    PathName::DoubleLaneChange,
+    PathName::Corners,
+    PathName::WideEight,
+    PathName::Stop,
+];
+
 const RADIUS_M: f64 = 1.0;
 const INFEASIBLE_RADIUS_M: f64 = 0.45;
 const HALF_LENGTH_M: f64 = 3.0;
 const HALF_WIDTH_M: f64 = 1.5;
+const WIDE_HALF_LENGTH_M: f64 = 3.5;
+const WIDE_HALF_WIDTH_M: f64 = 1.5;
+const ELLIPSE_M: [f64; 2] = [3.0, 2.0];
+const TIGHT_ELLIPSE_M: [f64; 2] = [2.0, 1.0];
+const ELLIPSE_POINTS: u32 = 120;
+const SIDES: u32 = 12;
+const SIDE_M: f64 = 1.0;
+/// The way between the two changes of a double one, in m.
+const LANE_BETWEEN_M: f64 = 1.0;
+/// The time after a stop that is counted, in s.
+const STANDS_S: f64 = 1.0;
 /// The lane change: width, length, acceleration at its ends, and time on the straight lines.
 const LANE_M: f64 = 0.5;
 const LANE_LENGTH_M: f64 = 3.0;
@@ -60,24 +94,14 @@ impl Course {
         match path {
             PathName::Circle => Self::circle(RADIUS_M, speed),
             PathName::InfeasibleCircle => Self::circle(INFEASIBLE_RADIUS_M, speed),
-            PathName::Eight => {
-                let rate = speed / libm::hypot(HALF_LENGTH_M, 2.0 * HALF_WIDTH_M);
-                Self {
-                    reference: ReferenceSection::FigureOfEight {
-                        half_length_m: HALF_LENGTH_M,
-                        half_width_m: HALF_WIDTH_M,
-                        angular_velocity_rad_s: rate,
-                        centre_m: [0.0; 2],
-                        start: Start::Beginning,
-                    },
-                    start: [0.0; 2],
-                    heading: libm::atan2(2.0 * HALF_WIDTH_M, HALF_LENGTH_M),
-                    ends: false,
-                    // One figure.
-                    counted: [SETTLING_S, SETTLING_S + core::f64::consts::TAU / rate],
-                }
-            }
-            PathName::LaneChange => Self::lane_change(speed),
+            PathName::Eight => Self::eight(HALF_LENGTH_M, HALF_WIDTH_M, speed),
+            PathName::WideEight => Self::eight(WIDE_HALF_LENGTH_M, WIDE_HALF_WIDTH_M, speed),
+            PathName::Ellipse => Self::ellipse(ELLIPSE_M, speed),
+            PathName::TightEllipse => Self::ellipse(TIGHT_ELLIPSE_M, speed),
+            PathName::Corners => Self::corners(speed),
+            PathName::LaneChange => Self::lane_change(speed, &[LANE_M]),
+            PathName::DoubleLaneChange => Self::lane_change(speed, &[LANE_M, -LANE_M]),
+            PathName::Stop => Self::stop(speed),
         }
     }
 
@@ -96,17 +120,110 @@ impl Course {
         }
     }
 
-    fn lane_change(speed: f64) -> Self {
+    fn eight(half_length: f64, half_width: f64, speed: f64) -> Self {
+        let rate = speed / libm::hypot(half_length, 2.0 * half_width);
+        Self {
+            reference: ReferenceSection::FigureOfEight {
+                half_length_m: half_length,
+                half_width_m: half_width,
+                angular_velocity_rad_s: rate,
+                centre_m: [0.0; 2],
+                start: Start::Beginning,
+            },
+            start: [0.0; 2],
+            heading: libm::atan2(2.0 * half_width, half_length),
+            ends: false,
+            // One figure.
+            counted: [SETTLING_S, SETTLING_S + core::f64::consts::TAU / rate],
+        }
+    }
+
+    /// With these half axes, from its right end on, to the left.
+    fn ellipse([a, b]: [f64; 2], speed: f64) -> Self {
+        let points = (0..ELLIPSE_POINTS).map(|index| {
+            let angle = core::f64::consts::TAU * f64::from(index) / f64::from(ELLIPSE_POINTS);
+            [a * libm::cos(angle), b * libm::sin(angle)]
+        });
+        let points: Vec<[f64; 2]> = points.collect();
+        let ends = points.iter().zip(points.iter().cycle().skip(1));
+        let length: f64 = ends.map(|(from, to)| distance(*from, *to)).sum();
+        Self {
+            reference: ReferenceSection::PathList {
+                points,
+                closed: true,
+                speed_m_s: speed,
+                lateral_acceleration_m_s2: LATERAL_M_S2,
+                acceleration_m_s2: LANE_ACCELERATION_M_S2,
+                start: Start::Beginning,
+            },
+            start: [a, 0.0],
+            heading: core::f64::consts::FRAC_PI_2,
+            ends: false,
+            // One round.
+            counted: [SETTLING_S, SETTLING_S + length / speed],
+        }
+    }
+
+    fn corners(speed: f64) -> Self {
+        let sides = f64::from(SIDES);
+        let turn = core::f64::consts::TAU / sides;
+        let radius = 0.5 * SIDE_M / libm::sin(0.5 * turn);
+        let counted = [SETTLING_S, SETTLING_S + sides * SIDE_M / speed];
+        let count = (speed * (counted[1] + 6.0) / SIDE_M) as u32;
+        // It speeds up over the first sides.
+        let run_up = 0.5 * speed * speed / LANE_ACCELERATION_M_S2;
+        let time = |way: f64| {
+            if way < run_up {
+                (2.0 * way / LANE_ACCELERATION_M_S2).sqrt()
+            } else {
+                (way + run_up) / speed
+            }
+        };
+        // The first side leads along y.
+        let corner = |index: u32| {
+            let angle = turn * (f64::from(index) - 0.5);
+            [radius * libm::cos(angle), radius * libm::sin(angle)]
+        };
+        let waypoint = |index: u32| {
+            let [x_m, y_m] = corner(index);
+            WaypointSection {
+                t_s: time(f64::from(index) * SIDE_M),
+                x_m,
+                y_m,
+            }
+        };
+        let waypoints = (0..=count).map(waypoint).collect();
+        Self {
+            reference: ReferenceSection::WaypointList { waypoints },
+            start: corner(0),
+            heading: core::f64::consts::FRAC_PI_2,
+            ends: false,
+            counted,
+        }
+    }
+
+    /// A straight line, changes to the left by `steps` over [`LANE_LENGTH_M`] each with
+    /// [`LANE_BETWEEN_M`] between them, and a straight line.
+    fn lane_change(speed: f64, steps: &[f64]) -> Self {
         let run_up = 0.5 * speed * speed / LANE_ACCELERATION_M_S2;
         let before = run_up + LANE_STRAIGHT_S * speed;
-        let length = before + LANE_LENGTH_M + before;
+        Self::lanes(speed, steps, [before, before])
+    }
+
+    /// The same with straight lines of these lengths.
+    fn lanes(speed: f64, steps: &[f64], [before, after]: [f64; 2]) -> Self {
+        let changes = steps.len() as f64 * (LANE_LENGTH_M + LANE_BETWEEN_M) - LANE_BETWEEN_M;
+        let length = before + changes + after;
         let count = libm::ceil(length / LANE_STEP_M);
         let point = |index: u32| {
             let x = length * f64::from(index) / count;
-            // A polynomial without a jump of curvature.
-            let u = ((x - before) / LANE_LENGTH_M).clamp(0.0, 1.0);
-            let y = LANE_M * u * u * u * (10.0 + u * (6.0 * u - 15.0));
-            [x - 0.5 * length, y]
+            let each = steps.iter().enumerate().map(|(place, step)| {
+                let from = before + place as f64 * (LANE_LENGTH_M + LANE_BETWEEN_M);
+                // A polynomial without a jump of curvature.
+                let u = ((x - from) / LANE_LENGTH_M).clamp(0.0, 1.0);
+                step * u * u * u * (10.0 + u * (6.0 * u - 15.0))
+            });
+            [x - 0.5 * length, each.sum()]
         };
         let begins = speed / LANE_ACCELERATION_M_S2 + LANE_STRAIGHT_S;
         Self {
@@ -124,8 +241,21 @@ impl Course {
             ends: true,
             counted: [
                 begins - 0.5,
-                begins + LANE_LENGTH_M / speed + 0.8 * LANE_STRAIGHT_S,
+                begins + changes / speed + 0.8 * LANE_STRAIGHT_S,
             ],
+        }
+    }
+
+    /// The car slows down on the straight line behind the change; its stop is counted.
+    fn stop(speed: f64) -> Self {
+        let ramp = 0.5 * speed * speed / LANE_ACCELERATION_M_S2;
+        let course = Self::lanes(speed, &[LANE_M], [ramp + LANE_STRAIGHT_S * speed, ramp]);
+        let [from, _] = course.counted;
+        let changed = from + 0.5 + LANE_LENGTH_M / speed;
+        let stands = changed + speed / LANE_ACCELERATION_M_S2;
+        Self {
+            counted: [changed, stands + STANDS_S],
+            ..course
         }
     }
 }

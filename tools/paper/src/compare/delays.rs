@@ -39,7 +39,7 @@ pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLin
         let found = || {
             results
                 .iter()
-                .filter_map(|result| result.added_delay.as_ref())
+                .filter_map(|(_, result)| result.added_delay.as_ref())
         };
         let ended_by = StopReasons::of(found().filter_map(|delay| delay.ended_by.as_deref()));
         let found: Vec<Option<u32>> = found().map(|delay| delay.diverges_ms).collect();

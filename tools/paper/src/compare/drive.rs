@@ -2,11 +2,13 @@
 
 use libm::{cos, sin};
 use singletrack_control::{
-    LawError, Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters,
+    LawError, Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters, Velocity,
 };
 use singletrack_core::{
     ConfigError,
     config::{CompensationSection, ReferenceSection},
+    setpoint::SetpointCommand,
+    state_stream::States,
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_scenario::{
@@ -18,9 +20,9 @@ use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
 use super::{
     condition::Condition,
     controller::Drives,
-    counted::{AddedDelay, Counted, DriveResult, Own, POINT_DISTANCE_M},
+    counted::{AddedDelay, Counted, DriveResult, OwnPoint, POINT_DISTANCE_M},
     course::{Course, PathName, Table},
-    foreign::Foreign,
+    foreign::{Ahead, Foreign, Known},
     ideal,
 };
 
@@ -36,6 +38,9 @@ pub enum DriveError {
     /// The law of the appendix has no limits and no start from standstill.
     #[error("the law of the appendix drives the ideal plant only; choose condition ideal-plant")]
     IdealPlantOnly,
+    /// A program's own controller is driven by that program.
+    #[error("a controller of your own is compared by the Python package")]
+    Yours,
     /// A law is refused.
     #[error(transparent)]
     Law(#[from] LawError),
@@ -63,6 +68,8 @@ const INTEGRAL_LIMIT_US: u16 = 150;
 /// the board takes, if it stops with this deceleration, in m/s².
 const STOP_DECELERATION_M_S2: f64 = 3.0;
 const MAX_POSE_AGE_MS: u16 = 1_000;
+/// Just below where the tyres slide, at 2.45 m/s²: what is compared are loops, not limits.
+pub(super) const LATERAL_M_S2: f64 = 2.4;
 /// Time for the start, in s.
 const START_S: f64 = 15.0;
 /// How long a set-point is in force, in ms.
@@ -81,6 +88,11 @@ const DIVERGED_M: f64 = 0.25;
 /// among the names of the supervisor's reasons.
 pub(super) const DIVERGED: &str = "diverged";
 const TURNING_ROUND: &str = "turning-round";
+/// How a drive ends whose controller gives no set-point any more.
+const NO_SETPOINT: &str = "no-setpoint";
+
+/// Decides the set-point that acts in the tick after this one; none ends the drive.
+pub type Decide<'a> = dyn FnMut(&VirtualTick) -> Option<SetpointCommand> + 'a;
 
 impl Case {
     pub(super) fn drive(&self) -> Result<DriveResult, DriveError> {
@@ -92,6 +104,17 @@ impl Case {
             Condition::AddedDelay => self.search_delay(&course, &table),
             _ => self.car(&course, &table, 0, f64::INFINITY),
         }
+    }
+
+    /// On the simulated car, with the set-points of a program.
+    pub(super) fn drive_by(&self, decide: &mut Decide<'_>) -> Result<DriveResult, DriveError> {
+        let course = Course::new(self.path, self.speed_m_s);
+        let table = Table::new(&course, course.counted[1] + 5.0)?;
+        let mut run = Run::new(self, &course, &table, 0)?;
+        run.driver = Driver::Yours(decide);
+        run.start();
+        run.finish(&course, f64::INFINITY);
+        Ok(run.errors.result(run.stopped))
     }
 
     /// On the simulated car, with pulses that act `delay_ms` later. It ends as [`DIVERGED`] when
@@ -107,7 +130,8 @@ impl Case {
             // A loop that does not settle with these weights on this course: nothing is driven.
             Err(DriveError::Drive(VirtualDriveError::Config(error))) if self.drives.has_model() => {
                 let vehicle = VehicleParameters::paper();
-                let nothing = Counted::new(Own::of(&self.drives), &vehicle, course.counted, table);
+                let nothing =
+                    Counted::new(OwnPoint::of(&self.drives), &vehicle, course.counted, table);
                 return Ok(nothing.result(Some(format!("refused: {error}"))));
             }
             run => run?,
@@ -153,9 +177,21 @@ impl Case {
     }
 }
 
+/// What decides the commands.
+enum Driver<'a> {
+    /// The pilot, from its reference.
+    Pilot,
+    Foreign {
+        law: Foreign<'a>,
+        /// For the age of the yaw rate.
+        states: States,
+    },
+    Yours(&'a mut Decide<'a>),
+}
+
 struct Run<'a> {
     drive: VirtualDrive,
-    foreign: Option<Foreign<'a>>,
+    driver: Driver<'a>,
     errors: Counted<'a>,
     /// When the cameras see nothing, in s of the drive, and for how long, in µs.
     loss: (f64, u64),
@@ -182,9 +218,11 @@ impl<'a> Run<'a> {
         drive.vehicle = believed;
         drive.law.point_distance_m = POINT_DISTANCE_M;
         drive.law.front_axle_distance_m = believed.front_axle_distance_m + axle_error_m;
+        let external = ReferenceSection::External {
+            setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
+        };
         let mut foreign = None;
-        // The paper's controller has no compensation, and nor have the others.
-        let mut is_compensated = false;
+        let is_compensated;
         match case.drives {
             Drives::Point {
                 outer_loop,
@@ -194,10 +232,17 @@ impl<'a> Run<'a> {
                 is_compensated = compensated;
             }
             Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
-            Drives::Actuators { law, catch_up } => {
-                drive.reference = ReferenceSection::External {
-                    setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
-                };
+            Drives::Yours(_) => {
+                drive.reference = external;
+                is_compensated = true;
+            }
+            Drives::Actuators {
+                law,
+                catch_up,
+                compensated,
+            } => {
+                drive.reference = external;
+                is_compensated = compensated;
                 let mut vehicle = believed;
                 // The wheelbase is known: it can be measured.
                 vehicle.front_axle_distance_m += axle_error_m;
@@ -208,6 +253,7 @@ impl<'a> Run<'a> {
                     vehicle,
                     table,
                     index: 0,
+                    compensation: None,
                 });
             }
         }
@@ -217,6 +263,7 @@ impl<'a> Run<'a> {
             actuation: is_compensated,
         };
         config.limits.max_speed_m_s = f64::from(TOP_SPEED_MM_S) * 1e-3;
+        config.limits.max_lateral_acceleration_m_s2 = LATERAL_M_S2;
         config.board.speed.max_forward_mm_s = TOP_SPEED_MM_S;
         config.board.esc.max_us = MAX_ESC_US;
         config.board.speed.feed_forward_us_per_m_s = FEED_FORWARD_US_PER_M_S;
@@ -226,7 +273,7 @@ impl<'a> Run<'a> {
         let true_car = &mut simulation.car.vehicle;
         true_car.front_cornering_stiffness_n_rad *= case.condition.stiffness();
         true_car.rear_cornering_stiffness_n_rad *= case.condition.stiffness();
-        let own = Own::of(&case.drives);
+        let own = OwnPoint::of(&case.drives);
         let reach = own.reach(true_car);
         let errors = Counted::new(own, true_car, course.counted, table);
         let [x, y] = course.start;
@@ -236,10 +283,22 @@ impl<'a> Run<'a> {
             yaw_rad: course.heading,
         };
         follow(&config, &mut simulation);
+        case.condition.falsify(&mut simulation);
         let period = config.control.period_ns() as f64 * 1e-9;
+        let driver = match foreign {
+            None => Driver::Pilot,
+            Some(mut law) => {
+                if is_compensated {
+                    let model = config.actuators.model();
+                    law.compensation = Some(Ahead::new(model, &law.vehicle, period));
+                }
+                let states = States::default();
+                Driver::Foreign { law, states }
+            }
+        };
         Ok(Self {
             drive: VirtualDrive::new(config, case.seed, simulation)?,
-            foreign,
+            driver,
             errors,
             loss: (course.counted[0] + 1.0, case.condition.loss_us()),
             delay_us: 1_000 * u64::from(delay_ms),
@@ -248,15 +307,16 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Gives the pilot steering and speed for the next tick.
-    fn send(&self, [steering, speed]: [f64; 2]) {
-        if self.foreign.is_some() {
-            let now = Time(self.drive.now_us() * 1_000);
-            self.drive.send_setpoint(&Setpoint::actuation(
-                now,
-                SteeringDemand::Angle(steering),
-                SpeedDemand::Speed(speed),
-            ));
+    /// Gives the pilot standstill for the next tick: without a set-point it does not arm.
+    fn stand(&self) {
+        let now = Time(self.drive.now_us() * 1_000);
+        match self.driver {
+            Driver::Pilot => {}
+            Driver::Foreign { .. } => self.drive.send_setpoint(&actuation(now, [0.0; 2])),
+            Driver::Yours(_) => {
+                let setpoint = Setpoint::point(now, None, Velocity::zeros());
+                self.drive.send_setpoint(&setpoint);
+            }
         }
     }
 
@@ -266,8 +326,11 @@ impl<'a> Run<'a> {
             if !armed && self.drive.mode() == Mode::Ready {
                 armed = self.drive.request(PilotRequest::Arm).is_ok();
             }
-            self.send([0.0; 2]);
+            self.stand();
             let tick = self.drive.step();
+            if let Driver::Foreign { states, .. } = &mut self.driver {
+                states.tick(&tick.tick);
+            }
             if tick.tick.output.mode == Mode::Driving {
                 self.lose();
                 self.take(&tick);
@@ -313,14 +376,32 @@ impl<'a> Run<'a> {
 
     fn finish(&mut self, course: &Course, most_m: f64) {
         let [from, until] = course.counted;
+        let ends = course.ends.then(|| self.errors.path_duration()).flatten();
         let mut counting = false;
+        let mut last = 0.0;
         while self.stopped.is_none() {
             let tick = self.drive.step();
+            if let Driver::Foreign { states, .. } = &mut self.driver {
+                states.tick(&tick.tick);
+            }
             let output = &tick.tick.output;
             let Some(time) = output.drive_time.filter(|_| output.mode == Mode::Driving) else {
-                self.stop();
+                let reason = self.drive.controller().pilot().reason();
+                if ends.is_some()
+                    && matches!(reason, Some(Reason::ReferenceFinished | Reason::Requested))
+                {
+                    self.stand_still(last + self.period, until, &tick);
+                } else {
+                    self.stop();
+                }
                 return;
             };
+            last = time;
+            // As the pilot ends a drive whose reference ends.
+            if !matches!(self.driver, Driver::Pilot) && ends.is_some_and(|end| time >= end) {
+                // Refused if it is asked for already.
+                let _ = self.drive.request(PilotRequest::Disarm);
+            }
             if time > until {
                 return;
             }
@@ -342,6 +423,17 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Counts how the car comes to rest behind the end of its path.
+    fn stand_still(&mut self, from: f64, until: f64, tick: &VirtualTick) {
+        self.errors.add(from, &tick.truth);
+        let mut time = from + self.period;
+        while time <= until {
+            let tick = self.drive.step();
+            self.errors.add(time, &tick.truth);
+            time += self.period;
+        }
+    }
+
     /// Counts a tick, and lets the law outside answer it.
     fn take(&mut self, tick: &VirtualTick) {
         let output = &tick.tick.output;
@@ -349,12 +441,33 @@ impl<'a> Run<'a> {
             return;
         };
         self.errors.add(time, &tick.truth);
-        let command = match (&mut self.foreign, &output.estimate) {
-            (Some(foreign), Some(estimate)) => {
-                foreign.command(estimate, time + self.period, self.period)
+        match (&mut self.driver, &output.estimate) {
+            (Driver::Foreign { law, states }, Some(estimate)) => {
+                let age = states.state(&tick.tick).board_age;
+                let known = Known {
+                    estimate,
+                    measured: age.map(|age| tick.now.before(age)),
+                    steering: output.actuation.steering,
+                    time,
+                };
+                let command = law.answer(&known, self.period);
+                let now = Time(self.drive.now_us() * 1_000);
+                self.drive.send_setpoint(&actuation(now, command));
             }
-            _ => return,
-        };
-        self.send(command);
+            (Driver::Yours(decide), _) => match decide(tick) {
+                Some(command) => self.drive.pass_setpoint(&command),
+                None => self.stopped = Some(NO_SETPOINT.to_owned()),
+            },
+            _ => {}
+        }
     }
+}
+
+/// Steering (rad) and speed (m/s) as a set-point.
+const fn actuation(now: Time, [steering, speed]: [f64; 2]) -> Setpoint {
+    Setpoint::actuation(
+        now,
+        SteeringDemand::Angle(steering),
+        SpeedDemand::Speed(speed),
+    )
 }

@@ -2,7 +2,7 @@
 
 use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel, Scale, Width};
 
-use super::{condition::Condition, controller::ControllerName, table::Line};
+use super::{condition::Condition, table::Line};
 
 /// The marks of the speeds, distinguishable without colour.
 const KINDS: [MarkKind; 5] = [
@@ -24,11 +24,11 @@ pub fn figure(lines: &[Line]) -> Option<Figure> {
         line.row.condition == Condition::Nominal && line.worst_of.is_none() && !line.front_axle
     });
     let shown: Vec<&Line> = shown.collect();
-    let mut controllers: Vec<ControllerName> = Vec::new();
+    let mut controllers: Vec<&str> = Vec::new();
     let mut speeds: Vec<f64> = Vec::new();
     for line in &shown {
-        if !controllers.contains(&line.row.controller) {
-            controllers.push(line.row.controller);
+        if !controllers.contains(&line.name.as_str()) {
+            controllers.push(&line.name);
         }
         if !speeds.contains(&line.row.speed_m_s) {
             speeds.push(line.row.speed_m_s);
@@ -48,7 +48,7 @@ pub fn figure(lines: &[Line]) -> Option<Figure> {
     })
 }
 
-fn panel(lines: &[&Line], controllers: &[ControllerName], speeds: &[f64]) -> Panel {
+fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
     let mut panel = Panel::new(
         Axis::new("", None, ""),
         Axis {
@@ -62,9 +62,7 @@ fn panel(lines: &[&Line], controllers: &[ControllerName], speeds: &[f64]) -> Pan
     panel.title = path.map_or_else(String::new, |path| path.to_string());
     panel.names = controllers.iter().map(ToString::to_string).collect();
     let place = |line: &Line| {
-        let controller = controllers
-            .iter()
-            .position(|name| *name == line.row.controller);
+        let controller = controllers.iter().position(|name| *name == line.name);
         let speed = speeds.iter().position(|speed| *speed == line.row.speed_m_s);
         let (controller, speed) = (controller.unwrap_or_default(), speed.unwrap_or_default());
         let aside = (speed as f64 + 0.5) / speeds.len() as f64 - 0.5;

@@ -3,10 +3,15 @@
 //! They drive the same car as the project's own: by steering and speed as a program outside
 //! gives them to the pilot, whose supervisor, limits and board stand behind them. A set-point
 //! acts in the tick after the one whose state it is computed from, so the state is predicted
-//! by one tick.
+//! by one tick. With the compensation it is predicted to the moment at which the command acts,
+//! by the pilot's own predictor, and steering and speed lead their lags.
+
+use std::collections::VecDeque;
 
 use libm::{atan, atan2, cos, hypot, sin, tan};
-use singletrack_control::{Estimate, VehicleParameters, wrap};
+use singletrack_control::{
+    ActuatorModel, Estimate, Predicted, Predictor, Time, VehicleParameters, wrap,
+};
 
 use super::course::Table;
 
@@ -32,6 +37,107 @@ pub(super) struct Foreign<'a> {
     pub(super) table: &'a Table,
     /// The place of the nearest point.
     pub(super) index: usize,
+    /// None to command as if steering and motor answered at once.
+    pub(super) compensation: Option<Ahead>,
+}
+
+/// The compensation of the actuators, as the pilot's own loops have it.
+#[derive(Clone, Debug)]
+pub(super) struct Ahead {
+    /// Its dead time is that from the tick whose state is known: a set-point acts a tick later.
+    predictor: Predictor,
+    model: ActuatorModel,
+    period: f64,
+    /// The speeds planned, with the times (s) at which the car should have them.
+    planned: VecDeque<(f64, f64)>,
+    /// The one that is due, and what its deviations have added to the command, in m/s.
+    due: Option<f64>,
+    integral: f64,
+}
+
+/// What a tick knows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Known<'a> {
+    pub(super) estimate: &'a Estimate,
+    /// When the yaw rate was measured.
+    pub(super) measured: Option<Time>,
+    /// The steering that the tick commanded, in rad.
+    pub(super) steering: f64,
+    /// In s since the start of the drive.
+    pub(super) time: f64,
+}
+
+/// The largest change of speed that is led, in m/s².
+const MOST_ACCELERATION: f64 = 2.0;
+/// The largest deviation of the speed that is integrated, in m/s.
+const DEVIATION_M_S: f64 = 0.15;
+/// The largest steering rate that is led, in rad/s.
+const MOST_RATE: f64 = 5.0;
+
+impl Ahead {
+    /// For a car whose control has this period, in s.
+    pub(super) fn new(model: ActuatorModel, vehicle: &VehicleParameters, period: f64) -> Self {
+        let from_tick = ActuatorModel {
+            steering_dead_time: model.steering_dead_time + period,
+            ..model
+        };
+        Self {
+            predictor: Predictor::new(from_tick, vehicle),
+            model,
+            period,
+            planned: VecDeque::new(),
+            due: None,
+            integral: 0.0,
+        }
+    }
+
+    /// What the deviation from the planned speed adds to the command, as in the pilot, in m/s.
+    fn correction(&mut self, known: &Known<'_>) -> f64 {
+        while let Some(&(time, planned)) = self.planned.front()
+            && time <= known.time
+        {
+            self.due = Some(planned);
+            self.planned.pop_front();
+        }
+        let Some(due) = self.due else { return 0.0 };
+        let deviation = due - known.estimate.speed;
+        let most = 0.05 + 0.25 * due.abs();
+        if deviation.abs() < DEVIATION_M_S {
+            let answer = (self.model.speed_dead_time + self.model.speed_lag).max(0.1);
+            let change = 0.35 / answer * deviation * self.period;
+            self.integral = (self.integral + change).clamp(-most, most);
+        }
+        let proportional = 0.5 * deviation.clamp(-DEVIATION_M_S, DEVIATION_M_S);
+        (proportional + self.integral).clamp(-most, most)
+    }
+
+    /// The state at which the next command begins to turn the wheels.
+    fn predict(&mut self, known: &Known<'_>) -> Predicted {
+        let estimate = known.estimate;
+        // The command of this tick acts a period before the next one.
+        let given = estimate.time.before(self.period);
+        self.predictor.commanded(given, known.steering);
+        self.predictor.advance(estimate.time, estimate.speed);
+        self.predictor.predict(estimate, known.measured)
+    }
+}
+
+/// Position of G in m, yaw in rad and speed in m/s.
+#[derive(Clone, Copy, Debug)]
+struct Pose {
+    position: [f64; 2],
+    yaw: f64,
+    speed: f64,
+}
+
+impl From<&Predicted> for Pose {
+    fn from(state: &Predicted) -> Self {
+        Self {
+            position: [state.position.x, state.position.y],
+            yaw: state.motion.yaw,
+            speed: state.speed,
+        }
+    }
 }
 
 /// The least distance ahead of pure pursuit, in m.
@@ -44,15 +150,61 @@ const MOST_STEERING: f64 = 0.6;
 const MOST_SPEED: f64 = 3.0;
 
 impl Foreign<'_> {
-    /// Steering (rad) and speed of G (m/s), for `time` seconds after the start of the drive.
+    /// Steering (rad) and speed of G (m/s) for the tick after one that knows this.
+    pub(super) fn answer(&mut self, known: &Known<'_>, period: f64) -> [f64; 2] {
+        let Some(ahead) = &mut self.compensation else {
+            return self.command(known.estimate, known.time + period, period);
+        };
+        let state = ahead.predict(known);
+        let model = ahead.model;
+        let correction = ahead.correction(known);
+        let acts = known.time + state.ahead;
+        let [first, speed] = self.wanted(&Pose::from(&state), acts);
+        let rate = ((first - state.wheels) / period).clamp(-MOST_RATE, MOST_RATE);
+        let [next, _] = self.wanted(
+            &Pose::from(&state.after(period, rate, speed)),
+            acts + period,
+        );
+        let rate = ((next - first) / period).clamp(-MOST_RATE, MOST_RATE);
+        let steering = first + model.steering_lag * rate;
+        // The motor acts later than the wheels.
+        let later = (model.speed_dead_time - model.steering_dead_time).max(0.0);
+        let state = state.after(later, rate, speed);
+        let [_, speed] = self.wanted(&Pose::from(&state), acts + later);
+        if let Some(ahead) = &mut self.compensation {
+            ahead.planned.push_back((acts + later, speed));
+        }
+        let state = state.after(period, rate, speed);
+        let [_, next] = self.wanted(&Pose::from(&state), acts + later + period);
+        let slope = ((next - speed) / period).clamp(-MOST_ACCELERATION, MOST_ACCELERATION);
+        let speed = speed + model.speed_lag * slope + correction;
+        [
+            steering.clamp(-MOST_STEERING, MOST_STEERING),
+            speed.clamp(0.0, MOST_SPEED),
+        ]
+    }
+
+    /// The same from a state that goes on for `ahead` seconds without a change, for `time` seconds
+    /// after the start of the drive.
     pub(super) fn command(&mut self, estimate: &Estimate, time: f64, ahead: f64) -> [f64; 2] {
         let course = estimate.yaw + estimate.sideslip;
         let way = ahead * estimate.speed;
-        let yaw = estimate.yaw + ahead * estimate.yaw_rate;
-        let g = [
-            estimate.position.x + way * cos(course),
-            estimate.position.y + way * sin(course),
-        ];
+        let pose = Pose {
+            position: [
+                estimate.position.x + way * cos(course),
+                estimate.position.y + way * sin(course),
+            ],
+            yaw: estimate.yaw + ahead * estimate.yaw_rate,
+            speed: estimate.speed,
+        };
+        self.wanted(&pose, time)
+    }
+
+    /// The angle of the front wheels (rad) and the speed of G (m/s) by the law.
+    fn wanted(&mut self, pose: &Pose, time: f64) -> [f64; 2] {
+        let Pose {
+            position: g, yaw, ..
+        } = *pose;
         let rear = self.vehicle.rear_axle_distance_m;
         let front = self.vehicle.front_axle_distance_m;
         let own = match self.law {
@@ -69,7 +221,7 @@ impl Foreign<'_> {
         let wheelbase = rear + front;
         let (steering, rear_speed) = match self.law {
             Law::PurePursuit { time } => {
-                let ahead = LEAST_AHEAD.max(time * estimate.speed);
+                let ahead = LEAST_AHEAD.max(time * pose.speed);
                 let target = self.table.get(self.table.find(nearest.way + ahead));
                 let [x, y] = [0, 1].map(|axis| target.position[axis] - point[axis]);
                 let distance = hypot(x, y).max(0.5 * LEAST_AHEAD);
@@ -79,7 +231,7 @@ impl Foreign<'_> {
             Law::Stanley { gain } => {
                 let [x, y] = [0, 1].map(|axis| point[axis] - nearest.position[axis]);
                 let left = y * cos(nearest.heading) - x * sin(nearest.heading);
-                let towards = atan(-gain * left / estimate.speed.max(LEAST_SPEED));
+                let towards = atan(-gain * left / pose.speed.max(LEAST_SPEED));
                 let steering = wrap(nearest.heading - yaw) + towards;
                 let steering = steering.clamp(-MOST_STEERING, MOST_STEERING);
                 (steering, speed * cos(steering))
@@ -118,6 +270,7 @@ mod tests {
             vehicle,
             table: &table,
             index: 0,
+            compensation: None,
         };
         let mut yaw = course.heading;
         let [x, y] = course.start;
@@ -177,6 +330,7 @@ mod tests {
             vehicle: VehicleParameters::paper(),
             table: &table,
             index: 0,
+            compensation: None,
         };
         let [x, y] = course.start;
         let estimate = Estimate {

@@ -11,7 +11,7 @@ use singletrack_sim::Truth;
 
 use super::{
     controller::Drives,
-    counted::{Counted, DriveResult, Own, POINT_DISTANCE_M},
+    counted::{Counted, DriveResult, OwnPoint, POINT_DISTANCE_M},
     course::{Course, Table},
     drive::DriveError,
     foreign::Foreign,
@@ -40,7 +40,7 @@ pub(super) fn drive(
     table: &Table,
 ) -> Result<DriveResult, DriveError> {
     let vehicle = VehicleParameters::paper();
-    let own = Own::of(drives);
+    let own = OwnPoint::of(drives);
     let mut errors = Counted::new(own, &vehicle, course.counted, table);
     let mut law = Controller::new(drives, &vehicle, table)?;
     let mut car = Car::at(own.reach(&vehicle), course, vehicle);
@@ -130,13 +130,16 @@ impl<'a> Controller<'a> {
                 },
                 table,
             },
-            Drives::Actuators { law, catch_up } => Self::Foreign(Foreign {
+            Drives::Actuators { law, catch_up, .. } => Self::Foreign(Foreign {
                 law,
                 catch_up,
                 vehicle: *vehicle,
                 table,
                 index: 0,
+                // There is nothing to compensate.
+                compensation: None,
             }),
+            Drives::Yours(_) => return Err(DriveError::Yours),
         })
     }
 

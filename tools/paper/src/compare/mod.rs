@@ -25,13 +25,14 @@ use singletrack_figures::output::{WriteError, make_folder, print, write};
 
 pub use condition::Condition;
 pub use controller::ControllerName;
-pub use counted::{AddedDelay, DriveResult, Effort, Errors};
+pub use counted::{AddedDelay, DriveResult, Effort, Errors, OwnPoint};
 pub use course::PathName;
+use course::TEST_PATHS;
 pub use delays::{DELAYS_HEADER, DelayLine, delays, delays_csv, delays_markdown};
-pub use drive::DriveError;
+pub use drive::{Decide, DriveError};
 pub use figure::figure;
 pub use plan::{CompareUnitError, Comparison, Row};
-pub use table::{HEADER, Line, csv, lines, markdown};
+pub use table::{HEADER, Line, csv, lines, lines_with, markdown};
 pub use tune::BUDGET;
 
 /// Options of `singletrack compare`.
@@ -41,23 +42,22 @@ pub struct CompareArgs {
     #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
     pub controllers: Vec<ControllerName>,
 
-    /// Paths to drive [default: all].
+    /// Paths to drive [default: the test paths, on which no parameter was chosen].
     #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
     pub paths: Vec<PathName>,
 
-    /// Speeds, in m/s.
-    #[arg(
-        long,
-        value_name = "SPEEDS",
-        value_delimiter = ',',
-        default_value = "0.5,1.0,1.5,1.8",
-        value_parser = speed
-    )]
+    /// Speeds, in m/s [default: 1.0,1.5].
+    #[arg(long, value_name = "SPEEDS", value_delimiter = ',', value_parser = speed)]
     pub speeds: Vec<f64>,
 
-    /// Conditions [default: all].
+    /// Conditions [default: nominal].
     #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
     pub conditions: Vec<Condition>,
+
+    /// Every path at 0.5, 1.0, 1.5 and 1.8 m/s under every condition, except those that are given:
+    /// hours.
+    #[arg(long)]
+    pub all: bool,
 
     /// First seed. Seed 0 is that of the tuning.
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -124,10 +124,18 @@ fn speed(text: &str) -> Result<f64, String> {
     }
 }
 
-fn or_all<T: ValueEnum>(given: &[T]) -> Vec<T> {
-    let all = T::value_variants();
-    if given.is_empty() { all } else { given }.to_vec()
+/// What is given, or all of it, or the default.
+fn or<T: Clone>(given: &[T], is_all: bool, all: &[T], default: &[T]) -> Vec<T> {
+    match (given, is_all) {
+        ([], true) => all,
+        ([], false) => default,
+        _ => given,
+    }
+    .to_vec()
 }
+
+const ALL_SPEEDS_M_S: [f64; 4] = [0.5, 1.0, 1.5, 1.8];
+const SPEEDS_M_S: [f64; 2] = [1.0, 1.5];
 
 /// Runs the comparison, prints and writes its table.
 ///
@@ -135,7 +143,8 @@ fn or_all<T: ValueEnum>(given: &[T]) -> Vec<T> {
 ///
 /// A drive can't be simulated, or a file can't be read or written.
 pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
-    let controllers = or_all(&args.controllers);
+    let controllers = ControllerName::value_variants();
+    let controllers = or(&args.controllers, true, controllers, &[]);
     if args.tune {
         return Ok(print(&tune::tune(&controllers, args.campaign.threads())?)?);
     }
@@ -143,7 +152,12 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
         // Before hours of work.
         make_folder(folder)?;
     }
-    let mut conditions = or_all(&args.conditions);
+    let mut conditions = or(
+        &args.conditions,
+        args.all,
+        Condition::value_variants(),
+        &[Condition::Nominal],
+    );
     if args.conditions.is_empty()
         && args.format == CompareFormat::Csv
         && args.out.is_none()
@@ -154,8 +168,13 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
     }
     let plan = Comparison {
         controllers,
-        paths: or_all(&args.paths),
-        speeds_m_s: args.speeds.clone(),
+        paths: or(
+            &args.paths,
+            args.all,
+            PathName::value_variants(),
+            &TEST_PATHS,
+        ),
+        speeds_m_s: or(&args.speeds, args.all, &ALL_SPEEDS_M_S, &SPEEDS_M_S),
         conditions,
         first_seed: args.first_seed,
         seeds: args.seeds,

@@ -2,13 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 use singletrack_campaign::Experiment;
+use singletrack_control::Reference;
 
 use super::{
     condition::Condition,
-    controller::ControllerName,
-    counted::DriveResult,
-    course::PathName,
-    drive::{Case, DriveError},
+    controller::{ControllerName, Drives},
+    counted::{DriveResult, OwnPoint},
+    course::{Course, PathName},
+    drive::{Case, Decide, DriveError},
 };
 
 /// A comparison: every controller on every path at every speed under every condition, with
@@ -76,6 +77,47 @@ impl Comparison {
         }
     }
 
+    /// Whether a unit is a drive of the program's own controller.
+    #[must_use]
+    pub fn is_yours(&self, unit: u64) -> bool {
+        self.case(unit)
+            .is_some_and(|case| matches!(case.drives, Drives::Yours(_)))
+    }
+
+    /// The reference of a unit, and the time (s) until which its drive is counted.
+    ///
+    /// # Errors
+    ///
+    /// There is no such unit.
+    pub fn path(&self, unit: u64) -> Result<(Reference, f64), CompareUnitError> {
+        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
+        let course = Course::new(case.path, case.speed_m_s);
+        let reference = course.reference.reference();
+        let reference = reference.map_err(|error| CompareUnitError::of(unit, error.into()))?;
+        Ok((reference, course.counted[1]))
+    }
+
+    /// Drives a unit by the set-points of a program, which follows the path with `own`. The car, its
+    /// seeds and what is counted are those of every other controller.
+    ///
+    /// # Errors
+    ///
+    /// There is no such unit, or it can't be simulated.
+    pub fn drive_yours(
+        &self,
+        unit: u64,
+        own: OwnPoint,
+        decide: &mut Decide<'_>,
+    ) -> Result<DriveResult, CompareUnitError> {
+        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
+        let case = Case {
+            drives: Drives::Yours(own),
+            ..case
+        };
+        let result = case.drive_by(decide);
+        result.map_err(|error| CompareUnitError::of(unit, error))
+    }
+
     /// The row and the seed of a unit.
     fn case(&self, unit: u64) -> Option<Case> {
         let mut index = unit;
@@ -120,6 +162,13 @@ pub enum CompareUnitError {
     },
 }
 
+impl CompareUnitError {
+    fn of(unit: u64, source: DriveError) -> Self {
+        let source = Box::new(source);
+        Self::Drive { unit, source }
+    }
+}
+
 impl Experiment for Comparison {
     const NAME: &'static str = "compare";
     type Result = DriveResult;
@@ -132,9 +181,7 @@ impl Experiment for Comparison {
 
     fn run(&self, unit: u64) -> Result<DriveResult, CompareUnitError> {
         let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
-        case.drive().map_err(|source| CompareUnitError::Drive {
-            unit,
-            source: Box::new(source),
-        })
+        case.drive()
+            .map_err(|error| CompareUnitError::of(unit, error))
     }
 }

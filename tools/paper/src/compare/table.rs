@@ -6,7 +6,9 @@ use singletrack_statistics::Distribution;
 
 use super::{
     condition::{Condition, WORST},
+    controller::ControllerName,
     counted::{DriveResult, Effort, Errors},
+    course::PathName,
     plan::{Comparison, Row},
     stops::StopReasons,
 };
@@ -15,14 +17,24 @@ use super::{
 pub const HEADER: &str = "controller,path,speed_m_s,condition,seeds,rms_m,rms_low_m,rms_high_m,\
                           p99_m,max_m,along_rms_m,across_rms_m,tyre_use_max,stops,\
                           steering_rate_rms_rad_s,steering_rate_max_rad_s,speed_ripple_m_s,\
-                          worst_condition,stop_reasons";
+                          worst_condition,rank,stop_reasons";
+
+/// RMS that differ by less count as the same, in m: half of the noise of the cameras.
+const FLOOR_M: f64 = 1e-4;
 
 /// A line of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     pub(super) row: Row,
+    /// The name of the controller.
+    pub(super) name: String,
     /// What it is the worst of; the condition is that of the row.
     pub(super) worst_of: Option<&'static str>,
+    /// The root mean square of each seed that was driven to the end, in m.
+    rms_of: Vec<(u64, f64)>,
+    /// The place among the controllers of the case; those that can't be told apart from the first of
+    /// a place share it. None if no drive came to the end, or if one seed tells nothing.
+    rank: Option<usize>,
     /// Whether the errors are those of the front axle, not of the controller's own point.
     pub(super) front_axle: bool,
     seeds: usize,
@@ -41,14 +53,15 @@ pub struct Line {
 pub(super) fn by_row<'a>(
     plan: &Comparison,
     results: &'a [(u64, DriveResult)],
-) -> Vec<(Row, Vec<&'a DriveResult>)> {
+) -> Vec<(Row, Vec<(u64, &'a DriveResult)>)> {
     let mut results = results.iter().peekable();
     let mut end = 0;
     let rows = plan.rows().map(|row| {
         end += plan.seeds_under(row.condition);
         let mut own = Vec::new();
-        while let Some((_, result)) = results.next_if(|(unit, _)| *unit < end) {
-            own.push(result);
+        while let Some((unit, result)) = results.next_if(|(unit, _)| *unit < end) {
+            // The same number is the same seed in every row of a condition.
+            own.push((end - unit, result));
         }
         (row, own)
     });
@@ -64,7 +77,7 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
         .iter()
         .filter(|(row, _)| row.condition != Condition::AddedDelay)
         .collect();
-    let mut lines = Vec::new();
+    let mut lines: Vec<Line> = Vec::new();
     for group in rows.chunk_by(|(a, _), (b, _)| a.path == b.path && a.speed_m_s == b.speed_m_s) {
         let first = lines.len();
         for (row, own) in group {
@@ -97,19 +110,105 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
             }
         }
     }
+    rank(&mut lines);
     lines
 }
 
+/// The same, in which the program's own controller has this name.
+#[must_use]
+pub fn lines_with(plan: &Comparison, results: &[(u64, DriveResult)], yours: &str) -> Vec<Line> {
+    let mut lines = lines(plan, results);
+    for line in &mut lines {
+        if line.row.controller == ControllerName::Yours {
+            yours.clone_into(&mut line.name);
+        }
+    }
+    lines
+}
+
+/// Gives every line its place among those of its case.
+fn rank(lines: &mut [Line]) {
+    let mut order: Vec<usize> = (0..lines.len()).collect();
+    // The lines of a case side by side, the best first; they stay in the order of the cases.
+    let mut cases: Vec<(PathName, f64, String)> = Vec::new();
+    let numbers: Vec<usize> = lines
+        .iter()
+        .map(|line| {
+            let case = (line.row.path, line.row.speed_m_s, line.condition());
+            let known = cases.iter().position(|other| *other == case);
+            known.unwrap_or_else(|| {
+                cases.push(case);
+                cases.len() - 1
+            })
+        })
+        .collect();
+    order.sort_by(|&a, &b| {
+        let case = numbers[a].cmp(&numbers[b]);
+        case.then(lines[a].stops.cmp(&lines[b].stops))
+            .then(lines[a].rms().total_cmp(&lines[b].rms()))
+    });
+    for case in order.chunk_by(|&a, &b| numbers[a] == numbers[b]) {
+        let mut head = None;
+        let mut place = 0;
+        for (index, &line) in case.iter().enumerate() {
+            if !lines[line].is_told() {
+                continue;
+            }
+            if head.is_none_or(|head: usize| !lines[line].is_same(&lines[head])) {
+                head = Some(line);
+                place = index + 1;
+            }
+            lines[line].rank = Some(place);
+        }
+    }
+}
+
 impl Line {
-    fn of(row: Row, front_axle: bool, results: &[&DriveResult]) -> Self {
-        let driven = || results.iter().filter(|result| result.stopped.is_none());
-        let errors = driven().filter_map(|result| {
+    /// Whether it can be compared: some drives came to the end, more than one if chance has a part.
+    fn is_told(&self) -> bool {
+        let least = if self.row.condition == Condition::IdealPlant {
+            1
+        } else {
+            2
+        };
+        self.rms_of.len() >= least
+    }
+
+    /// Whether nothing tells it apart from `other`: as many stops, and the difference with the same
+    /// seeds below the floor, or zero within its interval.
+    fn is_same(&self, other: &Self) -> bool {
+        if self.stops != other.stops {
+            return false;
+        }
+        let differences = self.rms_of.iter().filter_map(|(seed, rms)| {
+            let theirs = other.rms_of.iter().find(|(theirs, _)| theirs == seed);
+            theirs.map(|(_, theirs)| rms - theirs)
+        });
+        let differences: Vec<f64> = differences.collect();
+        let [low, high] = interval(&differences);
+        (self.rms() - other.rms()).abs() < FLOOR_M || !(low > 0.0 || high < 0.0)
+    }
+
+    fn of(row: Row, front_axle: bool, results: &[(u64, &DriveResult)]) -> Self {
+        let driven = || {
+            results
+                .iter()
+                .filter(|(_, result)| result.stopped.is_none())
+        };
+        let point = |result: &DriveResult| {
             if front_axle {
                 result.front_axle
             } else {
                 result.own
             }
-        });
+        };
+        let rms_of = driven()
+            .filter_map(|(seed, result)| point(result).map(|errors| (*seed, errors.rms)))
+            .collect();
+        let results: Vec<&DriveResult> = results.iter().map(|(_, result)| *result).collect();
+        let results = results.as_slice();
+        let driven = || results.iter().filter(|result| result.stopped.is_none());
+        let errors = driven().filter_map(|result| point(result));
         let errors: Vec<Errors> = errors.collect();
         let efforts: Vec<Effort> = driven().filter_map(|result| result.effort).collect();
         let rms: Vec<f64> = errors.iter().map(|errors| errors.rms).collect();
@@ -120,7 +219,10 @@ impl Line {
             .filter_map(|result| result.stopped.as_deref());
         Self {
             row,
+            name: row.controller.name().to_owned(),
             worst_of: None,
+            rms_of,
+            rank: None,
             front_axle,
             seeds: results.len(),
             values: [
@@ -202,23 +304,22 @@ pub fn csv(lines: &[Line]) -> String {
     let mut text = format!("{HEADER}\n");
     for line in lines {
         let Row {
-            controller,
-            path,
-            speed_m_s,
-            ..
+            path, speed_m_s, ..
         } = line.row;
+        let controller = &line.name;
         let plain = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
         let (values, effort) = (line.values.map(plain), line.effort.map(plain));
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{controller},{path},{speed_m_s},{},{},{},{},{},{},{}",
+            "{controller},{path},{speed_m_s},{},{},{},{},{},{},{},{}",
             line.condition(),
             line.seeds,
             values.join(","),
             line.stops,
             effort.join(","),
             line.worst_of.map_or("", |_| line.row.condition.name()),
+            line.rank.map_or_else(String::new, |rank| rank.to_string()),
             line.stop_reasons.joined(";")
         );
     }
@@ -241,15 +342,25 @@ pub fn markdown(lines: &[Line]) -> String {
     };
     for group in lines.chunk_by(|a, b| case(a) == case(b)) {
         let (front, mut own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
-        own.sort_by(|a, b| a.rms().total_cmp(&b.rms()));
+        own.sort_by(|a, b| {
+            let ranks = [a, b].map(|line| line.rank.unwrap_or(usize::MAX));
+            ranks[0].cmp(&ranks[1]).then(a.rms().total_cmp(&b.rms()))
+        });
         let title = group.first().map_or_else(String::new, case);
         let _ = writeln!(
             text,
-            "{title}\n\n| controller | RMS (mm) | 95 % | 99 % | largest | along | across | \
+            "{title}\n\n| | controller | RMS (mm) | 95 % | 99 % | largest | along | across | \
              front axle across | tyres | steering rate, RMS and largest (rad/s) | ripple (mm/s) | \
-             stops |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
+             stops |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|"
         );
+        let mut before = None;
         for line in own {
+            let rank = match line.rank {
+                None => "-".to_owned(),
+                rank if rank == before => "same".to_owned(),
+                Some(rank) => rank.to_string(),
+            };
+            before = line.rank;
             let mine = front
                 .iter()
                 .find(|front| front.row.controller == line.row.controller);
@@ -261,11 +372,7 @@ pub fn markdown(lines: &[Line]) -> String {
             let [rate, most_rate, _] = line.effort.map(in_units);
             let [.., ripple] = line.effort.map(in_mm);
             let Line { stops, seeds, .. } = line;
-            let Row {
-                controller,
-                condition,
-                ..
-            } = line.row;
+            let (controller, condition) = (&line.name, line.row.condition);
             let worst = line.worst_of.map(|_| format!(", {condition}"));
             let worst = worst.unwrap_or_default();
             let reasons = match stops {
@@ -274,7 +381,7 @@ pub fn markdown(lines: &[Line]) -> String {
             };
             let _ = writeln!(
                 text,
-                "| {controller}{worst} | {rms} | {low} to {high} | {p99} | {max} | {along} | {across} \
+                "| {rank} | {controller}{worst} | {rms} | {low} to {high} | {p99} | {max} | {along} | {across} \
                  | {front} | {tyres:.2} | {rate} and {most_rate} | {ripple} | {stops} of \
                  {seeds}{reasons} |"
             );
