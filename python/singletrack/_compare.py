@@ -17,8 +17,6 @@ from ._state import Pair, State, state
 _TEST_PATHS = ("ellipse", "double-lane-change", "corners", "wide-eight", "stop")
 _WITH = ("p-compensated", "lqi-compensated", "pure-pursuit-compensated", "stanley-compensated")
 
-Decide = Callable[[State], Sequence[float]]
-
 
 class Path:
     """A path of the comparison: where the controller's point should be at a time."""
@@ -98,16 +96,15 @@ def compare(
     """
     if drives not in ("velocity", "steering"):
         raise ValueError(f'drives is {drives!r}: use "velocity" or "steering"')
+    is_class = inspect.isclass(controller)
     keys = _velocity if drives == "velocity" else _steering
 
     def begin(native: _native.Course) -> Callable[[dict[str, Any]], dict[str, Any]]:
         path = Path(native)
-        decide: Decide
-        if inspect.isclass(controller):
+        if is_class:
             decide = controller(path)
-        else:
-            decide = lambda now: controller(now, path)  # noqa: E731
-        return lambda values: keys(*decide(state(values)))
+            return lambda values: keys(*decide(state(values)))
+        return lambda values: keys(*controller(state(values), path))
 
     table, markdown = _native.compare(
         begin,
