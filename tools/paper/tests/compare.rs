@@ -246,6 +246,7 @@ fn the_compensation_makes_the_laws_of_the_literature_better() {
         &[Condition::Nominal],
     );
     plan.paths = vec![PathName::WideEight];
+    plan.speeds_m_s = vec![1.5];
     let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
     let rows = rows(&table);
     let along = |name: &str| rows[&format!("{name} nominal")][6].parse::<f64>().unwrap();
