@@ -182,7 +182,7 @@ enum Driver<'a> {
     /// The pilot, from its reference.
     Pilot,
     Foreign {
-        law: Foreign<'a>,
+        law: Box<Foreign<'a>>,
         /// For the age of the yaw rate.
         states: States,
     },
@@ -293,7 +293,10 @@ impl<'a> Run<'a> {
                     law.compensation = Some(Ahead::new(model, &law.vehicle, period));
                 }
                 let states = States::default();
-                Driver::Foreign { law, states }
+                Driver::Foreign {
+                    law: Box::new(law),
+                    states,
+                }
             }
         };
         Ok(Self {
