@@ -26,6 +26,7 @@ struct Readme;
 mod actuation;
 mod angle;
 mod axles;
+mod calibration;
 mod compensation;
 mod convex_area;
 mod estimate;
@@ -52,6 +53,10 @@ mod vehicle;
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 pub use angle::{unwrap_near, wrap};
 pub use axles::{AxleForces, Axles, SlipAngles, Tyres};
+pub use calibration::{
+    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
+    CalibrationTick,
+};
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
 pub use estimate::Estimate;
