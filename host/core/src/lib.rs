@@ -15,6 +15,7 @@ pub mod feasibility;
 pub mod grid;
 pub mod host;
 pub mod line;
+pub mod online_calibration;
 pub mod reasons;
 pub mod reconfigure;
 pub mod serial;

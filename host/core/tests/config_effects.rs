@@ -14,6 +14,7 @@ const READ_AS_THEY_ARE: &[&str] = &[
     "supervisor.require_calibration",
     "control.align_to_cameras",
     "control.realtime_priority",
+    "online_calibration",
 ];
 
 /// Sections whose keys depend on a kind, or come together; they have tests of their own.

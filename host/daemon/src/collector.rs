@@ -22,6 +22,7 @@ use singletrack_record::{Encoder, Entry, FeedInput, Level, Log, TickOutput};
 
 use crate::{
     clock::{monotonic_ns, wall_ns},
+    drive_calibration::DriveCalibration,
     drive_noise::DriveNoise,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
@@ -56,6 +57,8 @@ pub(crate) struct Collector {
     pub(crate) logged_mode: Option<(Mode, Option<Reason>)>,
     /// The noise of the IMU in the drive under way.
     pub(crate) noise: DriveNoise,
+    /// What the drives say about the calibration.
+    pub(crate) calibration: DriveCalibration,
     /// Makes the state stream.
     pub(crate) states: States,
     /// Where newly proved configurations are kept.
@@ -134,6 +137,9 @@ impl Collector {
                 latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
+            if tick.output.mode.is_underway() {
+                self.calibration.tick(&tick);
+            }
             if let Some(measured) = tick.output.braking_measured {
                 let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
                 self.log(tick.start_ns, level, text);
@@ -226,6 +232,14 @@ impl Collector {
             text += &format!("; {neighbour}");
         }
         self.log(time_ns, level, text);
+        if mode.is_underway() {
+            let (number, toml) = self.reconfigurer.text();
+            self.calibration.begin(number, toml.as_deref());
+        } else {
+            for advice in self.calibration.end() {
+                self.log(time_ns, Level::Warning, advice);
+            }
+        }
         if !mode.is_underway()
             && let Some(warning) = self.noise.end()
         {

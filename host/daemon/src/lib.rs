@@ -23,6 +23,7 @@ mod collector;
 mod commissioned_file;
 mod control_thread;
 mod daemon;
+mod drive_calibration;
 mod drive_noise;
 mod handle;
 mod json_file;

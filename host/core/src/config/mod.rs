@@ -18,6 +18,7 @@ mod law;
 mod limits;
 mod loop_model;
 mod motion_capture;
+mod online_calibration;
 mod outer_loop;
 mod output;
 mod reference;
@@ -55,6 +56,7 @@ pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
+pub use online_calibration::{OnlineCalibrationMode, OnlineCalibrationSection};
 pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
@@ -110,6 +112,8 @@ section! {
     safety_filter: SafetyFilterSection = SafetyFilterSection::default();
     /// What may be changed while the car drives.
     tuning: TuningSection = TuningSection::default();
+    /// What a drive says about the calibration.
+    online_calibration: OnlineCalibrationSection = OnlineCalibrationSection::default();
     /// How the controller runs.
     control: ControlSection = ControlSection::default();
     /// The record of every tick.
@@ -230,6 +234,7 @@ impl Config {
         self.actuators.check()?;
         self.compensation.check()?;
         self.safety_filter.check()?;
+        self.online_calibration.validate()?;
         self.safety_filter.filter(self)?;
         self.record.validate()?;
         self.state.validate()?;

@@ -5,10 +5,10 @@ use singletrack_settings::{Declared as _, Section};
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
     EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
-    LiveSection, MotionCaptureSection, PageSection, PoseSection, RecordSection,
-    SafetyFilterSection, SerialSection, ServoSection, SocketSection, SpeedSection, StateSection,
-    SupervisorSection, TimingSection, TuningSection, WatchSection, outer_loop::OuterLoopKeys,
-    reference::ReferenceKeys, vehicle::VehicleKeys,
+    LiveSection, MotionCaptureSection, OnlineCalibrationSection, PageSection, PoseSection,
+    RecordSection, SafetyFilterSection, SerialSection, ServoSection, SocketSection, SpeedSection,
+    StateSection, SupervisorSection, TimingSection, TuningSection, WatchSection,
+    outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys,
 };
 
 /// Every section, in the order of the file.
@@ -36,6 +36,7 @@ pub const SECTIONS: &[Section] = &[
     CompensationSection::SECTION,
     SafetyFilterSection::SECTION,
     TuningSection::SECTION,
+    OnlineCalibrationSection::SECTION,
     ControlSection::SECTION,
     RecordSection::SECTION,
     StateSection::SECTION,

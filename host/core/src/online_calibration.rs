@@ -1,0 +1,306 @@
+//! What a drive says about the calibration, from the records of its ticks.
+
+use singletrack_control::{
+    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
+    CalibrationTick,
+};
+use singletrack_pilot::{Event, Mode};
+use singletrack_record::TickRecord;
+use toml::Value;
+
+use crate::{Config, ConfigError};
+
+/// The events of a kind that are used of a tick: more come only after a pause.
+const EVENTS: usize = 16;
+
+/// Estimates what a drive says about the calibration. It does not change the drive.
+#[derive(Clone, Debug)]
+pub struct OnlineCalibration {
+    // It is too large for a thread's stack.
+    calibration: Box<Calibration>,
+}
+
+impl OnlineCalibration {
+    /// For this configuration; none if it is off.
+    #[must_use]
+    pub fn new(config: &Config) -> Option<Self> {
+        config.online_calibration.is_enabled().then(|| Self {
+            calibration: Box::new(Calibration::new(CalibrationConfig {
+                vehicle: config.vehicle,
+                actuators: config.actuators.model(),
+                marker_offset: config.motion_capture.marker_offset_m,
+                marker_yaw: config.motion_capture.marker_yaw_rad,
+                pulse_distance: f64::from(config.board.speed.pulse_distance_um) * 1e-6,
+            })),
+        })
+    }
+
+    /// Takes a tick.
+    pub fn tick(&mut self, tick: &TickRecord) {
+        let mut poses = heapless::Vec::<_, EVENTS>::new();
+        let mut samples = heapless::Vec::<_, EVENTS>::new();
+        for event in &tick.events {
+            match event {
+                Event::Pose(pose) => {
+                    let _ = poses.push(*pose);
+                }
+                Event::Board(board) => {
+                    let _ = samples.push(CalibrationSample {
+                        time: board.time,
+                        inertial: board.inertial,
+                        motor_speed: board.motor_speed,
+                    });
+                }
+                _ => {}
+            }
+        }
+        let output = &tick.output;
+        let drives = matches!(output.mode, Mode::Driving | Mode::Slowing | Mode::Stopping);
+        let command = output.command.filter(|_| drives);
+        self.calibration.tick(&CalibrationTick {
+            time: tick.pilot_time,
+            steering: command.map(|command| command.steering),
+            poses: &poses,
+            samples: &samples,
+        });
+    }
+
+    /// The estimates, in the order of their numbers.
+    #[must_use]
+    pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
+        self.calibration.estimates()
+    }
+}
+
+/// What is wrong with the calibration, a line for each estimate that is off, and what to write.
+#[must_use]
+pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<String> {
+    let mut lines: Vec<String> = estimates
+        .iter()
+        .filter(|estimate| estimate.is_off())
+        .map(describe)
+        .collect();
+    if !lines.is_empty() {
+        let written: Vec<_> = corrections(config, estimates)
+            .iter()
+            .map(|Correction { key, value }| format!("{key} = {value}"))
+            .collect();
+        lines.push(match written.as_slice() {
+            [] => "run `singletrack calibrate`".to_owned(),
+            written => format!(
+                "run `singletrack calibrate`, or write {}",
+                written.join(", ")
+            ),
+        });
+    }
+    lines
+}
+
+/// Such as "steering gain is 4.1 +- 0.2 % less than configured".
+fn describe(estimate: &CalibrationEstimate) -> String {
+    use CalibrationParameter as Parameter;
+    let (name, unit, scale, digits) = match estimate.parameter {
+        Parameter::SteeringGain => ("the steering gain", "%", 1e2, 1),
+        Parameter::SteeringTrim => ("the steering trim", "rad", 1.0, 4),
+        Parameter::StampOffset => ("the stamp offset of the cameras", "ms", 1e3, 1),
+        Parameter::GyroScale => ("the scale of the gyro", "%", 1e2, 1),
+        Parameter::BodyYaw => ("the yaw of the rigid body", "rad", 1.0, 4),
+        Parameter::PivotForward => ("the pivot of the rigid body, forward,", "mm", 1e3, 1),
+        Parameter::PivotLeft => ("the pivot of the rigid body, to the left,", "mm", 1e3, 1),
+        Parameter::PulseDistance => ("the distance for a motor pulse", "%", 1e2, 1),
+    };
+    let side = if estimate.value < 0.0 { "less" } else { "more" };
+    let [off, half] = [estimate.value.abs(), estimate.half_width].map(|it| it * scale);
+    format!("{name} is {off:.digits$} +- {half:.digits$} {unit} {side} than configured")
+}
+
+/// A key of the configuration with its corrected value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Correction {
+    /// Such as `board.servo.centre_us`.
+    pub key: &'static str,
+    /// The value.
+    pub value: Value,
+}
+
+/// What has to be written for the estimates that are off. The scale of the gyro has no key, and a
+/// steering table is measured by `singletrack calibrate`.
+#[must_use]
+pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Correction> {
+    let off = |parameter| {
+        estimates
+            .iter()
+            .find(|estimate| estimate.parameter == parameter && estimate.is_off())
+            .map(|estimate| estimate.value)
+    };
+    let mut corrections = Vec::new();
+    let mut correct = |key, value| corrections.push(Correction { key, value });
+    let gain = off(CalibrationParameter::SteeringGain);
+    let trim = off(CalibrationParameter::SteeringTrim);
+    if config.actuators.steering_table.is_none() && (gain.is_some() || trim.is_some()) {
+        let servo = &config.board.servo;
+        let gain_us_per_rad = f64::from(servo.gain_us_per_rad) / (1.0 + gain.unwrap_or(0.0));
+        let centre_us = f64::from(servo.centre_us) - trim.unwrap_or(0.0) * gain_us_per_rad;
+        let [gain_us_per_rad, centre_us] = [gain_us_per_rad, centre_us].map(f64::round);
+        if gain.is_some() {
+            let value = Value::Integer(gain_us_per_rad as i64);
+            correct("board.servo.gain_us_per_rad", value);
+        }
+        if trim.is_some() {
+            let value = Value::Integer(centre_us as i64);
+            correct("board.servo.centre_us", value);
+        }
+        let [most, least] = [servo.max_us, servo.min_us].map(f64::from);
+        let reach = (most - centre_us).min(centre_us - least) / gain_us_per_rad.abs();
+        if config.limits.max_steering_rad > reach {
+            let value = Value::Float((1e3 * reach).floor() / 1e3);
+            correct("limits.max_steering_rad", value);
+        }
+    }
+    let cameras = &config.motion_capture;
+    if let Some(late) = off(CalibrationParameter::StampOffset) {
+        let offset_ms = cameras.timing.stamp_offset_ms + 1e3 * late;
+        correct(
+            "motion_capture.timing.stamp_offset_ms",
+            Value::Float(rounded(offset_ms, 1e2)),
+        );
+    }
+    if let Some(yaw) = off(CalibrationParameter::BodyYaw) {
+        let yaw = cameras.marker_yaw_rad + yaw;
+        correct(
+            "motion_capture.marker_yaw_rad",
+            Value::Float(rounded(yaw, 1e5)),
+        );
+    }
+    let pivot = [
+        CalibrationParameter::PivotForward,
+        CalibrationParameter::PivotLeft,
+    ]
+    .map(off);
+    if pivot.iter().any(Option::is_some) {
+        let [forward, left] = [0, 1].map(|axis| {
+            let offset = cameras.marker_offset_m[axis] + pivot[axis].unwrap_or(0.0);
+            Value::Float(rounded(offset, 1e4))
+        });
+        correct(
+            "motion_capture.marker_offset_m",
+            Value::Array(vec![forward, left]),
+        );
+    }
+    if let Some(more) = off(CalibrationParameter::PulseDistance) {
+        let distance_um = f64::from(config.board.speed.pulse_distance_um) * (1.0 + more);
+        correct(
+            "board.speed.pulse_distance_um",
+            Value::Integer(distance_um.round() as i64),
+        );
+    }
+    corrections
+}
+
+fn rounded(value: f64, per_one: f64) -> f64 {
+    (value * per_one).round() / per_one
+}
+
+/// The configuration with these corrections.
+///
+/// # Errors
+///
+/// A corrected value is out of range, or contradicts another one.
+pub fn corrected(config: &Config, corrections: &[Correction]) -> Result<Config, ConfigError> {
+    let unwritten = |error: &dyn core::fmt::Display| {
+        ConfigError::value("online_calibration", "corrections", error.to_string())
+    };
+    let text = config.to_toml().map_err(|error| unwritten(&error))?;
+    let mut table: toml::Table = toml::from_str(&text).map_err(|error| unwritten(&error))?;
+    for Correction { key, value } in corrections {
+        let mut at = &mut table;
+        let mut parts = key.split('.').peekable();
+        while let Some(part) = parts.next() {
+            if parts.peek().is_none() {
+                at.insert(part.to_owned(), value.clone());
+                break;
+            }
+            let next = at
+                .entry(part)
+                .or_insert_with(|| Value::Table(toml::Table::new()));
+            at = next
+                .as_table_mut()
+                .ok_or_else(|| unwritten(&format_args!("{part} is not a table")))?;
+        }
+    }
+    let text = toml::to_string(&table).map_err(|error| unwritten(&error))?;
+    Config::from_toml(&text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> Config {
+        Config::from_toml(include_str!("../../daemon/singletrackd.example.toml")).unwrap()
+    }
+
+    fn found(values: &[(CalibrationParameter, f64)]) -> Vec<CalibrationEstimate> {
+        let found = values
+            .iter()
+            .map(|&(parameter, value)| CalibrationEstimate {
+                parameter,
+                value,
+                half_width: 0.002,
+                observable: true,
+            });
+        found.collect()
+    }
+
+    #[test]
+    fn advice_says_what_is_off_and_what_to_write() {
+        let estimates = found(&[
+            (CalibrationParameter::SteeringGain, -0.041),
+            (CalibrationParameter::StampOffset, 0.001),
+        ]);
+        assert_eq!(
+            advice(&config(), &estimates),
+            [
+                "the steering gain is 4.1 +- 0.2 % less than configured",
+                "run `singletrack calibrate`, or write board.servo.gain_us_per_rad = -834",
+            ]
+        );
+        assert!(advice(&config(), &found(&[(CalibrationParameter::BodyYaw, 0.003)])).is_empty());
+    }
+
+    #[test]
+    fn corrections_are_those_of_the_configured_values() {
+        let estimates = found(&[
+            (CalibrationParameter::SteeringGain, -0.2),
+            (CalibrationParameter::SteeringTrim, 0.05),
+            (CalibrationParameter::StampOffset, 0.02),
+            (CalibrationParameter::BodyYaw, 0.017_453),
+            (CalibrationParameter::PivotLeft, -0.01),
+            (CalibrationParameter::PulseDistance, 0.03),
+            (CalibrationParameter::GyroScale, 0.03),
+        ]);
+        let corrections = corrections(&config(), &estimates);
+        let config = corrected(&config(), &corrections).unwrap();
+        // The wheels turn 0.05 rad at 1500 us, and a radian for 1000 us.
+        assert_eq!(config.board.servo.gain_us_per_rad, -1_000);
+        assert_eq!(config.board.servo.centre_us, 1_550);
+        assert_eq!(config.limits.max_steering_rad, 0.37);
+        assert_eq!(config.motion_capture.timing.stamp_offset_ms, 20.0);
+        assert_eq!(config.motion_capture.marker_yaw_rad, 0.017_45);
+        assert_eq!(config.motion_capture.marker_offset_m, [0.0, -0.01]);
+        assert_eq!(config.board.speed.pulse_distance_um, 3_090);
+        assert_eq!(corrections.len(), 7);
+    }
+
+    #[test]
+    fn live_is_refused() {
+        let mut config = config();
+        config.online_calibration.mode = crate::config::OnlineCalibrationMode::Live;
+        assert!(OnlineCalibration::new(&config).is_some());
+        let error = config.validate().unwrap_err().to_string();
+        assert!(
+            error.contains("online_calibration.mode") && error.contains("\"advice\""),
+            "{error}"
+        );
+    }
+}
