@@ -14,6 +14,7 @@ mod governor;
 mod host_first;
 mod ideal_plant;
 mod jog;
+mod online_calibration;
 mod other_cars;
 mod proofs;
 mod pulse_distance;

@@ -36,8 +36,8 @@ Their keys, ranges and defaults are those of the [configuration](configuration.m
 Only with `plant.kind = \"car\"`:
 
 - `[governor]`, `[limits]`, `[fence]`, `[supervisor]`, `[estimator]`, `[watch]`, `[safety_filter]`,
-  `[board]`, `[motion_capture]`, `[actuators]`, `[compensation]`, `[tuning]`: what the daemon
-  believes. The default geofence is 20 m by 20 m, with `braking_m_s2 = 0.9`. With `[truth]` or
+  `[board]`, `[motion_capture]`, `[actuators]`, `[compensation]`, `[tuning]`,
+  `[online_calibration]`: what the daemon believes. The default geofence is 20 m by 20 m, with `braking_m_s2 = 0.9`. With `[truth]` or
   `[simulation]`, the configuration is unproved, unless the scenario sets
   `supervisor.prove_first_metre`.
 - `[simulation]`: the simulator's own sections `car`, `board`, `wire`, `cameras` and `natnet`

@@ -145,6 +145,7 @@ impl Experiment {
             operator: None,
             tune: Vec::new(),
             tuning: None,
+            online_calibration: None,
             governor: None,
             safety_filter: None,
             limits: None,

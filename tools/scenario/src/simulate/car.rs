@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use singletrack_control::{Position, Reference, Velocity};
-use singletrack_core::config::{Config, ConfigError, LawKind};
+use singletrack_core::{
+    config::{Config, ConfigError, LawKind},
+    online_calibration::OnlineCalibration,
+};
 use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth};
@@ -14,7 +17,7 @@ use super::{
     operator::{Operator, OperatorSection},
     row::{ROWS_PER_SECOND, Row},
     scenario::{Scenario, SteeringHold},
-    summary::{Tally, drives},
+    summary::{CalibrationLine, Summary, Tally, drives},
 };
 use crate::{
     tracking::TrackingError,
@@ -121,6 +124,20 @@ pub(super) fn simulate(
     options: RunOptions<'_>,
 ) -> Result<Simulation, CarError> {
     let (daemon, simulation) = virtual_drive_config(scenario)?;
+    simulate_configured(scenario, &daemon, &simulation, options)
+}
+
+/// As a scenario, with other configurations of daemon and simulator than its own.
+///
+/// # Errors
+///
+/// The car can't drive the scenario, or does not start.
+pub fn simulate_configured(
+    scenario: &Scenario,
+    daemon: &Config,
+    simulation: &SimulationConfig,
+    options: RunOptions<'_>,
+) -> Result<Simulation, CarError> {
     let period_us = daemon.control.period_ns() / 1_000;
     let under_way = simulation.cameras.latency_us.div_ceil(period_us);
     for loss in &scenario.marker_loss {
@@ -136,7 +153,7 @@ pub(super) fn simulate(
     let takes_any_end = options.summary || scenario.expects_any_end();
     let operator = scenario.operator.unwrap_or_default();
     if operator.arm {
-        let mut run = Run::new(scenario, &daemon, &simulation, options.record)?;
+        let mut run = Run::new(scenario, daemon, simulation, options.record)?;
         match run.start() {
             Ok(()) => return run.finish(takes_any_end),
             Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if takes_any_end => {}
@@ -147,7 +164,7 @@ pub(super) fn simulate(
             let _ = std::fs::remove_file(path);
         }
     }
-    let mut run = Run::new(scenario, &daemon, &simulation, options.record)?;
+    let mut run = Run::new(scenario, daemon, simulation, options.record)?;
     run.start_without_drive(operator.arm);
     run.finish(takes_any_end)
 }
@@ -177,6 +194,7 @@ struct Run<'a> {
     reference: Reference,
     /// Of the reference.
     path: PathClock,
+    calibration: Option<OnlineCalibration>,
 }
 
 impl<'a> Run<'a> {
@@ -219,6 +237,7 @@ impl<'a> Run<'a> {
             last: None,
             reference: scenario.reference()?,
             path: PathClock::default(),
+            calibration: OnlineCalibration::new(daemon),
         })
     }
 
@@ -281,6 +300,9 @@ impl<'a> Run<'a> {
             self.reference.begin(start, &point, estimate.yaw);
         }
         self.path.take(time, output);
+        if let Some(calibration) = &mut self.calibration {
+            calibration.tick(&tick.tick);
+        }
         self.last = Some(tick);
     }
 
@@ -372,11 +394,23 @@ impl<'a> Run<'a> {
         }
         notes.extend(ended);
         let tracking_error = TrackingError::of(&distances);
+        let later = TrackingError::of(&distances[distances.len() / 2..]);
+        let estimates = self.calibration.as_ref().map(OnlineCalibration::estimates);
+        let summary = Summary {
+            tracking_rms_m: later.map(|error| error.rms_m),
+            calibration: estimates
+                .into_iter()
+                .flatten()
+                .map(|estimate| CalibrationLine::from(&estimate))
+                .collect(),
+            ..self.tally.summary(tracking_error)
+        };
         Ok(Simulation {
             rows,
             notes,
             tracking_error,
-            summary: Some(self.tally.summary(tracking_error)),
+            summary: Some(summary),
+            estimates: estimates.map_or_else(Vec::new, Vec::from),
         })
     }
 

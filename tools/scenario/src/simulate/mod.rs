@@ -13,7 +13,7 @@ mod tune;
 
 use std::{fmt, path::Path};
 
-pub use car::{CarError, RunOptions, drive_entries, virtual_drive_config};
+pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_drive_config};
 pub use error::ScenarioError;
 pub use ideal::IdealError;
 pub use integrator::IntegrationError;
@@ -23,8 +23,10 @@ pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
     SteeringHold,
 };
-pub use summary::Summary;
+pub use summary::{CalibrationLine, Summary};
 pub use tune::TuneSection;
+
+use singletrack_control::CalibrationEstimate;
 
 use crate::tracking::TrackingError;
 
@@ -66,6 +68,8 @@ pub struct Simulation {
     pub tracking_error: Option<TrackingError>,
     /// What the drive came to; none on the ideal plant.
     pub summary: Option<Summary>,
+    /// What the drive says about the calibration; empty if `online_calibration.mode` is "off".
+    pub estimates: Vec<CalibrationEstimate>,
 }
 
 /// Runs a scenario on the plant that it names.
@@ -98,6 +102,7 @@ pub fn simulate_with(
                 notes: Vec::new(),
                 tracking_error: TrackingError::of(&distances),
                 summary: None,
+                estimates: Vec::new(),
             })
         }
         PlantKind::Car => Ok(car::simulate(scenario, options)?),

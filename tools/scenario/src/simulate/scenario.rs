@@ -86,6 +86,8 @@ pub struct Scenario {
     pub compensation: Option<Table>,
     /// What may be tuned.
     pub tuning: Option<Table>,
+    /// Whether the drive says what is wrong with the calibration.
+    pub online_calibration: Option<Table>,
 }
 
 section! {
@@ -329,7 +331,7 @@ impl Scenario {
     }
 
     /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 12] {
+    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 13] {
         [
             ("governor", self.governor.as_ref()),
             ("limits", self.limits.as_ref()),
@@ -343,6 +345,7 @@ impl Scenario {
             ("actuators", self.actuators.as_ref()),
             ("compensation", self.compensation.as_ref()),
             ("tuning", self.tuning.as_ref()),
+            ("online_calibration", self.online_calibration.as_ref()),
         ]
     }
 
@@ -374,6 +377,8 @@ impl Scenario {
         let compensation = self.compensation.as_ref();
         layer("compensation", &mut of.compensation, compensation)?;
         layer("tuning", &mut of.tuning, self.tuning.as_ref())?;
+        let online = self.online_calibration.as_ref();
+        layer("online_calibration", &mut of.online_calibration, online)?;
         layer("control", &mut of.control, Some(&self.control.daemon))?;
         Ok(config)
     }

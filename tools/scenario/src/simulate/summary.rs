@@ -3,14 +3,14 @@
 use core::fmt;
 
 use serde::Serialize;
-use singletrack_control::Position;
+use singletrack_control::{CalibrationEstimate, CalibrationParameter, Position};
 use singletrack_pilot::{Fence, FenceError, Mode, Reason};
 use singletrack_sim::Truth;
 
 use crate::{tracking::TrackingError, virtual_drive::VirtualTick};
 
 /// What a drive came to. Ways, speeds and clearance are the car's true ones.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Whether the car drove at all.
     pub armed: bool,
@@ -37,6 +37,53 @@ pub struct Summary {
     pub clearance_min_m: f64,
     /// How far P was from its reference while the car followed it; none without a drive.
     pub tracking_error: Option<TrackingError>,
+    /// Root mean square of that distance in the second half of the drive, in m.
+    pub tracking_rms_m: Option<f64>,
+    /// What the drive says about the calibration; empty if `online_calibration.mode` is "off".
+    pub calibration: Vec<CalibrationLine>,
+}
+
+/// An estimate of what differs from the configuration.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CalibrationLine {
+    /// What is estimated.
+    pub parameter: &'static str,
+    /// The unit of the numbers; "1" for a fraction.
+    pub unit: &'static str,
+    /// The true value less the configured one; none if nothing is known.
+    pub estimate: Option<f64>,
+    /// The lower end of its interval of 95 %.
+    pub low: Option<f64>,
+    /// The upper end.
+    pub high: Option<f64>,
+    /// Whether the motion made it observable.
+    pub observable: bool,
+    /// Whether the configured value is wrong by what matters.
+    pub off: bool,
+}
+
+impl From<&CalibrationEstimate> for CalibrationLine {
+    fn from(estimate: &CalibrationEstimate) -> Self {
+        let (unit, scale) = match estimate.parameter {
+            CalibrationParameter::SteeringGain
+            | CalibrationParameter::GyroScale
+            | CalibrationParameter::PulseDistance => ("1", 1.0),
+            CalibrationParameter::SteeringTrim | CalibrationParameter::BodyYaw => ("rad", 1.0),
+            CalibrationParameter::StampOffset => ("ms", 1e3),
+            CalibrationParameter::PivotForward | CalibrationParameter::PivotLeft => ("m", 1.0),
+        };
+        let known = estimate.half_width.is_finite();
+        let at = |half: f64| known.then_some(scale * (estimate.value + half * estimate.half_width));
+        Self {
+            parameter: estimate.parameter.name(),
+            unit,
+            estimate: at(0.0),
+            low: at(-1.0),
+            high: at(1.0),
+            observable: estimate.observable,
+            off: estimate.is_off(),
+        }
+    }
 }
 
 impl fmt::Display for Summary {
@@ -163,6 +210,8 @@ impl Tally {
             speed_end_m_s: self.speed_end,
             clearance_min_m: self.clearance,
             tracking_error,
+            tracking_rms_m: None,
+            calibration: Vec::new(),
         }
     }
 }
