@@ -72,8 +72,9 @@ class Daemon:
         text = Simulator(configuration={"reference": {"kind": "external"}}).configuration()
         commands, frames = _free_port(), _free_port()
         text = _set(text, "serial", "port", f'"{line}"')
-        text = _set(text, "motion_capture", "interface", '"127.0.0.1"')
-        text = _set(text, "motion_capture", "command_port", f"{commands}")
+        # The port is left out by default.
+        port = f'"127.0.0.1"\ncommand_port = {commands}'
+        text = _set(text, "motion_capture", "interface", port)
         text = _set(text, "motion_capture", "data_port", f"{frames}")
         text = _set(text, "record", "directory", f'"{folder / "records"}"')
         text = _set(text, "state", "directory", f'"{folder / "state"}"')
