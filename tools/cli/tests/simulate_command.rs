@@ -238,6 +238,7 @@ fn a_summary_is_one_object_with_these_keys() {
         keys,
         [
             "armed",
+            "calibration",
             "clearance_min_m",
             "ended_s",
             "mode",
@@ -246,6 +247,7 @@ fn a_summary_is_one_object_with_these_keys() {
             "speed_max_m_s",
             "speed_min_m_s",
             "tracking_error",
+            "tracking_rms_m",
             "way_after_m",
             "way_m"
         ]
