@@ -125,6 +125,7 @@ impl<D: Dialogue> StreamSession<D> {
             link.counters.early += 1;
             return;
         }
+        let frames = link.counters.frames;
         let mut rest = bytes;
         while !rest.is_empty() && self.link.local.is_some() {
             let read = self
@@ -136,7 +137,10 @@ impl<D: Dialogue> StreamSession<D> {
             };
             rest = rest.get(length.max(1)..).unwrap_or_default();
         }
-        self.link.datagram_port = Some(port);
+        // What is no frame must not keep the server's port out.
+        if self.link.counters.frames > frames {
+            self.link.datagram_port = Some(port);
+        }
         self.link.datagram_ns = Some(now_ns);
         self.link.heard_ns = now_ns;
     }

@@ -398,3 +398,19 @@ fn a_list_that_does_not_fit_the_frames_binds_nothing_and_is_asked_for_twice_a_se
         assert!(bench.poses(0).len() > 50, "{kind:?}");
     }
 }
+
+#[test]
+fn a_strangers_text_with_the_servers_address_does_not_keep_its_frames_out() {
+    let mut bench = Bench::of(Kind::Vrpn, "car");
+    bench.is_paused = true;
+    bench.run(60);
+    // Before the first frame of the server.
+    let text = bench.server.chatter(bench.now_us()).stream;
+    bench.input(Input::Datagram {
+        source: std::net::SocketAddr::new(crate::bench::SERVER, 9_999),
+        bytes: &text,
+    });
+    bench.is_paused = false;
+    bench.run(500);
+    assert!(bench.poses(0).len() > 40, "{}", bench.poses(0).len());
+}
