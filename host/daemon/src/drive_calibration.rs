@@ -17,7 +17,7 @@ pub(crate) struct DriveCalibration {
 
 impl DriveCalibration {
     /// A drive begins, with the configuration of this number and text. Another configuration
-    /// begins anew.
+    /// discards what was collected.
     pub(crate) fn begin(&mut self, number: u32, toml: Option<&str>) {
         if self.number == Some(number) {
             return;

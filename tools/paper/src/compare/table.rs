@@ -174,8 +174,8 @@ impl Line {
         self.rms_of.len() >= least
     }
 
-    /// Whether nothing tells it apart from `other`: as many stops, and the difference with the same
-    /// seeds below the floor, or zero within its interval.
+    /// Whether the two rows can't be ranked: equal stops, and a paired difference that is below the
+    /// floor or whose interval contains zero.
     fn is_same(&self, other: &Self) -> bool {
         if self.stops != other.stops {
             return false;

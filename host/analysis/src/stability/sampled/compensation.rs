@@ -77,8 +77,8 @@ impl Compensation {
         (age.ticks + 1).min(PAST_YAW_RATES)
     }
 
-    /// The model after `duration` from a tick on. `target` is the command that was given so many
-    /// ticks before it; `each` is told of the model after each step, and of its length.
+    /// The model `duration` after a tick. `target` gives the command of a number of ticks before
+    /// that tick; `each` is told of the model after each step, and of its length.
     pub(super) fn run(
         &self,
         speed: f64,

@@ -326,7 +326,7 @@ struct Cycle {
     frame: u32,
     /// The maps of a tick with and without a pose, each with and without a servo pulse.
     ticks: [[DMatrix<f64>; 2]; 2],
-    /// The maps of an interval that begins so many ticks after a servo pulse.
+    /// The map of each interval, by its number of ticks since the last servo pulse.
     intervals: Vec<DMatrix<f64>>,
 }
 
