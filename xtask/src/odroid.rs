@@ -34,6 +34,8 @@ const COMPARED: &[&str] = &[
     "--example",
     "trajectory",
     "--no-default-features",
+    "--features",
+    "singletrack-scenario/files",
     "-Zwarnings",
     "--config",
     "build.warnings=\"deny\"",
