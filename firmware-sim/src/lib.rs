@@ -34,6 +34,7 @@ mod car;
 mod clock;
 mod defaults;
 mod epoch;
+mod floor;
 mod loss;
 mod natnet_server;
 mod parameters;
@@ -67,7 +68,7 @@ pub use board::{
 pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
     CameraCounters, CameraFaults, CameraFrame, CameraParameters, Cameras, CarBody, DecoyBody,
-    LossKind, ServerKind, TICKS_PER_SECOND,
+    DecoyMotion, LossKind, ServerKind, Sight, TICKS_PER_SECOND,
 };
 pub use car::{
     BatteryParameters, Car, CarParameters, EscKind, HandMotion, ImuFault, ImuParameters,
@@ -76,6 +77,7 @@ pub use car::{
 };
 pub use clock::SkewedClock;
 pub use defaults::default_board_configuration;
+pub use floor::Floor;
 pub use loss::{LossPattern, LossPatternError, LossWindow, parse_duration_us};
 pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
@@ -89,7 +91,8 @@ pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
 #[cfg(feature = "real-time")]
 pub use real_time::{
-    Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, TimedTruth,
+    Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, SharedFloor,
+    TimedTruth,
 };
 pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_mocap::UpAxis;

@@ -24,6 +24,7 @@ pub(crate) enum Stream {
     MotorEdges = 10,
     Vibration = 11,
     TornSamples = 12,
+    DecoyNoise = 13,
 }
 
 /// One stream of random numbers.

@@ -6,7 +6,7 @@ use std::{
     net::SocketAddrV4,
     path::{Path, PathBuf},
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, Ordering},
         mpsc,
     },
@@ -21,6 +21,7 @@ use rustix::{
 use crate::{
     cameras::ServerKind,
     car::Truth,
+    floor::Floor,
     parameters::{ConfigError, SimulationConfig},
     pty::{Pty, PtyError},
     stream_server::StreamServers,
@@ -29,7 +30,7 @@ use crate::{
 };
 
 /// Configuration of the real-time simulator.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct RealTimeConfig {
     /// The simulation.
     pub simulation: SimulationConfig,
@@ -42,6 +43,17 @@ pub struct RealTimeConfig {
     pub udp: UdpConfig,
     /// Period of the recorded trajectory, in µs.
     pub trajectory_period_us: u64,
+    /// The floor that the car shares with others, and its place among them.
+    pub floor: Option<SharedFloor>,
+}
+
+/// A floor of several simulators in real time, each with a car.
+#[derive(Clone, Debug)]
+pub struct SharedFloor {
+    /// The cars.
+    pub floor: Arc<Mutex<Floor>>,
+    /// Which one this is.
+    pub index: usize,
 }
 
 impl Default for RealTimeConfig {
@@ -52,6 +64,7 @@ impl Default for RealTimeConfig {
             cameras: ServerKind::NatNet,
             udp: UdpConfig::default(),
             trajectory_period_us: 5_000,
+            floor: None,
         }
     }
 }
@@ -151,6 +164,7 @@ impl RealTimeSimulator {
             trajectory: VecDeque::new(),
             trajectory_period_us: config.trajectory_period_us.max(1_000),
             next_record_us: 0,
+            floor: config.floor,
             counters: RealTimeCounters::default(),
             bytes: Vec::with_capacity(4096),
         };
@@ -315,6 +329,7 @@ struct Machine {
     trajectory: VecDeque<TimedTruth>,
     trajectory_period_us: u64,
     next_record_us: u64,
+    floor: Option<SharedFloor>,
     counters: RealTimeCounters,
     bytes: Vec<u8>,
 }
@@ -394,8 +409,21 @@ impl Machine {
             self.next_record_us += self.trajectory_period_us;
         }
         self.world.advance_to(now_us);
+        self.share_floor();
         self.serve_serial();
         self.serve_network();
+    }
+
+    /// Tells the other cars' cameras where this one is, and its own where they are.
+    fn share_floor(&mut self) {
+        if let Some(SharedFloor { floor, index }) = &self.floor {
+            let started_us = (self.started_ns / 1_000) as i64;
+            let truth = self.world.truth();
+            let mut floor = floor.lock().unwrap_or_else(PoisonError::into_inner);
+            floor.place(*index, started_us, truth);
+            let decoys = floor.decoys(*index, started_us);
+            self.world.cameras_mut().move_decoys(decoys);
+        }
     }
 
     fn serve_serial(&mut self) {

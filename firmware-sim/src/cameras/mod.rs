@@ -4,7 +4,7 @@ mod parameters;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, iter};
 
 use libm::{cos, sin, sincos};
 use singletrack_mocap::codec::{CameraTicks, RigidBody};
@@ -36,6 +36,31 @@ pub struct CameraFaults {
     pub not_a_number: bool,
     /// The car and the first decoy have exchanged names.
     pub swapped: bool,
+}
+
+/// The motion of a decoy: another car, for instance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DecoyMotion {
+    /// Simulation time, in µs; negative before it began.
+    pub at_us: i64,
+    /// Position then, in the world, in m.
+    pub position_m: [f64; 2],
+    /// Velocity, in m/s.
+    pub velocity_m_s: [f64; 2],
+    /// Whether the cameras see it.
+    pub seen: Sight,
+}
+
+/// What the cameras see of a decoy.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sight {
+    /// Where it is.
+    #[default]
+    Now,
+    /// Its last pose, which repeats to the bit.
+    Frozen,
+    /// Nothing.
+    Not,
 }
 
 /// A camera frame.
@@ -74,8 +99,12 @@ pub struct Cameras {
     parameters: CameraParameters,
     clock: SkewedClock,
     noise: Random,
+    decoy_noise: Random,
     latency: Random,
     faults: CameraFaults,
+    /// Of the first decoys; the others stand.
+    motions: Vec<DecoyMotion>,
+    last_decoys: Vec<RigidBody>,
     loss_epoch_us: Option<u64>,
     epoch: Epoch,
     exposures: u64,
@@ -91,8 +120,11 @@ impl Cameras {
         Self {
             clock,
             noise: Random::new(seed, Stream::CameraNoise),
+            decoy_noise: Random::new(seed, Stream::DecoyNoise),
             latency: Random::new(seed, Stream::CameraLatency),
             faults: CameraFaults::default(),
+            motions: Vec::new(),
+            last_decoys: Vec::new(),
             loss_epoch_us: Some(0),
             epoch: Epoch::default(),
             exposures: 0,
@@ -133,6 +165,48 @@ impl Cameras {
     /// Mutable access to the faults.
     pub const fn faults_mut(&mut self) -> &mut CameraFaults {
         &mut self.faults
+    }
+
+    /// Moves the first decoys, in their order.
+    pub fn move_decoys(&mut self, motions: impl IntoIterator<Item = DecoyMotion>) {
+        self.motions.clear();
+        self.motions.extend(motions);
+    }
+
+    /// The decoys, in the streamed axes.
+    fn measure_decoys(&mut self, now_us: u64) -> Vec<RigidBody> {
+        let (p, noise) = (&self.parameters, &mut self.decoy_noise);
+        let motions = self.motions.iter().map(Some).chain(iter::repeat(None));
+        let last = self
+            .last_decoys
+            .drain(..)
+            .map(Some)
+            .chain(iter::repeat(None));
+        let measure =
+            |((decoy, motion), last): ((&DecoyBody, Option<&DecoyMotion>), Option<RigidBody>)| {
+                let mut position = decoy.position_m;
+                // What nobody moves is no measurement: it repeats to the bit.
+                if let Some(motion) = motion {
+                    let elapsed_s = (now_us as f64 - motion.at_us as f64) * 1e-6;
+                    let noise = noise.normal3(p.position_noise_m);
+                    for axis in 0..2 {
+                        position[axis] = motion.position_m[axis]
+                            + motion.velocity_m_s[axis] * elapsed_s
+                            + noise[axis];
+                    }
+                }
+                let position = stream(p.up_axis, position).map(|x| x as f32);
+                let now = RigidBody::tracked(decoy.id, position, [0.0, 0.0, 0.0, 1.0]);
+                match motion.map_or(Sight::Now, |motion| motion.seen) {
+                    Sight::Now => now,
+                    Sight::Frozen => last.unwrap_or(now),
+                    Sight::Not => now.with_tracking_valid(false),
+                }
+            };
+        let decoys = p.decoys.iter().zip(motions).zip(last);
+        let decoys: Vec<_> = decoys.map(measure).collect();
+        self.last_decoys.clone_from(&decoys);
+        decoys
     }
 
     /// Sets the epoch of the scheduled losses; `None` stops them. The default is
@@ -196,15 +270,7 @@ impl Cameras {
         } else {
             self.counters.lost += 1;
         }
-        let mut bodies: Vec<RigidBody> = self
-            .parameters
-            .decoys
-            .iter()
-            .map(|decoy| {
-                let position = stream(self.parameters.up_axis, decoy.position_m);
-                RigidBody::tracked(decoy.id, position.map(|x| x as f32), [0.0, 0.0, 0.0, 1.0])
-            })
-            .collect();
+        let mut bodies = self.measure_decoys(now_us);
         if let (true, Some(decoy)) = (self.faults.swapped, bodies.first_mut()) {
             core::mem::swap(&mut decoy.id, &mut car.id);
         }

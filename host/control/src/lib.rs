@@ -36,6 +36,7 @@ mod law;
 mod lqi;
 mod measurement;
 mod mpc;
+mod neighbours;
 mod number;
 mod outer_loop;
 mod point;
@@ -69,6 +70,9 @@ pub use law::{
 pub use lqi::{LqiAxis, LqiConfig, LqiError, LqiLoop};
 pub use measurement::{InertialSample, PoseSample};
 pub use mpc::{DelayedMpc, MAX_DELAY_TICKS, MPC_STAGES, MpcConfig, MpcError, MpcLoop, MpcVerdict};
+pub use neighbours::{
+    Expected, MAX_NEIGHBOURS, NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours,
+};
 pub use number::{Functions, Libm, Number};
 pub use outer_loop::{OpenLoop, ProportionalLoop, TrackingLoop};
 pub use point::{

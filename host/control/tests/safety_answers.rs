@@ -116,6 +116,7 @@ fn answers(seed: u64, left: f64) -> (Filtered, Option<f64>, FilteredDemand) {
         blind,
         braking: 0.9,
         period: PERIOD,
+        neighbours: &[],
     };
     let wanted = random.velocity(1.8, left);
     let answer = filter.step(&input(blind), &wanted, |law, velocity| {
@@ -209,6 +210,7 @@ fn a_car_that_still_rolls_backward_keeps_a_stop_behind_it_whatever_is_commanded(
             blind: 0.0,
             braking: 0.9,
             period: PERIOD,
+            neighbours: &[],
         };
         let forward = Actuation {
             speed: 0.1,

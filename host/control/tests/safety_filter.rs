@@ -170,6 +170,7 @@ fn drive(
             blind: 0.0,
             braking: BRAKING,
             period: PERIOD,
+            neighbours: &[],
         };
         let last = law.actuation();
         filter.observe(

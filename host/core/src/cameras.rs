@@ -15,10 +15,13 @@ use std::{
 use rtrb::Producer;
 use singletrack_mocap::{
     Input, LocalEnd, Stream,
-    planar::{Observation, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
+    planar::{Observation, OtherBody, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
 
-use crate::diagnosis::{CameraWatch, Diagnosis};
+use crate::{
+    diagnosis::{CameraWatch, Diagnosis},
+    neighbours::NeighbourFeed,
+};
 
 /// The longest datagram of UDP.
 const LONGEST: usize = 65_535;
@@ -101,6 +104,10 @@ pub struct CameraReceiver {
     stream: Vec<u8>,
     /// Observations of a poll, oldest first.
     fresh: Vec<Observation>,
+    /// Passes other bodies on; none if nobody asks for them.
+    neighbours: Option<NeighbourFeed>,
+    /// Other bodies of a poll.
+    others: Vec<OtherBody>,
     watch: CameraWatch,
     is_stale: bool,
     last_frame: i32,
@@ -128,6 +135,8 @@ impl CameraReceiver {
             buffer: vec![0; LONGEST],
             stream: Vec::new(),
             fresh: Vec::with_capacity(2 * DATAGRAMS),
+            neighbours: None,
+            others: Vec::new(),
             watch: CameraWatch::default(),
             is_stale: false,
             last_frame: 0,
@@ -135,6 +144,12 @@ impl CameraReceiver {
             passed: 0,
             dropped: 0,
         }
+    }
+
+    /// Passes other bodies on too.
+    #[must_use]
+    pub fn with_neighbours(self, neighbours: Option<NeighbourFeed>) -> Self {
+        Self { neighbours, ..self }
     }
 
     /// The counters of the session.
@@ -168,8 +183,10 @@ impl CameraReceiver {
         let mut are_left = false;
         let mut watch = core::mem::take(&mut self.watch);
         let mut fresh = core::mem::take(&mut self.fresh);
+        let mut others = core::mem::take(&mut self.others);
         let mut on_event = |event: PlanarEvent| match event {
             PlanarEvent::Observed(observation) => fresh.push(observation),
+            PlanarEvent::Other(other) => others.push(other),
             event => {
                 watch.handle(&event);
                 on_event(&event);
@@ -208,6 +225,13 @@ impl CameraReceiver {
         self.session.handle_timeout(now_ns, &mut on_event);
         // Another stream is opened by the next poll.
         are_left |= self.session.stream() != wanted;
+        // They are there before the pose that begins a tick.
+        if let (Some(neighbours), Some(newest)) = (&mut self.neighbours, fresh.last()) {
+            let (own, names) = (self.session.binding().id(), self.session.names());
+            neighbours.pass(newest.receive_time_ns, own, &others, names);
+        }
+        others.clear();
+        self.others = others;
         for observation in fresh.drain(..) {
             self.is_stale = false;
             self.last_frame = observation.frame_number;

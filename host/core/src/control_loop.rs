@@ -3,7 +3,7 @@
 //! It never waits or allocates; a lock it only tries, see [`slot`](crate::slot).
 
 use rtrb::{Consumer, Producer, PushError};
-use singletrack_control::Time;
+use singletrack_control::{NeighbourSample, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
@@ -31,6 +31,8 @@ pub struct Rings<L> {
     pub returned: Producer<L>,
     /// Observations of the cameras.
     pub observations: Consumer<Observation>,
+    /// Other bodies that the cameras list.
+    pub neighbours: Consumer<NeighbourSample>,
     /// Requests of people and programs.
     pub requests: Consumer<ControlRequest>,
     /// Set-points from outside.
@@ -232,6 +234,9 @@ impl<L: Line> ControlLoop<L> {
             self.take_serial(slot.start_ns);
             self.take_observations()
         };
+        while let Ok(neighbour) = self.rings.neighbours.pop() {
+            self.controller.saw_neighbour(neighbour);
+        }
         self.take_requests(slot.start_ns);
         self.take_setpoints();
         if let Some(jog) = self.rings.jogs.take() {

@@ -3,7 +3,7 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{PoseSample, Position, SteeringMap, Time};
+use singletrack_control::{NeighbourSample, PoseSample, Position, SteeringMap, Time};
 use singletrack_link::{
     ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
 };
@@ -17,6 +17,7 @@ use singletrack_protocol::Configuration;
 use crate::{
     line::Sent,
     link_event::pilot_event,
+    neighbours::NewestSamples,
     proof::{Proof, Proofs},
 };
 
@@ -27,6 +28,9 @@ pub const MAX_EVENTS: usize = singletrack_record::MAX_EVENTS;
 /// Places for events that must not be lost, such as a stop: after a stall, samples fill the
 /// others.
 const RESERVED: usize = 19;
+
+/// The number of other bodies that the pilot is told of in a tick.
+const NEIGHBOURS: usize = 8;
 
 /// The events of one tick, in order.
 pub type Events = heapless::Vec<Event, MAX_EVENTS>;
@@ -48,6 +52,7 @@ pub struct Controller {
     proofs: Proofs,
     /// The attitude of IMU and body since the last event that has it.
     attitude: AttitudeSample,
+    neighbours: NewestSamples,
     events: Events,
     dropped: u32,
     ticks: u32,
@@ -99,6 +104,7 @@ impl Controller {
             car_id: None,
             proofs,
             attitude: AttitudeSample::default(),
+            neighbours: NewestSamples::default(),
             events: Events::new(),
             dropped: 0,
             ticks: 0,
@@ -200,6 +206,11 @@ impl Controller {
         self.push(pose_event(&observation.state));
     }
 
+    /// The motion capture saw another rigid body. Of each, the newest sample counts.
+    pub fn saw_neighbour(&mut self, sample: NeighbourSample) {
+        self.neighbours.add(sample);
+    }
+
     /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
     /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
     /// tick sends it to the board, which accepts no commands until it has acknowledged it.
@@ -269,6 +280,16 @@ impl Controller {
             if attitude != AttitudeSample::default() {
                 queue.push(Event::Attitude(attitude));
             }
+        }
+        for _ in 0..NEIGHBOURS {
+            // They give way to all other events; one that waits only seems farther gone.
+            if self.events.len() >= MAX_EVENTS - RESERVED {
+                break;
+            }
+            let Some(sample) = self.neighbours.take() else {
+                break;
+            };
+            self.push(Event::Neighbour(sample));
         }
         self.ticks = self.ticks.wrapping_add(1);
         let events = core::mem::take(&mut self.events);
@@ -356,6 +377,7 @@ impl Queue<'_> {
         let room = match event {
             Event::Pose(_)
             | Event::PoseMissing(_)
+            | Event::Neighbour(_)
             | Event::Board(_)
             | Event::TrajectoryPiece(_) => MAX_EVENTS - RESERVED,
             // Only the latest value matters.
@@ -428,7 +450,7 @@ impl Queue<'_> {
         let oldest = self.events.iter().position(|event| {
             matches!(
                 event,
-                Event::Pose(_) | Event::PoseMissing(_) | Event::Board(_)
+                Event::Pose(_) | Event::PoseMissing(_) | Event::Neighbour(_) | Event::Board(_)
             )
         });
         if let Some(oldest) = oldest {

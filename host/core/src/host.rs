@@ -24,6 +24,7 @@ use crate::{
     control_loop::{ControlLoop, Rings},
     controller::Controller,
     line::Line,
+    neighbours::NeighbourFeed,
     proof::{Proofs, configuration_hash},
     reconfigure::Configurations,
     report::Report,
@@ -37,6 +38,7 @@ use crate::{
 /// a stall of the record up to two seconds.
 const SERIAL_EVENTS: usize = 512;
 const OBSERVATIONS: usize = 256;
+const NEIGHBOURS: usize = 1_024;
 const TICKS: usize = 256;
 const REPORTS: usize = 512;
 /// Write halves: the one in use and its successor.
@@ -107,7 +109,9 @@ impl<L: Line> Host<L> {
             configuration_hash(&config)?,
             options.proofs,
         );
-        let session = PlanarSession::new(config.motion_capture.session()?)
+        let mut session = config.motion_capture.session()?;
+        session.tells_others = config.neighbours.enabled;
+        let session = PlanarSession::new(session)
             .map_err(|error| ConfigError::value("motion_capture", "refused", error.to_string()))?;
         let stamp_offset_ns = Arc::new(AtomicI64::new(
             session.config().session.timing.stamp_offset_ns,
@@ -118,6 +122,11 @@ impl<L: Line> Host<L> {
         let (serial_in, serial) = RingBuffer::new(SERIAL_EVENTS);
         let (returned, returned_out) = RingBuffer::new(LINES);
         let (observations_in, observations) = RingBuffer::new(OBSERVATIONS);
+        let (neighbours_in, neighbours) = RingBuffer::new(NEIGHBOURS);
+        let feed = config
+            .neighbours
+            .enabled
+            .then(|| NeighbourFeed::new(&config.neighbours, neighbours_in));
         let (requests_in, requests) = RingBuffer::new(REQUESTS);
         let (setpoints_in, setpoints) = setpoint_slot();
         let (jogs_in, jogs) = slot();
@@ -132,6 +141,7 @@ impl<L: Line> Host<L> {
                 serial,
                 returned,
                 observations,
+                neighbours,
                 requests,
                 setpoints,
                 jogs,
@@ -154,7 +164,8 @@ impl<L: Line> Host<L> {
                 Arc::clone(&stamp_offset_ns),
                 observations_in,
                 camera_reports,
-            ),
+            )
+            .with_neighbours(feed),
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
             jogs: jogs_in,

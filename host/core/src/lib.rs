@@ -29,6 +29,7 @@ mod alignment;
 mod hexadecimal;
 mod link_event;
 mod meta;
+mod neighbours;
 mod proof;
 mod report;
 mod requests;

@@ -31,7 +31,7 @@ fn example() -> Table {
     let mut file: Table =
         toml::from_str(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
     // On, so that their keys count.
-    for section in ["safety_filter", "governor"] {
+    for section in ["safety_filter", "governor", "neighbours"] {
         let table = file.entry(section).or_insert_with(|| Table::new().into());
         let table = table.as_table_mut().unwrap();
         table.insert("enabled".to_owned(), true.into());

@@ -79,6 +79,13 @@ impl BodyNames {
         self.listed.get(begin..usize::from(*end))
     }
 
+    /// The streaming id of the body with this quoted name, if it is listed.
+    #[must_use]
+    pub fn id(&self, quoted: &str) -> Option<i32> {
+        let ids = self.ids.iter().map(|(id, _)| *id);
+        ids.into_iter().find(|id| self.name(*id) == Some(quoted))
+    }
+
     /// Whether the server has no rigid body.
     #[must_use]
     pub fn is_empty(&self) -> bool {

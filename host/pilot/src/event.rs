@@ -1,6 +1,8 @@
 //! The inputs of a tick: everything that reached the pilot since the last one.
 
-use singletrack_control::{InertialSample, PoseSample, Setpoint, Time, TrajectoryPiece};
+use singletrack_control::{
+    InertialSample, NeighbourSample, PoseSample, Setpoint, Time, TrajectoryPiece,
+};
 use singletrack_words::words;
 
 use crate::tuning::Tuning;
@@ -16,6 +18,8 @@ pub enum Event {
     Pose(PoseSample),
     /// A frame of the cameras brought no usable pose.
     PoseMissing(PoseMissing),
+    /// Where the cameras see another rigid body.
+    Neighbour(NeighbourSample),
     /// Telemetry from the board.
     Board(BoardSample),
     /// The state of the link to the board changed.

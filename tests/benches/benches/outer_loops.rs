@@ -125,6 +125,7 @@ fn hostile() -> Option<impl FnMut() -> Velocity> {
             blind: 0.01,
             braking: 0.9,
             period: PERIOD,
+            neighbours: &[],
         };
         filter.observe(0.8, 0.0, 0.9, PERIOD);
         let wanted = Velocity::new(1.0, 1.1);

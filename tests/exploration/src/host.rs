@@ -198,6 +198,7 @@ impl Host {
             commanded_speed: self.commanded_speed,
             filter: None,
             inside_fence: true,
+            neighbours: None,
             late: false,
             setpoint_stale: false,
             reference_finished: false,

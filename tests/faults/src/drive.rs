@@ -80,7 +80,7 @@ impl FilterTicks {
                 Filtering::None => {}
                 Filtering::Limited => self.limited += 1,
                 Filtering::Scaled => self.scaled += 1,
-                Filtering::Stopped => self.stopped += 1,
+                Filtering::Stopped | Filtering::Yielded => self.stopped += 1,
             }
         } else if output.mode == Mode::Stopping && output.reason == Some(Reason::OutsideFence) {
             match last {

@@ -9,9 +9,9 @@ use singletrack_control::VehicleParameters;
 use singletrack_core::config::{
     ActuatorsSection, BoardSection, CompensationSection, Config, ControlSection, EstimatorSection,
     FailsafeAction, FenceSection, GovernorSection, LawKind, LawSection, LimitsSection, LiveSection,
-    MotionCaptureSection, OnlineCalibrationSection, OuterLoopSection, PageSection, RecordSection,
-    ReferenceSection, SafetyFilterSection, SerialSection, SocketSection, Start, StateSection,
-    SupervisorSection, TuningSection, UpAxis, WatchSection,
+    MotionCaptureSection, NeighboursSection, OnlineCalibrationSection, OuterLoopSection,
+    PageSection, RecordSection, ReferenceSection, SafetyFilterSection, SerialSection,
+    SocketSection, Start, StateSection, SupervisorSection, TuningSection, UpAxis, WatchSection,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
@@ -58,6 +58,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         actuators: ActuatorsSection::default(),
         compensation: CompensationSection::default(),
         safety_filter: SafetyFilterSection::default(),
+        neighbours: NeighboursSection::default(),
         tuning: TuningSection::default(),
         online_calibration: OnlineCalibrationSection::default(),
         board: BoardSection {

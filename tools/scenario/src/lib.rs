@@ -9,4 +9,5 @@ pub mod simulated;
 #[cfg(feature = "files")]
 pub mod tracking;
 pub mod virtual_drive;
+pub mod virtual_fleet;
 pub mod virtual_record;

@@ -341,11 +341,16 @@ impl VirtualDrive {
                 return Ok(tick);
             }
         }
-        Err(VirtualDriveError::NotStarted {
+        Err(self.not_started())
+    }
+
+    /// Why it has not started.
+    pub(crate) fn not_started(&self) -> VirtualDriveError {
+        VirtualDriveError::NotStarted {
             mode: self.mode(),
             reason: self.controller().pilot().reason(),
             seconds: READY_TIMEOUT,
-        })
+        }
     }
 
     /// Exchanges bytes and datagrams in both directions, at the host's time.

@@ -8,6 +8,7 @@ mod car_plant;
 mod estimation;
 mod fence;
 mod first_metre;
+mod fleet;
 mod foreign;
 mod frames_begin_ticks;
 mod governor;

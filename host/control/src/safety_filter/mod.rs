@@ -92,6 +92,8 @@ pub struct SafetyInput<'a> {
     pub braking: f64,
     /// The control period, s.
     pub period: f64,
+    /// What keeps the car apart from other bodies in this tick: sides of its area too.
+    pub neighbours: &'a [Side],
 }
 
 /// What the filter made of a velocity.
@@ -285,7 +287,11 @@ impl SafetyFilter {
                 most: self.approach(input, room),
             }
         };
-        self.config.area.sides().iter().map(bound).collect()
+        let mut planes: Vec<_, MOST> = self.config.area.sides().iter().map(bound).collect();
+        // A bound that no velocity reaches costs time alone.
+        let near = |plane: &HalfPlane| plane.most < self.config.max_speed;
+        planes.extend(input.neighbours.iter().map(bound).filter(near));
+        planes
     }
 
     /// The speed towards a side from which P can stop within `room` (m): it goes on for the
@@ -416,8 +422,9 @@ impl SafetyFilter {
                 * (1.0 + ROUNDED),
             then: wheels(Range::only(self.curvature(next.steering))),
         };
-        let inside =
-            |way: &StopWay| way.stays_inside(&self.config.area, self.config.position_error);
+        let sides = self.config.area.sides().iter().chain(input.neighbours);
+        let inside = |way: &StopWay| way.stays_inside(sides.clone(), self.config.position_error);
+
         let reverses = estimate.speed < -BENDS_FROM || next.speed < 0.0;
         inside(&forward) && (!reverses || inside(&backward(&forward)))
     }

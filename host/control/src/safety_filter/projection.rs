@@ -3,10 +3,11 @@
 use heapless::Vec;
 use libm::sqrt;
 
-use crate::{MAX_AREA_CORNERS, Velocity};
+use crate::{MAX_AREA_CORNERS, MAX_NEIGHBOURS, Velocity};
 
-/// One for each side of the area, one for the speed in the bend, and two for its steering.
-pub(super) const MOST: usize = MAX_AREA_CORNERS + 3;
+/// One for each side of the area, two for each other body, one for the speed in the bend, and two
+/// for its steering.
+pub(super) const MOST: usize = MAX_AREA_CORNERS + 2 * MAX_NEIGHBOURS + 3;
 
 /// What a bound may be exceeded by through rounding, m/s.
 const ROUNDING: f64 = 1e-12;

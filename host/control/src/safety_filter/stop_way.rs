@@ -3,7 +3,7 @@
 
 use libm::fabs;
 
-use crate::{ConvexArea, Position, Side, Velocity, direction};
+use crate::{Position, Side, Velocity, direction};
 
 /// The way is judged in so many pieces; more are less cautious.
 const PIECES: usize = 12;
@@ -76,16 +76,19 @@ pub(super) struct StopWay {
 }
 
 impl StopWay {
-    /// Whether all of them keep `margin` (m) from every side of `area`. False if a number is
-    /// not finite.
+    /// Whether all of them keep `margin` (m) from every side. False if a number is not finite.
     ///
     /// The heading at each distance lies between those of the least and of the most curvature,
     /// and the course differs from it by the sideslip. Over a piece, the motion towards a side is
     /// bounded by that of the worst course in it. So no way comes nearer to the side than the sum
     /// of the pieces.
-    pub(super) fn stays_inside(&self, area: &ConvexArea, margin: f64) -> bool {
+    pub(super) fn stays_inside<'a>(
+        &self,
+        sides: impl IntoIterator<Item = &'a Side>,
+        margin: f64,
+    ) -> bool {
         let (piece, cones) = self.cones();
-        area.sides().iter().all(|side| {
+        sides.into_iter().all(|side| {
             let mut distances = Distances::new(&self.from, side, margin, piece, &cones);
             // Not `< 0`: NaN is not inside.
             distances.all(|distance| distance >= 0.0)
@@ -208,6 +211,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::ConvexArea;
 
     fn square() -> ConvexArea {
         let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
@@ -232,19 +236,21 @@ mod tests {
     #[test]
     fn a_straight_way_reaches_exactly_as_far_as_it_is_long() {
         let from = Position::new(0.2, 0.0);
-        assert!(straight(from, 0.0, 0.8 - 1e-9).stays_inside(&square(), 0.0));
-        assert!(!straight(from, 0.0, 0.8 + 1e-9).stays_inside(&square(), 0.0));
-        assert!(!straight(from, 0.0, 0.75).stays_inside(&square(), 0.1));
-        assert!(straight(from, core::f64::consts::PI, 1.1).stays_inside(&square(), 0.0));
+        assert!(straight(from, 0.0, 0.8 - 1e-9).stays_inside(square().sides(), 0.0));
+        assert!(!straight(from, 0.0, 0.8 + 1e-9).stays_inside(square().sides(), 0.0));
+        assert!(!straight(from, 0.0, 0.75).stays_inside(square().sides(), 0.1));
+        assert!(straight(from, core::f64::consts::PI, 1.1).stays_inside(square().sides(), 0.0));
     }
 
     #[test]
     fn numbers_that_are_none_stay_nowhere() {
         let from = Position::new(f64::NAN, 0.0);
-        assert!(!straight(from, 0.0, 0.1).stays_inside(&square(), 0.0));
-        assert!(!straight(Position::origin(), f64::NAN, 0.1).stays_inside(&square(), 0.0));
-        assert!(!straight(Position::origin(), 0.0, f64::NAN).stays_inside(&square(), 0.0));
-        assert!(!straight(Position::origin(), 0.0, f64::INFINITY).stays_inside(&square(), 0.0));
+        assert!(!straight(from, 0.0, 0.1).stays_inside(square().sides(), 0.0));
+        assert!(!straight(Position::origin(), f64::NAN, 0.1).stays_inside(square().sides(), 0.0));
+        assert!(!straight(Position::origin(), 0.0, f64::NAN).stays_inside(square().sides(), 0.0));
+        assert!(
+            !straight(Position::origin(), 0.0, f64::INFINITY).stays_inside(square().sides(), 0.0)
+        );
     }
 
     /// An interval that holds the real number: every end is rounded outward.
@@ -434,7 +440,7 @@ mod tests {
                 settles_after,
                 then,
             };
-            let inside = way.stays_inside(&square(), 0.0);
+            let inside = way.stays_inside(square().sides(), 0.0);
             let (mut at, mut heading) = (way.from, course);
             let fine = 400;
             let step: f64 = length / f64::from(fine);

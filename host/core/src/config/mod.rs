@@ -18,6 +18,7 @@ mod law;
 mod limits;
 mod loop_model;
 mod motion_capture;
+mod neighbours;
 mod online_calibration;
 mod outer_loop;
 mod output;
@@ -56,6 +57,7 @@ pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
+pub use neighbours::NeighboursSection;
 pub use online_calibration::{OnlineCalibrationMode, OnlineCalibrationSection};
 pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
@@ -110,6 +112,8 @@ section! {
     compensation: CompensationSection = CompensationSection::default();
     /// What keeps the car able to stop inside the geofence, whatever an outer loop asks for.
     safety_filter: SafetyFilterSection = SafetyFilterSection::default();
+    /// What keeps the car apart from other rigid bodies.
+    neighbours: NeighboursSection = NeighboursSection::default();
     /// What may be changed while the car drives.
     tuning: TuningSection = TuningSection::default();
     /// What a drive says about the calibration.
@@ -234,6 +238,7 @@ impl Config {
         self.actuators.check()?;
         self.compensation.check()?;
         self.safety_filter.check()?;
+        self.neighbours.check()?;
         self.online_calibration.validate()?;
         self.safety_filter.filter(self)?;
         self.record.validate()?;
@@ -293,6 +298,7 @@ impl Config {
             stop_deceleration: self.control.stop_deceleration_m_s2,
             compensation: self.compensation.config(&self.actuators, &self.vehicle),
             safety: self.safety_filter.filter(self)?,
+            neighbours: self.neighbours.config(self)?,
             tuning: self.tuning.bounds(),
             period,
         })

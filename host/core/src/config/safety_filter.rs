@@ -36,6 +36,13 @@ const LINE_MS: f64 = 40.0;
 const SETTLED: f64 = 3.0;
 
 impl SafetyFilterSection {
+    /// Time from a tick to when this car slows down at the latest, ms.
+    pub(super) fn reaction_ms(&self, config: &Config) -> f64 {
+        let actuators = &config.actuators;
+        self.reaction_ms
+            .unwrap_or(actuators.speed_dead_time_ms + actuators.speed_lag_ms + 2.0 * LINE_MS)
+    }
+
     /// For the controller of this car; none if it is not enabled.
     ///
     /// # Errors
@@ -66,9 +73,7 @@ impl SafetyFilterSection {
                 ),
             ));
         }
-        let reaction_ms = self
-            .reaction_ms
-            .unwrap_or(actuators.speed_dead_time_ms + actuators.speed_lag_ms + 2.0 * LINE_MS);
+        let reaction_ms = self.reaction_ms(config);
         let limits = config.limits.limits(config.vehicle.wheelbase_m());
         SafetyFilter::new(SafetyConfig {
             area,

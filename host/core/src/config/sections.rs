@@ -5,9 +5,9 @@ use singletrack_settings::{Declared as _, Section};
 use super::{
     ActuatorsSection, BoardSection, CompensationSection, ControlSection, EscSection,
     EstimatorSection, FenceSection, GovernorSection, ImuSection, LawSection, LimitsSection,
-    LiveSection, MotionCaptureSection, OnlineCalibrationSection, PageSection, PoseSection,
-    RecordSection, SafetyFilterSection, SerialSection, ServoSection, SocketSection, SpeedSection,
-    StateSection, SupervisorSection, TimingSection, TuningSection, WatchSection,
+    LiveSection, MotionCaptureSection, NeighboursSection, OnlineCalibrationSection, PageSection,
+    PoseSection, RecordSection, SafetyFilterSection, SerialSection, ServoSection, SocketSection,
+    SpeedSection, StateSection, SupervisorSection, TimingSection, TuningSection, WatchSection,
     outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys,
 };
 
@@ -35,6 +35,7 @@ pub const SECTIONS: &[Section] = &[
     ActuatorsSection::SECTION,
     CompensationSection::SECTION,
     SafetyFilterSection::SECTION,
+    NeighboursSection::SECTION,
     TuningSection::SECTION,
     OnlineCalibrationSection::SECTION,
     ControlSection::SECTION,

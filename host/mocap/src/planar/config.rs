@@ -20,6 +20,8 @@ pub struct PlanarConfig {
     pub rigid_body: RigidBodyName,
     /// Which poses are plausible.
     pub limits: PoseLimits,
+    /// Whether the session tells of all other bodies too.
+    pub tells_others: bool,
 }
 
 /// Which poses are plausible.
@@ -94,6 +96,7 @@ impl PlanarConfig {
             session: SessionConfig::new(server, transport, up_axis),
             rigid_body: name,
             limits: PoseLimits::default(),
+            tells_others: false,
         })
     }
 }

@@ -26,7 +26,7 @@ pub use config::{PlanarConfig, PlanarConfigError, PoseLimits, RigidBodyName};
 pub use counters::{PlanarCounters, RejectedCounts};
 pub use gate::PoseGate;
 pub use level::Level;
-pub use neighbour::{NEAR_M, Neighbour};
+pub use neighbour::{NEAR_M, Neighbour, OtherBody};
 pub use observation::{Observation, PlanarPose, PoseState, RejectReason};
 pub use session::{PlanarEvent, PlanarSession};
 pub use tracker::PlanarTracker;

@@ -6,6 +6,43 @@ use crate::{
     session::PoseFrame,
 };
 
+/// What a frame says of another rigid body than the one that is followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OtherBody {
+    /// Its streaming id.
+    pub id: i32,
+    /// Mid-exposure, in nanoseconds of the local monotonic clock.
+    pub capture_time_ns: u64,
+    /// Position of its pivot on the floor, x and y of the world with z up, in metres; none if it
+    /// is not tracked, or its numbers are no pose.
+    pub position_m: Option<[f64; 2]>,
+}
+
+impl OtherBody {
+    /// All of a frame but the body `id`; none of a frame without a usable time.
+    pub(super) fn of<'a>(
+        id: i32,
+        frame: &'a PoseFrame<'_>,
+    ) -> impl Iterator<Item = Self> + use<'a> {
+        let others = move |capture_time_ns| {
+            let others = frame.bodies().filter(move |body| body.id != id);
+            others.map(move |body| Self {
+                id: body.id,
+                capture_time_ns,
+                position_m: match body.state {
+                    BodyState::Tracked(BodyPose { position_m, .. }) => {
+                        let [x_m, y_m, _] = position_m;
+                        Some([x_m, y_m])
+                    }
+                    _ => None,
+                },
+            })
+        };
+        let capture = frame.capture.map(|capture| capture.time_ns);
+        capture.into_iter().flat_map(others)
+    }
+}
+
 /// Distance from the followed body within which another one counts as near, m.
 pub const NEAR_M: f64 = 0.5;
 

@@ -6,7 +6,7 @@ use super::{
     config::{PlanarConfig, PlanarConfigError},
     counters::PlanarCounters,
     level::Level,
-    neighbour::Neighbour,
+    neighbour::{Neighbour, OtherBody},
     observation::{Observation, PoseState},
     tracker::PlanarTracker,
 };
@@ -53,6 +53,9 @@ pub enum PlanarEvent {
     /// What the newest frame says of the body. All other events are rare, and worth a line in the
     /// log.
     Observed(Observation),
+    /// What it says of another body, before what it says of the one that is followed; with
+    /// [`PlanarConfig::tells_others`] alone.
+    Other(OtherBody),
     /// An event of the camera session, other than
     /// [`DefinitionsOutdated`](SessionEvent::DefinitionsOutdated).
     Session(SessionEvent),
@@ -83,10 +86,10 @@ impl PlanarSession {
         input: Input<'_>,
         on_event: &mut impl FnMut(PlanarEvent),
     ) -> usize {
-        let tracker = &mut self.tracker;
+        let (tracker, tells_others) = (&mut self.tracker, self.config.tells_others);
         let mut are_incomplete = false;
         let used = self.source.handle_input(now_ns, input, &mut |output| {
-            are_incomplete |= pass_on(tracker, &output, on_event);
+            are_incomplete |= pass_on(tracker, &output, tells_others, on_event);
         });
         if are_incomplete {
             self.source.request_names_again();
@@ -96,9 +99,9 @@ impl PlanarSession {
 
     /// As [`PoseSource::handle_timeout`](crate::PoseSource::handle_timeout).
     pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(PlanarEvent)) {
-        let tracker = &mut self.tracker;
+        let (tracker, tells_others) = (&mut self.tracker, self.config.tells_others);
         self.source.handle_timeout(now_ns, &mut |output| {
-            pass_on(tracker, &output, on_event);
+            pass_on(tracker, &output, tells_others, on_event);
         });
     }
 
@@ -206,10 +209,14 @@ impl PlanarSession {
 fn pass_on(
     tracker: &mut PlanarTracker,
     output: &Output<'_>,
+    tells_others: bool,
     on_event: &mut impl FnMut(PlanarEvent),
 ) -> bool {
     let binding = match output {
         Output::Frame(frame) => {
+            if let Some(id) = tracker.binding().id().filter(|_| tells_others) {
+                OtherBody::of(id, frame).for_each(|other| on_event(PlanarEvent::Other(other)));
+            }
             on_event(PlanarEvent::Observed(tracker.observe(frame)));
             return false;
         }

@@ -281,3 +281,25 @@ fn a_wrong_up_axis_shows_in_the_height_alone_while_the_yaw_is_zero() {
     world.next_state(&Frame::new(2, &[body]));
     assert!(!world.session.level().unwrap().suggests_other_axis());
 }
+
+#[test]
+fn other_bodies_are_told_only_where_asked_for() {
+    let other = RigidBody::tracked(3, [1.0, 2.0, 0.3], [0.0, 0.0, 0.0, 1.0]);
+    for tells_others in [false, true] {
+        let mut config = config(UNICAST);
+        config.tells_others = tells_others;
+        let mut world = World::connected(config);
+        world.next_state(&Frame::new(1, &[car_at(0.0, 0.0), other]));
+        world.next_state(&Frame::new(
+            2,
+            &[other.with_tracking_valid(false), car_at(0.0, 0.0)],
+        ));
+        let told: Vec<_> = world
+            .others
+            .iter()
+            .map(|told| (told.id, told.position_m))
+            .collect();
+        let expected = [(3, Some([1.0, 2.0])), (3, None)];
+        assert_eq!(told, if tells_others { &expected[..] } else { &[] });
+    }
+}

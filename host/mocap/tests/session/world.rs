@@ -12,7 +12,7 @@ use singletrack_mocap::{
         RigidBody, RigidBodyDefinition, ServerInfo, bitstream_request,
     },
     encode::{self, Dataset, FrameContent},
-    planar::{Observation, PlanarConfig, PlanarEvent, PlanarSession, PoseState},
+    planar::{Observation, OtherBody, PlanarConfig, PlanarEvent, PlanarSession, PoseState},
 };
 
 pub(crate) const MS: u64 = 1_000_000;
@@ -148,6 +148,7 @@ pub(crate) struct World {
     /// Events about the body's name.
     pub(crate) bindings: Vec<Binding>,
     pub(crate) observations: Vec<Observation>,
+    pub(crate) others: Vec<OtherBody>,
 }
 
 impl World {
@@ -172,6 +173,7 @@ impl World {
             events: vec![],
             bindings: vec![],
             observations: vec![],
+            others: vec![],
         }
     }
 
@@ -252,10 +254,12 @@ impl World {
         let before = self.session.counters().session;
         let mut observed = None;
         let (events, bindings) = (&mut self.events, &mut self.bindings);
+        let others = &mut self.others;
         let input = Input::Datagram { source, bytes };
         self.session
             .handle_input(self.now_ns, input, &mut |event| match event {
                 PlanarEvent::Observed(observation) => observed = Some(observation),
+                PlanarEvent::Other(other) => others.push(other),
                 event => keep(event, events, bindings),
             });
         if let Some(observation) = observed {
@@ -330,7 +334,7 @@ fn keep(event: PlanarEvent, events: &mut Vec<SessionEvent>, bindings: &mut Vec<B
     match event {
         PlanarEvent::Session(event) => events.push(event),
         PlanarEvent::Binding(binding) => bindings.push(binding),
-        PlanarEvent::Observed(_) => {}
+        PlanarEvent::Observed(_) | PlanarEvent::Other(_) => {}
     }
 }
 

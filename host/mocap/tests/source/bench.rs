@@ -202,6 +202,7 @@ impl Bench {
                 PlanarEvent::Observed(observation) => {
                     self.observations.push((self.now_ns, observation));
                 }
+                PlanarEvent::Other(_) => {}
                 PlanarEvent::Session(event) => self.events.push(event),
                 PlanarEvent::Binding(binding) => self.bindings.push(binding),
             }

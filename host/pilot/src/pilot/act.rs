@@ -116,6 +116,7 @@ impl Pilot {
             compensator.begin(self.law.actuation().steering);
         }
         self.safety.begin(self.commanded_steering);
+        self.obstacles.begin();
         let unproved = self.config.supervisor.prove && !self.proved;
         self.watches.begin(unproved);
         if let Some(estimate) = &sensed.estimate {
@@ -147,9 +148,10 @@ impl Pilot {
     /// A tick in [`Mode::Driving`]: reference, position loop and law, or the actuation that a
     /// controller outside demands. Fails where the law is singular.
     fn drive(&mut self, now: Time, estimate: &Estimate, action: &mut Action) -> Result<(), Reason> {
-        let time = self
+        let elapsed = self
             .drive_start
             .map_or(0.0, |start| now.seconds_since(start));
+        let time = elapsed - self.obstacles.waited;
         let before = self.law.actuation().speed;
         let wanted = &self.config.reference;
         action.path = Some(match (&mut self.governor, action.point) {
@@ -190,7 +192,7 @@ impl Pilot {
         if let Some(compensator) = &mut self.compensator {
             compensator.sent(actuation.speed);
         }
-        action.drive_time = Some(time);
+        action.drive_time = Some(elapsed);
         action.actuation = actuation;
         action.turning_round = self.law.is_turning_round();
         (action.filtering, action.filtered_ticks) = (self.safety.filtering, self.safety.ticks);

@@ -14,6 +14,7 @@ impl Pilot {
         match event {
             Event::Pose(pose) => return Some(self.handle_pose(pose)),
             Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
+            Event::Neighbour(sample) => self.obstacles.handle(sample),
             Event::Board(sample) => self.handle_board(sample),
             Event::Link(link) => self.supervisor.handle_link(*link),
             Event::Request(request) => self.handle_request(*request),

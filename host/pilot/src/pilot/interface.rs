@@ -2,8 +2,8 @@
 
 use singletrack_control::{
     Actuation, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig, Limits,
-    Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy, Start, Time,
-    TrackingLoop, Velocity,
+    NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy,
+    Start, Time, TrackingLoop, Velocity,
 };
 
 use super::{Compensation, Filtering};
@@ -50,6 +50,8 @@ pub struct PilotConfig {
     /// The filter between any outer loop and the law, before its first tick; none if what they
     /// want passes as it is.
     pub safety: Option<SafetyFilter>,
+    /// What is expected of other rigid bodies; none if the car does not keep apart from them.
+    pub neighbours: Option<NeighbourConfig>,
     /// What may be tuned while the pilot runs, and within which bounds; none if nothing may.
     pub tuning: Option<TuningBounds>,
     /// The control period, s.

@@ -3,7 +3,7 @@
 use core::f64::consts::PI;
 
 use libm::{copysign, fabs, sin, tan};
-use singletrack_control::{Estimate, Reference, direction};
+use singletrack_control::{Estimate, Reference, Velocity, direction};
 
 use super::{Pilot, sense::Sensed};
 use crate::{
@@ -94,7 +94,9 @@ impl Pilot {
     /// What the supervisor judges by.
     pub(super) fn conditions(&self, sensed: &Sensed) -> Conditions {
         let (now, config, watches) = (sensed.now, &self.config, &self.watches);
-        let drive_time = self.drive_start.map(|start| now.seconds_since(start));
+        let path_time = self
+            .drive_start
+            .map(|start| now.seconds_since(start) - self.obstacles.waited);
         let (estimate, speeds) = (sensed.estimate.as_ref(), &sensed.speeds);
         let implausible_motion = watches
             .implausible_motion(&self.estimator, &config.watch)
@@ -128,12 +130,13 @@ impl Pilot {
             commanded_speed: sensed.commanded_speed,
             filter: self.safety.ends,
             inside_fence: estimate.is_none_or(|estimate| self.stops_inside(estimate, sensed.pace)),
+            neighbours: self.neighbours_in_the_way(sensed),
             late: watches.ticks.is_late(&config.watch),
             setpoint_stale: match &config.reference {
                 Reference::External(external) => external.is_stale(now),
                 _ => false,
             },
-            reference_finished: match (drive_time, config.reference.duration()) {
+            reference_finished: match (path_time, config.reference.duration()) {
                 (Some(time), Some(duration)) => {
                     let governor = self.governor.as_ref();
                     governor.map_or(time, |governor| governor.path_at(time)) >= duration
@@ -150,6 +153,34 @@ impl Pilot {
     /// path follows the commanded curvature; and the present one, from which the wheels turn
     /// there.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
+        let fence = &self.config.fence;
+        self.stops(estimate, pace)
+            .iter()
+            .all(|[half, whole]| fence.contains_ways(&estimate.position, &[*half, whole - half]))
+    }
+
+    /// Which reason of other bodies forbids to drive: a car that stands can't do better.
+    fn neighbours_in_the_way(&self, sensed: &Sensed) -> Option<Reason> {
+        if self.obstacles.are_unknown() {
+            return Some(Reason::NeighbourUnknown);
+        }
+        let (estimate, sides) = (sensed.estimate.as_ref()?, &self.obstacles.last_sides);
+        let moves = sensed.pace >= self.config.supervisor.standing_speed;
+        if sides.is_empty() || !moves {
+            return None;
+        }
+        let stops = self.stops(estimate, sensed.pace);
+        let clear = stops.iter().flatten().all(|way| {
+            let place = estimate.position + way;
+            // A NaN is not.
+            sides.iter().all(|side| side.distance(&place) >= 0.0)
+        });
+        (!clear).then_some(Reason::NeighbourNear)
+    }
+
+    /// The ways of a stop, half and whole, that the car may take from the estimate (m): the bend of
+    /// the present path, and that of the commanded steering.
+    fn stops(&self, estimate: &Estimate, pace: f64) -> [[Velocity; 2]; 2] {
         let braking = 0.5 * pace * pace / self.watches.braking(&self.config);
         let ahead = self.watches.blind.distance() + pace * REACTION + braking;
         let present = if fabs(estimate.speed) > BENDS_FROM {
@@ -169,10 +200,6 @@ impl Pilot {
             };
             chord * direction(estimate.yaw + estimate.sideslip + 0.5 * turn)
         };
-        let fence = &self.config.fence;
-        [present, commanded].into_iter().all(|curvature| {
-            let (half, whole) = (way(curvature, 0.5 * ahead), way(curvature, ahead));
-            fence.contains_ways(&estimate.position, &[half, whole - half])
-        })
+        [present, commanded].map(|curvature| [way(curvature, 0.5 * ahead), way(curvature, ahead)])
     }
 }

@@ -5,6 +5,7 @@ mod compensation;
 mod events;
 mod interface;
 mod judge;
+mod neighbours;
 mod observe;
 mod safety;
 mod sense;
@@ -22,6 +23,7 @@ use crate::{
 };
 
 use compensation::Compensator;
+use neighbours::Obstacles;
 use safety::Safety;
 use watches::Watches;
 
@@ -47,6 +49,7 @@ pub struct Pilot {
     /// None if the actuators are not compensated.
     compensator: Option<Compensator>,
     safety: Safety,
+    obstacles: Obstacles,
     /// Where p goes to, in m; the law has the one of now.
     wanted_point_distance: f64,
     estimator: Estimator,
@@ -80,6 +83,7 @@ impl Pilot {
             governor: config.governor(),
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
+            obstacles: Obstacles::new(config.neighbours.as_ref()),
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
@@ -119,6 +123,7 @@ impl Pilot {
         self.governor = config.governor();
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
+        self.obstacles = Obstacles::new(config.neighbours.as_ref());
         self.estimator.reconfigure(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.watches.reset();

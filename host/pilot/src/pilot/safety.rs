@@ -1,5 +1,6 @@
 //! The safety filter between the outer loop, ours or one outside, and the law.
 
+use libm::fabs;
 use singletrack_control::{
     Actuation, Ahead, Estimate, Filtered, FilteredDemand, LimitedLaw, Motion, SafetyFilter,
     SafetyInput, Singularity, SpeedDemand, SteeringDemand, Velocity,
@@ -20,6 +21,8 @@ words! {
         Scaled = 3 "scaled",
         /// It slowed the car down, with the steering held.
         Stopped = 4 "stopped",
+        /// It changed what was wanted for another rigid body: the car goes on when that has gone.
+        Yielded = 5 "yielded",
     }
 }
 
@@ -39,6 +42,9 @@ pub(super) struct Safety {
 
 /// The path may bend otherwise for so long, s: the wheels strike something, a pose jumps.
 const BENDS_OTHERWISE: f64 = 0.2;
+
+/// P goes no slower before another body, m/s: the car stands instead. A motor that is driven must turn.
+const CREEP: f64 = 0.1;
 
 /// What the law is given besides a velocity.
 pub(super) struct LawStep {
@@ -121,6 +127,7 @@ impl Pilot {
             blind: self.watches.blind.distance(),
             braking: self.watches.braking(&self.config),
             period: self.config.period,
+            neighbours: &self.obstacles.sides,
         }
     }
 
@@ -151,18 +158,35 @@ impl Pilot {
             Ok(law.actuation())
         };
         let input = self.safety_input(estimate, step.wheels);
-        let (filtering, velocity) = match filter.step(&input, wanted, trial) {
-            Filtered::Unchanged => return advance(&mut self.law, wanted),
-            Filtered::Limited(velocity) => (Filtering::Limited, velocity),
-            Filtered::Scaled(velocity) => (Filtering::Scaled, velocity),
-            Filtered::Stop => {
-                action.point_velocity = None;
-                return Ok(self.stop_by_filter(wanted.norm().is_finite()));
-            }
+        let filtered = filter.step(&input, wanted, trial);
+        let (filtering, velocity) = match filtered {
+            Filtered::Unchanged => (Filtering::None, Some(*wanted)),
+            Filtered::Limited(velocity) => (Filtering::Limited, Some(velocity)),
+            Filtered::Scaled(velocity) => (Filtering::Scaled, Some(velocity)),
+            Filtered::Stop => (Filtering::Stopped, None),
         };
-        self.safety.note(filtering);
-        action.point_velocity = Some(velocity);
-        advance(&mut self.law, &velocity)
+        let yields = filtered != Filtered::Unchanged
+            && alone(&input).is_some_and(|alone| filter.step(&alone, wanted, trial) != filtered);
+        let moves = |velocity: &Velocity| !yields || velocity.norm() >= CREEP;
+        let velocity = velocity.filter(moves);
+        let waits = self.obstacles.wait(yields && velocity.is_none(), period);
+        let velocity = velocity.filter(|_| !waits);
+        if yields || waits {
+            self.obstacles
+                .delay(wanted, &velocity.unwrap_or_default(), period);
+        }
+        action.point_velocity = velocity;
+        let actuation = match velocity {
+            Some(velocity) => {
+                if filtering != Filtering::None {
+                    self.safety.note(filtering);
+                }
+                advance(&mut self.law, &velocity)?
+            }
+            None => self.stop_by_filter(wanted.norm().is_finite(), yields || waits),
+        };
+        self.note_yielding(yields || waits, &actuation);
+        Ok(actuation)
     }
 
     /// A step towards steering and speed that a controller outside demands, or towards what the
@@ -190,36 +214,67 @@ impl Pilot {
             Ok(law.actuation())
         };
         let input = self.safety_input(estimate, now.steering);
-        let share = match filter.demand(&input, trial) {
-            FilteredDemand::Unchanged => 1.0,
-            FilteredDemand::Scaled(share) => {
-                self.safety.note(Filtering::Scaled);
-                share
+        let filtered = filter.demand(&input, trial);
+        let yields = filtered != FilteredDemand::Unchanged
+            && alone(&input).is_some_and(|alone| filter.demand(&alone, trial) != filtered);
+        let share = match filtered {
+            FilteredDemand::Unchanged => Some(1.0),
+            FilteredDemand::Scaled(share) => Some(share),
+            FilteredDemand::Stop => None,
+        };
+        let share = share.filter(|share| !yields || *share > 0.0);
+        let waits = self.obstacles.wait(yields && share.is_none(), period);
+        let actuation = match share.filter(|_| !waits) {
+            Some(share) => {
+                if share != 1.0 {
+                    self.safety.note(Filtering::Scaled);
+                }
+                let (steering, speed) = part(share);
+                self.law.follow(steering, speed, period)?
             }
-            FilteredDemand::Stop => {
+            None => {
                 let is_finite = self.law.clone().follow(steering, speed, period).is_ok();
-                return Ok(self.stop_by_filter(is_finite));
+                self.stop_by_filter(is_finite, yields || waits)
             }
         };
-        let (steering, speed) = part(share);
-        self.law.follow(steering, speed, period)
+        self.note_yielding(yields || waits, &actuation);
+        Ok(actuation)
     }
 
-    /// A tick of the pilot's stop. The drive ends if the car comes to stand by it, or was to
-    /// follow no number; otherwise it goes on once a step leaves the car able to stop again.
-    fn stop_by_filter(&mut self, is_finite: bool) -> Actuation {
+    /// A tick of the pilot's stop. The drive ends if the car comes to stand by it, unless before
+    /// another body, or was to follow no number; otherwise it goes on once a step leaves the car
+    /// able to stop again.
+    fn stop_by_filter(&mut self, is_finite: bool, yields: bool) -> Actuation {
         let config = &self.config;
         let actuation = self.law.slow_down(config.stop_deceleration, config.period);
         self.safety.note(Filtering::Stopped);
         self.safety.ends = if !is_finite {
             Some(Reason::LawSingular)
-        } else if actuation.speed == 0.0 {
+        } else if actuation.speed == 0.0 && !yields {
             Some(Reason::OutsideFence)
         } else {
             None
         };
         actuation
     }
+
+    /// Notes whether the car yields to another body; the drive ends if it stands for too long.
+    fn note_yielding(&mut self, yields: bool, actuation: &Actuation) {
+        if yields {
+            self.safety.filtering = Filtering::Yielded;
+        }
+        let stands = yields && fabs(actuation.speed) < self.config.supervisor.standing_speed;
+        let ends = self.obstacles.stand(stands, self.config.period);
+        self.safety.ends = self.safety.ends.or(ends);
+    }
+}
+
+/// The car of a tick without other bodies; none if there are none.
+fn alone<'a>(input: &SafetyInput<'a>) -> Option<SafetyInput<'a>> {
+    (!input.neighbours.is_empty()).then_some(SafetyInput {
+        neighbours: &[],
+        ..*input
+    })
 }
 
 /// A share of what is demanded: as far from the present steering, and as fast. The whole is the

@@ -64,6 +64,8 @@ impl Pilot {
         let wave = self.wave();
         self.safety.observe(pace, steering, braking, config.period);
         self.safety.watch(estimate.as_ref(), wave, config.period);
+        let drives = self.supervisor.mode().is_underway();
+        self.obstacles.observe(now, estimate.as_ref(), drives);
         let heard = self
             .board_time
             .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);

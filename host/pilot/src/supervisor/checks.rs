@@ -323,10 +323,12 @@ fn check_imu(conditions: &Conditions, config: &SupervisorConfig) -> Option<Reaso
     }
 }
 
-/// The geofence, the timing of the ticks, and the age of an external set-point.
+/// The geofence, other rigid bodies, the timing of the ticks, and the age of an external set-point.
 const fn check_fence_and_deadlines(conditions: &Conditions) -> Option<Reason> {
     if !conditions.inside_fence {
         Some(Reason::OutsideFence)
+    } else if conditions.neighbours.is_some() {
+        conditions.neighbours
     } else if conditions.late {
         Some(Reason::DeadlineMissed)
     } else if conditions.setpoint_stale {

@@ -64,6 +64,8 @@ pub struct Conditions {
     pub filter: Option<Reason>,
     /// Whether the car is inside the geofence and can stop there.
     pub inside_fence: bool,
+    /// What other rigid bodies are in the way, or unknown.
+    pub neighbours: Option<Reason>,
     /// Whether ticks come too late.
     pub late: bool,
     /// Whether the reference is external and its last set-point is too old.

@@ -325,6 +325,21 @@ words! {
         ///
         /// Remedy: Reset the board; replace the IMU if it returns.
         ImuFault = 52 "imu-fault",
+        /// The cameras list another rigid body, and have never seen it; a body of
+        /// `neighbours.expected` is not listed; or there are more than 24.
+        ///
+        /// Effect: Refuses. Driving: stops.
+        ///
+        /// Remedy: Look for the body's markers; correct `neighbours.expected`; remove bodies that
+        /// are not on the floor, or name them in `neighbours.ignored`.
+        NeighbourUnknown = 54 "neighbour-unknown",
+        /// Another rigid body is where the car may not stop before it, or has stood in its way
+        /// for `neighbours.patience_s`.
+        ///
+        /// Effect: Stops.
+        ///
+        /// Remedy: Move the car or the body away; arm again.
+        NeighbourNear = 55 "neighbour-near",
     }
 }
 

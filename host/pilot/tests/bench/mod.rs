@@ -97,6 +97,7 @@ pub(crate) fn config() -> PilotConfig {
         stop_deceleration: 1.5,
         compensation: Compensation::off(vehicle),
         safety: None,
+        neighbours: None,
         tuning: None,
         period: 0.01,
     }

@@ -29,7 +29,7 @@ pub(crate) struct Bench {
 pub(crate) type Failure = (&'static str, Reason, fn(&mut Bench));
 
 /// Failures at any time.
-pub(crate) const FAILURES: [Failure; 17] = [
+pub(crate) const FAILURES: [Failure; 18] = [
     ("an open battery input", Reason::BatteryOpen, |bench| {
         bench.health = Some(BoardHealth {
             battery_open: true,
@@ -103,6 +103,9 @@ pub(crate) const FAILURES: [Failure; 17] = [
     }),
     ("the geofence", Reason::OutsideFence, |bench| {
         bench.conditions.inside_fence = false;
+    }),
+    ("another body near", Reason::NeighbourNear, |bench| {
+        bench.conditions.neighbours = Some(Reason::NeighbourNear);
     }),
     ("a late controller", Reason::DeadlineMissed, |bench| {
         bench.conditions.late = true;
@@ -217,6 +220,7 @@ impl Bench {
                 overspeed: false,
                 commanded_speed: 0.0,
                 inside_fence: true,
+                neighbours: None,
                 late: false,
                 setpoint_stale: false,
                 filter: None,

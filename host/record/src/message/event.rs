@@ -1,8 +1,8 @@
 //! The events of a tick, exactly: a replay starts from them.
 
 use singletrack_control::{
-    Demand, InertialSample, PoseSample, ReferencePoint, Setpoint, SetpointStamp, SpeedDemand,
-    SteeringDemand, TrajectoryPiece, TrajectoryPoint,
+    Demand, InertialSample, NeighbourSample, PoseSample, ReferencePoint, Setpoint, SetpointStamp,
+    SpeedDemand, SteeringDemand, TrajectoryPiece, TrajectoryPoint,
 };
 use singletrack_pilot::{
     AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
@@ -48,6 +48,7 @@ choice! {
             trajectory_piece: Maybe<TrajectoryPieceMessage>, "the trajectory's point"
         ),
         16 "tuning" Tuning(tuning: Maybe<TuningMessage>, "the values"),
+        17 "neighbour" Neighbour(neighbour: Maybe<NeighbourMessage>, "the body"),
     }
 }
 
@@ -64,6 +65,20 @@ message! {
         position: Group<PointMessage>,
         /// Yaw of the rigid body, left positive, in rad, from -pi to pi.
         yaw_rad: f64 = yaw,
+    }
+}
+
+message! {
+    /// Where the motion capture sees another rigid body.
+    NeighbourMessage as "Neighbour" of NeighbourSample {
+        /// Its streaming id; negative while an expected body has none.
+        id: i32,
+        /// Mid-exposure, in ns of the host's monotonic clock.
+        capture_ns: u64 = capture,
+        /// Position of its origin on the floor, world frame, in m; absent if it is not seen.
+        position: Maybe<PointMessage>,
+        /// Whether it is a car that yields to this one.
+        yields: bool,
     }
 }
 
