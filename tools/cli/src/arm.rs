@@ -50,7 +50,7 @@ const UNATTENDED: &str = "driving unattended: the car drives on when this shell,
                           until the daemon stops it";
 
 /// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
-const RENEWAL: Duration = Duration::from_millis(100);
+pub(crate) const RENEWAL: Duration = Duration::from_millis(100);
 
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
@@ -62,10 +62,10 @@ const PATIENCE: Duration = Duration::from_secs(1);
 const CTRL_C: &str = "(Ctrl-C stops the car)";
 
 /// The exit status of a drive that the daemon or the board stopped.
-const STOPPED: u8 = 3;
+pub(crate) const STOPPED: u8 = 3;
 
 /// Reasons with which a drive ends as its operator wanted.
-const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
+pub(crate) const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
 
 /// Arms the car. With `--hold` or `--for`, returns when the drive has ended: with success if it
 /// ended as wanted, otherwise with status 3.

@@ -15,6 +15,8 @@ pub mod demo;
 pub mod drive;
 #[cfg(feature = "operator")]
 pub mod dump;
+#[cfg(feature = "operator")]
+pub mod fleet;
 pub mod help;
 #[cfg(feature = "operator")]
 pub mod import;

@@ -13,7 +13,7 @@ use singletrack::viewers;
 use singletrack::{arguments::take_negative_numbers, help::grouped, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
-    arm, bench, cameras, control, drive, dump, import, install_files, jog, recover, replay,
+    arm, bench, cameras, control, drive, dump, fleet, import, install_files, jog, recover, replay,
     set_reference, setpoint, status, teach, tune,
 };
 #[cfg(feature = "paper")]
@@ -149,6 +149,9 @@ enum Command {
     /// Emergency stop: neutral at once, until the board is reset.
     Stop(control::ControlArgs),
     #[cfg(feature = "operator")]
+    /// One command for several cars, each with a daemon of its own.
+    Fleet(fleet::FleetArgs),
+    #[cfg(feature = "operator")]
     /// Replace the reference of a standing car; it lasts until the configuration is reloaded.
     SetReference(set_reference::SetReferenceArgs),
     #[cfg(feature = "operator")]
@@ -200,7 +203,7 @@ const OPTIONAL: [(&str, &str); 5] = [
     ("page", "page"),
     (
         "operator",
-        "cameras doctor bring-up calibrate status arm jog disarm stop set-reference setpoint tune drive \
+        "cameras doctor bring-up calibrate status arm jog disarm stop fleet set-reference setpoint tune drive \
          teach dump import judge recover replay install-files",
     ),
     ("paper", "compare reproduce stability identify merge"),
@@ -283,6 +286,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::Disarm(args) => Ok(control::disarm(args)?),
         #[cfg(feature = "operator")]
         Command::Stop(args) => Ok(control::stop(args)?),
+        #[cfg(feature = "operator")]
+        Command::Fleet(args) => return Ok(fleet::run(args)?),
         #[cfg(feature = "operator")]
         Command::SetReference(args) => Ok(set_reference::run(args)?),
         #[cfg(feature = "operator")]

@@ -14,6 +14,7 @@ mod control_command;
 #[path = "../../../host/daemon/tests/common/mod.rs"]
 mod daemon;
 mod demo_command;
+mod fleet_command;
 mod identify_command;
 mod import_command;
 #[path = "../../figures/tests/picture/mod.rs"]

@@ -5,6 +5,7 @@ use std::{path::PathBuf, time::Duration};
 use clap::{Args, ValueEnum};
 use singletrack_sim::{BoardKind, LossPattern};
 
+use super::files::MAX_CARS;
 use crate::arguments::parse_duration;
 
 /// Options of `singletrack demo`.
@@ -28,6 +29,16 @@ pub struct DemoArgs {
     /// The car: the paper's, or one that is made of the logs of a real car (`tools/vehicles`)
     #[arg(long, value_enum, default_value_t = Car::Paper)]
     pub(super) car: Car,
+
+    /// Several cars on circles that cross, which keep apart, 2 to 20
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = parse_cars,
+        conflicts_with_all = ["live", "watch", "board", "car", "loss", "feed_forward"]
+    )]
+    pub(super) cars: usize,
 
     /// Where the configuration, the record, the figures and the summary go
     #[arg(
@@ -72,6 +83,13 @@ pub(super) enum Car {
     Paper,
     /// DART, about 1:18: its tyres, play in the steering, and an IMU that vibrates.
     Dart,
+}
+
+fn parse_cars(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(cars) if (1..=MAX_CARS).contains(&cars) => Ok(cars),
+        _ => Err(format!("{text} is not between 1 and {MAX_CARS}")),
+    }
 }
 
 fn parse_time(text: &str) -> Result<Duration, String> {

@@ -6,6 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use singletrack_core::config::Config;
 use singletrack_figures::plot::{ANIMATION, FigureKind, REPORT};
 
 use super::error::DemoError;
@@ -15,6 +16,19 @@ pub(super) const RECORD: &str = "demo.mcap";
 pub(super) const CONFIGURATION: &str = "demo.toml";
 pub(super) const SIMULATION: &str = "simulation.toml";
 pub(super) const SUMMARY: &str = "summary.json";
+/// The most cars of a demo.
+pub(super) const MAX_CARS: usize = 20;
+
+/// The record of one of several cars.
+pub(super) fn record_of(config: &Config) -> PathBuf {
+    PathBuf::from(format!("{}.mcap", config.motion_capture.rigid_body))
+}
+
+/// The configuration of one of several cars.
+pub(super) fn configuration_of(config: &Config) -> PathBuf {
+    PathBuf::from(format!("{}.toml", config.motion_capture.rigid_body))
+}
+
 /// A folder.
 pub(super) const FIGURES: &str = "figures";
 
@@ -69,19 +83,19 @@ pub(super) fn clear(folder: &Path) -> Result<(), DemoError> {
 
 /// The files of a demo, besides the figures.
 fn files() -> Vec<PathBuf> {
-    let unfinished = singletrack_record::part_path(Path::new(RECORD));
-    let files = [
-        RECORD,
-        CONFIGURATION,
-        SIMULATION,
-        SUMMARY,
-        REPORT,
-        ANIMATION,
-    ];
+    let cars = (1..=MAX_CARS).map(|number| format!("car{number}.mcap"));
+    let records: Vec<_> = cars.chain([RECORD.to_owned()]).map(PathBuf::from).collect();
+    let unfinished = records
+        .iter()
+        .map(|record| singletrack_record::part_path(record));
+    let configurations = records.iter().map(|record| record.with_extension("toml"));
+    let files = [SIMULATION, SUMMARY, REPORT, ANIMATION];
     files
         .map(PathBuf::from)
         .into_iter()
-        .chain([unfinished])
+        .chain(unfinished)
+        .chain(configurations)
+        .chain(records.iter().cloned())
         .collect()
 }
 

@@ -5,6 +5,7 @@ mod arguments;
 mod board_figures;
 mod error;
 mod files;
+mod fleet;
 mod outcome;
 mod progress;
 mod real_time;
@@ -43,6 +44,9 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
     let interrupt = Interrupt::listen().map_err(DemoError::Signals)?;
     let folder = prepare(&args.out)?;
+    if args.cars > 1 {
+        return fleet::run(args, &interrupt);
+    }
     let mut progress = Progress::new(args.duration, settings::expected(args.feed_forward).error_m);
     let driven = if args.virtual_time {
         virtual_time::run(args, &mut progress, &interrupt)?

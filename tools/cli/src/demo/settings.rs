@@ -94,12 +94,17 @@ pub(super) fn connected(
     private: &Path,
 ) -> Result<Config, DemoError> {
     let mut config = daemon(args)?;
+    connect(simulator, &mut config, private);
+    Ok(config)
+}
+
+/// Gives a daemon the addresses of the simulator, and a private folder.
+pub(super) fn connect(simulator: &RealTimeSimulator, config: &mut Config, private: &Path) {
     config.serial.port = simulator.pty_path().to_owned();
     config.motion_capture.command_port = Some(simulator.command_address().port());
     config.motion_capture.data_port = simulator.data_address().port();
     config.state.directory = private.join("state");
     config.socket.path = private.join("control.sock");
-    Ok(config)
 }
 
 pub(super) fn daemon(args: &DemoArgs) -> Result<Config, DemoError> {

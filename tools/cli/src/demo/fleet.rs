@@ -1,0 +1,343 @@
+//! `singletrack demo --cars N`: several cars on circles that cross, each with a daemon of its own, in
+//! real time or in virtual time.
+
+use std::{
+    f64::consts::{FRAC_PI_2, PI, TAU},
+    path::Path,
+    sync::{Arc, Mutex, PoisonError},
+    thread,
+    time::{Duration, Instant},
+};
+
+use indicatif::ProgressBar;
+use serde::Serialize;
+use singletrack_core::config::{Config, ReferenceSection, Start};
+use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
+use singletrack_scenario::{
+    simulated::{self, daemon_config},
+    virtual_fleet::{FleetCar, VirtualFleet, fleet_floor, fleet_simulation},
+    virtual_record::VirtualRecord,
+};
+use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose};
+use singletrackd::{Daemon, StartOptions};
+
+use super::{
+    DemoArgs, DemoError,
+    files::{SUMMARY, configuration_of, record_of, write},
+    settings,
+};
+use crate::{interrupt::Interrupt, progress::progress_bar};
+
+/// Up to so many cars, neighbouring circles of 1 m are so far apart, in m, and a car is ahead of the
+/// one before it by a part of the angle between their circles: they cross, and their cars yield.
+/// More cars would stand in each other's way sooner or later.
+const CROSSING: (usize, f64, f64) = (5, 1.8, 0.5);
+/// The same for more.
+const APART: (f64, f64) = (2.0, 0.0);
+/// Speed on the circles, in rad/s and m/s.
+const SPEED: f64 = 0.5;
+/// How long boards, cameras and estimators may take to be ready.
+const READY_TIMEOUT: Duration = Duration::from_secs(20);
+/// How long a car may take to stop and to be disarmed.
+const STOP_TIMEOUT: Duration = Duration::from_secs(4);
+/// How often the demo looks at the daemons.
+const POLL: Duration = Duration::from_millis(20);
+
+/// How the drive of a car went.
+#[derive(Clone, Debug, Default, Serialize)]
+struct CarSummary {
+    name: String,
+    way_m: f64,
+    /// The time for which it slowed down or stood for another car.
+    yielded_s: f64,
+    /// Why it stopped before its time.
+    ended: Option<&'static str>,
+    /// Points of the control grid at which no tick ran; none in virtual time.
+    deadline_misses: Option<u64>,
+}
+
+impl CarSummary {
+    fn note(&mut self, output: &Output, elapsed_s: f64) {
+        if output.filtering == Filtering::Yielded {
+            self.yielded_s += elapsed_s;
+        }
+        if !matches!(output.mode, Mode::Driving | Mode::Slowing) {
+            let reason = output.reason.map_or("none", Reason::name);
+            self.ended = self.ended.or(Some(reason));
+        }
+    }
+}
+
+/// Drives, and prints how it went.
+pub(super) fn run(args: &DemoArgs, interrupt: &Interrupt) -> Result<(), DemoError> {
+    let cars: Vec<FleetCar> = (0..args.cars).map(|index| car(args, index)).collect();
+    let (mut summaries, nearest_m) = if args.virtual_time {
+        virtual_time(args, &cars, interrupt)?
+    } else {
+        real_time(args, &cars, interrupt)?
+    };
+    for (summary, car) in summaries.iter_mut().zip(&cars) {
+        summary
+            .name
+            .clone_from(&car.config.motion_capture.rigid_body);
+        println!(
+            "{:6} {:6.1} m, yielded {:5.1} s, {}{}",
+            summary.name,
+            summary.way_m,
+            summary.yielded_s,
+            summary.ended.map_or_else(
+                || "drove to the end".to_owned(),
+                |reason| format!("stopped: {reason}")
+            ),
+            summary
+                .deadline_misses
+                .map_or_else(String::new, |misses| format!(", {misses} ticks missed")),
+        );
+    }
+    println!("least distance between any two: {nearest_m:.3} m");
+    let path = args.out.join(SUMMARY);
+    let summary = serde_json::json!({
+        "cars": summaries,
+        "least_distance_m": nearest_m,
+        "duration_s": args.duration.as_secs_f64(),
+    });
+    write(&path, &format!("{summary:#}\n"))?;
+    println!("records and summary: {}", args.out.display());
+    match interrupt.is_raised() {
+        true => Err(DemoError::Interrupted),
+        false => Ok(()),
+    }
+}
+
+/// A car on one of the circles around a ring.
+fn car(args: &DemoArgs, index: usize) -> FleetCar {
+    let name = |index| format!("car{}", index + 1);
+    let turn = TAU * index as f64 / args.cars as f64;
+    let (spacing, ahead) = match CROSSING {
+        (most, spacing, ahead) if args.cars <= most => (spacing, ahead),
+        _ => APART,
+    };
+    let ring = 0.5 * spacing / (PI / args.cars as f64).sin();
+    let centre = [ring * turn.cos(), ring * turn.sin()];
+    let mut config = daemon_config(simulated::Drive::following(ReferenceSection::Circle {
+        radius_m: 1.0,
+        angular_velocity_rad_s: SPEED,
+        centre_m: centre,
+        start: Start::Nearest,
+    }));
+    config.motion_capture.rigid_body = name(index);
+    config.safety_filter.enabled = true;
+    config.neighbours.enabled = true;
+    config.neighbours.expected = (0..args.cars)
+        .filter(|other| *other != index)
+        .map(name)
+        .collect();
+    config.record.directory.clone_from(&args.out);
+    let phase = ahead * turn;
+    FleetCar {
+        start: StartPose {
+            x_m: centre[0] + phase.cos(),
+            y_m: centre[1] + phase.sin(),
+            yaw_rad: phase + FRAC_PI_2,
+        },
+        seed: args.seed + index as u64,
+        config,
+    }
+}
+
+fn bar(args: &DemoArgs) -> ProgressBar {
+    progress_bar(
+        args.duration.as_millis() as u64,
+        "{bar:10} {percent:>3} %  {msg}",
+    )
+}
+
+fn show(bar: &ProgressBar, time_s: f64, summaries: &[CarSummary], nearest_m: f64) {
+    let drive = summaries.iter().filter(|car| car.ended.is_none()).count();
+    bar.set_position((time_s * 1e3) as u64);
+    bar.set_message(format!(
+        "{time_s:5.1} s  {drive} of {} cars drive, least distance {nearest_m:.2} m",
+        summaries.len()
+    ));
+}
+
+fn virtual_time(
+    args: &DemoArgs,
+    cars: &[FleetCar],
+    interrupt: &Interrupt,
+) -> Result<(Vec<CarSummary>, f64), DemoError> {
+    for car in cars {
+        write_configuration(args, &car.config)?;
+    }
+    let mut fleet = VirtualFleet::new(cars)?;
+    let drives = fleet.cars_mut().iter_mut().zip(cars);
+    let record = |(drive, car): (_, &FleetCar)| {
+        let path = args.out.join(record_of(&car.config));
+        VirtualRecord::start(&path, drive, &car.config, car.seed)
+    };
+    let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
+    fleet.start()?;
+    let mut summaries = vec![CarSummary::default(); cars.len()];
+    let bar = bar(args);
+    let start_us = fleet.now_us();
+    let duration_s = args.duration.as_secs_f64();
+    let mut time_s = 0.0;
+    while time_s < duration_s && !interrupt.is_raised() {
+        time_s = (time_s + 0.1).min(duration_s);
+        fleet.advance_to(start_us + (time_s * 1e6) as u64, &mut |index, tick| {
+            if let Some(summary) = summaries.get_mut(index) {
+                summary.way_m = tick.truth.way;
+                summary.note(&tick.tick.output, 0.01);
+            }
+        });
+        for (record, drive) in records.iter_mut().zip(fleet.cars_mut()) {
+            record.write(drive)?;
+        }
+        show(&bar, time_s, &summaries, fleet.nearest_m());
+    }
+    bar.finish_and_clear();
+    for drive in fleet
+        .cars()
+        .iter()
+        .filter(|drive| drive.mode().is_underway())
+    {
+        drive.request(PilotRequest::Disarm)?;
+    }
+    fleet.advance_to(
+        fleet.now_us() + STOP_TIMEOUT.as_micros() as u64,
+        &mut |_, _| {},
+    );
+    for (record, drive) in records.into_iter().zip(fleet.cars_mut()) {
+        record.finish(drive)?;
+    }
+    Ok((summaries, fleet.nearest_m()))
+}
+
+fn real_time(
+    args: &DemoArgs,
+    cars: &[FleetCar],
+    interrupt: &Interrupt,
+) -> Result<(Vec<CarSummary>, f64), DemoError> {
+    let private = tempfile::Builder::new()
+        .prefix("singletrack-")
+        .tempdir()
+        .map_err(DemoError::Temporary)?;
+    let floor = Arc::new(Mutex::new(fleet_floor(cars)));
+    let nearest_m = || {
+        floor
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .nearest_m()
+    };
+    let start = |index| start(args, cars, index, &floor, private.path());
+    let fleet: Vec<_> = (0..cars.len())
+        .map(start)
+        .collect::<Result<_, DemoError>>()?;
+
+    let bar = bar(args);
+    arm(&fleet, &bar, interrupt)?;
+    let mut summaries = vec![CarSummary::default(); cars.len()];
+    let begin = Instant::now();
+    let mut last = begin;
+    while begin.elapsed() < args.duration && !interrupt.is_raised() {
+        thread::sleep(POLL);
+        let elapsed_s = last.elapsed().as_secs_f64();
+        last = Instant::now();
+        for (summary, (_, daemon)) in summaries.iter_mut().zip(&fleet) {
+            if let Some(output) = daemon.snapshot().output() {
+                summary.note(output, elapsed_s);
+            }
+        }
+        show(&bar, begin.elapsed().as_secs_f64(), &summaries, nearest_m());
+    }
+    bar.finish_and_clear();
+    stop(&fleet)?;
+    for (summary, (simulator, daemon)) in summaries.iter_mut().zip(fleet) {
+        let driven = daemon.stop()?;
+        summary.deadline_misses = Some(driven.figures.deadline_misses);
+        summary.way_m = simulator.stop()?.world.truth().way;
+    }
+    Ok((summaries, nearest_m()))
+}
+
+/// A simulator and a daemon.
+type Pair = (RealTimeSimulator, Daemon);
+
+fn start(
+    args: &DemoArgs,
+    cars: &[FleetCar],
+    index: usize,
+    floor: &Arc<Mutex<singletrack_sim::Floor>>,
+    private: &Path,
+) -> Result<Pair, DemoError> {
+    let mut config = cars[index].config.clone();
+    let folder = private.join(&config.motion_capture.rigid_body);
+    std::fs::create_dir(&folder).map_err(DemoError::Temporary)?;
+    let simulator = RealTimeSimulator::start(RealTimeConfig {
+        floor: Some(SharedFloor {
+            floor: Arc::clone(floor),
+            index,
+        }),
+        ..settings::real_time(fleet_simulation(cars, index), &folder)
+    })?;
+    settings::connect(&simulator, &mut config, &folder);
+    write_configuration(args, &config)?;
+    let daemon = Daemon::start(
+        config,
+        StartOptions {
+            record: Some(args.out.join(record_of(&cars[index].config))),
+            seed: Some(cars[index].seed),
+            ..StartOptions::default()
+        },
+    )?;
+    Ok((simulator, daemon))
+}
+
+fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), DemoError> {
+    write(&args.out.join(configuration_of(config)), &config.to_toml()?)
+}
+
+/// Waits until all cars are ready, arms them, and waits until all drive.
+fn arm(fleet: &[Pair], bar: &ProgressBar, interrupt: &Interrupt) -> Result<(), DemoError> {
+    let begin = Instant::now();
+    for wanted in [Mode::Ready, Mode::Driving] {
+        while let Some((_, waits)) = fleet.iter().find(|(_, it)| it.snapshot().mode() != wanted) {
+            let snapshot = waits.snapshot();
+            if interrupt.is_raised() {
+                return Err(DemoError::Interrupted);
+            }
+            if begin.elapsed() > READY_TIMEOUT {
+                return Err(DemoError::NotStarted {
+                    mode: snapshot.mode(),
+                    reason: snapshot.reason(),
+                    seconds: READY_TIMEOUT.as_secs(),
+                });
+            }
+            bar.set_message(format!("waiting for all cars: {}", snapshot.mode()));
+            thread::sleep(POLL);
+        }
+        if wanted == Mode::Ready {
+            for (_, daemon) in fleet {
+                daemon.request(PilotRequest::Arm)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Stops all cars, and waits until they are disarmed.
+fn stop(fleet: &[Pair]) -> Result<(), DemoError> {
+    for (_, daemon) in fleet {
+        if daemon.snapshot().mode().is_underway() {
+            daemon.request(PilotRequest::Disarm)?;
+        }
+    }
+    let begin = Instant::now();
+    let drives = |(_, daemon): &Pair| daemon.snapshot().mode().commands() && !daemon.has_ended();
+    // The request is taken at the next tick.
+    thread::sleep(POLL);
+    while fleet.iter().any(drives) && begin.elapsed() < STOP_TIMEOUT {
+        thread::sleep(POLL);
+    }
+    Ok(())
+}

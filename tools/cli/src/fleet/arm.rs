@@ -1,0 +1,157 @@
+//! `singletrack fleet arm`: the dead-man switch of all cars.
+
+use std::{
+    process::ExitCode,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use singletrack_api::{Arm, Attendance, Connection, Ended, Reply, Request};
+
+use super::{FleetError, PATIENCE, ask_all, failure, file::Fleet, obeyed, tell};
+use crate::{
+    arm::{RENEWAL, STOPPED, WANTED, parse_time},
+    control::{ControlError, print},
+    interrupt::Interrupt,
+};
+
+/// Options of `singletrack fleet arm`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct FleetArmArgs {
+    /// Drive for this time, such as 60s, and stop
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
+    time: Option<Duration>,
+    /// Stop all cars when the drive of one of them ends
+    #[arg(long)]
+    together: bool,
+    /// Arm also cars that have not passed doctor, bring-up and calibrate
+    #[arg(long)]
+    uncalibrated: bool,
+}
+
+/// The longest wait for a line of one car: renewals must not be late.
+const WAIT: Duration = Duration::from_millis(2);
+
+/// The longest time until a car has stopped.
+const STOP_TIMEOUT: Duration = Duration::from_secs(6);
+
+/// A car whose drive this command holds.
+struct Held<'a> {
+    name: &'a str,
+    connection: Connection,
+    ended: Option<Ended>,
+}
+
+/// Arms all cars, if all are ready, and holds their drives until all have ended.
+pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetError> {
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    all_ready(fleet)?;
+    let mut cars = Vec::new();
+    for car in &fleet.cars {
+        match Connection::open(&car.socket(), PATIENCE) {
+            Ok(connection) => cars.push(Held {
+                name: &car.name,
+                connection,
+                ended: None,
+            }),
+            Err(error) => return Err(FleetError::Cars(vec![failure(car, &error)])),
+        }
+    }
+    let arm = Request::Arm(Arm {
+        attendance: Some(Attendance::Hold),
+        uncalibrated: args.uncalibrated,
+        ..Arm::default()
+    });
+    send(&mut cars, &arm);
+    let begun = Instant::now();
+    let mut renewed = begun;
+    let mut disarmed = None;
+    while cars.iter().any(|car| car.ended.is_none()) {
+        let one_ended = cars.iter().any(|car| car.ended.is_some());
+        let is_over = args.time.is_some_and(|time| begun.elapsed() >= time);
+        if (interrupt.is_raised() || is_over || (args.together && one_ended)) && disarmed.is_none()
+        {
+            disarmed = Some(Instant::now());
+            // The drives are not held any longer: a car that is not told stops all the same.
+            let _ = tell(fleet, &Request::DISARM);
+        }
+        if disarmed.is_none() && renewed.elapsed() >= RENEWAL {
+            renewed = Instant::now();
+            send(&mut cars, &Request::Hold {});
+        }
+        for car in cars.iter_mut().filter(|car| car.ended.is_none()) {
+            car.listen();
+            if disarmed.is_some_and(|since| since.elapsed() > STOP_TIMEOUT) {
+                car.lose("its daemon does not say that it stands");
+            }
+        }
+    }
+    let mut as_wanted = true;
+    for Held { name, ended, .. } in &cars {
+        let Some(ended) = ended else { continue };
+        let reason = ended.reason.as_deref();
+        as_wanted &= reason.is_none_or(|reason| WANTED.contains(&reason)) && ended.mode != "fault";
+        print(&format!("{name}: {ended}"))?;
+    }
+    Ok(if as_wanted {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(STOPPED)
+    })
+}
+
+/// Refuses unless every car can be armed.
+fn all_ready(fleet: &Fleet) -> Result<(), FleetError> {
+    let answers = ask_all(fleet, &Request::Status {})
+        .into_iter()
+        .zip(&fleet.cars);
+    let failures = answers.filter_map(|(answer, car)| {
+        let status = match answer {
+            Ok(answer) => answer.status?,
+            Err(error) => return Some(failure(car, &error)),
+        };
+        let why = status.preflight.or(status.reason).unwrap_or_default();
+        (status.mode != "ready").then(|| {
+            format!(
+                "{}: not ready (mode {}, {why}): no car was armed; `singletrack status --socket {}` \
+                 says what to do",
+                car.name,
+                status.mode,
+                car.socket().display()
+            )
+        })
+    });
+    obeyed(failures.collect())
+}
+
+/// Sends a request to every car whose drive has not ended; a lost connection ends it.
+fn send(cars: &mut [Held<'_>], request: &Request) {
+    for car in cars.iter_mut().filter(|car| car.ended.is_none()) {
+        if let Err(error) = car.connection.send(request) {
+            car.lose(&error.to_string());
+        }
+    }
+}
+
+impl Held<'_> {
+    fn lose(&mut self, why: &str) {
+        self.ended = Some(Ended {
+            mode: "lost".into(),
+            reason: Some(why.to_owned().into()),
+        });
+    }
+
+    /// Takes what the daemon has said.
+    fn listen(&mut self) {
+        match self.connection.receive_within(WAIT) {
+            Ok(Some(Reply::Ended { ended, .. })) => self.ended = Some(ended),
+            Ok(Some(Reply::Answer(answer))) => {
+                if let Err(error) = answer.agreed() {
+                    self.lose(&error.to_string());
+                }
+            }
+            Ok(_) => {}
+            Err(error) => self.lose(&error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! `fleet.toml`: the cars of a fleet.
+
+use std::{
+    collections::BTreeSet,
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use serde::Deserialize;
+
+/// A fleet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Fleet {
+    pub(super) cars: Vec<Car>,
+}
+
+/// A car of a fleet.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Car {
+    /// Of the car, as in `singletrackd@NAME.service`.
+    pub(super) name: String,
+    /// The control socket of its daemon; for a car on another computer, one that `ssh -L` forwards.
+    socket: Option<PathBuf>,
+}
+
+/// Why there is no fleet.
+#[derive(Debug, thiserror::Error)]
+pub enum FleetFileError {
+    /// The file can't be read.
+    #[error("can't read the fleet {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// It is not TOML, or has other keys.
+    #[error("{}: {message}: write a table [[car]] for each, with name = \"car1\"", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        message: String,
+    },
+    /// A name can't be one.
+    #[error(
+        "{}: car.name is {name:?}: it must be of letters, digits, - and _, as it names a service",
+        path.display()
+    )]
+    Name {
+        /// The file.
+        path: PathBuf,
+        /// The name.
+        name: String,
+    },
+    /// Two cars have one name, or one socket.
+    #[error("{}: two cars have the {what} {value}: give each one of its own", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+        /// `name` or `socket`.
+        what: &'static str,
+        /// Its value.
+        value: String,
+    },
+}
+
+impl Car {
+    /// The control socket of its daemon.
+    pub(super) fn socket(&self) -> PathBuf {
+        let default = || PathBuf::from(format!("/run/singletrackd-{}/control.sock", self.name));
+        self.socket.clone().unwrap_or_else(default)
+    }
+}
+
+impl Fleet {
+    /// Reads a file.
+    pub(super) fn read(path: &Path) -> Result<Self, FleetFileError> {
+        let text = fs::read_to_string(path).map_err(|source| FleetFileError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::parse(path, &text)
+    }
+
+    fn parse(path: &Path, text: &str) -> Result<Self, FleetFileError> {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct File {
+            car: Vec<Car>,
+        }
+        let path = path.to_owned();
+        let File { car: cars } = match toml::from_str(text) {
+            Ok(file) => file,
+            Err(error) => {
+                let message = error.to_string().trim_end().to_owned();
+                return Err(FleetFileError::Parse { path, message });
+            }
+        };
+        let mut taken = BTreeSet::new();
+        for car in &cars {
+            let name = car.name.clone();
+            let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+            if name.is_empty() || !name.chars().all(is_allowed) {
+                return Err(FleetFileError::Name { path, name });
+            }
+            let socket = car.socket().display().to_string();
+            for (what, value) in [("name", name), ("socket", socket)] {
+                if !taken.insert((what, value.clone())) {
+                    return Err(FleetFileError::Twice { path, what, value });
+                }
+            }
+        }
+        Ok(Self { cars })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Fleet, String> {
+        Fleet::parse(Path::new("fleet.toml"), text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_car_has_the_socket_of_its_service_or_another_one() {
+        let fleet = parse(
+            "[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n",
+        )
+        .unwrap();
+        let sockets: Vec<_> = fleet.cars.iter().map(Car::socket).collect();
+        let expected = ["/run/singletrackd-car1/control.sock", "/tmp/two.sock"];
+        assert_eq!(sockets, expected.map(PathBuf::from));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_what_to_write() {
+        for (text, named) in [
+            ("[[car]]\nname = \"a b\"\n", "\"a b\""),
+            (
+                "[[car]]\nname = \"a\"\n[[car]]\nname = \"a\"\n",
+                "two cars have the name a",
+            ),
+            ("[[car]]\nnane = \"a\"\n", "unknown field `nane`"),
+            ("", "[[car]]"),
+            (
+                "[[car]]\nname = \"a\"\nsocket = \"/s\"\n[[car]]\nname = \"b\"\nsocket = \"/s\"\n",
+                "two cars have the socket /s",
+            ),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(
+                error.starts_with("fleet.toml: ") && error.contains(named),
+                "{error}"
+            );
+        }
+    }
+}

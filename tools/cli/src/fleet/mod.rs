@@ -1,0 +1,202 @@
+//! `singletrack fleet`: one command for several cars, each with a daemon of its own.
+
+mod arm;
+mod file;
+
+use std::{
+    io::{self, IsTerminal as _, Write as _},
+    path::PathBuf,
+    process::ExitCode,
+    thread,
+    time::Duration,
+};
+
+use clap::{Args, Subcommand};
+use singletrack_api::{Answer, ClientError, Request, Status, ask_within};
+
+use crate::{
+    control::{ControlError, print},
+    interrupt::Interrupt,
+};
+use file::{Car, Fleet};
+
+pub use file::FleetFileError;
+
+/// The longest wait for a daemon's answer: the others are asked meanwhile.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// Interval of `status --watch`.
+const WATCH: Duration = Duration::from_millis(500);
+
+/// Options of `singletrack fleet`.
+#[derive(Clone, Debug, Args)]
+pub struct FleetArgs {
+    /// The cars
+    #[arg(
+        long,
+        value_name = "FILE.toml",
+        default_value = "fleet.toml",
+        global = true
+    )]
+    fleet: PathBuf,
+    #[command(subcommand)]
+    command: FleetCommand,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum FleetCommand {
+    /// Print a line for each car: mode, reason, place and speed.
+    ///
+    /// The exit status is 1 if a daemon does not answer.
+    Status {
+        /// Print them again twice a second, until Ctrl-C
+        #[arg(long)]
+        watch: bool,
+    },
+    /// Arm all cars and hold their drives: all stop when this command ends.
+    ///
+    /// No car is armed if one of them is not ready. The exit status is 0 if all drives ended as
+    /// wanted, 1 if the cars were not armed, and 3 if something else stopped one of them.
+    Arm(arm::FleetArmArgs),
+    /// Slow all cars down, stop and disarm them.
+    Disarm,
+    /// Emergency stop of all cars: neutral at once, until their boards are reset.
+    Stop,
+}
+
+/// Why a command for a fleet failed.
+#[derive(Debug, thiserror::Error)]
+pub enum FleetError {
+    /// There is no fleet.
+    #[error(transparent)]
+    File(#[from] FleetFileError),
+    /// Cars did not obey.
+    #[error("{}", .0.join("\n"))]
+    Cars(Vec<String>),
+    /// A terminal, or a signal.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// There is no fleet, or a car did not obey; all others were asked all the same.
+pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
+    let fleet = Fleet::read(&args.fleet)?;
+    match &args.command {
+        FleetCommand::Status { watch: false } => {
+            let (lines, failures) = status(&fleet);
+            print(&lines.join("\n"))?;
+            obeyed(failures)?;
+        }
+        FleetCommand::Status { watch: true } => watch(&fleet)?,
+        FleetCommand::Arm(args) => return arm::run(&fleet, args),
+        FleetCommand::Disarm => {
+            tell(&fleet, &Request::DISARM)?;
+            print("disarming: all cars slow down and stop")?;
+        }
+        FleetCommand::Stop => {
+            tell(&fleet, &Request::Stop {})?;
+            print("stopped: neutral until the boards are reset")?;
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Asks all cars at once; the answers are in their order.
+fn ask_all(fleet: &Fleet, request: &Request) -> Vec<Result<Answer, ClientError>> {
+    thread::scope(|scope| {
+        let asked: Vec<_> = fleet
+            .cars
+            .iter()
+            .map(|car| scope.spawn(|| ask_within(request, &car.socket(), PATIENCE)))
+            .collect();
+        let answers = asked.into_iter().map(thread::ScopedJoinHandle::join);
+        // A thread that has panicked has not heard its daemon.
+        answers
+            .map(|answer| answer.unwrap_or(Err(ClientError::Ended)))
+            .collect()
+    })
+}
+
+/// Tells all cars something.
+fn tell(fleet: &Fleet, request: &Request) -> Result<(), FleetError> {
+    let answers = ask_all(fleet, request).into_iter().zip(&fleet.cars);
+    obeyed(
+        answers
+            .filter_map(|(answer, car)| Some(failure(car, &answer.err()?)))
+            .collect(),
+    )
+}
+
+fn failure(car: &Car, error: &ClientError) -> String {
+    format!("{}: {error}", car.name)
+}
+
+fn obeyed(failures: Vec<String>) -> Result<(), FleetError> {
+    if failures.is_empty() {
+        Ok(())
+    } else {
+        Err(FleetError::Cars(failures))
+    }
+}
+
+/// A line for each car that answers, and what failed of the others.
+fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
+    let (mut lines, mut failures) = (Vec::new(), Vec::new());
+    let width = fleet
+        .cars
+        .iter()
+        .map(|car| car.name.len())
+        .max()
+        .unwrap_or(0);
+    for (answer, car) in ask_all(fleet, &Request::Status {})
+        .into_iter()
+        .zip(&fleet.cars)
+    {
+        match answer.map(|answer| answer.status) {
+            Ok(Some(status)) => lines.push(format!("{:width$}  {}", car.name, line(&status))),
+            Ok(None) => failures.push(failure(car, &ClientError::Ended)),
+            Err(error) => failures.push(failure(car, &error)),
+        }
+    }
+    (lines, failures)
+}
+
+/// What one car does, in a line.
+fn line(status: &Status) -> String {
+    let place = status.estimate.as_ref().map_or_else(
+        || "no pose".to_owned(),
+        |estimate| {
+            format!(
+                "({:6.2}, {:6.2}) m {:5.2} m/s",
+                estimate.x_m, estimate.y_m, estimate.speed_m_s
+            )
+        },
+    );
+    let filtering = status.filtering.as_deref().filter(|word| *word != "none");
+    let reason = status.reason.as_deref().or(filtering).unwrap_or("");
+    format!("{:12} {place}  {reason}", status.mode)
+        .trim_end()
+        .to_owned()
+}
+
+fn watch(fleet: &Fleet) -> Result<(), FleetError> {
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let is_terminal = io::stdout().is_terminal();
+    let mut drawn = 0;
+    while !interrupt.is_raised() {
+        let (mut lines, failures) = status(fleet);
+        lines.extend(failures);
+        if is_terminal && drawn > 0 {
+            // Over the last ones.
+            let up = write!(io::stdout(), "\x1b[{drawn}A\x1b[J");
+            up.map_err(ControlError::Output)?;
+        }
+        drawn = lines.len();
+        print(&lines.join("\n"))?;
+        thread::sleep(WATCH);
+    }
+    Ok(())
+}

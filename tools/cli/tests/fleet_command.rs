@@ -1,0 +1,157 @@
+//! `singletrack fleet` with two daemons and two simulated cars on one floor, in real time.
+
+#![allow(clippy::unwrap_used, reason = "a test may fail")]
+
+use std::{
+    fmt::Write as _,
+    path::Path,
+    process::{Command, Output, Stdio},
+    sync::{Arc, Mutex},
+    thread,
+    time::{Duration, Instant},
+};
+
+use singletrack_core::config::{ReferenceSection, Start};
+use singletrack_pilot::{Mode, Reason};
+use singletrack_scenario::{
+    simulated::{Drive, daemon_config},
+    virtual_fleet::{FleetCar, fleet_floor, fleet_simulation},
+};
+use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose, UdpConfig};
+use singletrackd::{Daemon, StartOptions};
+
+/// Longer than a car takes to be ready, to drive or to stop.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn car(index: usize) -> FleetCar {
+    let names = ["car1", "car2"];
+    let mut config = daemon_config(Drive::following(ReferenceSection::Circle {
+        radius_m: 1.0,
+        angular_velocity_rad_s: 0.5,
+        centre_m: [4.0 * index as f64, 0.0],
+        start: Start::Nearest,
+    }));
+    config.motion_capture.rigid_body = names[index].to_owned();
+    config.safety_filter.enabled = true;
+    config.neighbours.enabled = true;
+    config.neighbours.expected = vec![names[1 - index].to_owned()];
+    FleetCar {
+        config,
+        start: StartPose {
+            x_m: 4.0 * index as f64 + 1.0,
+            y_m: 0.0,
+            yaw_rad: core::f64::consts::FRAC_PI_2,
+        },
+        seed: index as u64,
+    }
+}
+
+fn start(folder: &Path) -> Vec<(RealTimeSimulator, Daemon)> {
+    let cars = [car(0), car(1)];
+    let floor = Arc::new(Mutex::new(fleet_floor(&cars)));
+    let mut fleet = String::new();
+    let mut start = |index: usize| {
+        let mut config = cars[index].config.clone();
+        let folder = folder.join(&config.motion_capture.rigid_body);
+        std::fs::create_dir(&folder).unwrap();
+        let simulator = RealTimeSimulator::start(RealTimeConfig {
+            simulation: fleet_simulation(&cars, index),
+            pty_link: Some(folder.join("board")),
+            udp: UdpConfig {
+                command_port: 0,
+                data_port: 0,
+                ..UdpConfig::default()
+            },
+            floor: Some(SharedFloor {
+                floor: Arc::clone(&floor),
+                index,
+            }),
+            ..RealTimeConfig::default()
+        })
+        .unwrap();
+        config.serial.port = simulator.pty_path().to_owned();
+        config.motion_capture.command_port = Some(simulator.command_address().port());
+        config.motion_capture.data_port = simulator.data_address().port();
+        config.state.directory = folder.join("state");
+        config.record.enabled = false;
+        config.socket.path = folder.join("control.sock");
+        let (name, socket) = (&config.motion_capture.rigid_body, &config.socket.path);
+        writeln!(fleet, "[[car]]\nname = \"{name}\"\nsocket = {socket:?}").unwrap();
+        let daemon = Daemon::start(config, StartOptions::default()).unwrap();
+        (simulator, daemon)
+    };
+    let started = vec![start(0), start(1)];
+    std::fs::write(folder.join("fleet.toml"), fleet).unwrap();
+    started
+}
+
+fn fleet(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_singletrack"));
+    command.arg("fleet").args(arguments);
+    command.arg("--fleet").arg(folder.join("fleet.toml"));
+    command
+}
+
+fn text(output: &Output) -> String {
+    let [out, err] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    format!("{out}{err}")
+}
+
+fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
+    let begun = Instant::now();
+    let is_wanted = |(_, daemon): &(_, Daemon)| wanted(daemon.snapshot().mode());
+    while !fleet.iter().all(is_wanted) {
+        let modes: Vec<_> = fleet
+            .iter()
+            .map(|(_, daemon)| daemon.snapshot().mode())
+            .collect();
+        assert!(begun.elapsed() < PATIENCE, "{modes:?}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let cars = start(folder);
+    let early = fleet(folder, &["arm"]).output().unwrap();
+    assert_eq!(early.status.code(), Some(1), "{}", text(&early));
+    assert!(text(&early).contains("car1: not ready"), "{}", text(&early));
+
+    wait(&cars, |mode| mode == Mode::Ready);
+    let mut arm = fleet(folder, &["arm"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait(&cars, |mode| mode == Mode::Driving);
+    let status = fleet(folder, &["status"]).output().unwrap();
+    let said = text(&status);
+    assert!(
+        said.contains("car1  driving") && said.contains("car2  driving"),
+        "{said}"
+    );
+
+    arm.kill().unwrap();
+    arm.wait().unwrap();
+    wait(&cars, |mode| !mode.commands());
+    for (_, daemon) in &cars {
+        assert_eq!(daemon.snapshot().reason(), Some(Reason::OperatorGone));
+    }
+
+    wait(&cars, |mode| mode == Mode::Ready);
+    let timed = fleet(folder, &["arm", "--for", "1s"]).output().unwrap();
+    assert_eq!(timed.status.code(), Some(0), "{}", text(&timed));
+    let stop = fleet(folder, &["stop"]).output().unwrap();
+    assert!(stop.status.success(), "{}", text(&stop));
+    for (_, daemon) in cars {
+        daemon.stop().unwrap();
+    }
+    let gone = fleet(folder, &["disarm"]).output().unwrap();
+    assert_eq!(gone.status.code(), Some(1));
+    assert!(
+        text(&gone).contains("car1: ") && text(&gone).contains("car2: "),
+        "{}",
+        text(&gone)
+    );
+}
