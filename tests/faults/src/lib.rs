@@ -8,6 +8,7 @@
 //! cargo faults --first-seed 7 --count 1 --record DIR      write the records of its daemons
 //! cargo faults --planted --count 200                      count in how many schedules each planted bug is found
 //! cargo faults --count 10000 --shard 1/4 --json FILE      a part of a campaign: see `singletrack-campaign`
+//! cargo faults --cars 3 --count 1000                      several cars: no two may touch
 //! cargo faults --from FILE...                             the report on a campaign that was run in parts
 //! ```
 //!
@@ -49,6 +50,7 @@ mod campaign;
 mod daemon;
 mod digest;
 mod drive;
+mod fleet;
 mod invariant;
 mod network;
 mod observation;
@@ -67,6 +69,7 @@ mod tamper;
 
 pub use campaign::{Campaign, CampaignOutcome, Failure, ReadError, SeedOutcome, attempt};
 pub use drive::{DriveOutcome, FilterTicks, Until, Violation, drive, drive_watched};
+pub use fleet::{FleetBug, FleetCampaign, FleetOutcome, drive_fleet};
 pub use invariant::names;
 pub use recording::{Recording, RecordingError};
 pub use shrink::shrink;

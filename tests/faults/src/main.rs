@@ -1,6 +1,7 @@
 //! The command `cargo faults`; the library's documentation describes it.
 
 use std::{
+    collections::BTreeMap,
     io::{self, Write},
     path::{Path, PathBuf},
     process::ExitCode,
@@ -9,8 +10,9 @@ use std::{
 use clap::Parser;
 use singletrack_campaign::{CampaignArgs, CampaignError, Shard};
 use singletrack_faults::{
-    Campaign, CampaignOutcome, Failure, FilterTicks, ReadError, Recording, RecordingError,
-    SeedOutcome, SetupError, Untampered, Until, Violation, attempt, drive_watched, planted,
+    Campaign, CampaignOutcome, Failure, FilterTicks, FleetBug, FleetCampaign, ReadError, Recording,
+    RecordingError, SeedOutcome, SetupError, Untampered, Until, Violation, attempt, drive_fleet,
+    drive_watched, planted,
     schedule::{Schedule, ScheduleError},
     shrink,
 };
@@ -64,6 +66,11 @@ struct Options {
     #[arg(long)]
     by_invariant: bool,
 
+    /// Several cars on one floor, 2 to 20, with faults of their own: no two may touch
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=20),
+          conflicts_with_all = ["board", "soak", "replay", "record", "print", "by_invariant"])]
+    cars: Option<u8>,
+
     /// Do not shrink failing schedules
     #[arg(long)]
     no_shrink: bool,
@@ -112,6 +119,9 @@ fn run(options: &Options) -> Result<bool, Error> {
     }
     // The report of a violation contains the panic message.
     std::panic::set_hook(Box::new(|_| {}));
+    if let Some(cars) = options.cars {
+        return fleet(options, cars.into(), out);
+    }
     if options.planted {
         return count_planted(options, out);
     }
@@ -222,6 +232,62 @@ fn print_failure(out: &mut impl Write, failure: &Failure) -> io::Result<()> {
         "    cargo faults --first-seed {} --count 1 --board {board}\n",
         schedule.seed
     )
+}
+
+/// Runs the schedules of several cars, or plants bugs in all of them.
+fn fleet(options: &Options, cars: usize, out: &mut impl Write) -> Result<bool, Error> {
+    let experiment = FleetCampaign {
+        first_seed: options.first_seed,
+        count: options.count,
+        cars,
+    };
+    if options.planted {
+        let mut missed = 0;
+        for bug in FleetBug::ALL {
+            let found = (0..options.count)
+                .map(|unit| drive_fleet(experiment.first_seed.wrapping_add(unit), cars, Some(bug)))
+                .filter(|outcome| outcome.as_ref().is_ok_and(|it| it.failure.is_some()))
+                .count();
+            missed += usize::from(found == 0);
+            writeln!(out, "found in {found}: {bug:?}")?;
+        }
+        return Ok(missed == 0);
+    }
+    let results = singletrack_campaign::Campaign::obtain(experiment, &options.campaign)?.results;
+    let (mut driven_ms, mut yielded_ms, mut violations) = (0, 0, 0);
+    let (mut nearest_m, mut reasons) = (f64::INFINITY, BTreeMap::<_, u64>::new());
+    for (_, outcome) in &results {
+        (driven_ms, yielded_ms) = (
+            driven_ms + outcome.driven_ms,
+            yielded_ms + outcome.yielded_ms,
+        );
+        nearest_m = outcome.nearest_m.min(nearest_m);
+        for reason in &outcome.reasons {
+            *reasons.entry(reason).or_default() += 1;
+        }
+        if let Some(failure) = &outcome.failure {
+            violations += 1;
+            writeln!(out, "seed {}: {failure}", outcome.seed)?;
+            let seed = outcome.seed;
+            writeln!(
+                out,
+                "    cargo faults --cars {cars} --first-seed {seed} --count 1\n"
+            )?;
+        }
+    }
+    let reasons: Vec<_> = reasons
+        .iter()
+        .map(|(reason, count)| format!("{reason} {count}"))
+        .collect();
+    writeln!(out, "reasons not to drive: {}", reasons.join(", "))?;
+    writeln!(
+        out,
+        "the cars drove for {} s, and yielded for {} s of it; least distance {nearest_m:.3} m",
+        driven_ms / 1_000,
+        yielded_ms / 1_000
+    )?;
+    writeln!(out, "{} schedules, {violations} violations", results.len())?;
+    Ok(violations == 0)
 }
 
 /// Prints the planted bugs and in how many schedules each is found; false if one never is.

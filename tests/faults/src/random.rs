@@ -21,6 +21,8 @@ pub(crate) enum Stream {
     CamerasOfLogs = 7,
     /// Rare poses and floods of requests in a schedule.
     RareAndMany = 8,
+    /// Several cars.
+    Fleet = 9,
 }
 
 impl Random {
