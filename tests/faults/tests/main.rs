@@ -1,5 +1,6 @@
 //! The fault campaign.
 
+mod fleet;
 mod planted;
 mod schedules;
 mod shards;

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_core::config::{ReferenceSection, Start};
+use singletrack_core::config::{NeighboursSection, ReferenceSection, Start};
 use singletrack_pilot::{Filtering, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -153,4 +153,47 @@ fn a_car_with_the_right_of_way_waits_for_less() {
     };
     let (with, without) = (seen(true), seen(false));
     assert!(with[0].yields < without[0].yields, "{with:?} {without:?}");
+}
+
+/// The least distance between two cars that meet on one circle, at 0.9 m/s each.
+fn meet(change: impl Fn(&mut NeighboursSection)) -> f64 {
+    let [mut one, mut other] = ["car1", "car2"].map(|name| car(name, [0.0, 0.0], 0.9));
+    one.config.neighbours.expected = vec!["car2".to_owned()];
+    other.config.neighbours.expected = vec!["car1".to_owned()];
+    if let ReferenceSection::Circle {
+        angular_velocity_rad_s: velocity,
+        ..
+    } = &mut other.config.reference
+    {
+        *velocity = -*velocity;
+    }
+    other.start = StartPose {
+        x_m: -1.0,
+        y_m: -0.5,
+        ..one.start
+    };
+    for car in [&mut one, &mut other] {
+        change(&mut car.config.neighbours);
+    }
+    let mut fleet = VirtualFleet::new(&[one, other]).unwrap();
+    fleet.start().unwrap();
+    advance(&mut fleet, 6.0);
+    fleet.nearest_m()
+}
+
+#[test]
+fn cars_that_meet_head_on_stop_apart_and_each_thing_that_is_expected_of_them_counts() {
+    let as_it_is = meet(|_| {});
+    let no_reaction = meet(|neighbours| {
+        neighbours.reaction_ms = Some(0.0);
+        neighbours.acceleration_m_s2 = 0.01;
+    });
+    let brakes_hard = meet(|neighbours| neighbours.braking_m_s2 = Some(50.0));
+    let touching = meet(|neighbours| neighbours.clearance_m = Some(0.2));
+    let blind = meet(|neighbours| neighbours.enabled = false);
+    assert!(as_it_is > 0.4, "{as_it_is}");
+    for nearest in [no_reaction, brakes_hard, touching] {
+        assert!(nearest < as_it_is - 0.1, "{nearest} {as_it_is}");
+    }
+    assert!(blind < 0.0, "{blind}");
 }
