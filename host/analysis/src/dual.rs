@@ -4,7 +4,7 @@ use num_dual::DualNum;
 use singletrack_control::Functions;
 
 /// A dual number of any order, or `f64`.
-pub(crate) trait Dual: DualNum<Primitive = f64> + Copy {}
+pub trait Dual: DualNum<Primitive = f64> + Copy {}
 
 impl<D: DualNum<Primitive = f64> + Copy> Dual for D {}
 

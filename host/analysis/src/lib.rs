@@ -7,4 +7,5 @@
 mod dual;
 #[cfg(feature = "identification")]
 pub mod identification;
+pub mod integrator;
 pub mod stability;

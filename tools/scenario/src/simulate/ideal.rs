@@ -1,7 +1,7 @@
 //! Outer loop and law on the paper's model: no estimator, supervisor, limits,
 //! lag or noise.
 
-use nalgebra::SVector;
+use singletrack_analysis::integrator::{IntegrationError, Integrator};
 use singletrack_control::{
     FrontPointLaw, LawError, Motion, OuterLoop as _, Position, Reference, ReferencePoint,
     SingleTrack, SingleTrackState, Singularity, TrackingInput, TrackingLoop, Velocity,
@@ -11,7 +11,6 @@ use singletrack_core::config::LawKind;
 
 use super::{
     error::ScenarioError,
-    integrator::{IntegrationError, Integrator},
     row::{ROWS_PER_SECOND, Row},
     scenario::{Scenario, SteeringHold},
 };
@@ -44,7 +43,7 @@ impl From<LawError> for IdealError {
 }
 
 /// x, y, yaw, yaw rate, sideslip, steering.
-type Vector = SVector<f64, 6>;
+type Vector = [f64; 6];
 
 /// Runs a scenario on the ideal plant.
 ///
@@ -155,7 +154,7 @@ impl<'a> Simulation<'a> {
             tracking: scenario.tracking_loop().map_err(ScenarioError::from)?,
             reference,
             start,
-            initial: Vector::from([centre.x, centre.y, yaw, 0.0, 0.0, 0.0]),
+            initial: [centre.x, centre.y, yaw, 0.0, 0.0, 0.0],
         })
     }
 
@@ -333,14 +332,14 @@ impl<'a> Simulation<'a> {
             SteeringCommand::Angle(angle) => (angle, 0.0),
         };
         let slope = self.model.derivative(&state, command.speed, steering);
-        Vector::from([
+        [
             slope.x,
             slope.y,
             slope.yaw,
             slope.yaw_rate,
             slope.sideslip,
             rate,
-        ])
+        ]
     }
 
     fn row(

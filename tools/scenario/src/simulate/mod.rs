@@ -3,7 +3,6 @@
 mod car;
 mod error;
 mod ideal;
-mod integrator;
 mod layer;
 mod operator;
 mod row;
@@ -16,13 +15,13 @@ use std::{fmt, path::Path};
 pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_drive_config};
 pub use error::ScenarioError;
 pub use ideal::IdealError;
-pub use integrator::IntegrationError;
 pub use operator::OperatorSection;
 pub use row::{HEADER, Row, trim_zeros, write_csv};
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
     SteeringHold,
 };
+pub use singletrack_analysis::integrator::IntegrationError;
 pub use summary::{CalibrationLine, Summary};
 pub use tune::TuneSection;
 
