@@ -2,6 +2,7 @@
 
 mod ages;
 mod circle;
+mod cycles;
 mod eigenvalues;
 mod hopf;
 mod identification;

@@ -1,6 +1,6 @@
 //! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
 
-use singletrack_control::{VehicleParameterError, VehicleParameters};
+use singletrack_control::{Tyres, VehicleParameterError, VehicleParameters};
 use singletrack_words::words;
 
 words! {
@@ -26,6 +26,27 @@ words! {
     }
 }
 
+/// What bounds a large motion. The linearisation at the steady motion does not depend on it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Saturation {
+    /// The tyres, with the friction of the vehicle.
+    pub tyres: Tyres,
+    /// The largest steering angle, in rad. The front-point law's integrator stops there, and
+    /// leaves the stop as soon as the law steers back.
+    pub max_steering: f64,
+    /// The largest steering rate, in rad/s; of the front-point law alone, whose command it is.
+    pub max_steering_rate: f64,
+}
+
+impl Saturation {
+    /// None: linear tyres and no limits.
+    pub const NONE: Self = Self {
+        tyres: Tyres::Linear,
+        max_steering: f64::INFINITY,
+        max_steering_rate: f64::INFINITY,
+    };
+}
+
 /// A car under a law that may assume a wrong centre of mass.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosedLoop {
@@ -35,6 +56,7 @@ pub struct ClosedLoop {
     pub(super) point_distance: f64,
     pub(super) speed: f64,
     pub(super) deviation: f64,
+    pub(super) saturation: Saturation,
 }
 
 /// Parameters with which there is no steady motion.
@@ -52,6 +74,22 @@ pub enum StabilityError {
     /// The deviation is not finite.
     #[error("the deviation dl of the centre of mass is {0} m: it must be finite")]
     Deviation(f64),
+    /// A limit of the steering leaves nothing.
+    #[error("the largest steering {name} is {limit} {unit}: it must be above zero")]
+    SteeringLimit {
+        /// What is limited: angle or rate.
+        name: &'static str,
+        /// Its value.
+        limit: f64,
+        /// Its unit.
+        unit: &'static str,
+    },
+    /// A servo that the basin does not model.
+    #[error(
+        "the basin is that of the front-point law with a servo of lag and dead time above zero: \
+         give both, or none"
+    )]
+    Servo,
     /// The parameters are finite, but the equations overflow.
     #[error(
         "with a speed of {speed:e} m/s, p = {point_distance:e} m and dl = {deviation:e} m the equations \
@@ -92,6 +130,7 @@ impl ClosedLoop {
             point_distance,
             speed,
             deviation,
+            saturation: Saturation::NONE,
         }
         .checked()
     }
@@ -148,6 +187,30 @@ impl ClosedLoop {
     #[must_use]
     pub const fn believing(self, belief: Belief) -> Self {
         Self { belief, ..self }
+    }
+
+    /// The same loop with tyres and steering that saturate.
+    ///
+    /// # Errors
+    ///
+    /// A limit that is not above zero.
+    pub fn saturating(self, saturation: Saturation) -> Result<Self, StabilityError> {
+        let Saturation {
+            max_steering,
+            max_steering_rate,
+            ..
+        } = saturation;
+        for (name, limit, unit) in [
+            ("angle", max_steering, "rad"),
+            ("rate", max_steering_rate, "rad/s"),
+        ] {
+            // Not a number is not above zero.
+            let is_valid = limit > 0.0;
+            if !is_valid {
+                return Err(StabilityError::SteeringLimit { name, limit, unit });
+            }
+        }
+        Ok(Self { saturation, ..self })
     }
 
     /// The same loop with the assumed centre of mass `deviation` (`dl`, m) behind its true

@@ -12,7 +12,7 @@ use super::{
 pub type Eigenvalues = heapless::Vec<Complex<f64>, 4>;
 
 /// Limit of the steps of the QR algorithm, more than a matrix of this size needs.
-const MOST_STEPS: usize = 10_000;
+pub(super) const MOST_STEPS: usize = 10_000;
 
 impl ClosedLoop {
     /// The Jacobian of the steady motion, by exact derivatives, in rad and s: four by four for

@@ -73,7 +73,7 @@ fn kuznetsov<const N: usize>(
 }
 
 /// The unit vector in the kernel of a singular matrix, by inverse iteration.
-fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
+pub(super) fn null_vector(matrix: DMatrix<Complex<f64>>) -> Option<Vector> {
     /// Off the eigenvalue by this much of the matrix, so that the solution exists. Each step
     /// divides the share of the other eigenvectors by their distance over this.
     const SHIFT: f64 = 1e-12;

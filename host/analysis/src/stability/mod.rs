@@ -13,17 +13,22 @@
 //! Yaw is relative to the direction of the commanded velocity; nothing else depends on that
 //! direction.
 
+mod basin;
 mod characteristic;
 mod closed_loop;
+mod cycles;
 mod hopf;
 mod limits;
 mod linearisation;
 mod lyapunov;
+mod motion;
 mod sampled;
 mod vector_field;
 
+pub use basin::Basin;
 pub use characteristic::CharacteristicPolynomial;
-pub use closed_loop::{Belief, ClosedLoop, Law, StabilityError};
+pub use closed_loop::{Belief, ClosedLoop, Law, Saturation, StabilityError};
+pub use cycles::{CycleBranch, LimitCycle};
 pub use hopf::{
     Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,

@@ -1,14 +1,28 @@
 //! The vector field of the closed loop, for numbers that carry their derivatives.
 
-use singletrack_control::{LateralMotion, SingleTrack, VehicleParameters};
+use singletrack_control::{Axles, LateralMotion, LateralRate, VehicleParameters};
 
-use super::closed_loop::{Belief, ClosedLoop};
-use crate::dual::Dual;
+use super::{
+    closed_loop::{Belief, ClosedLoop},
+    sampled::Servo,
+};
+use crate::dual::{Dual, DualFunctions};
 
 /// An autonomous system of N states.
 pub(super) trait VectorField<const N: usize> {
+    fn closed_loop(&self) -> &ClosedLoop;
+
+    /// The time derivative of the state, with another dl; not numbers where P does not determine
+    /// a car that moves forward. A steering angle among the states may leave its limit.
+    fn slope_at<D: Dual>(&self, state: &[D; N], deviation: D) -> [D; N];
+
+    /// The steering angle, in rad.
+    fn steering<D: Dual>(&self, state: &[D; N], deviation: D) -> D;
+
     /// The time derivative of the state.
-    fn slope<D: Dual>(&self, state: [D; N]) -> [D; N];
+    fn slope<D: Dual>(&self, state: [D; N]) -> [D; N] {
+        self.slope_at(&state, D::from(self.closed_loop().deviation))
+    }
 }
 
 /// Yaw, yaw rate, sideslip and steering under the front-point law.
@@ -17,40 +31,99 @@ pub(super) struct FrontPointField<'a>(pub(super) &'a ClosedLoop);
 /// Yaw, yaw rate and sideslip under the velocity-point law.
 pub(super) struct VelocityPointField<'a>(pub(super) &'a ClosedLoop);
 
+/// Yaw, yaw rate, sideslip, the angle of the wheels, the state of the dead time and the steering
+/// angle under the front-point law with a steering servo. The law integrates its own command, and
+/// does not know the angle of the wheels.
+///
+/// The dead time d is Padé's `(1 - s d/2)/(1 + s d/2)`, whose phase errs by (ω d)³/12.
+pub(super) struct ServoField<'a>(pub(super) &'a ClosedLoop, pub(super) Servo);
+
 impl VectorField<4> for FrontPointField<'_> {
-    fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip, steering]: [D; 4]) -> [D; 4] {
-        let ClosedLoop {
-            vehicle,
-            point_distance: p,
-            speed,
-            deviation,
-            ..
-        } = *self.0;
-        let assumed = vehicle.front_axle_distance_m + deviation;
-        // Equation 8, with v_P = (speed, 0).
-        let cosine = (sideslip - steering).cos();
-        let v = ((yaw + steering).cos() * speed - yaw_rate * steering.sin() * assumed) / cosine;
-        let steering_rate = (-(yaw + sideslip).sin() * speed - yaw_rate * sideslip.cos() * assumed)
-            / (cosine * p)
-            - yaw_rate;
-        let lateral = SingleTrack::new(vehicle).lateral(&LateralMotion {
+    fn closed_loop(&self) -> &ClosedLoop {
+        self.0
+    }
+
+    fn slope_at<D: Dual>(
+        &self,
+        &[yaw, yaw_rate, sideslip, steering]: &[D; 4],
+        deviation: D,
+    ) -> [D; 4] {
+        let mut motion = LateralMotion {
             yaw_rate,
             sideslip,
-            speed: v,
+            speed: D::from(0.0),
             steering,
-        });
+        };
+        let steering_rate = self.0.front_point_law(yaw, &mut motion, deviation);
+        let lateral = self.0.lateral(&motion);
         [yaw_rate, lateral.yaw_rate, lateral.sideslip, steering_rate]
+    }
+
+    fn steering<D: Dual>(&self, state: &[D; 4], _: D) -> D {
+        state[3]
+    }
+}
+
+impl VectorField<6> for ServoField<'_> {
+    fn closed_loop(&self) -> &ClosedLoop {
+        self.0
+    }
+
+    fn slope_at<D: Dual>(
+        &self,
+        &[yaw, yaw_rate, sideslip, wheels, delayed, steering]: &[D; 6],
+        deviation: D,
+    ) -> [D; 6] {
+        let mut motion = LateralMotion {
+            yaw_rate,
+            sideslip,
+            speed: D::from(0.0),
+            steering,
+        };
+        let steering_rate = self.0.front_point_law(yaw, &mut motion, deviation);
+        let lateral = self.0.lateral(&LateralMotion {
+            steering: wheels,
+            ..motion
+        });
+        let Servo { lag, dead_time } = self.1;
+        [
+            yaw_rate,
+            lateral.yaw_rate,
+            lateral.sideslip,
+            (delayed * 2.0 - steering - wheels) / lag,
+            (steering - delayed) * (2.0 / dead_time),
+            steering_rate,
+        ]
+    }
+
+    fn steering<D: Dual>(&self, state: &[D; 6], _: D) -> D {
+        state[5]
     }
 }
 
 impl VectorField<3> for VelocityPointField<'_> {
-    fn slope<D: Dual>(&self, [yaw, yaw_rate, sideslip]: [D; 3]) -> [D; 3] {
+    fn closed_loop(&self) -> &ClosedLoop {
+        self.0
+    }
+
+    fn slope_at<D: Dual>(&self, state: &[D; 3], deviation: D) -> [D; 3] {
+        let [yaw, yaw_rate, sideslip] = *state;
+        let lateral = self.0.lateral(&LateralMotion {
+            yaw_rate,
+            sideslip,
+            speed: positive((yaw + sideslip).cos() * self.0.speed),
+            steering: self.steering(state, deviation),
+        });
+        [yaw_rate, lateral.yaw_rate, lateral.sideslip]
+    }
+
+    fn steering<D: Dual>(&self, &[yaw, yaw_rate, sideslip]: &[D; 3], deviation: D) -> D {
         let ClosedLoop {
             vehicle,
             belief,
             point_distance: p,
             speed,
-            deviation,
+            saturation,
             ..
         } = *self.0;
         let VehicleParameters {
@@ -59,24 +132,59 @@ impl VectorField<3> for VelocityPointField<'_> {
             rear_cornering_stiffness_n_rad: c_r,
             ..
         } = vehicle;
-        let l_f = vehicle.front_axle_distance_m + deviation;
+        let l_f = deviation + vehicle.front_axle_distance_m;
         let l_r = match belief {
-            Belief::CentreOfMass => vehicle.rear_axle_distance_m - deviation,
-            Belief::FrontAxle => vehicle.rear_axle_distance_m,
+            Belief::CentreOfMass => -deviation + vehicle.rear_axle_distance_m,
+            Belief::FrontAxle => D::from(vehicle.rear_axle_distance_m),
         };
         // The law of the appendix, with v_P = (speed, 0).
         let course = yaw + sideslip;
         let v = course.cos() * speed;
         let turn_rate = -course.sin() * speed / p;
-        let steering = turn_rate * v * (m / c_f) - yaw_rate / v * ((c_r * l_r - c_f * l_f) / c_f)
+        let steering = turn_rate * v * (m / c_f) - yaw_rate / v * ((l_r * c_r - l_f * c_f) / c_f)
             + sideslip * ((c_r + c_f) / c_f);
-        let lateral = SingleTrack::new(vehicle).lateral(&LateralMotion {
+        clamped(steering, saturation.max_steering)
+    }
+}
+
+impl ClosedLoop {
+    /// Equation 8, with `v_P` = (speed, 0): sets the speed of the motion, and gives the steering
+    /// rate.
+    fn front_point_law<D: Dual>(&self, yaw: D, motion: &mut LateralMotion<D>, deviation: D) -> D {
+        let LateralMotion {
             yaw_rate,
             sideslip,
-            speed: v,
             steering,
-        });
-        [yaw_rate, lateral.yaw_rate, lateral.sideslip]
+            ..
+        } = *motion;
+        let assumed = deviation + self.vehicle.front_axle_distance_m;
+        let cosine = positive((sideslip - steering).cos());
+        let along = (yaw + steering).cos() * self.speed - yaw_rate * steering.sin() * assumed;
+        motion.speed = positive(along / cosine);
+        let across = -(yaw + sideslip).sin() * self.speed - yaw_rate * sideslip.cos() * assumed;
+        let rate = across / (cosine * self.point_distance) - yaw_rate;
+        clamped(rate, self.saturation.max_steering_rate)
+    }
+
+    /// The car with its tyres.
+    fn lateral<D: Dual>(&self, motion: &LateralMotion<D>) -> LateralRate<D> {
+        let axles = Axles::new(self.vehicle, self.saturation.tyres);
+        let forces = axles.forces::<DualFunctions, D>(motion);
+        axles.lateral::<DualFunctions, D>(motion, &forces)
+    }
+}
+
+/// `x` if it is above zero, else not a number.
+fn positive<D: Dual>(x: D) -> D {
+    if x.re() > 0.0 { x } else { D::from(f64::NAN) }
+}
+
+/// `x` within ±`most`.
+fn clamped<D: Dual>(x: D, most: f64) -> D {
+    if x.re().abs() <= most {
+        x
+    } else {
+        D::from(most.copysign(x.re()))
     }
 }
 
@@ -84,7 +192,9 @@ impl VectorField<3> for VelocityPointField<'_> {
 mod tests {
     use nalgebra::Vector2;
     use proptest::prelude::*;
-    use singletrack_control::{FrontPointLaw, Motion, SingleTrackState, VelocityPointLaw};
+    use singletrack_control::{
+        FrontPointLaw, Motion, SingleTrack, SingleTrackState, VelocityPointLaw,
+    };
 
     use super::{super::closed_loop::Law, *};
 

@@ -317,6 +317,7 @@ impl SampledLoop {
             point_distance: p,
             speed: v,
             deviation,
+            ..
         } = self.closed_loop;
         let VehicleParameters {
             mass_kg: m,
