@@ -92,6 +92,111 @@ fn json_says_of_which_car_it_is_and_all_that_is_known_of_a_point() {
 }
 
 #[test]
+fn cycles_come_in_the_order_of_their_branch_with_its_folds_as_a_note() {
+    let output = stability(&[
+        "cycles",
+        "--law",
+        "front-point",
+        "--speed",
+        "3.4",
+        "--dl",
+        "-0.28:-0.26:0.01",
+        "--format",
+        "csv",
+    ]);
+    let table = String::from_utf8(output.stdout).unwrap();
+    let mut lines = table.lines();
+    assert_eq!(
+        lines.next(),
+        Some("dl_m,amplitude_rad,period_s,multiplier,stable")
+    );
+    let rows: Vec<Vec<f64>> = lines
+        .map(|line| {
+            line.split(',')
+                .map(|field| field.parse().unwrap())
+                .collect()
+        })
+        .collect();
+    let deviations: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+    assert_eq!(deviations, [-0.28, -0.27, -0.27]);
+    for row in &rows {
+        assert!(row[1] > 0.9 && row[3] > 1.0 && row[4] == 0.0, "{row:?}");
+    }
+    let note = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        note.contains("branch from dl = -0.438905 m, fold at dl = -0.269149 m"),
+        "{note}"
+    );
+    let document = printed_document(&[
+        "cycles",
+        "--law",
+        "velocity-point",
+        "--speed",
+        "2",
+        "--dl",
+        "0.1",
+        "--tyres",
+        "saturating",
+        "--max-steering",
+        "0.2",
+    ]);
+    let cycle = &document["points"][0];
+    assert_eq!(
+        (&cycle["amplitude_rad"], &cycle["stable"]),
+        (&0.2.into(), &true.into())
+    );
+}
+
+#[test]
+fn the_basin_comes_over_speed_and_p_and_narrows_with_the_speed() {
+    let basin = rows(
+        &[
+            "basin",
+            "--law",
+            "front-point",
+            "--speeds",
+            "2.5:3:0.5",
+            "--distances",
+            "0.3:0.4:0.1",
+            "--tyres",
+            "saturating",
+            "--max-steering",
+            "0.45",
+            "--steering-lag-ms",
+            "40",
+            "--steering-dead-time-ms",
+            "20",
+        ],
+        "speed_m_s,point_distance_m,yaw_rad,beyond_amplitude_rad",
+    );
+    let points: Vec<_> = basin.iter().map(|row| (row[0], row[1])).collect();
+    assert_eq!(points, [(2.5, 0.3), (2.5, 0.4), (3.0, 0.3), (3.0, 0.4)]);
+    assert!(
+        basin[0][2] < basin[1][2],
+        "a larger p is the lower gain: {basin:?}"
+    );
+    assert!(
+        basin[3][2] < basin[1][2] && basin[2][2] < basin[0][2],
+        "{basin:?}"
+    );
+    let refused = stability(&[
+        "basin",
+        "--law",
+        "velocity-point",
+        "--steering-lag-ms",
+        "40",
+    ]);
+    let error = String::from_utf8(refused.stderr).unwrap();
+    assert!(error.contains("front-point law"), "{error}");
+}
+
+/// The JSON of a command that also writes a note.
+fn printed_document(arguments: &[&str]) -> serde_json::Value {
+    let output = stability(&[arguments, &["--format", "json"]].concat());
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
 fn eigenvalues_come_over_speeds_and_deviations_by_ascending_real_part() {
     let map = rows(
         &[

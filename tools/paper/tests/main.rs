@@ -1,5 +1,6 @@
 //! The studies.
 
 mod compare;
+mod cycles;
 mod limit_cycles;
 mod other_structure;

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use singletrack_analysis::stability::{
-    Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Servo,
+    Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Saturation, Servo,
 };
+use singletrack_control::Tyres;
 
 use super::{grid::Grid, subject::Subject};
 use crate::vehicle_file::{self, VehicleFileError};
@@ -58,6 +59,17 @@ pub(super) enum Format {
     Csv,
     /// One document, with the car and all values of each point
     Json,
+}
+
+/// How a result that has a figure is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum DrawnFormat {
+    /// A header and a row for each point
+    Csv,
+    /// One document, with the car and all values of each point
+    Json,
+    /// A figure
+    Svg,
 }
 
 impl LoopArgs {
@@ -118,6 +130,44 @@ pub(super) struct MapArgs {
     /// How to write it
     #[arg(long, value_enum, default_value_t = Format::Csv)]
     pub(super) format: Format,
+}
+
+/// What bounds large motions.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct SaturationArgs {
+    /// The tyres; those that saturate have the vehicle's friction
+    #[arg(long, value_enum, default_value_t = TyresName::Linear)]
+    tyres: TyresName,
+    /// Steering stop, in rad [default: none]
+    #[arg(long, value_name = "RAD", default_value_t = f64::INFINITY, hide_default_value = true)]
+    max_steering: f64,
+    /// Largest steering rate of the front-point law, in rad/s [default: none]
+    #[arg(long, value_name = "RAD_S", default_value_t = f64::INFINITY, hide_default_value = true)]
+    max_steering_rate: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum TyresName {
+    /// The paper's
+    Linear,
+    /// A hyperbolic tangent, as in the simulator
+    Saturating,
+    /// Pacejka's magic formula
+    MagicFormula,
+}
+
+impl SaturationArgs {
+    pub(super) fn saturation(self) -> Saturation {
+        Saturation {
+            tyres: match self.tyres {
+                TyresName::Linear => Tyres::Linear,
+                TyresName::Saturating => Tyres::Saturating,
+                TyresName::MagicFormula => Tyres::MagicFormula,
+            },
+            max_steering: self.max_steering,
+            max_steering_rate: self.max_steering_rate,
+        }
+    }
 }
 
 /// The timing of the sampled loop.

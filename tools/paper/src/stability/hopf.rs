@@ -1,12 +1,12 @@
 //! The Hopf curve: where stability ends, speed by speed.
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 use singletrack_analysis::stability::{HopfPoint, StabilityError};
 use singletrack_figures::output::print;
 
 use super::{
-    arguments::{LoopArgs, SpeedArgs},
+    arguments::{DrawnFormat, LoopArgs, SpeedArgs},
     error::StabilityCommandError,
     figures::{self, Scene},
     grid::Grid,
@@ -23,18 +23,8 @@ pub(super) struct HopfArgs {
     #[command(flatten)]
     speed: SpeedArgs,
     /// How to write them
-    #[arg(long, value_enum, default_value_t = HopfFormat::Csv)]
-    format: HopfFormat,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum HopfFormat {
-    /// A header and a row for each point
-    Csv,
-    /// One document, with the car and all values of each point
-    Json,
-    /// The paper's figure: the regions, the curve, and Lyapunov coefficients along it
-    Svg,
+    #[arg(long, value_enum, default_value_t = DrawnFormat::Csv)]
+    format: DrawnFormat,
 }
 
 pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
@@ -44,12 +34,12 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
         eprintln!("singletrack: there is no Hopf point at these speeds, for any dl");
     }
     match args.format {
-        HopfFormat::Csv => print(&hopf_table(&curve).to_csv())?,
-        HopfFormat::Json => {
+        DrawnFormat::Csv => print(&hopf_table(&curve).to_csv())?,
+        DrawnFormat::Json => {
             let points: Vec<_> = curve.iter().map(document).collect();
             write_json(&subject, &points)?;
         }
-        HopfFormat::Svg => {
+        DrawnFormat::Svg => {
             let deviations = figures::drawn_deviations(&subject, 241);
             let region = region(&subject, &args.speed.speeds, &deviations)?;
             let figure = figures::region(&Scene::new(&subject, &curve)?, &region)?;

@@ -2,6 +2,8 @@
 //! sampled loop that it leaves out.
 
 mod arguments;
+mod basin;
+mod cycles;
 mod eigenvalues;
 mod error;
 pub mod figures;
@@ -20,6 +22,7 @@ use std::io;
 use clap::{Args, Subcommand};
 
 pub use arguments::TimingArgs;
+pub use cycles::{cycle_table, limit_cycles};
 pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
 pub use error::StabilityCommandError;
 pub use grid::Grid;
@@ -44,6 +47,10 @@ enum StabilityCommand {
     Jacobian(jacobian::JacobianArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
     Hopf(hopf::HopfArgs),
+    /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
+    Cycles(cycles::CyclesArgs),
+    /// The yaw errors from which the straight motion is regained, over speed and p.
+    Basin(basin::BasinArgs),
     /// Eigenvalues of the steady motion over speed and dl.
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
@@ -68,6 +75,8 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Summary(args) => summary::run(args),
         StabilityCommand::Jacobian(args) => jacobian::run(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
+        StabilityCommand::Cycles(args) => cycles::run(args),
+        StabilityCommand::Basin(args) => basin::run(args),
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
         StabilityCommand::Sampled(args) => sampled::run(args),
