@@ -15,6 +15,8 @@ Units are SI and radians. The world frame lies on the floor; yaw, yaw rate, side
 steering are positive to the left. ``singletrack.gym`` needs the package ``gymnasium``.
 """
 
+from importlib.metadata import version as _version
+
 from . import law, model, stability
 from ._car import Car
 from ._compare import Comparison, Path, compare
@@ -42,7 +44,7 @@ __all__ = [
     "read",
     "stability",
 ]
-__version__ = "0.1.0"
+__version__ = _version("singletrack")
 
 # For `gymnasium.make("Singletrack-v0")`.
 _register()

@@ -1,13 +1,10 @@
 //! A simulated Arduino for the real board code: clock, bytes, pins.
 
-use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, axis_map};
+use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, VERSION, axis_map};
 use singletrack_protocol::{ImuAxes, ResetCause};
 
 use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time, supply_mv};
 use crate::{car::ImuReading, pulse_log::PulseRecord};
-
-/// Version reported by the simulated board: this crate's.
-const SOFTWARE_VERSION: [u8; 3] = [0, 1, 0];
 
 /// Time after which a silent main loop counts as hung, as in the image's
 /// pulse guard.
@@ -74,7 +71,7 @@ impl Native {
     pub(super) fn new(parameters: BoardParameters) -> Self {
         Self {
             parameters,
-            board: Board::new(ResetCause::PowerOn, SOFTWARE_VERSION, parameters.car_id),
+            board: Board::new(ResetCause::PowerOn, VERSION, parameters.car_id),
             polls: 0,
             frames: 0,
             next_event_us: 0,
@@ -88,7 +85,7 @@ impl Native {
     }
 
     pub(super) fn restart(&mut self, cause: ResetCause) {
-        self.board = Board::new(cause, SOFTWARE_VERSION, self.parameters.car_id);
+        self.board = Board::new(cause, VERSION, self.parameters.car_id);
         self.polls = 0;
         self.frames = 0;
         self.next_event_us = 0;

@@ -45,3 +45,17 @@ pub use actuators::Actuators;
 pub use board::Board;
 pub use imu::axis_map;
 pub use io::{ImuHealth, ImuSample, Inputs, MotorPulses, Outputs};
+
+/// Version of this software, which a board reports: major, minor, patch.
+pub const VERSION: [u8; 3] = [
+    number(env!("CARGO_PKG_VERSION_MAJOR")),
+    number(env!("CARGO_PKG_VERSION_MINOR")),
+    number(env!("CARGO_PKG_VERSION_PATCH")),
+];
+
+const fn number(digits: &str) -> u8 {
+    match u8::from_str_radix(digits, 10) {
+        Ok(number) => number,
+        Err(_) => u8::MAX,
+    }
+}

@@ -38,7 +38,7 @@ mod twi;
 mod uart;
 mod watchdog;
 
-use singletrack_board::{Board, ImuHealth, Inputs, MotorPulses};
+use singletrack_board::{Board, ImuHealth, Inputs, MotorPulses, VERSION};
 use singletrack_protocol::{ResetCause, UNNAMED};
 
 use crate::{
@@ -62,12 +62,6 @@ const RECEIVED_PER_POLL: usize = 64;
 
 /// Number of the section around a poll; see [`sections`].
 const POLL: u8 = 1;
-
-const VERSION: [u8; 3] = [
-    number(env!("CARGO_PKG_VERSION_MAJOR")) as u8,
-    number(env!("CARGO_PKG_VERSION_MINOR")) as u8,
-    number(env!("CARGO_PKG_VERSION_PATCH")) as u8,
-];
 
 /// The car that this image is for: given to the build, see `cargo uno --car-id`.
 const CAR_ID: u16 = match option_env!("SINGLETRACK_CAR_ID") {
