@@ -11,7 +11,7 @@ use crate::{
     libraries,
     prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
     process::{Failure, check, failure, silent, text},
-    programs::{INSTALLED, Packages, installed},
+    programs::{INSTALLED, NODE, Packages, installed, options, release_build},
     target,
     toolchain::{AARCH64, ARMHF, Target},
     workspace::root,
@@ -20,8 +20,8 @@ use crate::{
 pub(crate) const USAGE: &str = "\
 usage: cargo deb [--target ARCHITECTURE]
 
-Build the Debian package, check it with lintian, run its programs, and print its path in
-target/debian/. Installs missing Debian packages.
+Build the Debian packages singletrack and singletrack-ros, check them with lintian, run their
+programs, and print their paths in target/debian/. Installs missing Debian packages.
 
   --target ARCHITECTURE   amd64, arm64 or armhf [default: that of this machine]; programs for
                           another architecture run in an emulator
@@ -32,6 +32,16 @@ target/debian/. Installs missing Debian packages.
 /// eighth of the time.
 const SMALL: &str = "6";
 const FAST: &str = "1";
+
+/// Debian's build profile that leaves out the package of the node.
+const WITHOUT_NODE: &str = "pkg.singletrack.noros";
+
+/// Copies `packaging` to the folder $1. Empties the folder of packages $2 of those for $3, also of other
+/// versions, which an installation by a pattern would take too.
+const LAY_OUT: &str = r#"
+    rm -rf "$1" "$2"/*_"$3".deb
+    mkdir -p "$2" "$1/singletrack" "$1/singletrack-ros"
+    cp -r packaging/. "$1""#;
 
 /// What a package is made for.
 struct Architecture {
@@ -59,43 +69,50 @@ impl Architecture {
         Ok(Self { name, foreign })
     }
 
-    /// Builds the programs and returns their folder.
+    /// Builds the programs and returns their folder. The node is built apart: it must not change the
+    /// features of the others' libraries.
     fn build(&self) -> Result<PathBuf, Failure> {
-        let Some(foreign) = self.foreign else {
-            return installed();
-        };
-        let (mut cargo, folder) = foreign.cargo_build("release")?;
-        for (program, package) in INSTALLED {
-            cargo.args(["--package", package, "--bin", program]);
+        let mut folder = PathBuf::new();
+        for programs in [&INSTALLED[..], &[NODE]] {
+            let mut cargo;
+            (cargo, folder) = match self.foreign {
+                None => release_build()?,
+                Some(foreign) => foreign.cargo_build("release")?,
+            };
+            check(cargo.args(options(programs)).stdout(Stdio::null()))?;
         }
-        check(cargo.stdout(Stdio::null()))?;
         Ok(folder)
     }
 
-    /// Makes the package in `target/debian`, which holds nothing but packages, and checks it.
+    /// Makes the packages in `target/debian`, which holds nothing but packages, and checks them;
+    /// returns their paths. That of the node is left out of a check.
     fn pack(
         &self,
         programs: &Path,
         image: Option<&Image>,
-        compression: &str,
-    ) -> Result<(), Failure> {
+        has_node: bool,
+    ) -> Result<Vec<PathBuf>, Failure> {
         let folder = target::folder()?;
         let packages = folder.join("debian");
         let stage = folder.join("debian-stage").join(&self.name);
-        // Also packages of other versions, which an installation by a pattern would take too.
-        let lay_out =
-            "rm -rf \"$1\" \"$2\"/*_$3.deb; mkdir -p \"$1\" \"$2\"; cp -r packaging/. \"$1\"";
+        let version = env!("CARGO_PKG_VERSION");
         silent(
             Command::new("sh")
-                .args(["-ec", lay_out, "sh"])
+                .args(["-ec", LAY_OUT, "sh"])
                 .args([&stage, &packages])
                 .arg(&self.name)
                 .current_dir(root()),
         )?;
-        let crates = INSTALLED.map(|(_, package)| package);
-        let notices = libraries::notices(&crates, self.foreign.map(|foreign| foreign.triple))?;
-        fs::write(stage.join("libraries.txt"), notices)
-            .map_err(|error| failure!("{}: {error}", stage.display()))?;
+        let mut contents = vec![("singletrack", &INSTALLED[..])];
+        if has_node {
+            contents.push((NODE.0, &[NODE]));
+        }
+        let triples = self.foreign.map(|foreign| foreign.triple);
+        for (package, programs) in &contents {
+            let notices = libraries::notices(programs, triples.as_slice())?;
+            let file = stage.join(package).join("libraries.txt");
+            fs::write(&file, notices).map_err(|error| failure!("{}: {error}", file.display()))?;
+        }
         let emulator = self.foreign.map(|foreign| foreign.emulator().join(" "));
         silent(
             Command::new("dpkg-architecture")
@@ -103,7 +120,11 @@ impl Architecture {
                 .env("DEB_RULES_REQUIRES_ROOT", "no")
                 // There is nothing to test.
                 .env("DEB_BUILD_OPTIONS", "nocheck")
-                .env("COMPRESSION", compression)
+                .env(
+                    "DEB_BUILD_PROFILES",
+                    if has_node { "" } else { WITHOUT_NODE },
+                )
+                .env("COMPRESSION", if has_node { SMALL } else { FAST })
                 .env("SOURCE", root())
                 .env("PROGRAMS", programs)
                 .env("EMULATOR", emulator.unwrap_or_default())
@@ -111,13 +132,10 @@ impl Architecture {
                 .args(["--host-arch", &self.name, "--force"])
                 .args(["--command", "debian/rules", "binary", "inspect"]),
         )?;
-        let file = format!(
-            "singletrack_{}_{}.deb",
-            env!("CARGO_PKG_VERSION"),
-            self.name
-        );
-        println!("{}", packages.join(file).display());
-        Ok(())
+        let file = |(package, _): &(&str, _)| {
+            packages.join(format!("{package}_{version}_{}.deb", self.name))
+        };
+        Ok(contents.iter().map(file).collect())
     }
 }
 
@@ -126,6 +144,14 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         print!("{USAGE}");
         return Ok(());
     };
+    for package in make(name)? {
+        println!("{}", package.display());
+    }
+    Ok(())
+}
+
+/// Makes the packages for an architecture, or for this machine, and returns their paths.
+pub(crate) fn make(name: Option<&str>) -> Result<Vec<PathBuf>, Failure> {
     let architecture = Architecture::find(name)?;
     let mut required = PACKAGE.to_vec();
     match architecture.foreign {
@@ -134,7 +160,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         Some(_) => required.extend(ARM64),
     }
     let image = image::ensure(0, &required)?;
-    architecture.pack(&architecture.build()?, Some(&image), SMALL)
+    architecture.pack(&architecture.build()?, Some(&image), true)
 }
 
 /// The architecture; `None` for help.
@@ -153,7 +179,9 @@ fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
 /// Arduino's part, the package has no image.
 pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let image = packages.has(Part::Uno).then(|| packages.image());
-    Architecture::find(None)?.pack(&installed()?, image.transpose()?.as_ref(), FAST)
+    let image = image.transpose()?;
+    Architecture::find(None)?.pack(&installed()?, image.as_ref(), false)?;
+    Ok(())
 }
 
 #[cfg(test)]

@@ -14,13 +14,18 @@ use crate::{
     workspace::cargo,
 };
 
-/// Lists the libraries of packages of the workspace, for a target, and adds their notices.
-pub(crate) fn notices(packages: &[&str], triple: Option<&str>) -> Result<String, Failure> {
+/// Lists the libraries of programs, or of other packages of the workspace, and adds their notices; for
+/// these targets, or for this machine.
+pub(crate) fn notices(programs: &[(&str, &str)], triples: &[&str]) -> Result<String, Failure> {
     let mut tree = cargo();
     tree.args(["tree", "--locked", "--edges", "normal", "--prefix", "none"])
         .args(["--format", "{p}|{l}"])
-        .args(packages.iter().flat_map(|package| ["--package", package]))
-        .args(triple.iter().flat_map(|triple| ["--target", triple]));
+        .args(
+            programs
+                .iter()
+                .flat_map(|(_, package)| ["--package", package]),
+        )
+        .args(triples.iter().flat_map(|triple| ["--target", triple]));
     let tree = text(&mut tree)?;
     let libraries = libraries(&tree);
     let metadata = text(cargo().args(["metadata", "--locked", "--format-version", "1"]))?;

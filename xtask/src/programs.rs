@@ -33,6 +33,9 @@ pub(crate) const INSTALLED: [(&str, &str); 4] = [
     ("singletrack-newcomer", "singletrack-hil"),
 ];
 
+/// The node of ROS 2, which has a Debian package of its own.
+pub(crate) const NODE: (&str, &str) = ("singletrack-ros", "singletrack-ros");
+
 /// The packages of the workspace that are checked.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Packages {
@@ -129,13 +132,24 @@ impl Packages {
 
 /// Builds the programs as they are installed, and returns their folder.
 pub(crate) fn installed() -> Result<PathBuf, Failure> {
+    let (mut build, folder) = release_build()?;
+    check(build.args(options(&INSTALLED)))?;
+    Ok(folder)
+}
+
+/// `cargo build` for this machine as for an installation, and the folder of the programs.
+pub(crate) fn release_build() -> Result<(Command, PathBuf), Failure> {
     let mut build = cargo();
     build.args(["build", "--release", "--locked"]);
-    for (program, package) in INSTALLED {
-        build.args(["--package", package, "--bin", program]);
-    }
-    check(&mut build)?;
-    Ok(target::folder()?.join("release"))
+    Ok((build, target::folder()?.join("release")))
+}
+
+/// Cargo's options that name programs and their packages.
+pub(crate) fn options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
+    let options = programs.iter();
+    options
+        .flat_map(|(program, package)| ["--package", package, "--bin", program])
+        .collect()
 }
 
 /// A command of the project that builds a program and becomes it.
