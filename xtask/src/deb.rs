@@ -7,6 +7,7 @@ use std::{
 };
 
 use crate::{
+    changelog,
     image::{self, Image},
     libraries,
     prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
@@ -36,12 +37,20 @@ const FAST: &str = "1";
 /// Debian's build profile that leaves out the package of the node.
 const WITHOUT_NODE: &str = "pkg.singletrack.noros";
 
-/// Copies `packaging` to the folder $1. Empties the folder of packages $2 of those for $3, also of other
-/// versions, which an installation by a pattern would take too.
+/// Copies `packaging` to the folder $1, with debhelper's changelog: version $4, of the date $5. Empties
+/// the folder of packages $2 of those for $3, also of other versions, which an installation by a
+/// pattern would take too.
 const LAY_OUT: &str = r#"
     rm -rf "$1" "$2"/*_"$3".deb
     mkdir -p "$2" "$1/singletrack" "$1/singletrack-ros"
-    cp -r packaging/. "$1""#;
+    cp -r packaging/. "$1"
+    cat >"$1/debian/changelog" <<END
+singletrack ($4) bookworm; urgency=medium
+
+  * CHANGELOG.md of the sources lists the changes.
+
+ -- $(sed -n 's/^Maintainer: //p' packaging/debian/control)  $(date --utc --rfc-email --date "$5")
+END"#;
 
 /// What a package is made for.
 struct Architecture {
@@ -96,11 +105,12 @@ impl Architecture {
         let packages = folder.join("debian");
         let stage = folder.join("debian-stage").join(&self.name);
         let version = env!("CARGO_PKG_VERSION");
+        let date = changelog::newest()?.date;
         silent(
             Command::new("sh")
                 .args(["-ec", LAY_OUT, "sh"])
                 .args([&stage, &packages])
-                .arg(&self.name)
+                .args([&self.name, version, date.as_deref().unwrap_or("now")])
                 .current_dir(root()),
         )?;
         let mut contents = vec![("singletrack", &INSTALLED[..])];
@@ -209,21 +219,6 @@ mod tests {
             let why = parse(&words(line)).unwrap_err().to_string();
             assert!(why.contains(USAGE), "{why}");
         }
-    }
-
-    #[test]
-    fn the_package_has_the_version_of_the_workspace() {
-        let read = |path: &str| std::fs::read_to_string(root().join(path)).unwrap();
-        let manifest = read("Cargo.toml");
-        let version = manifest
-            .lines()
-            .find_map(|line| line.strip_prefix("version = \"")?.strip_suffix('"'))
-            .unwrap();
-        let changelog = read("packaging/debian/changelog");
-        assert!(
-            changelog.starts_with(&format!("singletrack ({version}) ")),
-            "{version}: {changelog}"
-        );
     }
 
     #[test]

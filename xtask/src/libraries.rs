@@ -11,8 +11,12 @@ use std::{
 use crate::{
     process::{Failure, failure, text},
     target,
+    toolchain::{AARCH64, ARMHF},
     workspace::cargo,
 };
+
+/// The computers that a release is for.
+pub(crate) const TARGETS: [&str; 3] = ["x86_64-unknown-linux-gnu", AARCH64.triple, ARMHF.triple];
 
 /// Lists the libraries of programs, or of other packages of the workspace, and adds their notices; for
 /// these targets, or for this machine.

@@ -1,9 +1,10 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
 //! `cargo deb`, `cargo demo`, `cargo explore`, `cargo faults`, `cargo odroid`, `cargo onboard`,
-//! `cargo uno`, `cargo verify`.
+//! `cargo release`, `cargo uno`, `cargo verify`.
 //!
 //! It has no dependencies, so that it is built in seconds.
 
+mod changelog;
 mod deb;
 mod gates;
 mod image;
@@ -14,6 +15,7 @@ mod prerequisites;
 mod process;
 mod programs;
 mod python;
+mod release;
 mod ros;
 mod step;
 mod target;
@@ -25,7 +27,8 @@ mod workspace;
 
 use std::process::ExitCode;
 
-const COMMANDS: &str = "cargo deb | demo | explore | faults | odroid | onboard | uno | verify";
+const COMMANDS: &str =
+    "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -41,6 +44,7 @@ fn main() -> ExitCode {
         "onboard" => programs::ONBOARD.run(arguments),
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
+        "release" => release::main(arguments),
         "verify" => verify::main(arguments),
         unknown => Err(process::failure!(
             "unknown command {unknown:?}; known: {COMMANDS}"

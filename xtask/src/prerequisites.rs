@@ -150,6 +150,10 @@ pub(crate) const PACKAGE: [Prerequisite; 2] = [
     row(&[Debian], "lintian", "lintian", "lintian --version"),
 ];
 
+/// What knows whether a checkout is clean, and what makes a container image.
+pub(crate) const GIT: Prerequisite = row(&[], "git", "git", "git --version");
+pub(crate) const PODMAN: Prerequisite = row(&[], "podman", "podman", "podman --version");
+
 /// What writes the image to the Arduino.
 pub(crate) const PROGRAMMER: Prerequisite = row(&[Uno], "avrdude", "avrdude", "avrdude '-?'");
 

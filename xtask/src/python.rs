@@ -8,10 +8,12 @@ use std::{
 };
 
 use crate::{
-    prerequisites,
+    libraries,
+    prerequisites::{self, ARM64},
     process::{Failure, check as run, failure, silent},
     programs::Packages,
     target,
+    toolchain::AARCH64,
     workspace::root,
 };
 
@@ -76,17 +78,70 @@ fn pip(python: &Path) -> Command {
     pip
 }
 
+/// The environment of the package's build and of its tests.
+fn environment() -> Result<PathBuf, Failure> {
+    Environment {
+        name: "python-venv",
+        source: root().join("python"),
+        probe: "import gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist",
+        ..Environment::default()
+    }
+    .ensure(&|_| Ok(()))
+}
+
+/// The C library that wheels need: that of Ubuntu 22.04. maturin refuses a module that needs more.
+const COMPATIBILITY: &str = "manylinux_2_35";
+
+/// The wheels' native module, as programs are named in `programs.rs`.
+pub(crate) const MODULE: (&str, &str) = ("_native", "singletrack-python");
+
+/// Makes the wheels for x86-64 and ARM64 in a folder, and drives with the one for this machine.
+pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
+    prerequisites::ensure(&ARM64)?;
+    let source = root().join("python");
+    let target = target::folder()?;
+    // maturin packs the file with the licences.
+    let notices = source.join("NOTICES");
+    fs::write(
+        &notices,
+        libraries::notices(&[MODULE], &libraries::TARGETS)?,
+    )
+    .map_err(|error| failure!("{}: {error}", notices.display()))?;
+    let python = environment()?;
+    let maturin = || Command::new(python.with_file_name("maturin"));
+    let mut native = maturin();
+    native.args(["build", "--locked", "--profile", "release", "--target-dir"]);
+    native.arg(&target);
+    let mut foreign = maturin();
+    AARCH64.maturin_build(&mut foreign)?;
+    for mut maturin in [native, foreign] {
+        maturin
+            .args(["--quiet", "--compatibility", COMPATIBILITY])
+            .args(["--auditwheel", "check", "--out"])
+            .arg(folder)
+            .current_dir(&source)
+            .env("PATH", path_with(&python)?);
+        run(&mut maturin)?;
+    }
+    let installed = target.join("wheel");
+    empty(&installed)?;
+    let mut install = pip(&python);
+    install.args(["--no-deps", "--no-index", "--find-links"]);
+    install.arg(folder).arg("--target").arg(&installed);
+    silent(install.arg(concat!("singletrack==", env!("CARGO_PKG_VERSION"))))?;
+    run(Command::new(&python)
+        .args([
+            "-c",
+            "import singletrack; singletrack.Simulator().step(100)",
+        ])
+        .env("PYTHONPATH", installed))
+}
+
 /// Installs the package into an environment of its own, as its users do, and runs its tests, with
 /// the examples and notebooks, and the type checker.
 pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let source = root().join("python");
-    let python = Environment {
-        name: "python-venv",
-        source: source.clone(),
-        probe: "import gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist",
-        ..Environment::default()
-    }
-    .ensure(&|_| Ok(()))?;
+    let python = environment()?;
     let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
         // `-P`: the installed package, not the folder of its sources.

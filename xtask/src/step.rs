@@ -34,6 +34,23 @@ pub(crate) enum Scope {
     Of(Part),
 }
 
+/// A step as a row of a table.
+pub(crate) const fn row(
+    name: &'static str,
+    budget_s: u32,
+    scope: Scope,
+    what: &'static str,
+    run: fn(&Packages) -> Result<(), Failure>,
+) -> Step {
+    Step {
+        name,
+        budget_s,
+        scope,
+        what,
+        run,
+    }
+}
+
 /// What a step has cost.
 struct Cost {
     name: &'static str,
@@ -92,7 +109,7 @@ fn table(costs: &[Cost], wall: Duration) -> String {
     for cost in costs {
         if cost.processor_s > 1.5 * f64::from(cost.budget_s) {
             text += &format!(
-                "OVER BUDGET: {} took {:.0} s of processor time, {} s are planned (xtask/src/verify.rs)\n",
+                "OVER BUDGET: {} took {:.0} s of processor time, {} s are planned\n",
                 cost.name, cost.processor_s, cost.budget_s
             );
         }

@@ -79,19 +79,25 @@ impl Compiler {
     /// program is the one that is flashed or installed.
     pub(crate) fn cargo(&self, folder: &Path) -> Command {
         let mut cargo = self.cargo.as_ref().map_or_else(cargo_here, Command::new);
+        self.set_up(cargo.current_dir(folder));
+        cargo
+    }
+
+    /// Gives cargo, or a program that calls it, this compiler and the environment of
+    /// [`Compiler::cargo`].
+    fn set_up(&self, command: &mut Command) {
         for (name, _) in env::vars_os() {
             if name.to_str().is_some_and(changes_a_build) {
-                cargo.env_remove(name);
+                command.env_remove(name);
             }
         }
-        cargo
-            .current_dir(folder)
+        command
+            .envs(self.cargo.as_ref().map(|cargo| ("CARGO", cargo)))
             // Empty overrides the user's configuration, too.
             .envs([("RUSTC_WRAPPER", ""), ("RUSTC_WORKSPACE_WRAPPER", "")])
             // Enables unstable options, such as building the standard library.
             .env("RUSTC", &self.rustc)
             .env("RUSTC_BOOTSTRAP", "1");
-        cargo
     }
 }
 
@@ -128,14 +134,26 @@ impl Target {
         command
     }
 
-    /// `cargo build` for this processor, and the folder of the programs of a profile. The standard
-    /// library is built from its sources.
+    /// `cargo build` for this processor, and the folder of the programs of a profile.
     pub(crate) fn cargo_build(&self, profile: &str) -> Result<(Command, PathBuf), Failure> {
+        let mut cargo = Compiler::find(self.probe)?.cargo(root());
+        let folder = self.build(&mut cargo, profile)?;
+        Ok((cargo, folder))
+    }
+
+    /// Lets maturin build for this processor.
+    pub(crate) fn maturin_build(&self, maturin: &mut Command) -> Result<(), Failure> {
+        Compiler::find(self.probe)?.set_up(maturin);
+        self.build(maturin, "release").map(drop)
+    }
+
+    /// Adds the arguments of a build by cargo, or by maturin, which has the same. The standard
+    /// library is built from its sources. Returns the folder of the programs.
+    fn build(&self, command: &mut Command, profile: &str) -> Result<PathBuf, Failure> {
         let folder = target::folder()?.join("odroid");
         let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);
-        let mut cargo = Compiler::find(self.probe)?.cargo(root());
-        cargo
+        command
             .env(
                 format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase()),
                 &gcc,
@@ -147,7 +165,7 @@ impl Target {
             .arg("--target-dir")
             .arg(&folder);
         let name = if profile == "dev" { "debug" } else { profile };
-        Ok((cargo, folder.join(self.triple).join(name)))
+        Ok(folder.join(self.triple).join(name))
     }
 }
 

@@ -9,8 +9,8 @@ use crate::{
     programs::{NAMED_TESTS, Packages, compare, installed},
     python, ros,
     step::{
-        Scope::{self, All, Always, Of},
-        Step, run_all,
+        Scope::{All, Always, Of},
+        Step, row, run_all,
     },
     target, units, uno,
     workspace::{cargo, root},
@@ -236,22 +236,6 @@ const STEPS: [Step; 27] = [
     row("ros", 60, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
 ];
 
-const fn row(
-    name: &'static str,
-    budget_s: u32,
-    scope: Scope,
-    what: &'static str,
-    run: fn(&Packages) -> Result<(), Failure>,
-) -> Step {
-    Step {
-        name,
-        budget_s,
-        scope,
-        what,
-        run,
-    }
-}
-
 /// The programs as they are installed simulate the same bits as those of the tests.
 fn compare_release(packages: &Packages) -> Result<(), Failure> {
     let program = installed()?.join("singletrack");
@@ -357,6 +341,12 @@ mod tests {
         for line in uno {
             let words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
             uno::parse(&words).unwrap();
+        }
+        let release = documented("release");
+        assert!(release.len() > 1, "{release:?}");
+        for line in release {
+            let words: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+            crate::release::parse(&words).unwrap();
         }
     }
 

@@ -1,0 +1,286 @@
+//! `cargo release`: all files of a release in one folder. It publishes nothing.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use crate::{
+    changelog, deb, libraries, packages,
+    prerequisites::{self, GIT, PODMAN},
+    process::{Failure, check, failure, silent, text},
+    programs::{INSTALLED, NODE, Packages},
+    python,
+    step::{
+        Scope::{All, Always},
+        Step, row, run_all,
+    },
+    target,
+    workspace::{cargo, root},
+};
+
+const USAGE: &str = "\
+usage: cargo release [--tag TAG] [--without STEP[,STEP...]]
+
+Make the files of a release in target/release-VERSION/: notes, licences, crates, book, Debian
+packages, container image, wheels and checksums. Needs Debian 12 on x86-64, and installs missing
+packages. Publishes nothing.
+
+  --tag TAG       make the release of this tag, such as v0.1.0: the version, the changelog and a
+                  clean checkout are required, and all steps
+  --without STEP  leave out crates, book, debian, image or wheels
+  -h, --help      print this help
+";
+
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+/// The version of mdbook that makes the site.
+const MDBOOK: &str = "0.5.4";
+
+/// Debian's names of the architectures. The first is that of the container image, which is made of
+/// its packages.
+const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
+
+/// What is made, in order. The image is made of a Debian package.
+#[rustfmt::skip]
+const STEPS: [Step; 7] = [
+    row("notes", 5, Always, "release notes, and the licences of all libraries", notes),
+    row("crates", 40, All, "the packages of crates.io, in their order", crates),
+    row("book", 120, All, "the site", book),
+    row("debian", 2700, All, "the Debian packages", debian),
+    row("image", 30, All, "the container image of the simulator", image),
+    row("wheels", 1000, All, "the Python package", wheels),
+    row("checksums", 5, Always, "SHA256SUMS", checksums),
+];
+
+/// What a command line asks for.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(crate) struct Plan {
+    tag: Option<String>,
+    without: Vec<String>,
+}
+
+pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+    if arguments.iter().any(|one| one == "--help" || one == "-h") {
+        print!("{USAGE}");
+        return Ok(());
+    }
+    let plan = parse(arguments)?;
+    let newest = changelog::newest()?;
+    let git = plan.tag.as_ref().map(|_| GIT);
+    let podman = plan.has("image").then_some(PODMAN);
+    prerequisites::ensure(&git.into_iter().chain(podman).collect::<Vec<_>>())?;
+    if let Some(tag) = &plan.tag {
+        newest.check_tag(tag)?;
+        check_clean()?;
+    }
+    python::empty(&folder()?)?;
+    let steps: Vec<Step> = STEPS
+        .into_iter()
+        .filter(|step| plan.has(step.name))
+        .collect();
+    run_all(&steps, &Packages::Default)?;
+    if !plan.without.is_empty() {
+        println!("NOT A RELEASE: without {}", plan.without.join(", "));
+    }
+    Ok(())
+}
+
+impl Plan {
+    fn has(&self, step: &str) -> bool {
+        !self.without.iter().any(|name| name == step)
+    }
+}
+
+pub(crate) fn parse(arguments: &[String]) -> Result<Plan, Failure> {
+    let mut plan = Plan::default();
+    let mut arguments = arguments.iter().map(String::as_str);
+    while let Some(option) = arguments.next() {
+        let (option, value) = match option.split_once('=') {
+            Some((option, value)) => (option, Some(value)),
+            None => (option, arguments.next()),
+        };
+        match (option, value) {
+            ("--tag", Some(tag)) => plan.tag = Some(tag.to_owned()),
+            ("--without", Some(names)) => plan.without.extend(names.split(',').map(str::to_owned)),
+            _ => return Err(failure!("unexpected argument {option:?}\n\n{USAGE}")),
+        }
+    }
+    let can_be_left_out = |name: &&String| {
+        let mut steps = STEPS.iter();
+        steps.any(|step| step.scope == All && step.name == **name)
+    };
+    if let Some(unknown) = plan.without.iter().find(|name| !can_be_left_out(name)) {
+        return Err(failure!("--without {unknown:?} is no such step\n\n{USAGE}"));
+    }
+    if plan.tag.is_some() && !plan.without.is_empty() {
+        return Err(failure!(
+            "a release has all steps: --tag or --without\n\n{USAGE}"
+        ));
+    }
+    Ok(plan)
+}
+
+/// Checks that the files are those of a commit.
+fn check_clean() -> Result<(), Failure> {
+    // In a container, the checkout belongs to another user.
+    let mut git = Command::new("git");
+    git.args(["-c", "safe.directory=*", "status", "--porcelain"]);
+    let changes = text(git.current_dir(root()))?;
+    if changes.is_empty() {
+        return Ok(());
+    }
+    Err(failure!(
+        "the checkout has changes, commit them:\n{changes}"
+    ))
+}
+
+/// The folder of the files.
+fn folder() -> Result<PathBuf, Failure> {
+    Ok(target::folder()?.join(format!("release-{VERSION}")))
+}
+
+fn write(name: &str, text: &str) -> Result<(), Failure> {
+    let path = folder()?.join(name);
+    fs::write(&path, text).map_err(|error| failure!("{}: {error}", path.display()))
+}
+
+/// Copies a file into the folder.
+fn take(file: &Path) -> Result<(), Failure> {
+    let name = file.file_name().unwrap_or_default();
+    target::put(file, &folder()?.join(name))
+}
+
+fn notes(_: &Packages) -> Result<(), Failure> {
+    let programs = [&INSTALLED[..], &[NODE, python::MODULE]].concat();
+    let licences = libraries::notices(&programs, &libraries::TARGETS)?;
+    write("LICENCES.txt", &licences)?;
+    write("notes.md", &changelog::newest()?.text)
+}
+
+fn crates(_: &Packages) -> Result<(), Failure> {
+    // The list of the licences has downloaded what they need.
+    packages::check_published()?;
+    let packed = target::folder()?.join("package");
+    for package in packages::PUBLISHED {
+        take(&packed.join(format!("{package}-{VERSION}.crate")))?;
+    }
+    Ok(())
+}
+
+fn book(_: &Packages) -> Result<(), Failure> {
+    let target = target::folder()?;
+    let tools = target.join("tools");
+    let mut install = cargo();
+    install.args(["install", "--quiet", "--locked", "--root"]);
+    install.arg(&tools).args(["--version", MDBOOK, "mdbook"]);
+    check(install.args(["--no-default-features", "--features", "search"]))?;
+    let site = target.join("book");
+    let mut mdbook = Command::new(tools.join("bin/mdbook"));
+    mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
+    check(mdbook.current_dir(root()))?;
+    let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
+    let mut tar = Command::new("tar");
+    tar.arg("--directory").arg(&site);
+    silent(
+        tar.args(["--create", "--gzip", "--file"])
+            .arg(archive)
+            .arg("."),
+    )
+}
+
+fn debian(_: &Packages) -> Result<(), Failure> {
+    for architecture in ARCHITECTURES {
+        for package in deb::make(Some(architecture))? {
+            take(&package)?;
+        }
+    }
+    Ok(())
+}
+
+fn image(_: &Packages) -> Result<(), Failure> {
+    let name = format!("singletrack-sim:{VERSION}");
+    let mut build = Command::new("podman");
+    // In a container, and for root without all rights, no other isolation works.
+    build.args(["build", "--quiet", "--isolation", "chroot", "--squash"]);
+    build.args([
+        "--tag",
+        &name,
+        "--file",
+        "packaging/Containerfile.simulator",
+    ]);
+    check(
+        build
+            .arg(target::folder()?.join("debian"))
+            .current_dir(root()),
+    )?;
+    let file = format!("singletrack-sim_{VERSION}_{}.tar", ARCHITECTURES[0]);
+    let file = folder()?.join(file);
+    let mut save = Command::new("podman");
+    save.args(["save", "--quiet", "--format", "oci-archive", "--output"]);
+    silent(save.arg(&file).arg(&name))
+}
+
+fn wheels(_: &Packages) -> Result<(), Failure> {
+    python::make_wheels(&folder()?)
+}
+
+fn checksums(_: &Packages) -> Result<(), Failure> {
+    let mut sum = Command::new("sh");
+    sum.args(["-ec", "sha256sum *"]).current_dir(folder()?);
+    write("SHA256SUMS", &text(&mut sum)?)?;
+    let mut list = Command::new("du");
+    check(
+        list.args(["--apparent-size", "--human-readable", "--all"])
+            .arg(folder()?),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parsed(line: &str) -> Result<Plan, Failure> {
+        let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
+        parse(&arguments)
+    }
+
+    #[test]
+    fn steps_can_be_left_out() {
+        let made = |line: &str| {
+            let plan = parsed(line).unwrap();
+            let made = STEPS.iter().filter(|step| plan.has(step.name));
+            made.map(|step| step.name).collect::<Vec<_>>()
+        };
+        assert_eq!(made("").len(), STEPS.len());
+        assert_eq!(
+            made("--without image,wheels --without=book"),
+            ["notes", "crates", "debian", "checksums"]
+        );
+    }
+
+    #[test]
+    fn a_release_has_all_steps() {
+        assert_eq!(
+            parsed("--tag v1.2.3").unwrap().tag.as_deref(),
+            Some("v1.2.3")
+        );
+        let why = parsed("--tag v1.2.3 --without book").unwrap_err();
+        assert!(why.to_string().contains("all steps"), "{why}");
+    }
+
+    #[test]
+    fn other_arguments_are_refused_with_the_usage() {
+        for line in [
+            "v1.2.3",
+            "--tag",
+            "--without",
+            "--without checksums",
+            "--all",
+        ] {
+            let why = parsed(line).unwrap_err().to_string();
+            assert!(why.contains(USAGE), "{line}: {why}");
+        }
+    }
+}
