@@ -21,7 +21,9 @@ pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
 };
 pub use state::{SetpointInForce, State};
-pub use status::{Board, Cameras, Change, Command, Configuration, Estimate, Status};
+pub use status::{
+    Board, Calibration, Cameras, Change, Command, Configuration, Correction, Estimate, Status,
+};
 
 /// The version of the protocol. Client and daemon must have the same one.
 pub const SOCKET_VERSION: u32 = 2;

@@ -10,6 +10,9 @@ use crate::{Tuning, Word};
 pub struct Status {
     /// The board; `None` before its first telemetry.
     pub board: Option<Board>,
+    /// What the drives with this configuration say of it; `None` if that is not asked for, or not
+    /// known yet.
+    pub calibration: Option<Calibration>,
     /// What is wrong with the cameras, or that nothing is.
     pub cameras: Cameras,
     /// The last command.
@@ -77,6 +80,39 @@ pub struct Board {
     pub stop_cause: Word,
     /// Whether its stop input is open.
     pub stop_input_open: Option<bool>,
+}
+
+/// What drives say of the calibration; empty if nothing is wrong.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    /// What is off, a sentence each.
+    pub advice: Vec<String>,
+    /// What to write into the configuration; not everything that is off has a key.
+    pub corrections: Vec<Correction>,
+}
+
+impl Calibration {
+    /// The advice in one line; `None` if nothing is wrong.
+    #[must_use]
+    pub fn line(&self) -> Option<String> {
+        let accept = match self.corrections.as_slice() {
+            [] => "",
+            _ => ", or `singletrack accept`",
+        };
+        let off = self.advice.join("; ");
+        (!off.is_empty()).then(|| format!("{off}: run `singletrack calibrate`{accept}"))
+    }
+}
+
+/// A value of the configuration that drives contradict.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Correction {
+    /// The value that was in force.
+    pub configured: Value,
+    /// Such as `board.servo.centre_us`.
+    pub key: String,
+    /// The value by the drives.
+    pub value: Value,
 }
 
 /// The cameras.

@@ -1,5 +1,7 @@
 //! What a drive says about the calibration, from the records of its ticks.
 
+use serde_json::Value as Json;
+use singletrack_api::Correction;
 use singletrack_control::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
     CalibrationTick,
@@ -24,7 +26,14 @@ impl OnlineCalibration {
     /// For this configuration; none if it is off.
     #[must_use]
     pub fn new(config: &Config) -> Option<Self> {
-        config.online_calibration.is_enabled().then(|| Self {
+        let is_enabled = config.online_calibration.is_enabled();
+        is_enabled.then(|| Self::of(config))
+    }
+
+    /// For this configuration, also if it is off.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        Self {
             calibration: Box::new(Calibration::new(CalibrationConfig {
                 vehicle: config.vehicle,
                 actuators: config.actuators.model(),
@@ -32,7 +41,7 @@ impl OnlineCalibration {
                 marker_yaw: config.motion_capture.marker_yaw_rad,
                 pulse_distance: f64::from(config.board.speed.pulse_distance_um) * 1e-6,
             })),
-        })
+        }
     }
 
     /// Takes a tick.
@@ -72,28 +81,14 @@ impl OnlineCalibration {
     }
 }
 
-/// What is wrong with the calibration, a line for each estimate that is off, and what to write.
+/// What is wrong with the calibration, and what to write.
 #[must_use]
-pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<String> {
-    let mut lines: Vec<String> = estimates
-        .iter()
-        .filter(|estimate| estimate.is_off())
-        .map(describe)
-        .collect();
-    if !lines.is_empty() {
-        let written: Vec<_> = corrections(config, estimates)
-            .iter()
-            .map(|Correction { key, value }| format!("{key} = {value}"))
-            .collect();
-        lines.push(match written.as_slice() {
-            [] => "run `singletrack calibrate`".to_owned(),
-            written => format!(
-                "run `singletrack calibrate`, or write {}",
-                written.join(", ")
-            ),
-        });
+pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> singletrack_api::Calibration {
+    let off = estimates.iter().filter(|estimate| estimate.is_off());
+    singletrack_api::Calibration {
+        advice: off.map(describe).collect(),
+        corrections: corrections(config, estimates),
     }
-    lines
 }
 
 /// Such as "steering gain is 4.1 +- 0.2 % less than configured".
@@ -114,15 +109,6 @@ fn describe(estimate: &CalibrationEstimate) -> String {
     format!("{name} is {off:.digits$} +- {half:.digits$} {unit} {side} than configured")
 }
 
-/// A key of the configuration with its corrected value.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Correction {
-    /// Such as `board.servo.centre_us`.
-    pub key: &'static str,
-    /// The value.
-    pub value: Value,
-}
-
 /// What has to be written for the estimates that are off. The scale of the gyro has no key, and a
 /// steering table is measured by `singletrack calibrate`.
 #[must_use]
@@ -134,7 +120,16 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
             .map(|estimate| estimate.value)
     };
     let mut corrections = Vec::new();
-    let mut correct = |key, value| corrections.push(Correction { key, value });
+    let mut correct = |key: &str, configured: Json, value: Json| {
+        // What is rounded to what it was is no correction.
+        if configured != value {
+            corrections.push(Correction {
+                configured,
+                key: key.to_owned(),
+                value,
+            });
+        }
+    };
     let gain = off(CalibrationParameter::SteeringGain);
     let trim = off(CalibrationParameter::SteeringTrim);
     if config.actuators.steering_table.is_none() && (gain.is_some() || trim.is_some()) {
@@ -142,34 +137,39 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
         let gain_us_per_rad = f64::from(servo.gain_us_per_rad) / (1.0 + gain.unwrap_or(0.0));
         let centre_us = f64::from(servo.centre_us) - trim.unwrap_or(0.0) * gain_us_per_rad;
         let [gain_us_per_rad, centre_us] = [gain_us_per_rad, centre_us].map(f64::round);
-        if gain.is_some() {
-            let value = Value::Integer(gain_us_per_rad as i64);
-            correct("board.servo.gain_us_per_rad", value);
-        }
-        if trim.is_some() {
-            let value = Value::Integer(centre_us as i64);
-            correct("board.servo.centre_us", value);
-        }
+        correct(
+            "board.servo.gain_us_per_rad",
+            servo.gain_us_per_rad.into(),
+            (gain_us_per_rad as i64).into(),
+        );
+        correct(
+            "board.servo.centre_us",
+            servo.centre_us.into(),
+            (centre_us as i64).into(),
+        );
         let [most, least] = [servo.max_us, servo.min_us].map(f64::from);
         let reach = (most - centre_us).min(centre_us - least) / gain_us_per_rad.abs();
-        if config.limits.max_steering_rad > reach {
-            let value = Value::Float((1e3 * reach).floor() / 1e3);
-            correct("limits.max_steering_rad", value);
+        let most = config.limits.max_steering_rad;
+        if most > reach {
+            let value = (1e3 * reach).floor() / 1e3;
+            correct("limits.max_steering_rad", most.into(), value.into());
         }
     }
     let cameras = &config.motion_capture;
     if let Some(late) = off(CalibrationParameter::StampOffset) {
-        let offset_ms = cameras.timing.stamp_offset_ms + 1e3 * late;
+        let configured = cameras.timing.stamp_offset_ms;
         correct(
             "motion_capture.timing.stamp_offset_ms",
-            Value::Float(rounded(offset_ms, 1e2)),
+            configured.into(),
+            rounded(configured + 1e3 * late, 1e2).into(),
         );
     }
     if let Some(yaw) = off(CalibrationParameter::BodyYaw) {
-        let yaw = cameras.marker_yaw_rad + yaw;
+        let configured = cameras.marker_yaw_rad;
         correct(
             "motion_capture.marker_yaw_rad",
-            Value::Float(rounded(yaw, 1e5)),
+            configured.into(),
+            rounded(configured + yaw, 1e5).into(),
         );
     }
     let pivot = [
@@ -178,20 +178,22 @@ pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Co
     ]
     .map(off);
     if pivot.iter().any(Option::is_some) {
-        let [forward, left] = [0, 1].map(|axis| {
-            let offset = cameras.marker_offset_m[axis] + pivot[axis].unwrap_or(0.0);
-            Value::Float(rounded(offset, 1e4))
-        });
+        let configured = cameras.marker_offset_m;
+        let [forward, left] =
+            [0, 1].map(|axis| rounded(configured[axis] + pivot[axis].unwrap_or(0.0), 1e4));
         correct(
             "motion_capture.marker_offset_m",
-            Value::Array(vec![forward, left]),
+            vec![configured[0], configured[1]].into(),
+            vec![forward, left].into(),
         );
     }
     if let Some(more) = off(CalibrationParameter::PulseDistance) {
-        let distance_um = f64::from(config.board.speed.pulse_distance_um) * (1.0 + more);
+        let configured = config.board.speed.pulse_distance_um;
+        let distance_um = f64::from(configured) * (1.0 + more);
         correct(
             "board.speed.pulse_distance_um",
-            Value::Integer(distance_um.round() as i64),
+            configured.into(),
+            (distance_um.round() as i64).into(),
         );
     }
     corrections
@@ -205,19 +207,32 @@ fn rounded(value: f64, per_one: f64) -> f64 {
 ///
 /// # Errors
 ///
-/// A corrected value is out of range, or contradicts another one.
+/// A value is not the one that was driven with; or a corrected one is out of range, or contradicts
+/// another one.
 pub fn corrected(config: &Config, corrections: &[Correction]) -> Result<Config, ConfigError> {
     let unwritten = |error: &dyn core::fmt::Display| {
         ConfigError::value("online_calibration", "corrections", error.to_string())
     };
     let text = config.to_toml().map_err(|error| unwritten(&error))?;
     let mut table: toml::Table = toml::from_str(&text).map_err(|error| unwritten(&error))?;
-    for Correction { key, value } in corrections {
+    for correction in corrections {
+        let Correction { key, .. } = correction;
+        let [configured, value] = [&correction.configured, &correction.value].map(Value::try_from);
+        let configured = configured.map_err(|error| unwritten(&error))?;
+        let value = value.map_err(|error| unwritten(&error))?;
         let mut at = &mut table;
         let mut parts = key.split('.').peekable();
         while let Some(part) = parts.next() {
             if parts.peek().is_none() {
-                at.insert(part.to_owned(), value.clone());
+                let old = at.insert(part.to_owned(), value);
+                if old.as_ref() != Some(&configured) {
+                    let old = old.map_or_else(|| "absent".to_owned(), |old| old.to_string());
+                    return Err(ConfigError::value(
+                        "the configuration",
+                        "another one than that of the drives",
+                        format!("{key} is {old}, and was {configured}; drive with it first"),
+                    ));
+                }
                 break;
             }
             let next = at
@@ -258,14 +273,21 @@ mod tests {
             (CalibrationParameter::SteeringGain, -0.041),
             (CalibrationParameter::StampOffset, 0.001),
         ]);
+        let found_off = advice(&config(), &estimates);
         assert_eq!(
-            advice(&config(), &estimates),
-            [
-                "the steering gain is 4.1 +- 0.2 % less than configured",
-                "run `singletrack calibrate`, or write board.servo.gain_us_per_rad = -834",
-            ]
+            found_off.advice,
+            ["the steering gain is 4.1 +- 0.2 % less than configured"]
         );
-        assert!(advice(&config(), &found(&[(CalibrationParameter::BodyYaw, 0.003)])).is_empty());
+        assert_eq!(
+            found_off.corrections,
+            [Correction {
+                configured: Json::from(-800),
+                key: "board.servo.gain_us_per_rad".to_owned(),
+                value: Json::from(-834),
+            }]
+        );
+        let good = advice(&config(), &found(&[(CalibrationParameter::BodyYaw, 0.003)]));
+        assert!(good.advice.is_empty() && good.corrections.is_empty());
     }
 
     #[test]

@@ -137,8 +137,10 @@ impl Collector {
                 latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
-            if tick.output.mode.is_underway() {
-                self.calibration.tick(&tick);
+            if tick.output.mode.is_underway()
+                && let Some(known) = self.calibration.tick(&tick)
+            {
+                self.status.latest().calibration = Some(known);
             }
             if let Some(measured) = tick.output.braking_measured {
                 let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());
@@ -235,10 +237,11 @@ impl Collector {
         if mode.is_underway() {
             let (number, toml) = self.reconfigurer.text();
             self.calibration.begin(number, toml.as_deref());
-        } else {
-            for advice in self.calibration.end() {
+        } else if let Some(known) = self.calibration.end() {
+            if let Some(advice) = known.1.line() {
                 self.log(time_ns, Level::Warning, advice);
             }
+            self.status.latest().calibration = Some(known);
         }
         if !mode.is_underway()
             && let Some(warning) = self.noise.end()

@@ -1,5 +1,6 @@
-//! What the drives say about the calibration, for the log.
+//! What the drives say about the calibration, for status and log.
 
+use singletrack_api::Calibration;
 use singletrack_core::{
     Config,
     online_calibration::{OnlineCalibration, advice},
@@ -12,8 +13,12 @@ pub(crate) struct DriveCalibration {
     /// The number of the configuration.
     number: Option<u32>,
     estimator: Option<(Config, OnlineCalibration)>,
-    drove: bool,
+    /// Ticks of the drive under way.
+    ticks: u32,
 }
+
+/// Interval at which the estimates are computed, in ticks.
+const INTERVAL: u32 = 100;
 
 impl DriveCalibration {
     /// A drive begins, with the configuration of this number and text. Another configuration
@@ -28,21 +33,21 @@ impl DriveCalibration {
             .and_then(|config| OnlineCalibration::new(&config).map(|it| (config, it)));
     }
 
-    /// Takes a tick of a drive.
-    pub(crate) fn tick(&mut self, tick: &TickRecord) {
-        if let Some((_, estimator)) = &mut self.estimator {
-            self.drove = true;
-            estimator.tick(tick);
-        }
+    /// Takes a tick of a drive; once a second, gives what is known by then.
+    pub(crate) fn tick(&mut self, tick: &TickRecord) -> Option<(u32, Calibration)> {
+        let (_, estimator) = self.estimator.as_mut()?;
+        estimator.tick(tick);
+        self.ticks += 1;
+        self.ticks.is_multiple_of(INTERVAL).then(|| self.known())?
     }
 
-    /// The drive has ended: what is wrong with the calibration, if anything is known.
-    pub(crate) fn end(&mut self) -> Vec<String> {
-        match &self.estimator {
-            Some((config, estimator)) if core::mem::take(&mut self.drove) => {
-                advice(config, &estimator.estimates())
-            }
-            _ => Vec::new(),
-        }
+    /// The drive has ended: what is known, with the number of the configuration.
+    pub(crate) fn end(&mut self) -> Option<(u32, Calibration)> {
+        (core::mem::take(&mut self.ticks) > 0).then(|| self.known())?
+    }
+
+    fn known(&self) -> Option<(u32, Calibration)> {
+        let (config, estimator) = self.estimator.as_ref()?;
+        Some((self.number?, advice(config, &estimator.estimates())))
     }
 }

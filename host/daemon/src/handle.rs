@@ -41,18 +41,24 @@ impl DaemonHandle {
     /// Copies the present status.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let latest = self.status.latest();
+        let configuration = self.reconfigurer.view();
+        let calibration = latest.calibration.as_ref();
         Snapshot {
             tick: latest.tick.clone(),
             board: latest.board,
             board_status: latest.board_status,
             proved: latest.proved,
+            // That of another configuration says nothing of this one.
+            calibration: calibration
+                .filter(|(number, _)| *number == configuration.number)
+                .map(|(_, calibration)| calibration.clone()),
             cameras: latest.cameras.clone(),
             figures: Figures {
                 setpoints: self.status.setpoints.figures(),
                 ..latest.tally.figures()
             },
             realtime: self.realtime.clone(),
-            configuration: self.reconfigurer.view(),
+            configuration,
             tuning: self.reconfigurer.tuning_rule(),
             commissioned: self
                 .reconfigurer

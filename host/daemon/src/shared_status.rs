@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use singletrack_api::Calibration;
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, TickRecord, Topic};
@@ -29,6 +30,8 @@ pub(crate) struct Latest {
     /// Whether the configuration in force is proved on this car; `None` before the board has
     /// given its number.
     pub(crate) proved: Option<bool>,
+    /// What drives say of the configuration of this number.
+    pub(crate) calibration: Option<(u32, Calibration)>,
     /// What is wrong with the cameras.
     pub(crate) cameras: Diagnosis,
     pub(crate) tally: Tally,

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
-use singletrack_api::{Board, Cameras, Command, Configuration, Tuning, Word};
+use singletrack_api::{Board, Calibration, Cameras, Command, Configuration, Tuning, Word};
 use singletrack_control::Position;
 use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
 use singletrack_pilot::{Mode, Output, Reason, Tuned};
@@ -25,6 +25,8 @@ pub struct Snapshot {
     /// Whether the configuration in force is proved on this car; `None` before the board has
     /// given its number.
     pub proved: Option<bool>,
+    /// What drives say of the configuration in force.
+    pub calibration: Option<Calibration>,
     /// What is wrong with the cameras, or that nothing is.
     pub cameras: Diagnosis,
     /// The figures so far.
@@ -75,6 +77,7 @@ impl Snapshot {
                 stop_cause: cause.name().into(),
                 stop_input_open: self.board_status.map(|status| status.stop_input_open),
             }),
+            calibration: self.calibration.clone(),
             cameras: Cameras {
                 diagnosis: self.cameras.word.into(),
                 neighbour: self.cameras.neighbour.clone(),
@@ -182,7 +185,7 @@ mod tests {
     use singletrack_record::LinkPhase;
 
     use super::*;
-    use singletrack_api::Change;
+    use singletrack_api::{Change, Correction};
 
     /// With every value that there can be.
     fn snapshot() -> Snapshot {
@@ -243,6 +246,14 @@ mod tests {
             board: Some((BoardMode::Neutral, StopCause::Disarmed)),
             board_status: None,
             proved: Some(true),
+            calibration: Some(Calibration {
+                advice: vec!["the steering trim is off".to_owned()],
+                corrections: vec![Correction {
+                    configured: json!(1_500),
+                    key: "board.servo.centre_us".to_owned(),
+                    value: json!(1_542),
+                }],
+            }),
             cameras: Diagnosis {
                 neighbour: Some("\"wand\" is near".to_owned()),
                 ..Diagnosis::default()
@@ -275,6 +286,7 @@ mod tests {
             tick: None,
             board: None,
             proved: None,
+            calibration: None,
             commissioned: None,
             config_path: None,
             record: None,

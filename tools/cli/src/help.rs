@@ -9,7 +9,10 @@ use crate::wrap::wrap;
 /// What the commands are for, and their names.
 pub const GROUPS: [(&str, &str); 5] = [
     ("Drive", "arm disarm stop fleet drive tune setpoint"),
-    ("Set up a car", "cameras doctor bring-up calibrate jog"),
+    (
+        "Set up a car",
+        "cameras doctor bring-up calibrate accept jog",
+    ),
     ("Teach a reference", "teach set-reference"),
     ("Look", "status page live dump plot"),
     (

@@ -1,5 +1,7 @@
 //! The command line of Singletrack, as a library for its tests.
 
+#[cfg(feature = "operator")]
+pub mod accept;
 pub mod arguments;
 #[cfg(feature = "operator")]
 pub mod arm;

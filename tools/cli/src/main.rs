@@ -10,12 +10,12 @@ use clap::{
 use singletrack::demo;
 #[cfg(any(feature = "live", feature = "page"))]
 use singletrack::viewers;
-use singletrack::{arguments::take_negative_numbers, help::grouped, printable::printable};
 #[cfg(feature = "operator")]
 use singletrack::{
-    arm, bench, cameras, control, drive, dump, fleet, import, install_files, jog, recover, replay,
-    set_reference, setpoint, status, teach, tune,
+    accept, arm, bench, cameras, control, drive, dump, fleet, import, install_files, jog, recover,
+    replay, set_reference, setpoint, status, teach, tune,
 };
+use singletrack::{arguments::take_negative_numbers, help::grouped, printable::printable};
 #[cfg(feature = "paper")]
 use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_figures::{output, plot};
@@ -73,6 +73,9 @@ enum Command {
     ///
     /// The exit status is 0 if no step failed, 1 if it was interrupted, and 3 if a step failed.
     Calibrate(bench::BenchArgs),
+    #[cfg(feature = "operator")]
+    /// Write what drives say of the calibration into the configuration, after showing the change.
+    Accept(accept::AcceptArgs),
     #[cfg(feature = "paper")]
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
@@ -203,7 +206,7 @@ const OPTIONAL: [(&str, &str); 5] = [
     ("page", "page"),
     (
         "operator",
-        "cameras doctor bring-up calibrate status arm jog disarm stop fleet set-reference setpoint tune drive \
+        "cameras doctor bring-up calibrate accept status arm jog disarm stop fleet set-reference setpoint tune drive \
          teach dump import judge recover replay install-files",
     ),
     ("paper", "compare reproduce stability identify merge"),
@@ -245,6 +248,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         Command::BringUp(args) => return Ok(bench::run(&bench::BRING_UP, args)?),
         #[cfg(feature = "operator")]
         Command::Calibrate(args) => return Ok(bench::run(&bench::CALIBRATE, args)?),
+        #[cfg(feature = "operator")]
+        Command::Accept(args) => Ok(accept::run(args)?),
         #[cfg(feature = "paper")]
         Command::Compare(args) => Ok(compare::run(args)?),
         #[cfg(feature = "page")]

@@ -7,6 +7,7 @@
     reason = "a test may fail"
 )]
 
+mod accept_command;
 mod arm_command;
 mod cameras_command;
 mod command_line;

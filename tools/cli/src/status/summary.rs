@@ -75,6 +75,9 @@ impl Summary {
         if let Some(tuned) = self.tuned() {
             line += &format!("; tuned: {tuned}");
         }
+        if let Some(advice) = self.calibration() {
+            line += &format!("; calibration: {advice}");
+        }
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
         }
@@ -113,6 +116,9 @@ impl Summary {
         if let Some(tuned) = self.tuned() {
             lines.paragraph("tuned", &tuned);
         }
+        if let Some(advice) = self.calibration() {
+            lines.paragraph("advice", &advice);
+        }
         if let Some(error) = &status.record_error {
             lines.paragraph("record", &format!("has ended: {error}"));
         }
@@ -127,6 +133,11 @@ impl Summary {
         tuning
             .differs?
             .then(|| format!("{tuned} (configured: {was})"))
+    }
+
+    /// What the drives say of the calibration.
+    fn calibration(&self) -> Option<String> {
+        self.status.calibration.as_ref()?.line()
     }
 
     fn pose_age_ms(&self) -> Option<f64> {

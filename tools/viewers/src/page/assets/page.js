@@ -142,6 +142,7 @@ function write() {
   element("link").dataset.link = isOld ? "waiting" : "live";
   text(element("link"), isOld ? "Daemon not connected" : "Daemon connected");
   writeNow(isOld);
+  text(element("calibration"), advice(status?.calibration));
   if (state === null || setup === null) {
     return;
   }
@@ -191,6 +192,15 @@ function writeNow(isOld) {
     && status && !NO_TROUBLE.includes(status.cameras.diagnosis);
   text(element("meaning"), `${before}\`${word}\`. ${meaning}`);
   text(element("remedy"), `What to do: ${remedy}${isExplained ? ` Cameras: ${status.cameras.text}.` : ""}`);
+}
+
+// What the drives say of the calibration.
+function advice(calibration) {
+  if (!calibration?.advice.length) {
+    return "";
+  }
+  const accept = calibration.corrections.length ? ", or `singletrack accept`" : "";
+  return `${calibration.advice.join("; ")}: run \`singletrack calibrate\`${accept}.`;
 }
 
 function named(path) {

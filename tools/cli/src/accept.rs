@@ -1,0 +1,186 @@
+//! `singletrack accept`: writes what drives say of the calibration into the configuration.
+
+use std::{
+    io::{self, IsTerminal as _},
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use jiff::Timestamp;
+use serde_json::Value as Json;
+use singletrack_api::{Calibration, ClientError, Request, ask};
+use singletrack_commissioning::edit::{Edit, EditError};
+use singletrack_core::{
+    Config, ConfigError,
+    feasibility::judge,
+    online_calibration::{OnlineCalibration, advice, corrected},
+};
+use singletrack_record::{Entry, Reader, RecordError, Topic};
+use toml_edit::Value;
+
+use crate::control::{self, ControlArgs, ControlError};
+
+/// Options of `singletrack accept`.
+#[derive(Clone, Debug, Args)]
+pub struct AcceptArgs {
+    /// The record of a drive that says it, also of one without advice [default: ask the daemon]
+    #[arg(value_name = "RECORD.mcap", requires = "config")]
+    record: Option<PathBuf>,
+    /// The configuration to change [default: that of the daemon]
+    #[arg(long, value_name = "FILE", requires = "record")]
+    config: Option<PathBuf>,
+    /// Write without asking
+    #[arg(long)]
+    yes: bool,
+    #[command(flatten)]
+    control: ControlArgs,
+}
+
+/// Why nothing was written.
+#[derive(Debug, thiserror::Error)]
+pub enum AcceptError {
+    /// The daemon can't be asked, or refuses.
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// A configuration is invalid, or another one than that of the drives.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The file can't be changed.
+    #[error(transparent)]
+    Edit(#[from] EditError),
+    /// The daemon estimates nothing, or has not driven yet.
+    #[error(
+        "the daemon knows nothing of its calibration: set online_calibration.mode = \"advice\" and \
+         drive bends to both sides for a minute, or give the record of such a drive"
+    )]
+    Unknown,
+    /// The daemon was started without a file.
+    #[error("the daemon has no configuration file: start it with --config")]
+    NoFile,
+    /// A value that has no place in the file.
+    #[error("{key} = {value} can't be written: set it by hand")]
+    Value {
+        /// The key.
+        key: String,
+        /// Its value.
+        value: Json,
+    },
+    /// The car could not drive its reference any more.
+    #[error("{0}; change that first, and accept then")]
+    Impossible(String),
+    /// Nobody has agreed.
+    #[error("nothing was written: agree with y, or give --yes")]
+    NotAgreed,
+    /// Standard input or output.
+    #[error(transparent)]
+    Control(#[from] ControlError),
+}
+
+/// Shows the advice and the change, and writes it if the operator agrees.
+///
+/// # Errors
+///
+/// Nothing is known, the file is not the one that was driven with, or the new values do not fit.
+pub fn run(args: &AcceptArgs) -> Result<(), AcceptError> {
+    let (known, path) = match (&args.record, &args.config) {
+        (Some(record), Some(config)) => (of_record(record)?, config.clone()),
+        _ => of_daemon(&args.control)?,
+    };
+    let Some(line) = known.line() else {
+        return Ok(control::print("the drives contradict no value")?);
+    };
+    control::print(&line)?;
+    if known.corrections.is_empty() {
+        return Ok(());
+    }
+    let edit = change(&path, &known)?;
+    control::print(edit.diff(&path.display().to_string()).trim_end())?;
+    if !args.yes && !agrees() {
+        return Err(AcceptError::NotAgreed);
+    }
+    let date = Timestamp::now().strftime("%Y-%m-%dT%H%M%SZ").to_string();
+    if let Some(kept) = edit.write(&path, &date)? {
+        control::print(&format!("The old file is {}.", kept.display()))?;
+    }
+    if args.record.is_some() {
+        return Ok(());
+    }
+    let reloaded =
+        ask(&Request::Reload {}, &args.control.socket).map_err(|error| error.to_string());
+    Ok(control::print(&match reloaded {
+        Ok(_) => "The daemon has reloaded it.".to_owned(),
+        Err(error) => format!("The file is written, but not in force yet: {error}"),
+    })?)
+}
+
+/// What the daemon knows, and the file that it reads.
+fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), AcceptError> {
+    let status = ask(&Request::Status {}, &control.socket)?.status;
+    let status = status.ok_or(AcceptError::Unknown)?;
+    let known = status.calibration.ok_or(AcceptError::Unknown)?;
+    let path = status.config_path.ok_or(AcceptError::NoFile)?;
+    Ok((known, path.into()))
+}
+
+/// What the drives of a record say of their last configuration.
+fn of_record(path: &Path) -> Result<Calibration, AcceptError> {
+    let mut reader = Reader::open(path)?.only(&[Topic::Configuration, Topic::Tick]);
+    let mut config = Config::from_record(&reader.meta().configuration)?;
+    let mut calibration = OnlineCalibration::of(&config);
+    for entry in reader.by_ref() {
+        match entry? {
+            Entry::Configuration(record) => {
+                config = Config::from_record(&record.toml)?;
+                calibration = OnlineCalibration::of(&config);
+            }
+            Entry::Tick(tick) if tick.output.mode.is_underway() => calibration.tick(&tick),
+            _ => {}
+        }
+    }
+    Ok(advice(&config, &calibration.estimates()))
+}
+
+/// The change of the file, if it passes what `singletrackd --check` judges.
+fn change(path: &Path, known: &Calibration) -> Result<Edit, AcceptError> {
+    let config = corrected(&Config::read(path)?, &known.corrections)?;
+    let judgement = judge(&config, None)?;
+    if !judgement.is_possible() {
+        let findings = judgement.findings.iter().map(ToString::to_string);
+        let findings: Vec<_> = findings.collect();
+        return Err(AcceptError::Impossible(findings.join("; ")));
+    }
+    let mut edit = Edit::read(path)?;
+    for correction in &known.corrections {
+        let value = written(&correction.value).ok_or_else(|| AcceptError::Value {
+            key: correction.key.clone(),
+            value: correction.value.clone(),
+        })?;
+        edit.set(&correction.key, &value)?;
+    }
+    Ok(edit)
+}
+
+/// A number, or a list of numbers, as it is written.
+fn written(value: &Json) -> Option<Value> {
+    match value {
+        Json::Number(number) => match number.as_i64() {
+            Some(number) => Some(number.into()),
+            None => number.as_f64().map(Value::from),
+        },
+        Json::Array(values) => values.iter().map(written).collect::<Option<_>>(),
+        _ => None,
+    }
+}
+
+/// Whether somebody at a terminal says yes.
+fn agrees() -> bool {
+    if !io::stdin().is_terminal() {
+        return false;
+    }
+    eprint!("Write it? [y/N] ");
+    let mut line = String::new();
+    io::stdin().read_line(&mut line).is_ok() && matches!(line.trim(), "y" | "yes")
+}
