@@ -155,6 +155,10 @@ truth! {
         backlash_us: f64, in 0.0 to 500.0 => car.servo.backlash_us;
         /// From this time on the wheels keep their angle.
         stuck_from_s: f64, in 0.0 to 86400.0 => car.servo.stuck_from_s;
+        /// From this time on its horn has slipped, by `slip_deg`.
+        slips_at_s: f64, in 0.0 to 86400.0 => car.servo.slips_at_s;
+        /// By how much the wheels are turned to the left by that.
+        slip_deg: f64, in -45.0 to 45.0 => |c, v| c.car.servo.slip_rad = v.to_radians();
     }
 
     /// The electronic speed controller.

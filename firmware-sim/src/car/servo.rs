@@ -33,6 +33,10 @@ section! {
     backlash_us: f64 = 0.0, in NOT_NEGATIVE;
     /// From this time on the wheels keep their angle, in s.
     stuck_from_s: Option<f64> = None, in NOT_NEGATIVE;
+    /// From this time on the horn has slipped, in s...
+    slips_at_s: Option<f64> = None, in NOT_NEGATIVE;
+    /// ...by this angle of the wheels, to the left, in rad.
+    slip_rad: f64 = 0.05;
 }
 
 impl ServoParameters {

@@ -194,6 +194,8 @@ pub struct Car {
 #[derive(Clone, Copy, Debug, Default)]
 struct Happened {
     servo_is_stuck: bool,
+    /// By how much the horn has slipped, in rad.
+    slip: f64,
     supply_dips: bool,
     esc_reboots: bool,
     /// The action at which the throttle is stuck.
@@ -229,6 +231,7 @@ impl Car {
             kill_output: false,
             epoch: Epoch::default(),
             has_events: parameters.servo.stuck_from_s.is_some()
+                || parameters.servo.slips_at_s.is_some()
                 || parameters.battery.dip_at_s.is_some()
                 || parameters.motor.reboot_at_s.is_some()
                 || parameters.motor.stuck_from_s.is_some()
@@ -400,6 +403,11 @@ impl Car {
         let was = self.happened;
         let happened = Happened {
             servo_is_stuck: epoch.has_come(p.servo.stuck_from_s, now_us),
+            slip: if epoch.has_come(p.servo.slips_at_s, now_us) {
+                p.servo.slip_rad
+            } else {
+                0.0
+            },
             supply_dips: epoch.is_within(p.battery.dip_at_s, p.battery.dip_ms, now_us),
             esc_reboots: epoch.is_within(p.motor.reboot_at_s, p.motor.reboot_ms, now_us),
             throttle: if epoch.has_come(p.motor.stuck_from_s, now_us) {
@@ -703,7 +711,8 @@ impl Car {
             steering: if self.happened.servo_is_stuck || self.happened.supply_dips {
                 0.0
             } else {
-                self.parameters.servo.rate(s.steering, self.servo_target)
+                let target = self.servo_target + self.happened.slip;
+                self.parameters.servo.rate(s.steering, target)
             },
             wheel_speed: self.wheel_acceleration(s, inputs),
         }
