@@ -416,6 +416,9 @@ impl<L: Line> ControlLoop<L> {
                     );
                     self.request(request);
                 }
+                ControlRequest::Learned(learned) => {
+                    self.controller.push(Event::Learned(learned));
+                }
                 ControlRequest::Finish => {
                     if self.ending == Ending::Running {
                         self.arm_when_ready = false;

@@ -385,6 +385,7 @@ impl Queue<'_> {
             | Event::Line(_)
             | Event::Attitude(_)
             | Event::RealTime(_)
+            | Event::Learned(_)
             | Event::Setpoint(_)
             | Event::Jog(_) => {
                 if self.take_place_of_last(event) {

@@ -6,20 +6,59 @@ use singletrack_control::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
     CalibrationTick,
 };
-use singletrack_pilot::{Event, Mode};
+use singletrack_pilot::{Event, Learned, Mode};
 use singletrack_record::TickRecord;
 use toml::Value;
 
-use crate::{Config, ConfigError};
+use crate::{Config, ConfigError, config::OnlineCalibrationMode};
 
 /// The events of a kind that are used of a tick: more come only after a pause.
 const EVENTS: usize = 16;
 
-/// Estimates what a drive says about the calibration. It does not change the drive.
+/// Interval at which a learner says what it has learned, in ticks.
+const LEARNED_TICKS: u32 = 100;
+
+/// Estimates what a drive says about the calibration.
 #[derive(Clone, Debug)]
 pub struct OnlineCalibration {
     // It is too large for a thread's stack.
     calibration: Box<Calibration>,
+    /// None if the pilot does not learn.
+    learner: Option<Learner>,
+    ticks: u32,
+}
+
+/// What the pilot is told.
+#[derive(Clone, Debug, Default)]
+struct Learner {
+    /// The parameters that were off: what is not is left as configured.
+    off: [bool; CalibrationParameter::ALL.len()],
+    learned: Learned,
+}
+
+impl Learner {
+    /// Takes over the estimates that are observable now.
+    fn take(&mut self, estimates: &[CalibrationEstimate]) -> Learned {
+        for (estimate, off) in estimates.iter().zip(&mut self.off) {
+            *off |= estimate.is_off();
+            if !*off || !estimate.observable {
+                continue;
+            }
+            let learned = &mut self.learned;
+            let correction = match estimate.parameter {
+                CalibrationParameter::SteeringGain => &mut learned.steering_gain,
+                CalibrationParameter::SteeringTrim => &mut learned.steering_trim,
+                CalibrationParameter::StampOffset => &mut learned.stamp_offset,
+                CalibrationParameter::BodyYaw => &mut learned.body_yaw,
+                CalibrationParameter::PivotForward => &mut learned.pivot_forward,
+                CalibrationParameter::PivotLeft => &mut learned.pivot_left,
+                // The estimator follows the gyro itself, and the board measures the speed.
+                CalibrationParameter::GyroScale | CalibrationParameter::PulseDistance => continue,
+            };
+            *correction = estimate.value;
+        }
+        self.learned
+    }
 }
 
 impl OnlineCalibration {
@@ -41,11 +80,15 @@ impl OnlineCalibration {
                 marker_yaw: config.motion_capture.marker_yaw_rad,
                 pulse_distance: f64::from(config.board.speed.pulse_distance_um) * 1e-6,
             })),
+            learner: (config.online_calibration.mode == OnlineCalibrationMode::Live)
+                .then(Learner::default),
+            ticks: 0,
         }
     }
 
-    /// Takes a tick.
-    pub fn tick(&mut self, tick: &TickRecord) {
+    /// Takes a tick. Once a second, gives what a pilot that learns is to be told; nothing in
+    /// doubt.
+    pub fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
         let mut poses = heapless::Vec::<_, EVENTS>::new();
         let mut samples = heapless::Vec::<_, EVENTS>::new();
         for event in &tick.events {
@@ -72,6 +115,21 @@ impl OnlineCalibration {
             poses: &poses,
             samples: &samples,
         });
+        self.ticks = self.ticks.wrapping_add(1);
+        let learner = self.learner.as_mut()?;
+        if !drives
+            || !self.ticks.is_multiple_of(LEARNED_TICKS)
+            || self.calibration.doubts_steering()
+        {
+            return None;
+        }
+        Some(learner.take(&self.calibration.estimates()))
+    }
+
+    /// By how much the steering has changed while the car drove, rad; `None` if it has not.
+    #[must_use]
+    pub fn steering_change(&self) -> Option<f64> {
+        self.calibration.steering_change()
     }
 
     /// The estimates, in the order of their numbers.
@@ -315,14 +373,37 @@ mod tests {
     }
 
     #[test]
-    fn live_is_refused() {
+    fn live_excludes_the_safety_filter() {
         let mut config = config();
-        config.online_calibration.mode = crate::config::OnlineCalibrationMode::Live;
-        assert!(OnlineCalibration::new(&config).is_some());
+        config.online_calibration.mode = OnlineCalibrationMode::Live;
+        config.validate().unwrap();
+        assert!(config.pilot().unwrap().learns);
+        config.safety_filter.enabled = true;
         let error = config.validate().unwrap_err().to_string();
         assert!(
             error.contains("online_calibration.mode") && error.contains("\"advice\""),
             "{error}"
         );
+    }
+
+    #[test]
+    fn only_what_is_off_is_learned_and_kept_while_nothing_is_observable() {
+        let mut learner = Learner::default();
+        let all = |value: f64, observable| {
+            CalibrationParameter::ALL.map(|parameter| CalibrationEstimate {
+                parameter,
+                value: value * parameter.threshold(),
+                half_width: 0.5 * parameter.threshold(),
+                observable,
+            })
+        };
+        assert_eq!(learner.take(&all(0.9, true)), Learned::default());
+        assert_eq!(learner.take(&all(2.0, false)), Learned::default());
+        let learned = learner.take(&all(-2.0, true));
+        assert_eq!(learned.steering_gain, -0.04);
+        assert_eq!(learned.pivot_left, -0.006);
+        assert_eq!(learner.take(&all(5.0, false)), learned);
+        // It goes on to follow what it has found.
+        assert_eq!(learner.take(&all(0.5, true)).steering_gain, 0.01);
     }
 }

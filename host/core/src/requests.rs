@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
 use singletrack_control::SteeringMap;
-use singletrack_pilot::{PilotConfig, PilotRequest};
+use singletrack_pilot::{Learned, PilotConfig, PilotRequest};
 use singletrack_protocol::Configuration;
 
 use crate::controller::ReconfigureError;
@@ -14,6 +14,8 @@ use crate::controller::ReconfigureError;
 pub enum ControlRequest {
     /// Pass a request to the pilot.
     Pilot(PilotRequest),
+    /// Tell the pilot what is learned.
+    Learned(Learned),
     /// Replace the configuration if the car does not drive, and return the box with the
     /// outcome.
     Reconfigure(Box<Reconfiguration>),
@@ -87,6 +89,7 @@ impl ControlRequest {
                 | PilotRequest::ArmJog
                 | PilotRequest::Hold,
             )
+            | Self::Learned(_)
             | Self::Reconfigure(_) => return None,
             Self::Pilot(PilotRequest::Disarm) => 1,
             Self::Pilot(PilotRequest::Carried) => 1 << 1,

@@ -1,7 +1,7 @@
 //! The host in virtual time: all its parts on one thread, `now` an argument.
 
 use singletrack_mocap::planar::PlanarEvent;
-use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Tuning};
+use singletrack_pilot::{Learned, Mode, PilotRequest, RealTimeState, Tuning};
 use singletrack_record::{Entry, TickRecord};
 
 use crate::{
@@ -157,6 +157,15 @@ impl<L: Line> VirtualHost<L> {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.requests.push(ControlRequest::Pilot(request))
+    }
+
+    /// Tells the pilot what is learned, with the next tick.
+    ///
+    /// # Errors
+    ///
+    /// As [`request`](Self::request).
+    pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
+        self.host.requests.push(ControlRequest::Learned(learned))
     }
 
     /// Tunes the pilot with the next tick.

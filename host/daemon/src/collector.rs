@@ -13,7 +13,8 @@ use std::{
 
 use rtrb::Consumer;
 use singletrack_core::{
-    Proof, Report, cameras::CameraReport, diagnosis::Diagnosis, state_stream::States,
+    ControlRequest, Proof, Report, Requests, cameras::CameraReport, diagnosis::Diagnosis,
+    state_stream::States,
 };
 use singletrack_link::Event as LinkEvent;
 use singletrack_pilot::{Event, Mode, Reason};
@@ -43,6 +44,8 @@ pub(crate) struct Collector {
     pub(crate) cameras: Consumer<CameraReport>,
     /// Entries of other threads for the record. They are already logged.
     pub(crate) entries: mpsc::Receiver<Entry>,
+    /// For what is learned.
+    pub(crate) requests: Requests,
     /// Detects steps of the wall clock.
     pub(crate) wall: WallWatch,
     pub(crate) status: Arc<SharedStatus>,
@@ -137,10 +140,14 @@ impl Collector {
                 latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);
-            if tick.output.mode.is_underway()
-                && let Some(known) = self.calibration.tick(&tick)
-            {
-                self.status.latest().calibration = Some(known);
+            if tick.output.mode.is_underway() {
+                if let Some(learned) = self.calibration.tick(&tick) {
+                    // A stalled loop needs none.
+                    let _ = self.requests.push(ControlRequest::Learned(learned));
+                }
+                if let Some(known) = self.calibration.news() {
+                    self.status.latest().calibration = Some(known);
+                }
             }
             if let Some(measured) = tick.output.braking_measured {
                 let (level, text) = describe_braking(measured, self.reconfigurer.braking_m_s2());

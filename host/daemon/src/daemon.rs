@@ -228,6 +228,7 @@ impl Daemon {
             reports: host.reports,
             cameras: host.camera_reports,
             entries,
+            requests: daemon.handle.requests.clone(),
             wall: WallWatch::default(),
             status,
             reconfigurer: daemon.handle.reconfigurer.clone(),

@@ -5,6 +5,7 @@ use singletrack_core::{
     Config,
     online_calibration::{OnlineCalibration, advice},
 };
+use singletrack_pilot::Learned;
 use singletrack_record::TickRecord;
 
 /// Estimates over the drives with a configuration.
@@ -33,12 +34,16 @@ impl DriveCalibration {
             .and_then(|config| OnlineCalibration::new(&config).map(|it| (config, it)));
     }
 
-    /// Takes a tick of a drive; once a second, gives what is known by then.
-    pub(crate) fn tick(&mut self, tick: &TickRecord) -> Option<(u32, Calibration)> {
+    /// Takes a tick of a drive; gives what the pilot is to be told.
+    pub(crate) fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
         let (_, estimator) = self.estimator.as_mut()?;
-        estimator.tick(tick);
         self.ticks += 1;
-        self.ticks.is_multiple_of(INTERVAL).then(|| self.known())?
+        estimator.tick(tick)
+    }
+
+    /// Once a second of a drive, what is known by then.
+    pub(crate) fn news(&self) -> Option<(u32, Calibration)> {
+        (self.ticks % INTERVAL == 1).then(|| self.known())?
     }
 
     /// The drive has ended: what is known, with the number of the configuration.
@@ -48,6 +53,13 @@ impl DriveCalibration {
 
     fn known(&self) -> Option<(u32, Calibration)> {
         let (config, estimator) = self.estimator.as_ref()?;
-        Some((self.number?, advice(config, &estimator.estimates())))
+        let mut known = advice(config, &estimator.estimates());
+        if let Some(change) = estimator.steering_change() {
+            known.advice.push(format!(
+                "the steering has changed while the car drove, as by {change:.3} rad of trim: look \
+                 at the servo's horn"
+            ));
+        }
+        Some((self.number?, known))
     }
 }

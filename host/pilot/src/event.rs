@@ -5,7 +5,7 @@ use singletrack_control::{
 };
 use singletrack_words::words;
 
-use crate::tuning::Tuning;
+use crate::{learned::Learned, tuning::Tuning};
 
 /// An input of the pilot since the last tick.
 ///
@@ -49,6 +49,9 @@ pub enum Event {
     /// Other values of what can be tuned, from the operator. Without effect outside the bounds of
     /// [`crate::PilotConfig::tuning`].
     Tuning(Tuning),
+    /// What a learner has learned of the car by now. Without effect unless
+    /// [`crate::PilotConfig::learns`].
+    Learned(Learned),
     /// The configuration with this number is in force from here on. The caller has
     /// passed it to [`crate::Pilot::reconfigure`]; the event marks the place for a
     /// replay.

@@ -7,6 +7,7 @@
 //! | `fence` | the geofence |
 //! | `supervisor` | the modes, and the checks that refuse or end a drive |
 //! | `refusal` | why a set-point that reached the pilot is not obeyed |
+//! | `learned` | corrections that are learned while the car drives |
 //! | `tuning` | gains and p of a pilot that runs: values, bounds |
 //! | `pilot` | the [`Pilot`]: all of these with the estimator, the outer loop and the law of [`singletrack_control`] |
 //!
@@ -26,6 +27,7 @@ pub const CONTROLLER: u32 = 10;
 
 mod event;
 mod fence;
+mod learned;
 mod pilot;
 mod refusal;
 mod supervisor;
@@ -37,6 +39,7 @@ pub use event::{
     PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
+pub use learned::Learned;
 pub use pilot::{
     Commanded, Compensation, DriveCommand, Filtering, Observed, Output, Pilot, PilotConfig,
     Underway,

@@ -136,7 +136,9 @@ fn of_record(path: &Path) -> Result<Calibration, AcceptError> {
                 config = Config::from_record(&record.toml)?;
                 calibration = OnlineCalibration::of(&config);
             }
-            Entry::Tick(tick) if tick.output.mode.is_underway() => calibration.tick(&tick),
+            Entry::Tick(tick) if tick.output.mode.is_underway() => {
+                calibration.tick(&tick);
+            }
             _ => {}
         }
     }

@@ -1,19 +1,21 @@
 //! What an eight says about a calibration that is wrong, and what the correction is worth.
 //!
 //! ```sh
-//! cargo run --release -p singletrack-scenario --example online_calibration -- [SEEDS [SCENARIO]]
+//! cargo run --release -p singletrack-scenario --example online_calibration -- [SEEDS [SCENARIO]] [live]
 //! ```
 //!
 //! Prints for each error the estimates, in thousandths (? is not observable, ! is off), and the
 //! root mean square of the distance of P from its reference before and after the estimates that
-//! are off are written into the configuration. Then how many intervals hold the truth. Another
-//! scenario is driven without an error.
+//! are off are written into the configuration; with `live`, also that of the second half of a drive
+//! twice as long, which learns. Then how many intervals hold the truth. Another scenario is driven
+//! without an error.
 
 use std::{env, error::Error, path::Path};
 
 use singletrack_control::CalibrationParameter;
 use singletrack_core::{
     Config,
+    config::OnlineCalibrationMode,
     online_calibration::{corrected, corrections},
 };
 use singletrack_scenario::simulate::{
@@ -106,7 +108,8 @@ fn rms_mm(simulation: &Simulation) -> f64 {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = env::args().skip(1);
+    let is_live = env::args().any(|argument| argument == "live");
+    let mut arguments = env::args().skip(1).filter(|argument| argument != "live");
     let seeds: u64 = arguments.next().map_or(Ok(1), |count| count.parse())?;
     let file = arguments.next();
     let path = file.as_ref().map_or_else(|| Path::new(EIGHT), Path::new);
@@ -131,6 +134,18 @@ fn main() -> Result<(), Box<dyn Error>> {
             if !corrections.is_empty() {
                 let after = drive(&scenario, &corrected(&daemon, &corrections)?)?;
                 print!(" -> {:.2} mm", rms_mm(&after));
+            }
+            if is_live {
+                let mut daemon = daemon.clone();
+                daemon.online_calibration.mode = OnlineCalibrationMode::Live;
+                // The summary counts the second half, in which it has learned.
+                let mut scenario = scenario.clone();
+                scenario.run.duration_s *= 2.0;
+                let live = drive(&scenario, &daemon)?;
+                print!(", live {:.2} mm", rms_mm(&live));
+                for note in &live.notes {
+                    print!(" ({note})");
+                }
             }
             for (estimate, coverage) in before.estimates.iter().zip(&mut coverage) {
                 let truth = deviations

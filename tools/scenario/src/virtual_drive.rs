@@ -19,7 +19,7 @@ use singletrack_core::{
     reconfigure::ChangeError,
     setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Jog, Mode, PilotRequest, Reason, Tuning};
+use singletrack_pilot::{Jog, Learned, Mode, PilotRequest, Reason, Tuning};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -233,6 +233,15 @@ impl VirtualDrive {
     /// [`Stalled`] if the control loop has not taken the earlier requests.
     pub fn request(&self, request: PilotRequest) -> Result<(), Stalled> {
         self.host.request(request)
+    }
+
+    /// Tells the pilot what is learned, with the next tick.
+    ///
+    /// # Errors
+    ///
+    /// As [`request`](Self::request).
+    pub fn learned(&self, learned: Learned) -> Result<(), Stalled> {
+        self.host.learned(learned)
     }
 
     /// Tunes the pilot, with the next tick.

@@ -8,9 +8,16 @@
 use std::path::Path;
 
 use singletrack_control::CalibrationParameter as Parameter;
-use singletrack_core::online_calibration::{corrected, corrections};
-use singletrack_scenario::simulate::{
-    RunOptions, Scenario, Simulation, simulate_configured, virtual_drive_config,
+use singletrack_core::{
+    Config,
+    config::OnlineCalibrationMode,
+    online_calibration::{OnlineCalibration, corrected, corrections},
+};
+use singletrack_pilot::{Event, Learned, Mode, Output};
+use singletrack_record::{Entry, Replay};
+use singletrack_scenario::{
+    simulate::{RunOptions, Scenario, Simulation, simulate_configured, virtual_drive_config},
+    virtual_drive::VirtualDrive,
 };
 
 const EIGHT: &str = include_str!("../../scenarios/best/eight-6x3.toml");
@@ -154,4 +161,140 @@ fn estimates_change_no_bit_of_a_drive_and_are_off_by_default() {
             .all(|estimate| !estimate.observable)
     );
     assert!(advised.rows == plain.rows);
+}
+
+/// A drive that learns, step by step.
+struct LiveDrive {
+    drive: VirtualDrive,
+    calibration: OnlineCalibration,
+    last: Output,
+}
+
+impl LiveDrive {
+    fn begin(truth: &str) -> (Config, Self) {
+        let (mut config, car) = virtual_drive_config(&scenario(EIGHT, 1, truth)).unwrap();
+        config.online_calibration.mode = OnlineCalibrationMode::Live;
+        let mut drive = VirtualDrive::new(config.clone(), 1, car).unwrap();
+        drive.keep_entries();
+        let calibration = OnlineCalibration::new(&config).unwrap();
+        let first = drive.start().unwrap();
+        let now_us = drive.now_us();
+        drive.world_mut().set_epoch(Some(now_us));
+        let last = first.tick.output;
+        let live = Self {
+            drive,
+            calibration,
+            last,
+        };
+        (config, live)
+    }
+
+    /// Goes on for this time (s), or until the drive ends.
+    fn drive_on(&mut self, time: f64) {
+        let end_us = self.drive.now_us() + (time * 1e6) as u64;
+        while self.drive.now_us() < end_us && self.last.mode == Mode::Driving {
+            let tick = self.drive.step().tick;
+            if let Some(learned) = self.calibration.tick(&tick) {
+                self.drive.learned(learned).unwrap();
+            }
+            self.last = tick.output;
+        }
+    }
+
+    fn learned(&self) -> Learned {
+        self.drive.controller().pilot().learned().unwrap()
+    }
+}
+
+#[test]
+fn a_live_drive_learns_what_is_wrong_and_is_replayed_to_the_bit() {
+    let truth = "[truth.servo]\ngain_us_per_rad = -1000.0\n[truth.cameras]\nbody_yaw_deg = 1.0";
+    let (config, mut live) = LiveDrive::begin(truth);
+    live.drive_on(30.0);
+    // Nothing is known yet.
+    assert_eq!(live.learned(), Learned::default());
+    live.drive_on(60.0);
+    assert_eq!(live.last.mode, Mode::Driving, "{:?}", live.last.reason);
+    let learned = live.learned();
+    assert!((learned.steering_gain + 0.2).abs() < 0.01, "{learned:?}");
+    let yaw = 1_f64.to_radians();
+    assert!((learned.body_yaw - yaw).abs() < 0.001, "{learned:?}");
+    let rest = Learned {
+        steering_gain: 0.0,
+        body_yaw: 0.0,
+        ..learned
+    };
+    assert_eq!(rest, Learned::default());
+    // P is where it should be, and the judges see the configured car.
+    let away = |output: &Output| {
+        (output.point.unwrap() - output.reference.unwrap().position.unwrap()).norm()
+    };
+    assert!(away(&live.last) < 0.012, "{}", away(&live.last));
+    let believed = (live.last.actuation.steering, live.last.command.unwrap());
+    let sent = learned.command(believed.0);
+    assert!((believed.1.steering - sent).abs() < 1e-6, "{believed:?}");
+
+    let mut replay = Replay::new(config.pilot().unwrap());
+    let mut told = 0;
+    for entry in live.drive.entries() {
+        let Entry::Tick(tick) = entry else { continue };
+        let is_told = |event: &&Event| matches!(event, Event::Learned(_));
+        told += tick.events.iter().filter(is_told).count();
+        let output = replay.tick(&tick).unwrap();
+        assert!(tick.is_output(&output), "{:?}", tick.differences(&output));
+    }
+    assert!(told > 50, "{told}");
+}
+
+#[test]
+fn a_live_drive_of_a_calibrated_car_is_the_drive_without_to_the_bit() {
+    let scenario = scenario(EIGHT, 1, "");
+    let (plain, car) = virtual_drive_config(&scenario).unwrap();
+    let mut live = plain.clone();
+    live.online_calibration.mode = OnlineCalibrationMode::Live;
+    let drive = |config| {
+        simulate_configured(&scenario, config, &car, RunOptions::default())
+            .unwrap()
+            .rows
+    };
+    assert!(drive(&live) == drive(&plain));
+}
+
+#[test]
+fn a_horn_that_slips_is_told_from_slow_learning() {
+    let truth = "[truth.servo]\nslips_at_s = 80.0\nslip_deg = 2.865\ncentre_us = 1525";
+    let (_, mut live) = LiveDrive::begin(truth);
+    live.drive_on(80.0);
+    let before = live.learned();
+    assert!(
+        (before.steering_trim - 25.0 / 800.0).abs() < 0.002,
+        "{before:?}"
+    );
+    assert_eq!(live.calibration.steering_change(), None);
+    live.drive_on(20.0);
+    let change = live.calibration.steering_change().unwrap();
+    assert!((change - 0.05).abs() < 0.015, "{change}");
+    let frozen = live.learned();
+    assert!(
+        (frozen.steering_trim - before.steering_trim).abs() < 0.003,
+        "{frozen:?}"
+    );
+    // Nothing more is learned, and the car drives on.
+    live.drive_on(60.0);
+    assert_eq!(live.learned(), frozen);
+    assert_eq!(live.last.mode, Mode::Driving);
+}
+
+#[test]
+fn a_stuck_servo_ends_the_drive_and_teaches_nothing() {
+    let truth = "[truth.servo]\nstuck_from_s = 80.0\ngain_us_per_rad = -1000.0";
+    let (_, mut live) = LiveDrive::begin(truth);
+    live.drive_on(80.0);
+    let before = live.learned();
+    assert!(before.steering_gain < -0.19, "{before:?}");
+    live.drive_on(20.0);
+    assert_ne!(live.last.mode, Mode::Driving);
+    let after = live.learned();
+    let change = (after.steering_gain - before.steering_gain).abs();
+    assert!(change < 0.005, "{before:?} {after:?}");
 }

@@ -61,6 +61,13 @@ const WIDEST_ALONE: f64 = 0.025;
 /// in standard deviations: 95 % with two degrees of freedom.
 const MOST_DISAGREEMENT: f64 = 6.0;
 
+/// A block of a drive that contradicts the ones before by this is odd, as a change of the trim, rad:
+/// the servo is stuck, the car slides, or the steering has changed.
+const ODD: f64 = 0.015;
+
+/// The steering has changed after so many odd blocks in a row: learning is slower.
+const ODD_BLOCKS: u32 = 2;
+
 /// Slower windows are left out, m/s.
 const SLOWEST: f64 = 0.25;
 
@@ -217,6 +224,9 @@ pub struct Calibration {
     steering_fit: Regression<3>,
     across_fit: Regression<2>,
     along_fit: Regression<4>,
+    /// Blocks in a row that contradict those before.
+    odd: u32,
+    steering_change: Option<f64>,
 }
 
 impl Calibration {
@@ -240,6 +250,55 @@ impl Calibration {
             steering_fit: Regression::new(),
             across_fit: Regression::new(),
             along_fit: Regression::new(),
+            odd: 0,
+            steering_change: None,
+        }
+    }
+
+    /// Whether the last seconds contradict what the drives before say of the steering, or it has
+    /// changed.
+    #[must_use]
+    pub const fn doubts_steering(&self) -> bool {
+        self.odd > 0 || self.steering_change.is_some()
+    }
+
+    /// By how much the steering has changed at once while the car drove, as a change of the trim,
+    /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
+    /// steering before is forgotten.
+    #[must_use]
+    pub const fn steering_change(&self) -> Option<f64> {
+        self.steering_change
+    }
+
+    /// A block of the drive ends: compares it with those before.
+    fn end_steering_block(&mut self) {
+        let fit = self.steering_fit.fit(None);
+        // What was never observable is contradicted by the first bend.
+        let is_known = [
+            CalibrationParameter::SteeringGain,
+            CalibrationParameter::SteeringTrim,
+        ]
+        .into_iter()
+        .enumerate()
+        .all(|(index, parameter)| estimate(parameter, fit.as_ref(), index).observable);
+        let change = fit
+            .filter(|_| is_known)
+            .and_then(|fit| self.steering_fit.contradiction(1, &fit.values));
+        match change {
+            Some(change) if fabs(change) > ODD => {
+                self.odd += 1;
+                if self.odd >= ODD_BLOCKS {
+                    self.steering_change = Some(change);
+                    self.steering_fit.forget();
+                }
+                // What contradicts is not mixed with what was known.
+                self.steering_fit.drop_block();
+            }
+            Some(_) => {
+                self.odd = 0;
+                self.steering_fit.end_block();
+            }
+            None => self.steering_fit.end_block(),
         }
     }
 
@@ -345,7 +404,7 @@ impl Calibration {
             }
             self.first += 1;
             if self.first.is_multiple_of(PER_BLOCK) {
-                self.steering_fit.end_block();
+                self.end_steering_block();
                 self.across_fit.end_block();
                 self.along_fit.end_block();
             }

@@ -89,6 +89,28 @@ impl<const N: usize> Regression<N> {
         }
     }
 
+    /// By how much the equations of the open block contradict these parameters, as a change of the
+    /// one at `index`; `None` if they are too few.
+    pub(super) fn contradiction(&self, index: usize, values: &SVector<f64, N>) -> Option<f64> {
+        let Block {
+            matrix,
+            right,
+            count,
+        } = &self.open;
+        let rest = right - matrix * values;
+        (*count >= LEAST_EQUATIONS).then(|| rest[index] / matrix[(index, index)])
+    }
+
+    /// Forgets the blocks, but not the open one.
+    pub(super) fn forget(&mut self) {
+        self.blocks.clear();
+    }
+
+    /// Ends the open block without taking it.
+    pub(super) fn drop_block(&mut self) {
+        self.open = Block::new();
+    }
+
     /// Ends the open block.
     pub(super) fn end_block(&mut self) {
         let block = core::mem::replace(&mut self.open, Block::new());

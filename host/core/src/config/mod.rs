@@ -239,7 +239,7 @@ impl Config {
         self.compensation.check()?;
         self.safety_filter.check()?;
         self.neighbours.check()?;
-        self.online_calibration.validate()?;
+        self.online_calibration.validate(self)?;
         self.safety_filter.filter(self)?;
         self.record.validate()?;
         self.state.validate()?;
@@ -300,6 +300,7 @@ impl Config {
             safety: self.safety_filter.filter(self)?,
             neighbours: self.neighbours.config(self)?,
             tuning: self.tuning.bounds(),
+            learns: self.online_calibration.mode == OnlineCalibrationMode::Live,
             period,
         })
     }

@@ -3,7 +3,7 @@
 use singletrack_settings::{Declared as _, section};
 use singletrack_words::words;
 
-use super::ConfigError;
+use super::{Config, ConfigError};
 
 words! {
     /// What becomes of the estimates.
@@ -12,31 +12,32 @@ words! {
         Off = "off",
         /// The estimates are shown.
         Advice = "advice",
-        /// Refused: the controller does not use the estimates.
+        /// The controller corrects what it acts on by them, too.
         Live = "live",
     }
 }
 
 section! {
     /// Estimates how steering, cameras, IMU and motor sensor differ from their configuration, while
-    /// the car drives. The controller does not use the estimates. `docs/online-calibration.md` says
-    /// what they are worth.
+    /// the car drives. `docs/online-calibration.md` says what the estimates are worth.
     "online_calibration" => pub OnlineCalibrationSection: Copy;
     [default];
 
-    /// "off", or "advice": the estimates are shown.
-    mode: OnlineCalibrationMode = OnlineCalibrationMode::Off, text "\"off\" or \"advice\"";
+    /// "off"; "advice": status and log say what is off; or "live": the controller corrects what it
+    /// acts on, within bounds, and begins every drive without a correction. "live" excludes the
+    /// safety filter.
+    mode: OnlineCalibrationMode = OnlineCalibrationMode::Off, text "\"off\", \"advice\" or \"live\"";
 }
 
 impl OnlineCalibrationSection {
-    /// Refuses a mode that does not exist yet.
-    pub(super) fn validate(self) -> Result<(), ConfigError> {
-        if self.mode == OnlineCalibrationMode::Live {
+    /// Refuses live calibration with the safety filter, which rests on the configured steering.
+    pub(super) fn validate(self, config: &Config) -> Result<(), ConfigError> {
+        if self.mode == OnlineCalibrationMode::Live && config.safety_filter.enabled {
             return Err(ConfigError::value(
                 "online_calibration.mode",
                 "\"live\"",
-                "the controller can't use the estimates while the car drives; use \"advice\", and \
-                 write them into the configuration",
+                "the safety filter rests on the configured steering; use \"advice\", or set \
+                 safety_filter.enabled = false",
             ));
         }
         Ok(self.check()?)

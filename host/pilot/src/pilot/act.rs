@@ -11,6 +11,7 @@ use super::{
     sense::Sensed,
 };
 use crate::{
+    learned::Learning,
     supervisor::{Mode, Reason},
     watch::PROVING_SPEED,
 };
@@ -33,6 +34,9 @@ pub(super) struct Action {
     pub(super) filtering: Filtering,
     pub(super) filtered_ticks: u32,
 }
+
+/// A slower car learns nothing, m/s.
+const LEARNS_ABOVE: f64 = 0.25;
 
 /// The reference from now on.
 #[derive(Clone, Copy)]
@@ -76,6 +80,9 @@ impl Pilot {
         let Some(estimate) = &sensed.estimate else {
             return (action, None);
         };
+        self.learn(sensed, estimate);
+        let learned = self.learning.map(|learning| learning.in_force);
+        let estimate = &learned.map_or(*estimate, |it| it.corrected(estimate));
         let law = self.law.law();
         action.point = Some(law.point(estimate.position, estimate.yaw, self.wheels()));
         // A sideslip that the car can't have is not acted on.
@@ -100,7 +107,33 @@ impl Pilot {
             | Mode::Fault
             | Mode::Jogging => None,
         };
+        if let (Some(learned), Some(command)) = (learned, &mut action.command) {
+            // Within the limits of the configured steering; what the law itself has limited is not
+            // limited by its rounding again.
+            let limits = &self.config.limits;
+            let (last, most) = (self.commanded_steering, limits.max_steering);
+            let change = (1.0 + 1e-9) * limits.max_steering_rate * self.config.period;
+            command.steering = learned
+                .command(command.steering)
+                .clamp(last - change, last + change)
+                .clamp(-most, most);
+        }
         (action, singular)
+    }
+
+    /// What is learned moves on, in a drive in which nothing is doubted: the first metre proves
+    /// the configured car.
+    fn learn(&mut self, sensed: &Sensed, estimate: &Estimate) {
+        let doubt = self.supervisor.mode() != Mode::Driving
+            || estimate.speed < LEARNS_ABOVE
+            || estimate.pose_age() > self.config.supervisor.fresh
+            || self.law.is_turning_round()
+            || self.watches.doubts_motion(sensed.now);
+        if let Some(learning) = &mut self.learning
+            && !doubt
+        {
+            learning.advance(sensed.now, self.config.period);
+        }
     }
 
     /// A drive begins.
@@ -117,6 +150,8 @@ impl Pilot {
         }
         self.safety.begin(self.commanded_steering);
         self.obstacles.begin();
+        // It begins as the configured car.
+        self.learning = self.config.learns.then(Learning::default);
         let unproved = self.config.supervisor.prove && !self.proved;
         self.watches.begin(unproved);
         if let Some(estimate) = &sensed.estimate {

@@ -35,6 +35,11 @@ impl Pilot {
             Event::Attitude(sample) => self.watches.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
             Event::Tuning(tuning) => self.tune(tuning),
+            Event::Learned(learned) => {
+                if let Some(learning) = &mut self.learning {
+                    learning.learned(now, *learned);
+                }
+            }
             // The caller has called `reconfigure` before this tick.
             Event::Reconfigured(_) => {}
         }

@@ -54,6 +54,9 @@ pub struct PilotConfig {
     pub neighbours: Option<NeighbourConfig>,
     /// What may be tuned while the pilot runs, and within which bounds; none if nothing may.
     pub tuning: Option<TuningBounds>,
+    /// Whether it corrects what it acts on by what is learned while the car drives. The safety
+    /// filter rests on the configured steering: with one, this must be false.
+    pub learns: bool,
     /// The control period, s.
     pub period: f64,
 }

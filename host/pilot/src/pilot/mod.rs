@@ -18,6 +18,7 @@ use singletrack_control::{
 
 use crate::{
     event::{Event, Jog},
+    learned::{Learned, Learning},
     refusal::SetpointRefusal,
     supervisor::{Mode, Reason, Supervisor},
 };
@@ -50,6 +51,8 @@ pub struct Pilot {
     compensator: Option<Compensator>,
     safety: Safety,
     obstacles: Obstacles,
+    /// None if it does not learn.
+    learning: Option<Learning>,
     /// Where p goes to, in m; the law has the one of now.
     wanted_point_distance: f64,
     estimator: Estimator,
@@ -84,6 +87,7 @@ impl Pilot {
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
             obstacles: Obstacles::new(config.neighbours.as_ref()),
+            learning: config.learns.then(Learning::default),
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
             supervisor: Supervisor::new(config.supervisor),
@@ -124,6 +128,7 @@ impl Pilot {
         self.compensator = Compensator::of(&config.compensation);
         self.safety = Safety::new(config.safety.as_ref());
         self.obstacles = Obstacles::new(config.neighbours.as_ref());
+        self.learning = config.learns.then(Learning::default);
         self.estimator.reconfigure(config.estimator);
         self.supervisor.reconfigure(config.supervisor);
         self.watches.reset();
@@ -159,6 +164,12 @@ impl Pilot {
         self.supervisor.mode()
     }
 
+    /// The corrections in force; `None` if it does not learn.
+    #[must_use]
+    pub fn learned(&self) -> Option<Learned> {
+        Some(self.learning?.in_force)
+    }
+
     /// Why the car does not drive, or stopped.
     #[must_use]
     pub const fn reason(&self) -> Option<Reason> {
@@ -177,7 +188,9 @@ impl Pilot {
             .command
             .map_or(action.actuation.steering, |command| command.steering);
         if let Some(compensator) = &mut self.compensator {
-            compensator.commanded(now, self.commanded_steering);
+            let sent = self.commanded_steering;
+            let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
+            compensator.commanded(now, wheels);
         }
         let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);
         let disproved = self.proved && (self.supervisor.is_contradicted() || is_too_weak);

@@ -160,6 +160,14 @@ impl Watches {
         }
     }
 
+    /// Whether anything is on the way to end a drive, or the first metre is driven.
+    pub(super) fn doubts_motion(&self, now: Time) -> bool {
+        self.proving.is_some()
+            || self.drive.slide.is_beyond()
+            || self.drive.steering.is_doubtful()
+            || self.doubt(now).is_some()
+    }
+
     /// What ends a drive.
     pub(super) fn implausible_motion(
         &self,

@@ -123,6 +123,11 @@ impl SteeringWatch {
         };
     }
 
+    /// Whether the last comparison showed it.
+    pub(crate) const fn is_doubtful(&self) -> bool {
+        self.exceeded > 0
+    }
+
     /// Whether the car turns otherwise than it is steered.
     pub(crate) const fn is_exceeded(&self) -> bool {
         self.exceeded >= STEERED_TIMES

@@ -99,6 +99,7 @@ pub(crate) fn config() -> PilotConfig {
         safety: None,
         neighbours: None,
         tuning: None,
+        learns: false,
         period: 0.01,
     }
 }

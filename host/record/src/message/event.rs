@@ -5,8 +5,8 @@ use singletrack_control::{
     SpeedDemand, SteeringDemand, TrajectoryPiece, TrajectoryPoint,
 };
 use singletrack_pilot::{
-    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
-    PilotRequest, PoseMissing, RealTimeState, Tilt, Tuning,
+    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, Learned, LineHealth,
+    LinkState, PilotRequest, PoseMissing, RealTimeState, Tilt, Tuning,
 };
 
 use super::{
@@ -49,6 +49,7 @@ choice! {
         ),
         16 "tuning" Tuning(tuning: Maybe<TuningMessage>, "the values"),
         17 "neighbour" Neighbour(neighbour: Maybe<NeighbourMessage>, "the body"),
+        18 "learned" Learned(learned: Maybe<LearnedMessage>, "what is learned"),
     }
 }
 
@@ -299,6 +300,23 @@ message! {
     }
 }
 
+message! {
+    /// What a learner has learned of the car: the true value less the configured one.
+    LearnedMessage as "Learned" of Learned {
+        /// Angle of the front wheels for that commanded, as a fraction beyond one.
+        steering_gain: f64,
+        /// Angle of the front wheels when straight ones are commanded, in rad.
+        steering_trim_rad: f64 = steering_trim,
+        /// By how much the stamps of the poses are late, in s.
+        stamp_offset_s: f64 = stamp_offset,
+        /// Yaw of the rigid body on the car, in rad.
+        body_yaw_rad: f64 = body_yaw,
+        /// Position of the rigid body's pivot, in m.
+        pivot_forward_m: f64 = pivot_forward,
+        pivot_left_m: f64 = pivot_left,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use byteorder::LittleEndian;
@@ -427,12 +445,27 @@ mod tests {
         })
     }
 
+    fn any_learned() -> impl Strategy<Value = Learned> {
+        any::<[u64; 6]>().prop_map(|bits| {
+            let [gain, trim, stamp, yaw, forward, left] = bits.map(f64::from_bits);
+            Learned {
+                steering_gain: gain,
+                steering_trim: trim,
+                stamp_offset: stamp,
+                body_yaw: yaw,
+                pivot_forward: forward,
+                pivot_left: left,
+            }
+        })
+    }
+
     fn any_event() -> impl Strategy<Value = Event> {
         prop_oneof![
             (any_stamp(), any_demand())
                 .prop_map(|(stamp, demand)| Event::Setpoint(Setpoint { stamp, demand })),
             any_piece().prop_map(Event::TrajectoryPiece),
             any_tuning().prop_map(Event::Tuning),
+            any_learned().prop_map(Event::Learned),
             any_pose().prop_map(Event::Pose),
             any_board().prop_map(Event::Board),
             prop::sample::select(vec![
@@ -500,6 +533,7 @@ mod tests {
                 let gain = tuning.gain.unwrap_or_default();
                 vec![gain.x, gain.y, tuning.point_distance.unwrap_or_default()]
             }
+            Event::Learned(learned) => learned.values().to_vec(),
             _ => Vec::new(),
         };
         floats.into_iter().map(f64::to_bits).collect()

@@ -300,8 +300,10 @@ impl<'a> Run<'a> {
             self.reference.begin(start, &point, estimate.yaw);
         }
         self.path.take(time, output);
-        if let Some(calibration) = &mut self.calibration {
-            calibration.tick(&tick.tick);
+        let calibration = self.calibration.as_mut();
+        if let Some(learned) = calibration.and_then(|it| it.tick(&tick.tick)) {
+            // Nothing else fills the ring.
+            let _ = self.drive.learned(learned);
         }
         self.last = Some(tick);
     }
