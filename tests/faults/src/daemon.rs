@@ -6,7 +6,7 @@ use singletrack_core::{
     HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS,
     setpoint::SetpointCommand,
 };
-use singletrack_pilot::{PilotRequest, Tuning};
+use singletrack_pilot::{Learned, PilotRequest, Tuning};
 use singletrack_record::TickRecord;
 
 use crate::{
@@ -81,6 +81,17 @@ impl Daemon {
             gain: Some([gain, gain].into()),
             point_distance: None,
         });
+    }
+
+    /// Tells the pilot what is learned, as the daemon's own learner.
+    pub(crate) fn tell(&self, learned: Learned) {
+        // A full ring takes none.
+        let _ = self.host.learned(learned);
+    }
+
+    /// The corrections in force.
+    pub(crate) fn learned(&self) -> Option<Learned> {
+        self.host.controller().pilot().learned()
     }
 
     /// Sends a set-point, as a client of the control socket.

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
-use singletrack_pilot::{Filtering, Mode, Output, PilotRequest, Reason};
+use singletrack_pilot::{Filtering, Learned, Mode, Output, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, ReceivedMessage, World};
@@ -16,6 +16,7 @@ use crate::{
     daemon::{Daemon, host_ns},
     digest::Digest,
     invariant::{self, Invariant},
+    learner,
     network::{HostSockets, Network},
     observation::{Observation, ReceivedPose, Spec},
     pins::{Pins, Pulse},
@@ -31,6 +32,9 @@ use crate::{
 
 /// Interval at which the host reads bytes and packets, in µs: that of USB.
 const LOOK_US: u64 = 1_000;
+
+/// Interval at which the learner tells the pilot something, in ticks.
+const LEARNED_TICKS: u64 = 100;
 
 /// Time from a hang to the watchdog's reset, in µs. A native board has no watchdog of its
 /// own.
@@ -178,6 +182,8 @@ struct Drive<'a> {
     /// The drive time of the last tick, which the program reads from the daemon.
     drive_time_s: Option<f64>,
     newest_setpoint_ns: Option<u64>,
+    /// The corrections in force after the last tick.
+    learned: Option<Learned>,
     spec: Spec,
     now_us: u64,
     world: Box<World>,
@@ -285,6 +291,7 @@ impl<'a> Drive<'a> {
             program: Program::new(schedule.seed),
             drive_time_s: None,
             newest_setpoint_ns: None,
+            learned: None,
             violation: None,
             violated: BTreeSet::new(),
             digest: Digest::default(),
@@ -604,6 +611,20 @@ impl<'a> Drive<'a> {
         self.tick_us = daemon.next_tick_us();
         if let Some(record) = &record {
             self.drive_time_s = record.output.drive_time;
+            self.learned = daemon.learned();
+            // A learner sees a servo that is stuck: see `steering_change` of the calibration.
+            let is_stuck = self
+                .faults
+                .iter()
+                .any(|it| it.kind == FaultKind::ServoStuck);
+            if self.learned.is_some()
+                && record.index.is_multiple_of(LEARNED_TICKS)
+                && !is_stuck
+                && let Some(learned) =
+                    learner::learned(self.schedule.seed, record.index / LEARNED_TICKS)
+            {
+                daemon.tell(learned);
+            }
         }
         for fault in &self.faults {
             if fault.kind == FaultKind::TicksLate {
@@ -664,6 +685,9 @@ impl<'a> Drive<'a> {
         }
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
+            if let Some(learned) = &mut self.learned {
+                tamper.learned(tick.index, learned);
+            }
         }
         let truth = self.world.truth();
         let telemetry = self.world.board().telemetry();
@@ -734,6 +758,7 @@ impl<'a> Drive<'a> {
             pending_requests: &self.pending_requests,
             configuration: configuration.as_ref(),
             newest_setpoint_ns: self.newest_setpoint_ns,
+            learned: self.learned,
         };
         let has_ticked = observation.tick.is_some();
         if let Some(tick) = observation.tick {

@@ -52,6 +52,7 @@ mod digest;
 mod drive;
 mod fleet;
 mod invariant;
+mod learner;
 mod network;
 mod observation;
 mod pins;

@@ -3,7 +3,7 @@
 
 use singletrack_control::SteeringMap;
 use singletrack_core::config::{Config, ConfigError, ReferenceSection};
-use singletrack_pilot::{Fence, PilotConfig, PilotRequest};
+use singletrack_pilot::{Fence, Learned, PilotConfig, PilotRequest};
 use singletrack_protocol::{BoardMode, Configuration, EscKind, StopCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{EscKind as TrueEsc, ReceivedMessage, SimulationConfig, Truth};
@@ -224,6 +224,8 @@ pub(crate) struct Observation<'a> {
     pub(crate) configuration: Option<&'a (u32, PilotConfig)>,
     /// The host's time of the newest valid set-point that the daemon was sent.
     pub(crate) newest_setpoint_ns: Option<u64>,
+    /// The pilot's corrections after its last tick; none if it does not learn.
+    pub(crate) learned: Option<Learned>,
 }
 
 impl Observation<'_> {
@@ -342,6 +344,7 @@ pub(crate) mod scene {
                 pending_requests: &[],
                 configuration: None,
                 newest_setpoint_ns: None,
+                learned: None,
             }
         }
     }

@@ -141,6 +141,9 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
         config.tuning.enabled = true;
         config.tuning.gain_per_s = Some(TUNED_GAIN);
     }
+    if situation.live && !situation.safety_filter {
+        config.online_calibration.mode = config::OnlineCalibrationMode::Live;
+    }
     if file == ConfigurationFile::Slower {
         config.limits.max_speed_m_s *= file.speed_share();
         config.limits.max_acceleration_m_s2 *= file.speed_share();

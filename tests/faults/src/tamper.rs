@@ -1,6 +1,7 @@
 //! Planted bugs, which show that the invariants find violations.
 
 use singletrack_core::config::Config;
+use singletrack_pilot::Learned;
 use singletrack_record::TickRecord;
 use singletrack_sim::{PulseFilter, PulseRecord};
 
@@ -42,6 +43,12 @@ pub trait Tamper {
     /// Changes a tick before the invariants see it.
     fn tick(&mut self, tick: &mut TickRecord) {
         let _ = tick;
+    }
+
+    /// Changes the corrections that the pilot has learned, after the tick with this index, before
+    /// the invariants see them.
+    fn learned(&mut self, index: u64, learned: &mut Learned) {
+        let _ = (index, learned);
     }
 
     /// Whether the output of a tick must follow from its inputs. False if

@@ -10,6 +10,7 @@ mod fence;
 mod filter;
 mod grid;
 mod host;
+mod learned;
 mod proving;
 mod pulse;
 mod replayed;
@@ -106,6 +107,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<host::ModeAndReason>::default(),
         Box::<host::Finite>::default(),
         Box::<host::NoQueue>::default(),
+        Box::<learned::Learns>::default(),
         Box::new(replayed::Replayed::new(pilot)),
     ]
 }

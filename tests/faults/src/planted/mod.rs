@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use singletrack_campaign::Experiment;
 use singletrack_control::Time;
 use singletrack_core::config::Config;
-use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Event, Learned, Mode, PilotRequest, Reason};
 use singletrack_protocol::Drive;
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, PulseRecord};
@@ -25,10 +25,11 @@ use crate::{
 
 pub use tampers::prolonged;
 use tampers::{
-    Brakes, Commands, Configurations, DrivesWhileArming, Host, LateSilence, LosesStops, NEUTRAL_US,
-    NeutralForSilence, NeutralThatDrives, NeverReleases, Power, Pulses, Records, Repeats, Ticks,
-    WritesOn, arms_at_once, commanding, creeping, creeping_after_a_stop, drives_at_neutral,
-    drives_on, driving, forgets, proves_early, steering_by_turns, unwatched, wandering,
+    Brakes, Commands, Configurations, DrivesWhileArming, Host, LateSilence, Learns, LosesStops,
+    NEUTRAL_US, NeutralForSilence, NeutralThatDrives, NeverReleases, Power, Pulses, Records,
+    Repeats, Ticks, WritesOn, arms_at_once, commanding, creeping, creeping_after_a_stop,
+    drives_at_neutral, drives_on, driving, forgets, proves_early, steering_by_turns, unwatched,
+    wandering,
 };
 
 /// Where a bug is planted.
@@ -268,6 +269,17 @@ bugs! {
     });
     Host "gives no reason", "mode-and-reason", "",
         |_| commanding(|tick| tick.output.mode = Mode::Stopping);
+    Host "learns the wrong sign", "learned", "live true", |_| Learns(|_, learned: &mut Learned| {
+        learned.steering_gain = -learned.steering_gain;
+    });
+    Host "learns beyond its bounds", "learned", "live true", |_| Learns(|_, learned: &mut Learned| {
+        learned.body_yaw *= 4.0;
+    });
+    Host "learns from a stuck servo", "learned",
+        "live true; end_ms 12000; fault servo-stuck at 6000 for 1 severity 1",
+        |_| Learns(|index: u64, learned: &mut Learned| {
+            learned.steering_trim += 1e-6 * index.saturating_sub(850) as f64;
+        });
     Host "computes NaN", "finite", "", |_| commanding(|tick| {
         tick.output.drive_time = Some(f64::NAN);
     });

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use singletrack_core::config::Config;
-use singletrack_pilot::{Event, Mode, PilotRequest};
+use singletrack_pilot::{Event, Learned, Mode, PilotRequest};
 use singletrack_protocol::{Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::PulseRecord;
@@ -64,6 +64,15 @@ impl<F: FnMut(&mut Config)> Tamper for Host<F> {
 
     fn is_replayed(&self) -> bool {
         false
+    }
+}
+
+/// A pilot that learns otherwise.
+pub(super) struct Learns<F>(pub(super) F);
+
+impl<F: FnMut(u64, &mut Learned)> Tamper for Learns<F> {
+    fn learned(&mut self, index: u64, learned: &mut Learned) {
+        (self.0)(index, learned);
     }
 }
 

@@ -41,6 +41,7 @@ impl Default for Situation {
             safety_filter: false,
             steering_table: false,
             tuning: false,
+            live: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -55,6 +56,7 @@ impl Schedule {
     pub fn generate(seed: u64, board: BoardKind) -> Self {
         let random = &mut Random::new(seed, Stream::Schedule);
         let mut situation = situation(random, board);
+        situation.live = seed.is_multiple_of(3);
         let truth = true_car(random, &situation);
         believe(random, &mut situation, &truth);
         let [shortest, longest] = match board {
@@ -192,6 +194,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         safety_filter: false,
         steering_table: random.happens(300),
         tuning: false,
+        live: false,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,

@@ -48,6 +48,7 @@ impl fmt::Display for Schedule {
             ("safety_filter", s.safety_filter),
             ("steering_table", s.steering_table),
             ("tuning", s.tuning),
+            ("live", s.live),
         ] {
             writeln!(out, "{key} {value}")?;
         }
@@ -153,6 +154,7 @@ impl Draft {
             ["safety_filter", yes] => s.safety_filter = yes.parse().ok()?,
             ["steering_table", yes] => s.steering_table = yes.parse().ok()?,
             ["tuning", yes] => s.tuning = yes.parse().ok()?,
+            ["live", yes] => s.live = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
                 s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;
