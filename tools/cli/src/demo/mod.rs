@@ -96,7 +96,8 @@ fn untimely(args: &DemoArgs, driven: &Result<Drive, DemoError>) -> Option<Reason
     };
     let by_line = matches!(
         reason,
-        Reason::BoardBooting
+        Reason::BatteryUnknown
+            | Reason::BoardBooting
             | Reason::BoardFailsafe
             | Reason::BoardTimeout
             | Reason::DeadlineMissed
