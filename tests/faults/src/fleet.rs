@@ -49,25 +49,13 @@ pub struct FleetCampaign {
 pub enum FleetBug {
     /// They do not look at each other.
     Blind,
-    /// They expect of the others that they brake at once.
-    NoReaction,
-    /// They expect of the others that they brake much better than they do.
-    BrakesHard,
-    /// They keep apart by half of their lengths.
+    /// They keep apart by less than their lengths, and trust each other's brakes.
     Touching,
-    /// Each has the right of way.
-    AllFirst,
 }
 
 impl FleetBug {
     /// All of them.
-    pub const ALL: [Self; 5] = [
-        Self::Blind,
-        Self::NoReaction,
-        Self::BrakesHard,
-        Self::Touching,
-        Self::AllFirst,
-    ];
+    pub const ALL: [Self; 2] = [Self::Blind, Self::Touching];
 }
 
 /// What became of a schedule.
@@ -170,11 +158,6 @@ fn attempt(
 ) -> Result<FleetOutcome, VirtualDriveError> {
     let mut random = Random::new(seed, Stream::Fleet);
     let mut fleet = VirtualFleet::new(&draw_cars(&mut random, seed, cars, bug))?;
-    if bug == Some(FleetBug::AllFirst) {
-        for car in fleet.cars_mut() {
-            car.world_mut().set_car_body_id(0);
-        }
-    }
     fleet.start()?;
     let begin_us = fleet.now_us();
     let mut changes = Vec::new();
@@ -313,14 +296,11 @@ fn car(
         .filter(|other| *other != index)
         .map(name)
         .collect();
-    match bug {
-        Some(FleetBug::NoReaction) => {
-            neighbours.reaction_ms = Some(0.0);
-            neighbours.acceleration_m_s2 = 0.01;
-        }
-        Some(FleetBug::BrakesHard) => neighbours.braking_m_s2 = Some(50.0),
-        Some(FleetBug::Touching) => neighbours.clearance_m = Some(0.2),
-        _ => {}
+    if bug == Some(FleetBug::Touching) {
+        neighbours.clearance_m = Some(0.05);
+        neighbours.braking_m_s2 = Some(50.0);
+        neighbours.reaction_ms = Some(0.0);
+        neighbours.acceleration_m_s2 = 0.01;
     }
     FleetCar {
         config,
