@@ -65,7 +65,8 @@ const MOST_DISAGREEMENT: f64 = 6.0;
 /// the servo is stuck, the car slides, or the steering has changed.
 const ODD: f64 = 0.015;
 
-/// The steering has changed after so many odd blocks in a row: learning is slower.
+/// The steering counts as changed after this number of odd blocks in a row. Normal learning changes
+/// it more slowly.
 const ODD_BLOCKS: u32 = 2;
 
 /// Slower windows are left out, m/s.

@@ -20,7 +20,7 @@ pub struct PlanarConfig {
     pub rigid_body: RigidBodyName,
     /// Which poses are plausible.
     pub limits: PoseLimits,
-    /// Whether the session tells of all other bodies too.
+    /// Whether the session also passes on the poses of all other bodies.
     pub tells_others: bool,
 }
 

@@ -73,7 +73,7 @@ pub struct Situation {
     pub steering_table: bool,
     /// Whether the outer loop's gain may be tuned during a drive.
     pub tuning: bool,
-    /// Whether the pilot learns, from a learner that tells it anything; not with the safety filter.
+    /// Whether the pilot learns live. The learner may send any values. Never with the safety filter.
     pub live: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,

@@ -28,9 +28,9 @@ use super::{
 };
 use crate::{interrupt::Interrupt, progress::progress_bar};
 
-/// Up to so many cars, neighbouring circles of 1 m are so far apart, in m, and a car is ahead of the
-/// one before it by a part of the angle between their circles: they cross, and their cars yield.
-/// More cars would stand in each other's way sooner or later.
+/// For a small fleet: its largest number of cars, the distance between neighbouring circles in m, and
+/// the lead of a car before the last one, as a fraction of the angle between their circles. The
+/// circles cross and the cars yield. More cars would block each other.
 const CROSSING: (usize, f64, f64) = (3, 1.8, 0.5);
 /// The same for more.
 const APART: (f64, f64) = (2.0, 0.0);
