@@ -166,9 +166,6 @@ impl Invariant for WeakBrakes {
 #[derive(Default)]
 pub(super) struct StopNotObeyed {
     since_us: Option<u64>,
-    /// Whether it was declared: an operator may acknowledge it while the car still rolls. What else
-    /// clears it is the subject of `fault-clears`.
-    is_declared: bool,
 }
 
 /// A car that has kept this share of its speed for this time does not slow down, in µs.
@@ -196,11 +193,11 @@ impl Invariant for StopNotObeyed {
                     .is_some_and(|(_, from)| from > COUNTS_FROM && speed > KEPT * from)
         });
         if !keeps || WeakBrakes::is_disturbed(observation) {
-            *self = Self::default();
+            self.since_us = None;
             return Ok(());
         }
         let since_us = *self.since_us.get_or_insert(observation.now_us);
-        let is_fault = observation.tick.map(|tick| {
+        let is_fault = observation.tick.is_none_or(|tick| {
             let output = &tick.output;
             // Acknowledged; the board is silent and there is nothing left to do.
             let latched = observation.board_mode == Some(BoardMode::EmergencyStopped)
@@ -213,11 +210,7 @@ impl Invariant for StopNotObeyed {
         });
         let least = LEAST_SHARE * observation.spec.braking;
         let shows_us = (1e6 * SPEED_TOLERANCE / least) as u64;
-        self.is_declared |= is_fault == Some(true);
-        if self.is_declared
-            || is_fault.is_none()
-            || observation.now_us < since_us + DECLARED_US + shows_us
-        {
+        if is_fault || observation.now_us < since_us + DECLARED_US + shows_us {
             return Ok(());
         }
         Err(format!("{speed:.2} m/s, and the host declares no fault"))
