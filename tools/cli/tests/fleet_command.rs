@@ -46,16 +46,15 @@ fn car(index: usize) -> FleetCar {
     }
 }
 
-fn start(folder: &Path) -> Vec<(RealTimeSimulator, Daemon)> {
-    let cars = [car(0), car(1)];
-    let floor = Arc::new(Mutex::new(fleet_floor(&cars)));
+fn start(folder: &Path, cars: &[FleetCar; 2]) -> Vec<(RealTimeSimulator, Daemon)> {
+    let floor = Arc::new(Mutex::new(fleet_floor(cars)));
     let mut fleet = String::new();
     let mut start = |index: usize| {
         let mut config = cars[index].config.clone();
         let folder = folder.join(&config.motion_capture.rigid_body);
         std::fs::create_dir(&folder).unwrap();
         let simulator = RealTimeSimulator::start(RealTimeConfig {
-            simulation: fleet_simulation(&cars, index),
+            simulation: fleet_simulation(cars, index),
             pty_link: Some(folder.join("board")),
             udp: UdpConfig {
                 command_port: 0,
@@ -114,7 +113,7 @@ fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
 fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let cars = start(folder);
+    let cars = start(folder, &[car(0), car(1)]);
     let early = fleet(folder, &["arm"]).output().unwrap();
     assert_eq!(early.status.code(), Some(1), "{}", text(&early));
     assert!(text(&early).contains("car1: not ready"), "{}", text(&early));
@@ -154,4 +153,25 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
         "{}",
         text(&gone)
     );
+}
+
+#[test]
+fn no_car_drives_on_when_one_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let mut uncalibrated = car(1);
+    uncalibrated.config.supervisor.require_calibration = true;
+    let cars = start(folder, &[car(0), uncalibrated]);
+    wait(&cars, |mode| mode == Mode::Ready);
+    let arm = fleet(folder, &["arm"]).output().unwrap();
+    assert_eq!(arm.status.code(), Some(1), "{}", text(&arm));
+    assert!(
+        text(&arm).contains("car2: ") && text(&arm).contains("no car drives"),
+        "{}",
+        text(&arm)
+    );
+    wait(&cars, |mode| !mode.commands());
+    for (_, daemon) in cars {
+        daemon.stop().unwrap();
+    }
 }

@@ -6,7 +6,7 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Arm, Attendance, Connection, Ended, Reply, Request};
+use singletrack_api::{Arm, Attendance, ClientError, Connection, Ended, Reply, Request};
 
 use super::{FleetError, PATIENCE, ask_all, failure, file::Fleet, obeyed, tell};
 use crate::{
@@ -40,6 +40,8 @@ struct Held<'a> {
     name: &'a str,
     connection: Connection,
     ended: Option<Ended>,
+    /// Why it was not armed.
+    refused: Option<String>,
 }
 
 /// Arms all cars, if all are ready, and holds their drives until all have ended.
@@ -53,6 +55,7 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
                 name: &car.name,
                 connection,
                 ended: None,
+                refused: None,
             }),
             Err(error) => return Err(FleetError::Cars(vec![failure(car, &error)])),
         }
@@ -68,8 +71,10 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
     let mut disarmed = None;
     while cars.iter().any(|car| car.ended.is_none()) {
         let one_ended = cars.iter().any(|car| car.ended.is_some());
+        let one_refused = cars.iter().any(|car| car.refused.is_some());
         let is_over = args.time.is_some_and(|time| begun.elapsed() >= time);
-        if (interrupt.is_raised() || is_over || (args.together && one_ended)) && disarmed.is_none()
+        if (interrupt.is_raised() || is_over || one_refused || (args.together && one_ended))
+            && disarmed.is_none()
         {
             disarmed = Some(Instant::now());
             // The drives are not held any longer: a car that is not told stops all the same.
@@ -86,6 +91,11 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
             }
         }
     }
+    let refusals = cars.iter().filter_map(|car| {
+        let why = car.refused.as_ref()?;
+        Some(format!("{}: {why}: no car drives", car.name))
+    });
+    obeyed(refusals.collect())?;
     let mut as_wanted = true;
     for Held { name, ended, .. } in &cars {
         let Some(ended) = ended else { continue };
@@ -106,8 +116,9 @@ fn all_ready(fleet: &Fleet) -> Result<(), FleetError> {
         .into_iter()
         .zip(&fleet.cars);
     let failures = answers.filter_map(|(answer, car)| {
+        let answer = answer.and_then(|answer| answer.status.ok_or(ClientError::Ended));
         let status = match answer {
-            Ok(answer) => answer.status?,
+            Ok(status) => status,
             Err(error) => return Some(failure(car, &error)),
         };
         let why = status.preflight.or(status.reason).unwrap_or_default();
@@ -148,6 +159,7 @@ impl Held<'_> {
             Ok(Some(Reply::Answer(answer))) => {
                 if let Err(error) = answer.agreed() {
                     self.lose(&error.to_string());
+                    self.refused = Some(error.to_string());
                 }
             }
             Ok(_) => {}
