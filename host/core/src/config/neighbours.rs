@@ -30,8 +30,8 @@ section! {
     /// How long the car waits for a body in its way before the drive ends.
     patience_s: f64 = 10.0, in 0.0..=3_600.0;
     /// The other cars, by the names of their rigid bodies; without one of them the car does not
-    /// drive. Each must have this section too, with this car in the list: of two, the one with the
-    /// lower streaming id has the right of way.
+    /// drive. It needs the safety filter. Each must have this section too, with this car in the
+    /// list: of two, the one with the lower streaming id has the right of way.
     @restart expected: Vec<String> = Vec::new();
     /// Rigid bodies that are no obstacles, by their names.
     @restart ignored: Vec<String> = Vec::new();
@@ -42,7 +42,8 @@ impl NeighboursSection {
     ///
     /// # Errors
     ///
-    /// A body is both expected and ignored, or is the car's own.
+    /// A body is both expected and ignored, or is the car's own; or others are expected without the
+    /// safety filter.
     pub(super) fn config(&self, config: &Config) -> Result<Option<NeighbourConfig>, ConfigError> {
         let own = &config.motion_capture.rigid_body;
         for name in &self.expected {
@@ -60,6 +61,15 @@ impl NeighboursSection {
         if !self.enabled {
             return Ok(None);
         }
+        // The car that has the right of way relies on the filter of the other one.
+        if !self.expected.is_empty() && !config.safety_filter.enabled {
+            return Err(ConfigError::value(
+                "neighbours.expected",
+                format!("{:?}", self.expected),
+                "these cars rely on this one to wait for them: set safety_filter.enabled = true, or \
+                 empty the list",
+            ));
+        }
         let reaction_ms = self.reaction_ms.unwrap_or_else(|| {
             config.safety_filter.reaction_ms(config) + 2.0 * f64::from(config.control.period_ms)
         });
@@ -73,5 +83,42 @@ impl NeighboursSection {
             reaction: 1e-3 * reaction_ms,
             patience: self.patience_s,
         }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(expected: &str, more: &str) -> String {
+        let example = include_str!("../../../daemon/singletrackd.example.toml");
+        let mut file: toml::Table = toml::from_str(example).unwrap();
+        let text = format!("enabled = true\nexpected = {expected}\n{more}");
+        file.insert(
+            "neighbours".to_owned(),
+            toml::from_str::<toml::Table>(&text).unwrap().into(),
+        );
+        let result = Config::from_toml(&toml::to_string(&file).unwrap());
+        result.map_or_else(|error| error.to_string(), |_| String::new())
+    }
+
+    #[test]
+    fn cars_that_can_not_be_kept_apart_from_are_refused_with_what_to_change() {
+        for (expected, more, fix) in [
+            ("[\"car2\"]", "", "safety_filter.enabled = true"),
+            ("[\"car\"]", "", "this car's own body"),
+            (
+                "[\"car2\"]",
+                "ignored = [\"car2\"]",
+                "neighbours.ignored too",
+            ),
+        ] {
+            let error = refused(expected, more);
+            assert!(
+                error.contains("neighbours.expected") && error.contains(fix),
+                "{error}"
+            );
+        }
+        assert_eq!(refused("[]", ""), "");
     }
 }
