@@ -151,8 +151,28 @@ pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> singletrack
 
 /// Such as "steering gain is 4.1 +- 0.2 % less than configured".
 fn describe(estimate: &CalibrationEstimate) -> String {
+    let (name, unit, scale, digits) = units(estimate.parameter);
+    let side = if estimate.value < 0.0 { "less" } else { "more" };
+    let [off, half] = [estimate.value.abs(), estimate.half_width].map(|it| it * scale);
+    format!("{name} is {off:.digits$} +- {half:.digits$} {unit} {side} than configured")
+}
+
+/// Such as "-4.1 +- 0.2 %": the true value less the configured one; "not observable" if the drive
+/// does not show it.
+#[must_use]
+pub fn deviation(estimate: &CalibrationEstimate) -> String {
+    if !estimate.observable {
+        return "not observable".to_owned();
+    }
+    let (_, unit, scale, digits) = units(estimate.parameter);
+    let [value, half] = [estimate.value, estimate.half_width].map(|it| it * scale);
+    format!("{value:+.digits$} +- {half:.digits$} {unit}")
+}
+
+/// Name and unit of a parameter, the unit for one of its own, and digits.
+const fn units(parameter: CalibrationParameter) -> (&'static str, &'static str, f64, usize) {
     use CalibrationParameter as Parameter;
-    let (name, unit, scale, digits) = match estimate.parameter {
+    match parameter {
         Parameter::SteeringGain => ("the steering gain", "%", 1e2, 1),
         Parameter::SteeringTrim => ("the steering trim", "rad", 1.0, 4),
         Parameter::StampOffset => ("the stamp offset of the cameras", "ms", 1e3, 1),
@@ -161,10 +181,7 @@ fn describe(estimate: &CalibrationEstimate) -> String {
         Parameter::PivotForward => ("the pivot of the rigid body, forward,", "mm", 1e3, 1),
         Parameter::PivotLeft => ("the pivot of the rigid body, to the left,", "mm", 1e3, 1),
         Parameter::PulseDistance => ("the distance for a motor pulse", "%", 1e2, 1),
-    };
-    let side = if estimate.value < 0.0 { "less" } else { "more" };
-    let [off, half] = [estimate.value.abs(), estimate.half_width].map(|it| it * scale);
-    format!("{name} is {off:.digits$} +- {half:.digits$} {unit} {side} than configured")
+    }
 }
 
 /// What has to be written for the estimates that are off. The scale of the gyro has no key, and a

@@ -10,11 +10,13 @@ use jiff::Timestamp;
 use serde_json::Value as Json;
 use singletrack_api::{Calibration, ClientError, Request, ask};
 use singletrack_commissioning::edit::{Edit, EditError};
+use singletrack_control::CalibrationParameter;
 use singletrack_core::{
     Config, ConfigError,
     feasibility::judge,
-    online_calibration::{OnlineCalibration, advice, corrected},
+    online_calibration::{OnlineCalibration, advice, corrected, deviation},
 };
+use singletrack_pilot::DriveCommand;
 use singletrack_record::{Entry, Reader, RecordError, Topic};
 use toml_edit::Value;
 
@@ -29,6 +31,10 @@ pub struct AcceptArgs {
     /// The configuration to change [default: that of the daemon]
     #[arg(long, value_name = "FILE", requires = "record")]
     config: Option<PathBuf>,
+    /// Print what the record and its halves say of every parameter by this configuration, as true
+    /// less configured values with 95 %; write nothing
+    #[arg(long, requires = "record", conflicts_with = "yes")]
+    check: bool,
     /// Write without asking
     #[arg(long)]
     yes: bool,
@@ -85,6 +91,9 @@ pub enum AcceptError {
 ///
 /// Nothing is known, the file is not the one that was driven with, or the new values do not fit.
 pub fn run(args: &AcceptArgs) -> Result<(), AcceptError> {
+    if let (true, Some(record), Some(config)) = (args.check, &args.record, &args.config) {
+        return Ok(control::print(&check(record, &Config::read(config)?)?)?);
+    }
     let (known, path) = match (&args.record, &args.config) {
         (Some(record), Some(config)) => (of_record(record)?, config.clone()),
         _ => of_daemon(&args.control)?,
@@ -143,6 +152,44 @@ fn of_record(path: &Path) -> Result<Calibration, AcceptError> {
         }
     }
     Ok(advice(&config, &calibration.estimates()))
+}
+
+/// A line a parameter: what the ticks of all drives of a record say, and each half of them.
+fn check(path: &Path, config: &Config) -> Result<String, AcceptError> {
+    let mut ticks = Vec::new();
+    for entry in Reader::open(path)?.only(&[Topic::Tick]) {
+        if let Entry::Tick(mut tick) = entry?
+            && tick.output.mode.is_underway()
+        {
+            // An imported log may have no speed, and therefore no command.
+            tick.output.command.get_or_insert(DriveCommand {
+                rear_speed: 0.0,
+                steering: tick.output.actuation.steering,
+                pose_time: tick.pilot_time,
+                brake: false,
+            });
+            ticks.push(tick);
+        }
+    }
+    let (first, second) = ticks.split_at(ticks.len() / 2);
+    let columns = [&ticks[..], first, second].map(|ticks| {
+        let mut calibration = OnlineCalibration::of(config);
+        for tick in ticks {
+            calibration.tick(tick);
+        }
+        calibration.estimates()
+    });
+    let row = |[name, whole, first, second]: [String; 4]| {
+        format!("{name:<16} {whole:>20} {first:>20} {second:>20}")
+    };
+    let mut lines = vec![row(
+        ["", "whole", "first half", "second half"].map(str::to_owned)
+    )];
+    for (index, parameter) in CalibrationParameter::ALL.iter().enumerate() {
+        let [whole, first, second] = columns.each_ref().map(|column| deviation(&column[index]));
+        lines.push(row([parameter.to_string(), whole, first, second]));
+    }
+    Ok(lines.join("\n"))
 }
 
 /// The change of the file, if it passes what `singletrackd --check` judges.

@@ -164,6 +164,14 @@ fn the_record_of_a_drive_says_what_to_write() {
     simulate_with(&scenario, options).unwrap();
     fs::write(&path, config.to_toml().unwrap()).unwrap();
     let paths = [&*record, "--config".as_ref(), &*path];
+    let before = fs::read_to_string(&path).unwrap();
+    let output = accept(&["--check"], &paths);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_eq!(fs::read_to_string(&path).unwrap(), before);
+    let checked = text(&output.stdout);
+    let row = checked.lines().find(|line| line.starts_with("body-yaw"));
+    // The whole record and both halves find it.
+    assert_eq!(row.unwrap().matches("+0.017").count(), 3, "{checked}");
     let output = accept(&["--yes"], &paths);
     assert!(output.status.success(), "{}", text(&output.stderr));
     let changed = singletrack_core::Config::read(&path).unwrap();
