@@ -17,10 +17,13 @@ use std::{
 };
 
 use singletrack_control::{Setpoint, Time, Velocity};
-use singletrack_core::config::{
-    MpcWeights, OuterLoopSection, ReferenceSection, Start, TuningSection,
+use singletrack_core::{
+    ControlRequest,
+    config::{
+        MpcWeights, OnlineCalibrationMode, OuterLoopSection, ReferenceSection, Start, TuningSection,
+    },
 };
-use singletrack_pilot::{Filtering, Mode, Tuning};
+use singletrack_pilot::{Filtering, Learned, Mode, Tuning};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
 
@@ -195,6 +198,28 @@ fn tuning_allocates_nothing_in_a_tick() {
     }
     assert_eq!(total, 0, "allocations");
     assert!(driven > 1_000, "only {driven} driving ticks");
+}
+
+#[test]
+fn a_tick_that_learns_allocates_nothing() {
+    let mut config = SimulatedDrive::example();
+    config.online_calibration.mode = OnlineCalibrationMode::Live;
+    let mut drive = SimulatedDrive::with(config, SimulationConfig::default());
+    let mut total = 0;
+    for index in 1..=3_000 {
+        drive.run_until_tick(index);
+        if index % 100 == 0 {
+            drive.request(ControlRequest::Learned(Learned {
+                body_yaw: 0.01,
+                ..Learned::default()
+            }));
+        }
+        total += allocations(|| drive.tick(index));
+        drive.after_tick();
+    }
+    assert_eq!(total, 0, "allocations");
+    let learned = drive.host.control.controller().pilot().learned();
+    assert_eq!(learned.unwrap().body_yaw, 0.01);
 }
 
 #[test]
