@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::{PoseSample, Velocity};
-use singletrack_pilot::{BoardState, Event, Jog, Mode, PilotRequest, Reason};
+use singletrack_pilot::{BoardState, Event, Jog, LinkState, Mode, PilotRequest, Reason};
 
 use crate::bench::{Bench, Pose};
 
@@ -105,4 +105,35 @@ fn pulses_that_were_given_before_the_board_was_armed_are_not_sent() {
 
     bench.extra.push(Event::Jog(jog));
     assert_eq!(bench.step().jog, Some(jog));
+}
+
+#[test]
+fn a_board_without_its_configuration_does_not_say_that_the_wheels_stand() {
+    let mut bench = Bench::new();
+    bench.drive();
+    // It restarted, and takes no configuration: its motor speed is 0 from here on. The throttle is
+    // stuck.
+    bench.pulses = 0.0;
+    bench
+        .extra
+        .push(Event::Link(LinkState::ConfigurationRefused));
+    let fault = (Mode::Fault, Some(Reason::StopNotObeyed));
+    for _ in 0..200 {
+        bench.position += Velocity::new(0.005, 0.001);
+        bench.step();
+    }
+    let output = bench.step();
+    assert_eq!((output.mode, output.reason), fault);
+    bench.pose = Pose::Missing;
+    for _ in 0..100 {
+        bench.step();
+    }
+    let output = bench.step_with(Some(PilotRequest::Disarm));
+    assert_eq!((output.mode, output.reason), fault);
+
+    bench.extra.push(Event::Link(LinkState::Ready));
+    bench.step();
+    bench.step();
+    let output = bench.step_with(Some(PilotRequest::Disarm));
+    assert_ne!(output.mode, Mode::Fault);
 }

@@ -80,7 +80,10 @@ impl Pilot {
     fn handle_board(&mut self, sample: &BoardSample) {
         self.supervisor.handle_board(sample.state);
         self.motor_speed = sample.motor_speed;
-        self.board_time = Some(sample.time);
+        // A board without its configuration does not know how far a pulse is: it says 0 whatever
+        // the wheels do.
+        let measures = self.supervisor.is_linked();
+        self.motor_time = measures.then_some(sample.time);
         let mode = self.supervisor.mode();
         self.watches.observe_board(sample, mode, &self.config);
         if let Some(inertial) = sample.inertial {

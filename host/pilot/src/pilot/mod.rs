@@ -66,8 +66,8 @@ pub struct Pilot {
     commanded_steering: f64,
     /// Whether the configuration has been proved on this car.
     proved: bool,
-    /// When the board made its last record.
-    board_time: Option<Time>,
+    /// When the board last measured the motor, if its last record says it.
+    motor_time: Option<Time>,
     imu_time: Option<Time>,
     pose_time: Option<Time>,
     motor_speed: f64,
@@ -96,7 +96,7 @@ impl Pilot {
             setpoint_refused: None,
             commanded_steering: 0.0,
             proved: false,
-            board_time: None,
+            motor_time: None,
             imu_time: None,
             pose_time: None,
             motor_speed: 0.0,

@@ -67,7 +67,7 @@ impl Pilot {
         let drives = self.supervisor.mode().is_underway();
         self.obstacles.observe(now, estimate.as_ref(), drives);
         let heard = self
-            .board_time
+            .motor_time
             .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);
         Sensed {
             now,

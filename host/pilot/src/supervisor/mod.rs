@@ -169,6 +169,11 @@ impl Supervisor {
         self.preflight
     }
 
+    /// Whether the board runs the host's configuration.
+    pub(crate) const fn is_linked(&self) -> bool {
+        self.latest.check_link().is_none()
+    }
+
     /// Whether a contradiction waits for its acknowledgement.
     #[must_use]
     pub const fn is_contradicted(&self) -> bool {
