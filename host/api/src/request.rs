@@ -80,6 +80,9 @@ pub struct Arm {
     /// The length of a timed drive, in s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub for_s: Option<f64>,
+    /// Of a held drive: the longest time between two renewals, in ms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hold_ms: Option<u64>,
     /// Whether the client gives pulses in place of a drive.
     #[serde(default, skip_serializing_if = "is_false")]
     pub jog: bool,

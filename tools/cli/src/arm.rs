@@ -50,7 +50,7 @@ const UNATTENDED: &str = "driving unattended: the car drives on when this shell,
                           until the daemon stops it";
 
 /// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
-pub(crate) const RENEWAL: Duration = Duration::from_millis(100);
+const RENEWAL: Duration = Duration::from_millis(100);
 
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
@@ -94,8 +94,8 @@ impl ArmArgs {
         Request::Arm(Arm {
             attendance: Some(attendance),
             for_s: self.time.map(|time| time.as_secs_f64()),
-            jog: false,
             uncalibrated: self.uncalibrated,
+            ..Arm::default()
         })
     }
 }

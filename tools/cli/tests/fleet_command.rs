@@ -109,6 +109,41 @@ fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
     }
 }
 
+/// Starts `fleet arm`, sends it a signal once all cars drive, and returns when each car began to stop.
+fn begins_to_stop(
+    folder: &Path,
+    cars: &[(RealTimeSimulator, Daemon)],
+    signal: &str,
+) -> Vec<Duration> {
+    wait(cars, |mode| mode == Mode::Ready);
+    let mut arm = fleet(folder, &["arm"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait(cars, |mode| mode == Mode::Driving);
+    let sent = Instant::now();
+    let kill = Command::new("kill")
+        .args([signal, &arm.id().to_string()])
+        .status();
+    assert!(kill.unwrap().success());
+    let mut stopped = vec![None; cars.len()];
+    while stopped.contains(&None) {
+        for ((_, daemon), stopped) in cars.iter().zip(&mut stopped) {
+            if daemon.snapshot().mode() != Mode::Driving {
+                stopped.get_or_insert(sent.elapsed());
+            }
+        }
+        thread::sleep(Duration::from_millis(1));
+    }
+    wait(cars, |mode| !mode.commands());
+    for (_, daemon) in cars {
+        assert_eq!(daemon.snapshot().reason(), Some(Reason::OperatorGone));
+    }
+    arm.kill().unwrap();
+    arm.wait().unwrap();
+    stopped.into_iter().flatten().collect()
+}
+
 #[test]
 fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     let folder = tempfile::tempdir().unwrap();
@@ -118,27 +153,23 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     assert_eq!(early.status.code(), Some(1), "{}", text(&early));
     assert!(text(&early).contains("car1: not ready"), "{}", text(&early));
 
-    wait(&cars, |mode| mode == Mode::Ready);
-    let mut arm = fleet(folder, &["arm"])
-        .stdout(Stdio::null())
-        .spawn()
-        .unwrap();
-    wait(&cars, |mode| mode == Mode::Driving);
-    let status = fleet(folder, &["status"]).output().unwrap();
-    let said = text(&status);
-    assert!(
-        said.contains("car1  driving") && said.contains("car2  driving"),
-        "{said}"
-    );
-
-    arm.kill().unwrap();
-    arm.wait().unwrap();
-    wait(&cars, |mode| !mode.commands());
-    for (_, daemon) in &cars {
-        assert_eq!(daemon.snapshot().reason(), Some(Reason::OperatorGone));
+    for signal in ["-KILL", "-STOP"] {
+        let times = begins_to_stop(folder, &cars, signal);
+        println!("{signal}: {times:?}");
+        let longest = Duration::from_millis(200);
+        assert!(
+            times.iter().all(|time| *time < longest),
+            "{signal}: {times:?}"
+        );
     }
 
     wait(&cars, |mode| mode == Mode::Ready);
+    let status = fleet(folder, &["status"]).output().unwrap();
+    let said = text(&status);
+    assert!(
+        said.contains("car1  ready") && said.contains("car2  ready"),
+        "{said}"
+    );
     let timed = fleet(folder, &["arm", "--for", "1s"]).output().unwrap();
     assert_eq!(timed.status.code(), Some(0), "{}", text(&timed));
     let stop = fleet(folder, &["stop"]).output().unwrap();

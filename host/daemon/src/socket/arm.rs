@@ -53,6 +53,7 @@ pub(super) async fn begin(
     let Arm {
         attendance,
         uncalibrated,
+        ..
     } = request;
     ready(daemon)?;
     let judging = daemon

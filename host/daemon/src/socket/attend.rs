@@ -1,7 +1,7 @@
 //! An attended drive: the connection that armed it holds it.
 //!
-//! The control loop wants a renewal at least every 0.5 s, and every one comes from the client. If
-//! this thread dies, the renewals end too, and the car stops. A connection that ends, also because
+//! The control loop wants a renewal at least every 0.5 s, and every one comes from the client, which
+//! may ask this thread to wait for less. If this thread dies, the renewals end too, and the car stops. A connection that ends, also because
 //! its process was killed, ends the drive at once.
 
 use std::{io, time::Duration};
@@ -55,6 +55,7 @@ pub(super) async fn hold(
     let drive = Attended {
         ticket,
         jogs: false,
+        hold: request.hold,
     };
     attend(read, write, daemon, setpoints, &drive, watch).await
 }
@@ -74,7 +75,11 @@ pub(super) async fn jog(
             return Ok(true);
         }
     };
-    let drive = Attended { ticket, jogs: true };
+    let drive = Attended {
+        ticket,
+        jogs: true,
+        hold: None,
+    };
     attend(read, write, daemon, setpoints, &drive, watch).await
 }
 
@@ -83,6 +88,8 @@ struct Attended {
     ticket: Ticket,
     /// Whether the client gives pulses in place of a drive.
     jogs: bool,
+    /// The longest time between two renewals, if it is shorter than the pilot's.
+    hold: Option<Duration>,
 }
 
 /// Returns when the client hangs up without having sent more; reads nothing.
@@ -126,6 +133,8 @@ async fn serve_drive(
     let mut was_driving = false;
     let mut reported = Instant::now();
     let mut renewed: Option<Instant> = None;
+    let mut hold = drive.hold;
+    let begun = Instant::now();
     loop {
         let room = LONGEST_LINE.saturating_sub(line.len() as u64);
         let mut rest = (&mut *read).take(room);
@@ -133,6 +142,11 @@ async fn serve_drive(
         let count = tokio::select! {
             count = rest.read_until(b'\n', &mut line) => count?,
             _ = polls.tick() => {
+                let silent = renewed.unwrap_or(begun).elapsed();
+                if hold.take_if(|longest| silent > *longest).is_some() {
+                    // The report of the end follows from the next ticks.
+                    let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
+                }
                 let snapshot = daemon.snapshot();
                 match watch.progress(&snapshot) {
                     Progress::Underway => {}

@@ -31,11 +31,13 @@ use crate::{
 
 const UNATTENDED: Arm = Arm {
     attendance: Attendance::Unattended,
+    hold: None,
     uncalibrated: true,
 };
 
 const HELD: Arm = Arm {
     attendance: Attendance::Hold,
+    hold: None,
     uncalibrated: true,
 };
 

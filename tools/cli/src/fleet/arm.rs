@@ -10,7 +10,7 @@ use singletrack_api::{Arm, Attendance, ClientError, Connection, Ended, Reply, Re
 
 use super::{FleetError, PATIENCE, ask_all, failure, file::Fleet, obeyed, tell};
 use crate::{
-    arm::{RENEWAL, STOPPED, WANTED, parse_time},
+    arm::{STOPPED, WANTED, parse_time},
     control::{ControlError, print},
     interrupt::Interrupt,
 };
@@ -29,8 +29,17 @@ pub(super) struct FleetArmArgs {
     uncalibrated: bool,
 }
 
+/// Interval of the renewals.
+const RENEWAL: Duration = Duration::from_millis(50);
+
+/// A car stops this long after the last renewal.
+const HOLD_MS: u64 = 150;
+
 /// The longest wait for a line of one car: renewals must not be late.
 const WAIT: Duration = Duration::from_millis(2);
+
+/// A daemon reports on a drive five times a second; one that is silent for longer is lost.
+const SILENCE: Duration = Duration::from_secs(1);
 
 /// The longest time until a car has stopped.
 const STOP_TIMEOUT: Duration = Duration::from_secs(6);
@@ -39,6 +48,8 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(6);
 struct Held<'a> {
     name: &'a str,
     connection: Connection,
+    /// The last line of a car that drives.
+    heard: Option<Instant>,
     ended: Option<Ended>,
     /// Why it was not armed.
     refused: Option<String>,
@@ -54,6 +65,7 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
             Ok(connection) => cars.push(Held {
                 name: &car.name,
                 connection,
+                heard: None,
                 ended: None,
                 refused: None,
             }),
@@ -62,6 +74,7 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
     }
     let arm = Request::Arm(Arm {
         attendance: Some(Attendance::Hold),
+        hold_ms: Some(HOLD_MS),
         uncalibrated: args.uncalibrated,
         ..Arm::default()
     });
@@ -154,7 +167,13 @@ impl Held<'_> {
 
     /// Takes what the daemon has said.
     fn listen(&mut self) {
-        match self.connection.receive_within(WAIT) {
+        let received = self.connection.receive_within(WAIT);
+        if matches!(received, Ok(Some(_))) {
+            self.heard = Some(Instant::now());
+        } else if self.heard.is_some_and(|heard| heard.elapsed() > SILENCE) {
+            self.lose("its daemon is silent");
+        }
+        match received {
             Ok(Some(Reply::Ended { ended, .. })) => self.ended = Some(ended),
             Ok(Some(Reply::Answer(answer))) => {
                 if let Err(error) = answer.agreed() {

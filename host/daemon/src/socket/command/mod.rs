@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use core::{str::FromStr, time::Duration};
+use core::{ops::RangeInclusive, str::FromStr, time::Duration};
 
 use serde_json::Value;
 use singletrack_api::{Request, RequestError, explain};
@@ -109,6 +109,8 @@ impl From<Rejected> for ParseError {
 pub struct Arm {
     /// Who attends the drive.
     pub attendance: Attendance,
+    /// Of a held drive: the longest time between two renewals, if it is shorter than the pilot's.
+    pub hold: Option<Duration>,
     /// Whether the car may drive without having passed doctor, bring-up and calibrate.
     pub uncalibrated: bool,
 }
@@ -160,6 +162,7 @@ impl Command {
             Request::Status {} => Self::Simple(SimpleRequest::Status),
             Request::Arm(arm) => {
                 let attendance = attendance(&arm)?;
+                let hold = hold(&arm)?;
                 match (arm.jog, attendance) {
                     (true, Attendance::Hold) => Self::ArmJog,
                     (true, _) => {
@@ -167,6 +170,7 @@ impl Command {
                     }
                     (false, attendance) => Self::Arm(Arm {
                         attendance,
+                        hold,
                         uncalibrated: arm.uncalibrated,
                     }),
                 }
@@ -263,6 +267,23 @@ fn attendance(arm: &singletrack_api::Arm) -> Result<Attendance, String> {
              a safeguard ends it)"
                 .to_owned(),
         ),
+    }
+}
+
+/// The longest time between two renewals of a held drive, ms: the pilot's is the longest.
+const HOLD_MS: RangeInclusive<u64> = 100..=500;
+
+/// What a client asks for a held drive.
+fn hold(arm: &singletrack_api::Arm) -> Result<Option<Duration>, String> {
+    let is_held = arm.attendance == Some(singletrack_api::Attendance::Hold) && !arm.jog;
+    match arm.hold_ms {
+        Some(_) if !is_held => Err("only attendance \"hold\" without jog takes hold_ms".to_owned()),
+        Some(ms) if !HOLD_MS.contains(&ms) => Err(format!(
+            "hold_ms is {ms}: it must lie between {} and {}",
+            HOLD_MS.start(),
+            HOLD_MS.end()
+        )),
+        hold => Ok(hold.map(Duration::from_millis)),
     }
 }
 

@@ -35,6 +35,7 @@ fn every_line_is_answered_as_the_golden_file_says() {
 fn valid_lines_are_parsed() {
     let arm = |attendance| Arm {
         attendance,
+        hold: None,
         uncalibrated: false,
     };
     let setpoint = |position, time| {
@@ -85,8 +86,15 @@ fn valid_lines_are_parsed() {
         (
             r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
             Command::Arm(Arm {
-                attendance: Attendance::Hold,
                 uncalibrated: true,
+                ..arm(Attendance::Hold)
+            }),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","hold_ms":150}"#,
+            Command::Arm(Arm {
+                hold: Some(Duration::from_millis(150)),
+                ..arm(Attendance::Hold)
             }),
         ),
         (
