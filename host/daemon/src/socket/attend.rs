@@ -1,8 +1,8 @@
 //! An attended drive: the connection that armed it holds it.
 //!
 //! The control loop wants a renewal at least every 0.5 s, and every one comes from the client, which
-//! may ask this thread to wait for less. If this thread dies, the renewals end too, and the car stops. A connection that ends, also because
-//! its process was killed, ends the drive at once.
+//! may ask this thread to wait for less. If this thread dies, the renewals end too, and the car
+//! stops. A connection that ends, also because its process was killed, ends the drive at once.
 
 use std::{io, time::Duration};
 
