@@ -109,7 +109,8 @@ fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
     }
 }
 
-/// Starts `fleet arm`, sends it a signal once all cars drive, and returns when each car began to stop.
+/// Starts `fleet arm`, sends it a signal once all cars drive, and returns when each car began to stop:
+/// less by the longest time for which this process was not run.
 fn begins_to_stop(
     folder: &Path,
     cars: &[(RealTimeSimulator, Daemon)],
@@ -121,13 +122,22 @@ fn begins_to_stop(
         .spawn()
         .unwrap();
     wait(cars, |mode| mode == Mode::Driving);
+    let status = fleet(folder, &["status"]).output().unwrap();
+    let said = text(&status);
+    assert!(
+        said.contains("car1  driving") && said.contains("car2  driving"),
+        "{said}"
+    );
     let sent = Instant::now();
     let kill = Command::new("kill")
         .args([signal, &arm.id().to_string()])
         .status();
     assert!(kill.unwrap().success());
     let mut stopped = vec![None; cars.len()];
+    let (mut looked, mut late) = (sent, Duration::ZERO);
     while stopped.contains(&None) {
+        late = late.max(looked.elapsed());
+        looked = Instant::now();
         for ((_, daemon), stopped) in cars.iter().zip(&mut stopped) {
             if daemon.snapshot().mode() != Mode::Driving {
                 stopped.get_or_insert(sent.elapsed());
@@ -141,7 +151,11 @@ fn begins_to_stop(
     }
     arm.kill().unwrap();
     arm.wait().unwrap();
-    stopped.into_iter().flatten().collect()
+    stopped
+        .into_iter()
+        .flatten()
+        .map(|time: Duration| time.saturating_sub(late))
+        .collect()
 }
 
 #[test]
@@ -164,12 +178,6 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     }
 
     wait(&cars, |mode| mode == Mode::Ready);
-    let status = fleet(folder, &["status"]).output().unwrap();
-    let said = text(&status);
-    assert!(
-        said.contains("car1  ready") && said.contains("car2  ready"),
-        "{said}"
-    );
     let timed = fleet(folder, &["arm", "--for", "1s"]).output().unwrap();
     assert_eq!(timed.status.code(), Some(0), "{}", text(&timed));
     let stop = fleet(folder, &["stop"]).output().unwrap();
