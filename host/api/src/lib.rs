@@ -3,6 +3,7 @@
 //!
 //! A connection blocks and starts no thread. The protocol is on the page `docs/control-socket.md`.
 
+mod clock;
 mod connection;
 mod error;
 mod explain;
@@ -12,6 +13,7 @@ mod request;
 mod state;
 mod status;
 
+pub use clock::ClockOffset;
 pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
 pub use explain::explain;

@@ -14,7 +14,7 @@ use crate::{Answer, ClientError, Request, connect};
 /// The largest message that is received, in bytes.
 const LARGEST: usize = 1 << 20;
 
-/// The moment that connects the daemon's two clocks, in ns: stamps are on the second.
+/// A moment on the daemon's two clocks, in ns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Clocks {
     /// On `CLOCK_MONOTONIC`.

@@ -44,7 +44,7 @@ pub enum Reply {
 /// The answer to a request.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// To `messages`: how to map their stamps.
+    /// To `messages`: how to map their stamps. To `clock`: now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clocks: Option<Clocks>,
     /// The number of the configuration that is in force now.

@@ -14,6 +14,8 @@ use crate::{
 pub enum Request {
     /// The status of daemon, board and figures.
     Status {},
+    /// The daemon's clocks.
+    Clock {},
     /// Arm, and follow the reference or jog.
     Arm(Arm),
     /// Renews the drive that this connection holds; not answered.
@@ -83,6 +85,10 @@ pub struct Arm {
     /// Of a held drive: the longest time between two renewals, in ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hold_ms: Option<u64>,
+    /// Of a held drive: when the reference begins, on the daemon's `CLOCK_MONOTONIC`. Until then the
+    /// armed car stands.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_ns: Option<u64>,
     /// Whether the client gives pulses in place of a drive.
     #[serde(default, skip_serializing_if = "is_false")]
     pub jog: bool,
@@ -325,10 +331,14 @@ fn other_version(version: impl Into<u64>) -> RequestError {
 }
 
 /// A line of every command, and what the daemon answers: the table of the documentation.
-pub const EXAMPLES: [(&str, &str); 18] = [
+pub const EXAMPLES: [(&str, &str); 19] = [
     (
         r#"{"version":2,"command":"status"}"#,
         r#"`{"version":2,"ok":true,"status":{...}}`"#,
+    ),
+    (
+        r#"{"version":2,"command":"clock"}"#,
+        r#"at once; `"clocks":{"monotonic_ns":...,"wall_ns":...}`, both of this moment"#,
     ),
     (
         r#"{"version":2,"command":"arm","attendance":"hold"}"#,

@@ -94,6 +94,9 @@ pub struct ControlLoop<L> {
     index: u64,
     commands_since_heard: u32,
     arm_when_ready: bool,
+    /// When the reference of an armed car that waits begins: until then the ticks are aligned with
+    /// this time, so that several cars begin together.
+    begin_ns: Option<u64>,
     ending: Ending,
     alignment: Option<Alignment>,
     slide_ns: i64,
@@ -113,6 +116,7 @@ impl<L: Line> ControlLoop<L> {
             index: 0,
             commands_since_heard: 0,
             arm_when_ready,
+            begin_ns: None,
             ending: Ending::Running,
             alignment: None,
             slide_ns: 0,
@@ -193,7 +197,8 @@ impl<L: Line> ControlLoop<L> {
     #[must_use]
     pub fn due_ns(&mut self, grid: &Grid) -> u64 {
         let deadline_ns = grid.next_ns();
-        let Some(alignment) = &self.alignment else {
+        let aligned = self.alignment.filter(|_| self.begin_ns.is_none());
+        let Some(alignment) = &aligned else {
             return deadline_ns;
         };
         let since_ns = deadline_ns.saturating_sub(alignment.period_ns() / 2);
@@ -246,6 +251,16 @@ impl<L: Line> ControlLoop<L> {
             self.controller.push(Event::Tuning(tuning));
         }
         let now = Time(clock());
+        // The nearest tick: at most half a period early.
+        let early_ns = slot.start_ns.saturating_sub(self.last_start_ns) / 2;
+        let nearest_ns = now.0.saturating_add(early_ns);
+        if self
+            .begin_ns
+            .take_if(|at_ns| *at_ns <= nearest_ns)
+            .is_some()
+        {
+            self.request(PilotRequest::Begin);
+        }
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
             Mode::Ready if self.arm_when_ready => self.request(PilotRequest::Arm),
@@ -319,8 +334,13 @@ impl<L: Line> ControlLoop<L> {
         };
         dropped += u64::from(!rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
-        let is_driving = self.is_driving();
+        self.begin_ns = self.begin_ns.filter(|_| self.is_driving());
+        let is_driving = self.is_driving() && self.begin_ns.is_none();
         self.slide_ns = self.alignment.as_mut().map_or(0, |alignment| {
+            if let Some(begin_ns) = self.begin_ns {
+                // A deadline is to be at the start, in place of one after each frame.
+                alignment.arrived(begin_ns.saturating_sub(alignment.window_ns() / 2));
+            }
             alignment.slide_ns(slot.deadline_ns, is_driving)
         });
         self.last_start_ns = slot.start_ns;
@@ -406,7 +426,10 @@ impl<L: Line> ControlLoop<L> {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
                 ControlRequest::Pilot(
-                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog,
+                    PilotRequest::Arm
+                    | PilotRequest::ArmHeld
+                    | PilotRequest::ArmWaiting
+                    | PilotRequest::ArmJog,
                 ) if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
                     // A stop before the first arming cancels that as well.
@@ -415,6 +438,12 @@ impl<L: Line> ControlLoop<L> {
                         PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::Hold
                     );
                     self.request(request);
+                }
+                ControlRequest::ArmAt(begin_ns) => {
+                    if self.ending == Ending::Running {
+                        self.begin_ns = Some(begin_ns);
+                        self.request(PilotRequest::ArmWaiting);
+                    }
                 }
                 ControlRequest::Learned(learned) => {
                     self.controller.push(Event::Learned(learned));

@@ -233,7 +233,12 @@ impl Controller {
         let asked = self.events.iter().any(|event| {
             matches!(
                 event,
-                Event::Request(PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog)
+                Event::Request(
+                    PilotRequest::Arm
+                        | PilotRequest::ArmHeld
+                        | PilotRequest::ArmWaiting
+                        | PilotRequest::ArmJog
+                )
             )
         });
         if mode.is_underway() || asked {

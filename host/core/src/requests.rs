@@ -14,6 +14,8 @@ use crate::controller::ReconfigureError;
 pub enum ControlRequest {
     /// Pass a request to the pilot.
     Pilot(PilotRequest),
+    /// Arm the car, and let its reference begin with the tick nearest to this time, in ns.
+    ArmAt(u64),
     /// Tell the pilot what is learned.
     Learned(Learned),
     /// Replace the configuration if the car does not drive, and return the box with the
@@ -87,8 +89,11 @@ impl ControlRequest {
                 PilotRequest::Arm
                 | PilotRequest::ArmHeld
                 | PilotRequest::ArmJog
+                | PilotRequest::ArmWaiting
+                | PilotRequest::Begin
                 | PilotRequest::Hold,
             )
+            | Self::ArmAt(_)
             | Self::Learned(_)
             | Self::Reconfigure(_) => return None,
             Self::Pilot(PilotRequest::Disarm) => 1,

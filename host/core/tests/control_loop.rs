@@ -262,6 +262,47 @@ fn a_configuration_does_not_overtake_a_request_to_arm_of_the_same_tick() {
 }
 
 #[test]
+fn the_reference_begins_with_the_tick_nearest_to_the_time_that_was_asked_for() {
+    // Of the ticks at 3.49, 3.50 and 3.51 s.
+    for (at_ns, begins) in [(3_494_000_000, 349), (3_496_000_000, 350)] {
+        let mut drive = SimulatedDrive::new();
+        drive.request(ControlRequest::Pilot(PilotRequest::Disarm));
+        run(&mut drive, 1, 300);
+        drive.request(ControlRequest::ArmAt(at_ns));
+        let mut index = 300;
+        let drive_time = loop {
+            index += 1;
+            drive.request(ControlRequest::Pilot(PilotRequest::Hold));
+            drive.run_until_tick(index);
+            drive.tick(index);
+            let output = drive.output().unwrap();
+            if output.drive_time.is_some() {
+                break output.drive_time;
+            }
+            assert!(index < begins, "{:?}: {:?}", output.mode, output.reason);
+            assert_eq!(drive.world.truth().speed, 0.0);
+        };
+        assert_eq!((index, drive_time), (begins, Some(0.0)));
+    }
+}
+
+#[test]
+fn the_deadlines_slide_to_the_time_at_which_the_reference_begins() {
+    for (after_ns, slide_ns) in [
+        (4_000_000, 500_000),
+        (6_000_000, -500_000),
+        (200_000, 200_000),
+    ] {
+        let mut drive = SimulatedDrive::new();
+        drive.request(ControlRequest::Pilot(PilotRequest::Disarm));
+        run(&mut drive, 1, 300);
+        drive.request(ControlRequest::ArmAt(3_500_000_000 + after_ns));
+        run(&mut drive, 301, 20);
+        assert_eq!(drive.host.control.slide_ns(), slide_ns);
+    }
+}
+
+#[test]
 fn a_car_that_drives_keeps_its_configuration() {
     let mut drive = SimulatedDrive::new();
     let start = drive.start_driving();

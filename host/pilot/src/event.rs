@@ -244,5 +244,10 @@ words! {
         /// the car: it was carried out of their sight. Without effect on an estimate that has not
         /// lost the car, and while the board is commanded. No program says it by itself.
         Carried = 10 "carried",
+        /// As [`ArmHeld`](Self::ArmHeld). The armed car stands until [`Begin`](Self::Begin).
+        ArmWaiting = 11 "arm-waiting",
+        /// An armed car that waits begins to follow its reference. One that is not armed yet is not
+        /// armed any more.
+        Begin = 12 "begin",
     }
 }

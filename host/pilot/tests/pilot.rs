@@ -42,6 +42,81 @@ fn an_arm_request_that_comes_too_early_is_refused_with_a_reason_and_not_kept() {
 }
 
 #[test]
+fn an_armed_car_that_waits_stands_until_its_reference_begins() {
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.step_with(Some(PilotRequest::ArmWaiting));
+    let mut output = bench.run(3);
+    for _ in 0..40 {
+        output = bench.step();
+        assert_eq!((output.mode, output.drive_time), (Mode::Driving, None));
+        assert_eq!(output.command.unwrap().rear_speed, 0.0);
+    }
+    let begun = bench.step_with(Some(PilotRequest::Begin));
+    assert_eq!(begun.drive_time, Some(0.0));
+    let mut plain = Bench::new();
+    plain.run(100);
+    plain.step_with(Some(PilotRequest::Arm));
+    while output.drive_time != Some(0.0) {
+        output = plain.step();
+    }
+    for _ in 0..100 {
+        bench.step_with(Some(PilotRequest::Hold));
+        plain.step();
+    }
+    assert!((bench.position - plain.position).norm() < 1e-3);
+    assert!(bench.speed > 0.3);
+}
+
+#[test]
+fn a_car_that_waits_is_held_and_watched_as_one_that_drives() {
+    let waiting = || {
+        let mut bench = Bench::new();
+        bench.run(100);
+        bench.step_with(Some(PilotRequest::ArmWaiting));
+        assert_eq!(bench.run(3).mode, Mode::Driving);
+        bench
+    };
+    let mut let_go = waiting();
+    let (output, _) = let_go.run_until_idle();
+    assert_eq!(output.reason, Some(Reason::OperatorGone));
+    let mut unseen = waiting();
+    unseen.pose = Pose::Missing;
+    let mut output = unseen.step();
+    while output.mode.commands() {
+        output = unseen.step_with(Some(PilotRequest::Hold));
+        assert_eq!(unseen.speed, 0.0);
+    }
+    assert_eq!(output.reason, Some(Reason::PoseTooOld));
+    // The next drive does not wait.
+    unseen.pose = Pose::Seen;
+    assert_eq!(unseen.run(100).mode, Mode::Ready);
+    unseen.step_with(Some(PilotRequest::Arm));
+    assert!(unseen.run(3).drive_time.is_some());
+}
+
+#[test]
+fn a_car_that_is_not_armed_when_its_reference_begins_is_not_armed_later() {
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.step_with(Some(PilotRequest::ArmWaiting));
+    bench.board = BoardState::PoweringUp;
+    assert_eq!(bench.run(3).mode, Mode::Arming);
+    let output = bench.step_with(Some(PilotRequest::Begin));
+    let late = (Mode::Idle, Some(Reason::BoardTimeout));
+    assert_eq!((output.mode, output.reason), late);
+    assert_eq!(output.request, Some(BoardRequest::Disarm));
+    // Nor if it comes with the request to arm.
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.extra.push(Event::Request(PilotRequest::Begin));
+    assert_eq!(
+        bench.step_with(Some(PilotRequest::ArmWaiting)).mode,
+        Mode::Ready
+    );
+}
+
+#[test]
 fn the_car_drives_through_a_short_marker_loss_with_the_last_pose() {
     let mut bench = Bench::new();
     bench.drive();

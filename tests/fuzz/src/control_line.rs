@@ -153,6 +153,7 @@ fn check_accepted(command: &Command, line: &[u8]) {
         Command::Setpoint(_) => "setpoint",
         Command::Watch { .. } | Command::WatchState => "watch",
         Command::Messages { .. } => "messages",
+        Command::Clock => "clock",
     };
     assert!(
         text.contains(word) || text.contains('\\'),

@@ -109,6 +109,18 @@ fn wait(fleet: &[(RealTimeSimulator, Daemon)], wanted: impl Fn(Mode) -> bool) {
     }
 }
 
+/// When the reference began.
+fn begun_ns(daemon: &Daemon) -> u64 {
+    loop {
+        let tick = daemon.snapshot().tick.unwrap();
+        if let Some(drive_time) = tick.output.drive_time {
+            return tick.pilot_time.0 - (drive_time * 1e9).round() as u64;
+        }
+        assert_eq!(tick.output.mode, Mode::Driving, "{:?}", tick.output.reason);
+        thread::sleep(Duration::from_millis(1));
+    }
+}
+
 /// Starts `fleet arm`, sends it a signal once all cars drive, and returns when each car began to stop:
 /// less by the longest time for which this process was not run.
 fn begins_to_stop(
@@ -117,11 +129,16 @@ fn begins_to_stop(
     signal: &str,
 ) -> Vec<Duration> {
     wait(cars, |mode| mode == Mode::Ready);
-    let mut arm = fleet(folder, &["arm"])
+    let mut arm = fleet(folder, &["arm", "--start-in", "1s"])
         .stdout(Stdio::null())
         .spawn()
         .unwrap();
     wait(cars, |mode| mode == Mode::Driving);
+    let begun = cars.iter().map(|(_, daemon)| begun_ns(daemon));
+    let begun: Vec<_> = begun.collect();
+    let apart = begun.iter().max().unwrap() - begun.iter().min().unwrap();
+    println!("begun within {apart} ns");
+    assert!(apart < 10_000_000, "{begun:?}");
     let status = fleet(folder, &["status"]).output().unwrap();
     let said = text(&status);
     assert!(
@@ -178,7 +195,9 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     }
 
     wait(&cars, |mode| mode == Mode::Ready);
-    let timed = fleet(folder, &["arm", "--for", "1s"]).output().unwrap();
+    let timed = fleet(folder, &["arm", "--for", "1s", "--start-in", "1s"])
+        .output()
+        .unwrap();
     assert_eq!(timed.status.code(), Some(0), "{}", text(&timed));
     let stop = fleet(folder, &["stop"]).output().unwrap();
     assert!(stop.status.success(), "{}", text(&stop));

@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use singletrack_core::ControlRequest;
 use singletrack_pilot::{Mode, PilotRequest};
 use tokio::{
     task::spawn_blocking,
@@ -17,7 +18,7 @@ use super::{
     progress::{DriveWatch, POLL, Progress},
     serve::{cannot_arm, not_ready},
 };
-use crate::{handle::DaemonHandle, judgement};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
 
 /// Interval of the renewals of a timed drive, and what a client of a held one should use.
 const RENEWAL: Duration = Duration::from_millis(100);
@@ -53,6 +54,7 @@ pub(super) async fn begin(
     let Arm {
         attendance,
         uncalibrated,
+        start_ns,
         ..
     } = request;
     ready(daemon)?;
@@ -98,12 +100,18 @@ pub(super) async fn begin(
         return Err("can't arm: the configuration has changed meanwhile; arm again".to_owned());
     }
     ready(daemon)?;
+    if start_ns.is_some_and(|start_ns| start_ns <= monotonic_ns()) {
+        return Err("can't arm: start_ns has passed meanwhile; give a later one".to_owned());
+    }
     let ticket = daemon.drives.next();
-    let request = match attendance {
-        Attendance::Unattended => PilotRequest::Arm,
-        Attendance::Hold | Attendance::Timed(_) => PilotRequest::ArmHeld,
+    let request = match (attendance, start_ns) {
+        (_, Some(start_ns)) => ControlRequest::ArmAt(start_ns),
+        (Attendance::Unattended, None) => ControlRequest::Pilot(PilotRequest::Arm),
+        (Attendance::Hold | Attendance::Timed(_), None) => {
+            ControlRequest::Pilot(PilotRequest::ArmHeld)
+        }
     };
-    ticket.push(daemon, request)?;
+    ticket.pass(daemon, request)?;
     Ok((ticket, DriveWatch::new()))
 }
 

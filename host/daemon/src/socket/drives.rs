@@ -75,10 +75,19 @@ impl Ticket {
 
     /// Passes a request on if the drive is still the latest one.
     pub(super) fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), String> {
+        self.pass(daemon, ControlRequest::Pilot(request))
+    }
+
+    /// The same, for any request.
+    pub(super) fn pass(
+        &self,
+        daemon: &DaemonHandle,
+        request: ControlRequest,
+    ) -> Result<(), String> {
         if !self.is_latest() {
             return Ok(());
         }
-        let pushed = daemon.requests.push(ControlRequest::Pilot(request));
+        let pushed = daemon.requests.push(request);
         pushed.map_err(|error| error.to_string())
     }
 }

@@ -30,8 +30,12 @@ use super::{
     tune::tune,
 };
 use crate::{
-    clock::monotonic_ns, commissioned_file::subject, handle::DaemonHandle, judgement,
-    shared_status::WATCHERS, snapshot::Snapshot,
+    clock::{monotonic_ns, wall_ns},
+    commissioned_file::subject,
+    handle::DaemonHandle,
+    judgement,
+    shared_status::WATCHERS,
+    snapshot::Snapshot,
 };
 
 /// The largest number of clients at a time.
@@ -176,6 +180,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Simple(request)) => {
                 send(&mut write, &answer(request, daemon).await).await?;
             }
+            Ok(Command::Clock) => send(&mut write, &clocks()).await?,
             Ok(Command::Configuration) => send(&mut write, &configuration(daemon)).await?,
             Ok(Command::SetReference(reference)) => {
                 send(&mut write, &set_reference(reference, daemon).await).await?;
@@ -274,6 +279,17 @@ fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
     let stopped = matches!(snapshot.mode(), Mode::Fault | Mode::Disconnected)
         && snapshot.reason() == Some(Reason::EmergencyStop);
     stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
+}
+
+/// The clocks now.
+fn clocks() -> Answer {
+    Answer {
+        clocks: Some(Clocks {
+            monotonic_ns: monotonic_ns(),
+            wall_ns: wall_ns(),
+        }),
+        ..Answer::done()
+    }
 }
 
 /// The configuration in force.

@@ -32,12 +32,14 @@ use crate::{
 const UNATTENDED: Arm = Arm {
     attendance: Attendance::Unattended,
     hold: None,
+    start_ns: None,
     uncalibrated: true,
 };
 
 const HELD: Arm = Arm {
     attendance: Attendance::Hold,
     hold: None,
+    start_ns: None,
     uncalibrated: true,
 };
 

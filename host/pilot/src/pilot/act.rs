@@ -95,6 +95,10 @@ impl Pilot {
             ..*estimate
         };
         let singular = match self.supervisor.mode() {
+            Mode::Driving if self.drive_start.is_none() => {
+                action.command = Some(command(&believed, &action.actuation, false));
+                None
+            }
             Mode::Driving => self.drive(sensed.now, &believed, &mut action).err(),
             Mode::Slowing | Mode::Stopping => {
                 self.slow_down(sensed, &believed, &mut action);

@@ -50,6 +50,14 @@ impl Pilot {
     /// well.
     fn handle_request(&mut self, request: PilotRequest) {
         self.supervisor.handle_request(request);
+        match request {
+            PilotRequest::ArmWaiting => self.waits = true,
+            PilotRequest::Arm
+            | PilotRequest::ArmHeld
+            | PilotRequest::ArmJog
+            | PilotRequest::Begin => self.waits = false,
+            _ => {}
+        }
         if request == PilotRequest::Carried && !self.supervisor.mode().commands() {
             self.carried();
         }

@@ -33,8 +33,11 @@ impl Pilot {
         let was = self.supervisor.mode();
         let request = self.supervisor.step(&self.conditions(sensed));
         let mode = self.supervisor.mode();
-        if mode == Mode::Driving && was == Mode::Arming {
+        let begins = self.drive_start.is_none() && !self.waits;
+        if mode == Mode::Driving && (was == Mode::Arming || begins) {
             self.begin_drive(sensed);
+            // A car that waits begins once more, from where it stands then.
+            self.drive_start = self.drive_start.filter(|_| !self.waits);
         }
         if mode != Mode::Jogging || was != Mode::Jogging {
             // Pulses from before the board was armed do not count.

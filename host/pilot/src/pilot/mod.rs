@@ -72,6 +72,8 @@ pub struct Pilot {
     pose_time: Option<Time>,
     motor_speed: f64,
     drive_start: Option<Time>,
+    /// Whether an armed car stands until [`PilotRequest::Begin`](crate::PilotRequest::Begin).
+    waits: bool,
     last_tick: Option<Time>,
 }
 
@@ -101,6 +103,7 @@ impl Pilot {
             pose_time: None,
             motor_speed: 0.0,
             drive_start: None,
+            waits: false,
             last_tick: None,
             config,
         }

@@ -239,7 +239,7 @@ impl Supervisor {
     pub const fn handle_request(&mut self, request: PilotRequest) {
         match request {
             PilotRequest::Arm => self.heard.arm = Some(Arming::Unattended),
-            PilotRequest::ArmHeld => self.heard.arm = Some(Arming::Held),
+            PilotRequest::ArmHeld | PilotRequest::ArmWaiting => self.heard.arm = Some(Arming::Held),
             PilotRequest::ArmJog => self.heard.arm = Some(Arming::Jog),
             PilotRequest::Hold => self.heard.hold = true,
             PilotRequest::Disarm | PilotRequest::Carried => self.request_stop(Reason::Requested),
@@ -250,6 +250,11 @@ impl Supervisor {
                 self.heard.halt = true;
             }
             PilotRequest::EmergencyStop => self.heard.emergency = true,
+            PilotRequest::Begin => {
+                if !matches!(self.mode, Mode::Driving | Mode::Slowing) {
+                    self.request_stop(Reason::BoardTimeout);
+                }
+            }
         }
     }
 

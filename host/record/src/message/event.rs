@@ -490,6 +490,8 @@ mod tests {
                 }),
                 Event::Request(PilotRequest::Halt),
                 Event::Request(PilotRequest::Carried),
+                Event::Request(PilotRequest::ArmWaiting),
+                Event::Request(PilotRequest::Begin),
                 Event::Proved(true),
                 Event::Proved(false),
                 Event::ArmRefused,

@@ -6,9 +6,12 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Arm, Attendance, ClientError, Connection, Ended, Reply, Request};
+use singletrack_api::{
+    Arm, Attendance, ClientError, ClockOffset, Connection, Ended, Reply, Request,
+};
+use singletrackd::monotonic_ns;
 
-use super::{FleetError, PATIENCE, ask_all, failure, file::Fleet, obeyed, tell};
+use super::{FleetError, ask_all, connect, failure, file::Fleet, obeyed, tell, with_all};
 use crate::{
     arm::{STOPPED, WANTED, parse_time},
     control::{ControlError, print},
@@ -21,6 +24,9 @@ pub(super) struct FleetArmArgs {
     /// Drive for this time, such as 60s, and stop
     #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
     time: Option<Duration>,
+    /// The time until all references begin, within 10 ms of each other; the cars are armed before
+    #[arg(long, value_name = "DURATION", value_parser = parse_time, default_value = "3s")]
+    start_in: Duration,
     /// Stop all cars when the drive of one of them ends
     #[arg(long)]
     together: bool,
@@ -35,6 +41,12 @@ const RENEWAL: Duration = Duration::from_millis(50);
 /// A car stops this long after the last renewal.
 const HOLD_MS: u64 = 150;
 
+/// All cars are armed so long before the start, or none drives.
+const ARMED_BEFORE: Duration = Duration::from_millis(100);
+
+/// The clock of each daemon must be known to this: half the round trip of the fastest exchange.
+const CLOCK_BOUND: Duration = Duration::from_millis(1);
+
 /// The longest wait for a line of one car: renewals must not be late.
 const WAIT: Duration = Duration::from_millis(2);
 
@@ -48,7 +60,8 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(6);
 struct Held<'a> {
     name: &'a str,
     connection: Connection,
-    /// The last line of a car that drives.
+    clock: ClockOffset,
+    /// The last line of an armed car.
     heard: Option<Instant>,
     ended: Option<Ended>,
     /// Why it was not armed.
@@ -59,34 +72,49 @@ struct Held<'a> {
 pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetError> {
     let interrupt = Interrupt::listen().map_err(ControlError::from)?;
     all_ready(fleet)?;
-    let mut cars = Vec::new();
-    for car in &fleet.cars {
-        match Connection::open(&car.socket(), PATIENCE) {
-            Ok(connection) => cars.push(Held {
+    let (mut cars, mut failures) = (Vec::new(), Vec::new());
+    for (connected, car) in with_all(fleet, connect).into_iter().zip(&fleet.cars) {
+        match connected {
+            Ok((_, clock)) if u128::from(clock.bound_ns) > CLOCK_BOUND.as_nanos() => {
+                let bound_ms = clock.bound_ns as f64 / 1e6;
+                failures.push(format!(
+                    "{}: its clock is known to {bound_ms:.3} ms only, and {CLOCK_BOUND:?} is needed \
+                     to start the cars together: no car was armed; use a faster network",
+                    car.name
+                ));
+            }
+            Ok((connection, clock)) => cars.push(Held {
                 name: &car.name,
                 connection,
+                clock,
                 heard: None,
                 ended: None,
                 refused: None,
             }),
-            Err(error) => return Err(FleetError::Cars(vec![failure(car, &error)])),
+            Err(error) => failures.push(failure(car, &error)),
         }
     }
-    let arm = Request::Arm(Arm {
-        attendance: Some(Attendance::Hold),
-        hold_ms: Some(HOLD_MS),
-        uncalibrated: args.uncalibrated,
-        ..Arm::default()
-    });
-    send(&mut cars, &arm);
-    let begun = Instant::now();
-    let mut renewed = begun;
+    obeyed(failures)?;
+    let mut renewed = Instant::now();
+    let start = renewed + args.start_in;
+    let start_ns = monotonic_ns() + args.start_in.as_nanos() as u64;
+    for car in &mut cars {
+        car.send(&Request::Arm(Arm {
+            attendance: Some(Attendance::Hold),
+            hold_ms: Some(HOLD_MS),
+            start_ns: Some(car.clock.daemon_ns(start_ns)),
+            uncalibrated: args.uncalibrated,
+            ..Arm::default()
+        }));
+    }
     let mut disarmed = None;
     while cars.iter().any(|car| car.ended.is_none()) {
         let one_ended = cars.iter().any(|car| car.ended.is_some());
         let one_refused = cars.iter().any(|car| car.refused.is_some());
-        let is_over = args.time.is_some_and(|time| begun.elapsed() >= time);
-        if (interrupt.is_raised() || is_over || one_refused || (args.together && one_ended))
+        let is_over = args.time.is_some_and(|time| start.elapsed() >= time);
+        // Before the start, all drive or none.
+        let together = args.together || Instant::now() < start;
+        if (interrupt.is_raised() || is_over || one_refused || (together && one_ended))
             && disarmed.is_none()
         {
             disarmed = Some(Instant::now());
@@ -95,10 +123,16 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
         }
         if disarmed.is_none() && renewed.elapsed() >= RENEWAL {
             renewed = Instant::now();
-            send(&mut cars, &Request::Hold {});
+            for car in cars.iter_mut().filter(|car| car.ended.is_none()) {
+                car.send(&Request::Hold {});
+            }
         }
+        let must_be_armed = start.saturating_duration_since(Instant::now()) < ARMED_BEFORE;
         for car in cars.iter_mut().filter(|car| car.ended.is_none()) {
             car.listen();
+            if must_be_armed && car.heard.is_none() && disarmed.is_none() {
+                car.refuse("it was not armed before the start: give a longer --start-in");
+            }
             if disarmed.is_some_and(|since| since.elapsed() > STOP_TIMEOUT) {
                 car.lose("its daemon does not say that it stands");
             }
@@ -148,16 +182,19 @@ fn all_ready(fleet: &Fleet) -> Result<(), FleetError> {
     obeyed(failures.collect())
 }
 
-/// Sends a request to every car whose drive has not ended; a lost connection ends it.
-fn send(cars: &mut [Held<'_>], request: &Request) {
-    for car in cars.iter_mut().filter(|car| car.ended.is_none()) {
-        if let Err(error) = car.connection.send(request) {
-            car.lose(&error.to_string());
+impl Held<'_> {
+    /// A lost connection ends the drive.
+    fn send(&mut self, request: &Request) {
+        if let Err(error) = self.connection.send(request) {
+            self.lose(&error.to_string());
         }
     }
-}
 
-impl Held<'_> {
+    fn refuse(&mut self, why: &str) {
+        self.lose(why);
+        self.refused = Some(why.to_owned());
+    }
+
     fn lose(&mut self, why: &str) {
         self.ended = Some(Ended {
             mode: "lost".into(),
@@ -177,8 +214,7 @@ impl Held<'_> {
             Ok(Some(Reply::Ended { ended, .. })) => self.ended = Some(ended),
             Ok(Some(Reply::Answer(answer))) => {
                 if let Err(error) = answer.agreed() {
-                    self.lose(&error.to_string());
-                    self.refused = Some(error.to_string());
+                    self.refuse(&error.to_string());
                 }
             }
             Ok(_) => {}

@@ -12,7 +12,10 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use singletrack_api::{Answer, ClientError, Request, Status, ask_within};
+use singletrack_api::{
+    Answer, ClientError, ClockOffset, Connection, Reply, Request, Status, ask_within,
+};
+use singletrackd::monotonic_ns;
 
 use crate::{
     control::{ControlError, print},
@@ -104,20 +107,33 @@ pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Asks all cars at once; the answers are in their order.
-fn ask_all(fleet: &Fleet, request: &Request) -> Vec<Result<Answer, ClientError>> {
+/// Does something with all cars at once; the results are in their order.
+fn with_all<T: Send>(
+    fleet: &Fleet,
+    ask: impl Fn(&Car) -> Result<T, ClientError> + Sync,
+) -> Vec<Result<T, ClientError>> {
     thread::scope(|scope| {
-        let asked: Vec<_> = fleet
-            .cars
-            .iter()
-            .map(|car| scope.spawn(|| ask_within(request, &car.socket(), PATIENCE)))
-            .collect();
+        let ask = &ask;
+        let cars = fleet.cars.iter();
+        let asked: Vec<_> = cars.map(|car| scope.spawn(move || ask(car))).collect();
         let answers = asked.into_iter().map(thread::ScopedJoinHandle::join);
         // A thread that has panicked has not heard its daemon.
         answers
             .map(|answer| answer.unwrap_or(Err(ClientError::Ended)))
             .collect()
     })
+}
+
+/// Asks all cars at once.
+fn ask_all(fleet: &Fleet, request: &Request) -> Vec<Result<Answer, ClientError>> {
+    with_all(fleet, |car| ask_within(request, &car.socket(), PATIENCE))
+}
+
+/// A connection to a car's daemon, and how far its clock is ahead of this computer's.
+fn connect(car: &Car) -> Result<(Connection, ClockOffset), ClientError> {
+    let mut connection = Connection::open(&car.socket(), PATIENCE)?;
+    let offset = connection.clock_offset(monotonic_ns, PATIENCE)?;
+    Ok((connection, offset))
 }
 
 /// Tells all cars something.
@@ -151,13 +167,18 @@ fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
         .map(|car| car.name.len())
         .max()
         .unwrap_or(0);
-    for (answer, car) in ask_all(fleet, &Request::Status {})
-        .into_iter()
-        .zip(&fleet.cars)
-    {
-        match answer.map(|answer| answer.status) {
-            Ok(Some(status)) => lines.push(format!("{:width$}  {}", car.name, line(&status))),
-            Ok(None) => failures.push(failure(car, &ClientError::Ended)),
+    let ask = |car: &Car| {
+        let (mut connection, offset) = connect(car)?;
+        connection.send(&Request::Status {})?;
+        let reply = connection.receive_within::<Reply>(PATIENCE)?;
+        let answer = reply.ok_or(ClientError::Ended)?.agreed()?;
+        Ok((answer.status.ok_or(ClientError::Ended)?, offset))
+    };
+    for (answer, car) in with_all(fleet, ask).into_iter().zip(&fleet.cars) {
+        match answer {
+            Ok((status, offset)) => {
+                lines.push(format!("{:width$}  {}", car.name, line(&status, &offset)));
+            }
             Err(error) => failures.push(failure(car, &error)),
         }
     }
@@ -165,7 +186,7 @@ fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
 }
 
 /// What one car does, in a line.
-fn line(status: &Status) -> String {
+fn line(status: &Status, clock: &ClockOffset) -> String {
     let place = status.estimate.as_ref().map_or_else(
         || "no pose".to_owned(),
         |estimate| {
@@ -177,9 +198,13 @@ fn line(status: &Status) -> String {
     );
     let filtering = status.filtering.as_deref().filter(|word| *word != "none");
     let reason = status.reason.as_deref().or(filtering).unwrap_or("");
-    format!("{:12} {place}  {reason}", status.mode)
-        .trim_end()
-        .to_owned()
+    let [offset_ms, bound_ms] = [clock.offset_ns as f64, clock.bound_ns as f64].map(|ns| ns / 1e6);
+    format!(
+        "{:12} {place}  clock {offset_ms:+.3} ms ± {bound_ms:.3}  {reason}",
+        status.mode
+    )
+    .trim_end()
+    .to_owned()
 }
 
 fn watch(fleet: &Fleet) -> Result<(), FleetError> {

@@ -23,6 +23,8 @@ use super::setpoint::unreadable;
 pub enum Command {
     /// Answered by one line.
     Simple(SimpleRequest),
+    /// The clocks, answered by one line.
+    Clock,
     /// The configuration in force, answered by one line.
     Configuration,
     /// Arm, and follow the reference; answered when the car drives or can't be armed.
@@ -111,6 +113,8 @@ pub struct Arm {
     pub attendance: Attendance,
     /// Of a held drive: the longest time between two renewals, if it is shorter than the pilot's.
     pub hold: Option<Duration>,
+    /// Of a held drive: when its reference begins, on `CLOCK_MONOTONIC`.
+    pub start_ns: Option<u64>,
     /// Whether the car may drive without having passed doctor, bring-up and calibrate.
     pub uncalibrated: bool,
 }
@@ -160,9 +164,10 @@ impl Command {
     fn of(request: Request, now_ns: u64) -> Result<Self, ParseError> {
         Ok(match request {
             Request::Status {} => Self::Simple(SimpleRequest::Status),
+            Request::Clock {} => Self::Clock,
             Request::Arm(arm) => {
                 let attendance = attendance(&arm)?;
-                let hold = hold(&arm)?;
+                let hold = hold(&arm, now_ns)?;
                 match (arm.jog, attendance) {
                     (true, Attendance::Hold) => Self::ArmJog,
                     (true, _) => {
@@ -171,6 +176,7 @@ impl Command {
                     (false, attendance) => Self::Arm(Arm {
                         attendance,
                         hold,
+                        start_ns: arm.start_ns,
                         uncalibrated: arm.uncalibrated,
                     }),
                 }
@@ -273,11 +279,25 @@ fn attendance(arm: &singletrack_api::Arm) -> Result<Attendance, String> {
 /// The longest time between two renewals of a held drive, ms: the pilot's is the longest.
 const HOLD_MS: RangeInclusive<u64> = 100..=500;
 
-/// What a client asks for a held drive.
-fn hold(arm: &singletrack_api::Arm) -> Result<Option<Duration>, String> {
+/// The longest time from a request to arm to the start of its reference, ns.
+const LONGEST_WAIT_NS: u64 = 60_000_000_000;
+
+/// The time between two renewals that a client asks for a held drive, if all that it asks is valid.
+fn hold(arm: &singletrack_api::Arm, now_ns: u64) -> Result<Option<Duration>, String> {
     let is_held = arm.attendance == Some(singletrack_api::Attendance::Hold) && !arm.jog;
+    if !is_held && (arm.hold_ms.is_some() || arm.start_ns.is_some()) {
+        return Err("only attendance \"hold\" without jog takes hold_ms and start_ns".to_owned());
+    }
+    if let Some(start_ns) = arm.start_ns
+        && !(now_ns..=now_ns + LONGEST_WAIT_NS).contains(&start_ns)
+    {
+        return Err(format!(
+            "start_ns is {start_ns}: it must lie within {} s from now, {now_ns} on this daemon's \
+             CLOCK_MONOTONIC; ask for its clock",
+            LONGEST_WAIT_NS / 1_000_000_000
+        ));
+    }
     match arm.hold_ms {
-        Some(_) if !is_held => Err("only attendance \"hold\" without jog takes hold_ms".to_owned()),
         Some(ms) if !HOLD_MS.contains(&ms) => Err(format!(
             "hold_ms is {ms}: it must lie between {} and {}",
             HOLD_MS.start(),

@@ -36,6 +36,7 @@ fn valid_lines_are_parsed() {
     let arm = |attendance| Arm {
         attendance,
         hold: None,
+        start_ns: None,
         uncalibrated: false,
     };
     let setpoint = |position, time| {
@@ -94,6 +95,13 @@ fn valid_lines_are_parsed() {
             r#"{"version":2,"command":"arm","attendance":"hold","hold_ms":150}"#,
             Command::Arm(Arm {
                 hold: Some(Duration::from_millis(150)),
+                ..arm(Attendance::Hold)
+            }),
+        ),
+        (
+            r#"{"version":2,"command":"arm","attendance":"hold","start_ns":60000001000}"#,
+            Command::Arm(Arm {
+                start_ns: Some(60_000_001_000),
                 ..arm(Attendance::Hold)
             }),
         ),
