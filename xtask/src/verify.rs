@@ -157,7 +157,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 27] = [
+const STEPS: [Step; 28] = [
     // Static checks.
     row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -212,7 +212,7 @@ const STEPS: [Step; 27] = [
     }),
     row("book", 100, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book")))),
-    row("release", 670, All,
+    row("release", 660, All,
         "the programs build as they are installed, and simulate the bits of the tested ones",
         compare_release),
     row("debian", 30, Of(Part::Debian),
@@ -228,6 +228,11 @@ const STEPS: [Step; 27] = [
         |packages| check(&mut suite(packages, "native")?)),
     row("hil-uno", 75, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
+    row("two-computers", 10, All,
+        "the cars of two computers start together, and stop when their network is cut",
+        |packages| check(
+            Command::new(root().join("tests/hil/two_computers.py")).arg(packages.path("")?),
+        )),
     row("octave", 10, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
     row("browser", 15, Of(Part::Browser),

@@ -29,7 +29,8 @@ use crate::{clock::monotonic_ns, handle::DaemonHandle};
 /// The most frequent renewals that are passed on: a flood must not fill the ring of requests.
 const LEAST_RENEWAL: Duration = Duration::from_millis(20);
 
-/// Interval of the reports about a drive to the client that attends it.
+/// Interval of the reports about a drive to the client that attends it. One that asks for a shorter
+/// hold gets three in that time.
 const REPORT: Duration = Duration::from_millis(200);
 
 /// Arms a drive and holds it for as long as the client renews it. Returns whether the
@@ -134,6 +135,7 @@ async fn serve_drive(
     let mut reported = Instant::now();
     let mut renewed: Option<Instant> = None;
     let mut hold = drive.hold;
+    let report_interval = drive.hold.map_or(REPORT, |hold| (hold / 3).min(REPORT));
     let begun = Instant::now();
     loop {
         let room = LONGEST_LINE.saturating_sub(line.len() as u64);
@@ -163,7 +165,7 @@ async fn serve_drive(
                     was_driving = true;
                     send(write, &Answer::done()).await?;
                 }
-                if was_driving && reported.elapsed() >= REPORT {
+                if was_driving && reported.elapsed() >= report_interval {
                     reported = Instant::now();
                     if let Some(output) = snapshot.output() {
                         send(write, &report(output)).await?;

@@ -38,9 +38,6 @@ pub(super) struct FleetArmArgs {
 /// Interval of the renewals.
 const RENEWAL: Duration = Duration::from_millis(50);
 
-/// A car stops this long after the last renewal.
-const HOLD_MS: u64 = 150;
-
 /// All cars are armed so long before the start, or none drives.
 const ARMED_BEFORE: Duration = Duration::from_millis(100);
 
@@ -50,8 +47,9 @@ const CLOCK_BOUND: Duration = Duration::from_millis(1);
 /// The longest wait for a line of one car: renewals must not be late.
 const WAIT: Duration = Duration::from_millis(2);
 
-/// A daemon reports on a drive five times a second; one that is silent for longer is lost.
-const SILENCE: Duration = Duration::from_secs(1);
+/// A car stops this long after the last renewal. Its daemon reports on the drive three times as
+/// often; one that is silent for as long is lost.
+const HOLD: Duration = Duration::from_millis(150);
 
 /// The longest time until a car has stopped.
 const STOP_TIMEOUT: Duration = Duration::from_secs(6);
@@ -101,7 +99,7 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
     for car in &mut cars {
         car.send(&Request::Arm(Arm {
             attendance: Some(Attendance::Hold),
-            hold_ms: Some(HOLD_MS),
+            hold_ms: Some(HOLD.as_millis() as u64),
             start_ns: Some(car.clock.daemon_ns(start_ns)),
             uncalibrated: args.uncalibrated,
             ..Arm::default()
@@ -207,7 +205,7 @@ impl Held<'_> {
         let received = self.connection.receive_within(WAIT);
         if matches!(received, Ok(Some(_))) {
             self.heard = Some(Instant::now());
-        } else if self.heard.is_some_and(|heard| heard.elapsed() > SILENCE) {
+        } else if self.heard.is_some_and(|heard| heard.elapsed() > HOLD) {
             self.lose("its daemon is silent");
         }
         match received {
