@@ -199,6 +199,15 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
         .output()
         .unwrap();
     assert_eq!(timed.status.code(), Some(0), "{}", text(&timed));
+    wait(&cars, |mode| mode == Mode::Ready);
+    let file = folder.join("fleet.toml");
+    let right = std::fs::read_to_string(&file).unwrap();
+    std::fs::write(&file, right.replace("\"car2\"\n", "\"car2\"\nnumber = 7\n")).unwrap();
+    let other = fleet(folder, &["arm"]).output().unwrap();
+    assert_eq!(other.status.code(), Some(1), "{}", text(&other));
+    let wrong = "car2: number is 7, and board.car_id of its daemon is 0";
+    assert!(text(&other).contains(wrong), "{}", text(&other));
+    // It is no reason not to stop.
     let stop = fleet(folder, &["stop"]).output().unwrap();
     assert!(stop.status.success(), "{}", text(&stop));
     for (_, daemon) in cars {

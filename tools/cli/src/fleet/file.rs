@@ -22,6 +22,8 @@ pub(super) struct Car {
     pub(super) name: String,
     /// The control socket of its daemon; for a car on another computer, one that `ssh -L` forwards.
     socket: Option<PathBuf>,
+    /// The number of its board, as `board.car_id` in its configuration.
+    pub(super) number: Option<u16>,
 }
 
 /// Why there is no fleet.
@@ -54,12 +56,12 @@ pub enum FleetFileError {
         /// The name.
         name: String,
     },
-    /// Two cars have one name, or one socket.
+    /// Two cars have one name, socket or number.
     #[error("{}: two cars have the {what} {value}: give each one of its own", path.display())]
     Twice {
         /// The file.
         path: PathBuf,
-        /// `name` or `socket`.
+        /// `name`, `socket` or `number`.
         what: &'static str,
         /// Its value.
         value: String,
@@ -106,7 +108,9 @@ impl Fleet {
                 return Err(FleetFileError::Name { path, name });
             }
             let socket = car.socket().display().to_string();
-            for (what, value) in [("name", name), ("socket", socket)] {
+            let number = car.number.map(|number| ("number", number.to_string()));
+            let named = [("name", name), ("socket", socket)];
+            for (what, value) in named.into_iter().chain(number) {
                 if !taken.insert((what, value.clone())) {
                     return Err(FleetFileError::Twice { path, what, value });
                 }
@@ -144,6 +148,10 @@ mod tests {
                 "two cars have the name a",
             ),
             ("[[car]]\nnane = \"a\"\n", "unknown field `nane`"),
+            (
+                "[[car]]\nname = \"a\"\nnumber = 1\n[[car]]\nname = \"b\"\nnumber = 1\n",
+                "two cars have the number 1",
+            ),
             ("", "[[car]]"),
             (
                 "[[car]]\nname = \"a\"\nsocket = \"/s\"\n[[car]]\nname = \"b\"\nsocket = \"/s\"\n",

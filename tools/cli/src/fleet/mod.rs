@@ -129,11 +129,33 @@ fn ask_all(fleet: &Fleet, request: &Request) -> Vec<Result<Answer, ClientError>>
     with_all(fleet, |car| ask_within(request, &car.socket(), PATIENCE))
 }
 
-/// A connection to a car's daemon, and how far its clock is ahead of this computer's.
+/// A connection to the daemon of a car with its number, and how far its clock is ahead of this
+/// computer's.
 fn connect(car: &Car) -> Result<(Connection, ClockOffset), ClientError> {
     let mut connection = Connection::open(&car.socket(), PATIENCE)?;
+    if let Some(number) = car.number {
+        let toml = answer(&mut connection, &Request::Configuration {})?.toml;
+        let table = toml.and_then(|toml| toml.parse::<toml::Table>().ok());
+        let configured = table
+            .as_ref()
+            .and_then(|table| table.get("board")?.get("car_id"));
+        if configured.and_then(toml::Value::as_integer) != Some(number.into()) {
+            let configured = configured.map_or_else(|| "unknown".to_owned(), ToString::to_string);
+            return Err(ClientError::Refused(format!(
+                "number is {number}, and board.car_id of its daemon is {configured}: correct the \
+                 number or the socket in the fleet's file"
+            )));
+        }
+    }
     let offset = connection.clock_offset(monotonic_ns, PATIENCE)?;
     Ok((connection, offset))
+}
+
+/// The answer to a request.
+fn answer(connection: &mut Connection, request: &Request) -> Result<Answer, ClientError> {
+    connection.send(request)?;
+    let reply = connection.receive_within::<Reply>(PATIENCE)?;
+    reply.ok_or(ClientError::Ended)?.agreed()
 }
 
 /// Tells all cars something.
@@ -169,10 +191,8 @@ fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
         .unwrap_or(0);
     let ask = |car: &Car| {
         let (mut connection, offset) = connect(car)?;
-        connection.send(&Request::Status {})?;
-        let reply = connection.receive_within::<Reply>(PATIENCE)?;
-        let answer = reply.ok_or(ClientError::Ended)?.agreed()?;
-        Ok((answer.status.ok_or(ClientError::Ended)?, offset))
+        let status = answer(&mut connection, &Request::Status {})?.status;
+        Ok((status.ok_or(ClientError::Ended)?, offset))
     };
     for (answer, car) in with_all(fleet, ask).into_iter().zip(&fleet.cars) {
         match answer {
