@@ -4,6 +4,7 @@
 
 use std::{
     fmt::Write as _,
+    io::{BufRead as _, BufReader},
     path::Path,
     process::{Command, Output, Stdio},
     sync::{Arc, Mutex},
@@ -46,7 +47,15 @@ fn car(index: usize) -> FleetCar {
     }
 }
 
-fn start(folder: &Path, cars: &[FleetCar; 2]) -> Vec<(RealTimeSimulator, Daemon)> {
+/// Starts simulators and daemons. `relay` is told where the cameras of the first one are, and says
+/// where the daemons find them.
+fn start(
+    folder: &Path,
+    cars: &[FleetCar; 2],
+    relay: Option<&mut dyn FnMut(u16) -> u16>,
+) -> Vec<(RealTimeSimulator, Daemon)> {
+    let mut relay = relay;
+    let mut relayed = None;
     let floor = Arc::new(Mutex::new(fleet_floor(cars)));
     let mut fleet = String::new();
     let mut start = |index: usize| {
@@ -69,7 +78,11 @@ fn start(folder: &Path, cars: &[FleetCar; 2]) -> Vec<(RealTimeSimulator, Daemon)
         })
         .unwrap();
         config.serial.port = simulator.pty_path().to_owned();
-        config.motion_capture.command_port = Some(simulator.command_address().port());
+        let mut cameras = simulator.command_address().port();
+        if let Some(relay) = &mut relay {
+            cameras = *relayed.get_or_insert_with(|| relay(cameras));
+        }
+        config.motion_capture.command_port = Some(cameras);
         config.motion_capture.data_port = simulator.data_address().port();
         config.state.directory = folder.join("state");
         config.record.enabled = false;
@@ -179,7 +192,7 @@ fn begins_to_stop(
 fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let cars = start(folder, &[car(0), car(1)]);
+    let cars = start(folder, &[car(0), car(1)], None);
     let early = fleet(folder, &["arm"]).output().unwrap();
     assert_eq!(early.status.code(), Some(1), "{}", text(&early));
     assert!(text(&early).contains("car1: not ready"), "{}", text(&early));
@@ -228,7 +241,7 @@ fn no_car_drives_on_when_one_is_refused() {
     let folder = folder.path();
     let mut uncalibrated = car(1);
     uncalibrated.config.supervisor.require_calibration = true;
-    let cars = start(folder, &[car(0), uncalibrated]);
+    let cars = start(folder, &[car(0), uncalibrated], None);
     wait(&cars, |mode| mode == Mode::Ready);
     let arm = fleet(folder, &["arm"]).output().unwrap();
     assert_eq!(arm.status.code(), Some(1), "{}", text(&arm));
@@ -241,4 +254,61 @@ fn no_car_drives_on_when_one_is_refused() {
     for (_, daemon) in cars {
         daemon.stop().unwrap();
     }
+}
+
+#[test]
+fn all_daemons_hear_the_cameras_through_one_client_and_stop_when_it_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let mut client = None;
+    let mut relay = |port: u16| {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+            .args(["fleet", "cameras", "--server", "localhost", "--listen"])
+            .args(["127.0.0.1:0", "--port", &port.to_string()])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = String::new();
+        let output = child.stdout.take().unwrap();
+        BufReader::new(output).read_line(&mut said).unwrap();
+        client = Some(child);
+        said.trim_end().rsplit(':').next().unwrap().parse().unwrap()
+    };
+    let cars = start(folder, &[car(0), car(1)], Some(&mut relay));
+    let mut client = client.unwrap();
+    wait(&cars, |mode| mode == Mode::Ready);
+    let mut arm = fleet(folder, &["arm", "--start-in", "1s"])
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait(&cars, |mode| mode == Mode::Driving);
+    for (_, daemon) in &cars {
+        begun_ns(daemon);
+    }
+    client.kill().unwrap();
+    client.wait().unwrap();
+    let killed = Instant::now();
+    wait(&cars, |mode| mode != Mode::Driving);
+    println!("the client is killed: {:?}", killed.elapsed());
+    wait(&cars, |mode| !mode.commands());
+    for (_, daemon) in cars {
+        assert_eq!(daemon.snapshot().reason(), Some(Reason::PoseTooOld));
+        daemon.stop().unwrap();
+    }
+    assert_eq!(arm.wait().unwrap().code(), Some(3));
+}
+
+#[test]
+fn the_cameras_are_not_heard_through_themselves() {
+    let arguments = ["fleet", "cameras", "--server", "127.0.0.1"];
+    let command = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert_eq!(command.status.code(), Some(1));
+    assert!(
+        text(&command).contains("cameras' own address"),
+        "{}",
+        text(&command)
+    );
 }

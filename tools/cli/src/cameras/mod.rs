@@ -75,7 +75,7 @@ enum Format {
     Json,
 }
 
-fn parse_address(text: &str) -> Result<Ipv4Addr, String> {
+pub(crate) fn parse_address(text: &str) -> Result<Ipv4Addr, String> {
     match text {
         "localhost" => Ok(Ipv4Addr::LOCALHOST),
         _ => text

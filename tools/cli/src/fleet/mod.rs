@@ -1,6 +1,7 @@
 //! `singletrack fleet`: one command for several cars, each with a daemon of its own.
 
 mod arm;
+mod cameras;
 mod file;
 
 use std::{
@@ -23,6 +24,7 @@ use crate::{
 };
 use file::{Car, Fleet};
 
+pub use cameras::RelayError;
 pub use file::FleetFileError;
 
 /// The longest wait for a daemon's answer: the others are asked meanwhile.
@@ -64,6 +66,11 @@ enum FleetCommand {
     Disarm,
     /// Emergency stop of all cars: neutral at once, until their boards are reset.
     Stop,
+    /// Hear a NatNet server once for all daemons of this computer, until Ctrl-C.
+    ///
+    /// For unicast: a server may send to one client of a computer only. With multicast, each daemon
+    /// hears the one stream.
+    Cameras(cameras::FleetCamerasArgs),
 }
 
 /// Why a command for a fleet failed.
@@ -72,6 +79,9 @@ pub enum FleetError {
     /// There is no fleet.
     #[error(transparent)]
     File(#[from] FleetFileError),
+    /// The cameras' frames can't be passed on.
+    #[error(transparent)]
+    Relay(#[from] RelayError),
     /// Cars did not obey.
     #[error("{}", .0.join("\n"))]
     Cars(Vec<String>),
@@ -86,23 +96,24 @@ pub enum FleetError {
 ///
 /// There is no fleet, or a car did not obey; all others were asked all the same.
 pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
-    let fleet = Fleet::read(&args.fleet)?;
+    let fleet = || Fleet::read(&args.fleet);
     match &args.command {
         FleetCommand::Status { watch: false } => {
-            let (lines, failures) = status(&fleet);
+            let (lines, failures) = status(&fleet()?);
             print(&lines.join("\n"))?;
             obeyed(failures)?;
         }
-        FleetCommand::Status { watch: true } => watch(&fleet)?,
-        FleetCommand::Arm(args) => return arm::run(&fleet, args),
+        FleetCommand::Status { watch: true } => watch(&fleet()?)?,
+        FleetCommand::Arm(args) => return arm::run(&fleet()?, args),
         FleetCommand::Disarm => {
-            tell(&fleet, &Request::DISARM)?;
+            tell(&fleet()?, &Request::DISARM)?;
             print("disarming: all cars slow down and stop")?;
         }
         FleetCommand::Stop => {
-            tell(&fleet, &Request::Stop {})?;
+            tell(&fleet()?, &Request::Stop {})?;
             print("stopped: neutral until the boards are reset")?;
         }
+        FleetCommand::Cameras(args) => return cameras::run(args),
     }
     Ok(ExitCode::SUCCESS)
 }
