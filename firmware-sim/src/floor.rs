@@ -37,17 +37,28 @@ impl Floor {
         }
     }
 
-    /// Car `index` is here now; `started_us` is when its world began, on the floor's clock.
-    pub fn place(&mut self, index: usize, started_us: i64, truth: Truth) {
-        if let Some(car) = self.cars.get_mut(index) {
-            car.placed = Some((started_us + truth.time_us as i64, truth));
-            let half_m = car.half_m;
-            let gaps = self.others(index).filter_map(|other| {
-                let (_, placed) = other.placed?;
-                Some(apart(&truth, &placed, [half_m, other.half_m]))
-            });
-            self.nearest_m = gaps.fold(self.nearest_m, f64::min);
+    /// Car `index` is here now; `started_us` is when its world began, on the floor's clock. Whether it
+    /// drives into another one, which stops it: [`Car::collide`](crate::Car::collide).
+    #[must_use]
+    pub fn place(&mut self, index: usize, started_us: i64, truth: Truth) -> bool {
+        let Some(car) = self.cars.get_mut(index) else {
+            return false;
+        };
+        car.placed = Some((started_us + truth.time_us as i64, truth));
+        let half_m = car.half_m;
+        let (mut nearest_m, mut collides) = (self.nearest_m, false);
+        for other in self.others(index) {
+            let Some((_, placed)) = other.placed else {
+                continue;
+            };
+            let gap_m = apart(&truth, &placed, [half_m, other.half_m]);
+            let [x, y] = velocity(&truth);
+            let approaches = x * (placed.x - truth.x) + y * (placed.y - truth.y) > 0.0;
+            collides |= gap_m < 0.0 && approaches;
+            nearest_m = nearest_m.min(gap_m);
         }
+        self.nearest_m = nearest_m;
+        collides
     }
 
     /// The others, in their order, as decoys of the world of car `index`, which began at
@@ -55,11 +66,10 @@ impl Floor {
     pub fn decoys(&self, index: usize, started_us: i64) -> impl Iterator<Item = DecoyMotion> {
         self.others(index).map(move |other| {
             let (at_us, truth) = other.placed.unwrap_or_default();
-            let (sin, cos) = sincos(truth.yaw + truth.sideslip);
             DecoyMotion {
                 at_us: at_us - started_us,
                 position_m: [truth.x, truth.y],
-                velocity_m_s: [truth.speed * cos, truth.speed * sin],
+                velocity_m_s: velocity(&truth),
                 seen: match other.placed {
                     Some(_) => other.seen,
                     None => Sight::Not,
@@ -85,6 +95,12 @@ impl Floor {
     pub const fn nearest_m(&self) -> f64 {
         self.nearest_m
     }
+}
+
+/// In the floor's frame, in m/s.
+fn velocity(truth: &Truth) -> [f64; 2] {
+    let (sin, cos) = sincos(truth.yaw + truth.sideslip);
+    [truth.speed * cos, truth.speed * sin]
 }
 
 /// The distance between two rectangles along the axis of either that separates them best, in m: not
@@ -125,7 +141,7 @@ mod tests {
     #[test]
     fn the_gap_between_two_bodies_is_that_of_their_rectangles() {
         let mut floor = Floor::new([[0.2, 0.1]; 2]);
-        floor.place(0, 0, at(0.0, 0.0, 0.0));
+        assert!(!floor.place(0, 0, at(0.0, 0.0, 0.0)));
         assert_eq!(floor.nearest_m(), f64::INFINITY);
         for (truth, gap) in [
             (at(1.0, 0.0, 0.0), 0.6),
@@ -134,8 +150,24 @@ mod tests {
             (at(0.3, 0.1, 0.0), -0.1),
         ] {
             let mut floor = floor.clone();
-            floor.place(1, 0, truth);
+            assert!(!floor.place(1, 0, truth), "it stands");
             assert!((floor.nearest_m() - gap).abs() < 1e-12, "{truth:?}");
+        }
+    }
+
+    #[test]
+    fn a_car_collides_with_a_body_that_it_overlaps_and_drives_at() {
+        for (x, speed, collides) in [
+            (0.3, 1.0, true),
+            (0.3, -1.0, false),
+            (-0.3, -1.0, true),
+            (0.5, 1.0, false),
+        ] {
+            let mut floor = Floor::new([[0.2, 0.1]; 2]);
+            let _ = floor.place(1, 0, at(x, 0.0, 1.0));
+            let mut truth = at(0.0, 0.0, 0.0);
+            truth.speed = speed;
+            assert_eq!(floor.place(0, 0, truth), collides, "{x} {speed}");
         }
     }
 
@@ -144,7 +176,7 @@ mod tests {
         let mut floor = Floor::new([[0.2, 0.1]; 2]);
         let mut truth = at(1.0, 2.0, 0.0);
         (truth.time_us, truth.speed) = (500, 3.0);
-        floor.place(1, 10_000, truth);
+        assert!(!floor.place(1, 10_000, truth));
         let decoys: Vec<_> = floor.decoys(0, 2_000).collect();
         let decoy = DecoyMotion {
             at_us: 8_500,

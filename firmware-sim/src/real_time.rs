@@ -414,13 +414,16 @@ impl Machine {
         self.serve_network();
     }
 
-    /// Tells the other cars' cameras where this one is, and its own where they are.
+    /// Tells the other cars' cameras where this one is, and its own where they are. It stops if it
+    /// drives into one.
     fn share_floor(&mut self) {
         if let Some(SharedFloor { floor, index }) = &self.floor {
             let started_us = (self.started_ns / 1_000) as i64;
             let truth = self.world.truth();
             let mut floor = floor.lock().unwrap_or_else(PoisonError::into_inner);
-            floor.place(*index, started_us, truth);
+            if floor.place(*index, started_us, truth) {
+                self.world.car_mut().collide();
+            }
             let decoys = floor.decoys(*index, started_us);
             self.world.cameras_mut().move_decoys(decoys);
         }

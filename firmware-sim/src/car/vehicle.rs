@@ -274,6 +274,13 @@ impl Car {
         self.servo_held_us = self.parameters.servo.centre_us;
     }
 
+    /// Stands at once: what it drives into does not give way.
+    pub fn collide(&mut self) {
+        let SingleTrackState { x, y, yaw, .. } = self.state.track;
+        self.state.wheel_speed = 0.0;
+        self.rest([x, y], yaw);
+    }
+
     /// Begins what a person does with the car; a motion that is under way ends where it is.
     /// A car that moves is stopped.
     pub fn begin_by_hand(&mut self, motion: HandMotion) {

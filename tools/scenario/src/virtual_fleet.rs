@@ -120,10 +120,12 @@ impl VirtualFleet {
         }
     }
 
-    /// Tells every car's cameras where the others are.
+    /// Tells every car's cameras where the others are, and stops those that drive into another.
     fn exchange(&mut self) {
-        for (index, car) in self.cars.iter().enumerate() {
-            self.floor.place(index, 0, car.world().truth());
+        for (index, car) in self.cars.iter_mut().enumerate() {
+            if self.floor.place(index, 0, car.world().truth()) {
+                car.world_mut().car_mut().collide();
+            }
         }
         for (index, car) in self.cars.iter_mut().enumerate() {
             let decoys = self.floor.decoys(index, 0);

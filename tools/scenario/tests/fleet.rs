@@ -197,3 +197,24 @@ fn cars_that_meet_head_on_stop_apart_and_each_thing_that_is_expected_of_them_cou
     }
     assert!(blind < 0.0, "{blind}");
 }
+
+#[test]
+fn cars_that_do_not_look_stand_against_each_other_where_they_meet() {
+    let mut cars = [car("car1", [0.0, 0.0], 0.5), car("car2", [0.0, 0.0], -0.5)];
+    cars[1].start.y_m = 0.8;
+    cars[1].start.yaw_rad = -core::f64::consts::FRAC_PI_2;
+    for car in &mut cars {
+        car.config.neighbours.enabled = false;
+        car.config.neighbours.expected.clear();
+    }
+    let mut fleet = VirtualFleet::new(&cars).unwrap();
+    fleet.start().unwrap();
+    let seen = advance(&mut fleet, 10.0);
+    let gap_m = fleet.nearest_m();
+    assert!((-0.02..0.0).contains(&gap_m), "{gap_m}");
+    for seen in seen {
+        let (_, reason) = seen.ended.unwrap();
+        assert_eq!(reason, Reason::BoardFailsafe);
+        assert!(seen.way < 0.5 && seen.speed == 0.0, "{seen:?}");
+    }
+}
