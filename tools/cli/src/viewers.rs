@@ -97,7 +97,7 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     section.port = args.port.unwrap_or(section.port);
     section.token_file = args.token_file.clone().or(section.token_file);
     start_log();
-    let page = singletrack_viewers::page::Page::start(socket, &section)?;
+    let page = singletrack_viewers::page::Page::start(socket, Vec::new(), &section)?;
     let token = section.token_file.map_or_else(String::new, |path| {
         format!("/?token=TOKEN with the token from {}", path.display())
     });

@@ -37,7 +37,7 @@ fn section() -> PageSection {
 
 /// A page for the daemon of this folder.
 fn page(folder: &TempDir) -> (Page, SocketAddr) {
-    let page = Page::start(folder.path().join("control.sock"), &section()).unwrap();
+    let page = Page::start(folder.path().join("control.sock"), Vec::new(), &section()).unwrap();
     let address = page.address();
     assert!(address.ip().is_loopback());
     (page, address)
@@ -224,6 +224,49 @@ fn another_name_of_this_computer_is_refused() {
 }
 
 #[test]
+fn other_cars_are_shown_beside_as_long_as_their_daemons_answer() {
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let [first, second] = folders.each_ref().map(|folder| {
+        let mut config = config(folder);
+        config.motion_capture.rigid_body = folder.path().display().to_string();
+        Daemon::start(config, StartOptions::default()).unwrap()
+    });
+    let [socket, other] = folders
+        .each_ref()
+        .map(|folder| folder.path().join("control.sock"));
+    let others = vec![other, folders[0].path().join("nobody.sock")];
+    let page = Page::start(socket, others, &section()).unwrap();
+    let mut viewer = Viewer::connect(page.address());
+    let mut shown = |is_wanted: fn(&Value) -> bool| loop {
+        let others = viewer.event("state")["others"].take();
+        assert_eq!(others[1], Value::Null);
+        if is_wanted(&others[0]) {
+            break others[0].clone();
+        }
+    };
+    let other = shown(|other| !other.is_null());
+    assert_eq!(
+        other["car"]["name"],
+        folders[1].path().display().to_string()
+    );
+    assert_eq!(other["mode"], "disconnected");
+    for key in [
+        "corners_m",
+        "hold_ms",
+        "x",
+        "y",
+        "yaw",
+        "steering",
+        "pose_age",
+    ] {
+        assert!(other.get(key).is_some(), "{key}: {other}");
+    }
+    drop(second.stop());
+    shown(Value::is_null);
+    drop(first);
+}
+
+#[test]
 fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
     let (_beside, address) = start();
     let (head, setup) = get(address, "/setup.json");
@@ -346,7 +389,7 @@ fn what_is_secret_takes_the_token_of_the_file() {
         address: Ipv4Addr::UNSPECIFIED.into(),
         ..section()
     };
-    let page = Page::start(folder.path().join("control.sock"), &section).unwrap();
+    let page = Page::start(folder.path().join("control.sock"), Vec::new(), &section).unwrap();
     let address = page.address();
     let mode = fs::metadata(&file).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o640);
@@ -396,7 +439,8 @@ fn a_page_that_cannot_be_served_is_refused_with_what_to_change() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let refused = |section: PageSection, parts: &[&str]| {
-        let error = Page::start(folder.path().join("control.sock"), &section).unwrap_err();
+        let error =
+            Page::start(folder.path().join("control.sock"), Vec::new(), &section).unwrap_err();
         let text = error.to_string();
         for part in parts {
             assert!(text.contains(part), "{text}");

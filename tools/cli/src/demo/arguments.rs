@@ -36,7 +36,7 @@ pub struct DemoArgs {
         value_name = "N",
         default_value_t = 1,
         value_parser = parse_cars,
-        conflicts_with_all = ["live", "watch", "board", "car", "loss", "feed_forward"]
+        conflicts_with_all = ["live", "board", "car", "loss", "feed_forward"]
     )]
     pub(super) cars: usize,
 

@@ -3,7 +3,7 @@
 
 use std::{
     f64::consts::{FRAC_PI_2, PI, TAU},
-    path::Path,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, PoisonError},
     thread,
     time::{Duration, Instant},
@@ -25,6 +25,7 @@ use super::{
     DemoArgs, DemoError,
     files::{SUMMARY, configuration_of, record_of, write},
     settings,
+    viewers::Viewers,
 };
 use crate::{interrupt::Interrupt, progress::progress_bar};
 
@@ -34,6 +35,8 @@ use crate::{interrupt::Interrupt, progress::progress_bar};
 const CROSSING: (usize, f64, f64) = (3, 1.8, 0.5);
 /// The same for more.
 const APART: (f64, f64) = (2.0, 0.0);
+/// From the ring of the circles' centres to the geofence, in m.
+const FLOOR: f64 = 3.0;
 /// Speed on the circles, in rad/s and m/s.
 const SPEED: f64 = 0.5;
 /// How long boards, cameras and estimators may take to be ready.
@@ -126,6 +129,8 @@ fn car(args: &DemoArgs, index: usize) -> FleetCar {
         start: Start::Nearest,
     }));
     config.motion_capture.rigid_body = name(index);
+    let half = ring + FLOOR;
+    config.fence.corners_m = vec![[-half, -half], [half, -half], [half, half], [-half, half]];
     config.safety_filter.enabled = true;
     config.neighbours.enabled = true;
     config.neighbours.expected = (0..args.cars)
@@ -233,6 +238,11 @@ fn real_time(
     let fleet: Vec<_> = (0..cars.len())
         .map(start)
         .collect::<Result<_, DemoError>>()?;
+    let mut sockets = cars
+        .iter()
+        .map(|car| settings::socket(&folder(private.path(), car)));
+    let first = sockets.next().unwrap_or_default();
+    let _viewers = Viewers::start(args, &first, &sockets.collect::<Vec<_>>())?;
 
     let bar = bar(args);
     arm(&fleet, &bar, interrupt)?;
@@ -271,7 +281,7 @@ fn start(
     private: &Path,
 ) -> Result<Pair, DemoError> {
     let mut config = cars[index].config.clone();
-    let folder = private.join(&config.motion_capture.rigid_body);
+    let folder = folder(private, &cars[index]);
     std::fs::create_dir(&folder).map_err(DemoError::Temporary)?;
     let simulator = RealTimeSimulator::start(RealTimeConfig {
         floor: Some(SharedFloor {
@@ -291,6 +301,11 @@ fn start(
         },
     )?;
     Ok((simulator, daemon))
+}
+
+/// The private folder of a car.
+fn folder(private: &Path, car: &FleetCar) -> PathBuf {
+    private.join(&car.config.motion_capture.rigid_body)
 }
 
 fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), DemoError> {

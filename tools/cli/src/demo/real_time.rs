@@ -57,7 +57,7 @@ pub(super) fn run(
         },
     )?;
     #[cfg(any(feature = "live", feature = "page"))]
-    let _viewers = super::viewers::Viewers::start(args, &socket)?;
+    let _viewers = super::viewers::Viewers::start(args, &socket, &[])?;
     let start_ns = start(&daemon, &simulator, progress, interrupt)?;
     let ended = drive(
         &daemon,

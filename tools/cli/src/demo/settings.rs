@@ -1,6 +1,9 @@
 //! The demo's world and the daemon's configuration.
 
-use std::{net::Ipv4Addr, path::Path};
+use std::{
+    net::Ipv4Addr,
+    path::{Path, PathBuf},
+};
 
 use serde::Serialize;
 use singletrack_control::VehicleParameters;
@@ -104,7 +107,12 @@ pub(super) fn connect(simulator: &RealTimeSimulator, config: &mut Config, privat
     config.motion_capture.command_port = Some(simulator.command_address().port());
     config.motion_capture.data_port = simulator.data_address().port();
     config.state.directory = private.join("state");
-    config.socket.path = private.join("control.sock");
+    config.socket.path = socket(private);
+}
+
+/// The control socket of the daemon with this private folder.
+pub(super) fn socket(private: &Path) -> PathBuf {
+    private.join("control.sock")
 }
 
 pub(super) fn daemon(args: &DemoArgs) -> Result<Config, DemoError> {

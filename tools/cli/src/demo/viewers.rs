@@ -1,6 +1,6 @@
 //! What shows the drive while it goes on, as a client of the daemon's socket.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 #[cfg(feature = "live")]
 use singletrack_core::config::LiveSection;
@@ -23,8 +23,13 @@ pub(super) struct Viewers {
 }
 
 impl Viewers {
-    /// Starts them and prints their addresses.
-    pub(super) fn start(args: &DemoArgs, socket: &Path) -> Result<Self, DemoError> {
+    /// Starts them for the daemon at `socket`, the page with the cars of `others`, and prints their
+    /// addresses.
+    pub(super) fn start(
+        args: &DemoArgs,
+        socket: &Path,
+        others: &[PathBuf],
+    ) -> Result<Self, DemoError> {
         let mut viewers = Self::default();
         #[cfg(feature = "page")]
         if let Some(port) = args.watch {
@@ -32,7 +37,7 @@ impl Viewers {
                 port,
                 ..PageSection::default()
             };
-            let page = Page::start(socket.to_owned(), &section)?;
+            let page = Page::start(socket.to_owned(), others.to_vec(), &section)?;
             eprintln!("Watch the drive in a browser: http://{}", page.address());
             viewers._page = Some(page);
         }

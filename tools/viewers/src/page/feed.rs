@@ -12,6 +12,7 @@ use serde_json::{Map, Value, json};
 use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
+use super::setup::car;
 use crate::daemon::{PATIENCE, silent};
 
 /// Interval of the states, and of the statuses.
@@ -32,6 +33,9 @@ const KEPT: [&str; 7] = [
     "pose_age",
 ];
 
+/// What the page shows of another car.
+const SHOWN: [&str; 7] = ["mode", "reason", "x", "y", "yaw", "steering", "pose_age"];
+
 /// For this long the daemon is watched after the last viewer has left: it may be loading the page
 /// again.
 const LINGER: Duration = Duration::from_secs(5);
@@ -44,19 +48,21 @@ pub(super) struct Feed {
     pub(super) statuses: watch::Sender<Arc<str>>,
     /// The last states of this daemon, for a viewer that has just come.
     history: Mutex<VecDeque<Map<String, Value>>>,
+    /// The newest of every other car; null without its daemon.
+    others: Mutex<Vec<Value>>,
 }
 
-impl Default for Feed {
-    fn default() -> Self {
+impl Feed {
+    /// Nothing yet, of a car and `others` more.
+    pub(super) fn new(others: usize) -> Self {
         Self {
             states: watch::Sender::new(Arc::from("")),
             statuses: watch::Sender::new(Arc::from("")),
             history: Mutex::default(),
+            others: Mutex::new(vec![Value::Null; others]),
         }
     }
-}
 
-impl Feed {
     pub(super) fn is_watched(&self) -> bool {
         self.states.receiver_count() > 0
     }
@@ -74,19 +80,11 @@ impl Feed {
     /// Publishes what the daemon at `socket` does for as long as a browser watches,
     /// and [`LINGER`] longer.
     pub(super) fn follow(&self, socket: &Path) -> Result<(), ClientError> {
-        let mut states = Connection::open(socket, PATIENCE)?;
-        states.send(&Request::Watch {
-            topics: vec!["state".to_owned()],
-        })?;
-        let answer: Option<Answer> = states.receive_within(PATIENCE)?;
-        answer.ok_or_else(|| silent(socket))?.agreed()?;
-        // Another daemon may have answered before.
-        self.history().clear();
         let mut asked: Option<Instant> = None;
-        let mut watched = Instant::now();
-        while watched.elapsed() < LINGER {
-            if self.is_watched() {
-                watched = Instant::now();
+        self.stream(socket, |newest| {
+            if asked.is_none() {
+                // Another daemon may have answered before.
+                self.history().clear();
             }
             if asked.is_none_or(|asked| asked.elapsed() >= STATUS_INTERVAL) {
                 asked = Some(Instant::now());
@@ -96,6 +94,58 @@ impl Feed {
                 let status = answer.get("status").unwrap_or(&Value::Null);
                 self.statuses.send_replace(event("status", status));
             }
+            if let Some(mut state) = newest {
+                self.keep(&state);
+                let others = self.others();
+                if let (Some(state), false) = (state.as_object_mut(), others.is_empty()) {
+                    state.insert("others".to_owned(), json!(*others));
+                }
+                self.states.send_replace(event("state", &state));
+            }
+            Ok(())
+        })?;
+        // Nothing old is shown to the next one.
+        self.statuses.send_replace(Arc::from(""));
+        Ok(())
+    }
+
+    /// Keeps the newest of another car, whose daemon is at `socket`, for the states.
+    pub(super) fn follow_other(&self, index: usize, socket: &Path) -> Result<(), ClientError> {
+        let set = |value| {
+            if let Some(other) = self.others().get_mut(index) {
+                *other = value;
+            }
+        };
+        let mut shown = car(socket)?;
+        let result = self.stream(socket, |newest| {
+            if let (Some(newest), Some(shown)) = (newest, shown.as_object_mut()) {
+                shown.extend(picked(&newest, &SHOWN));
+                set(json!(shown));
+            }
+            Ok(())
+        });
+        set(Value::Null);
+        result
+    }
+
+    /// Gives each newest state of the daemon at `socket` for as long as a browser watches, and
+    /// [`LINGER`] longer.
+    fn stream(
+        &self,
+        socket: &Path,
+        mut each: impl FnMut(Option<Value>) -> Result<(), ClientError>,
+    ) -> Result<(), ClientError> {
+        let mut states = Connection::open(socket, PATIENCE)?;
+        states.send(&Request::Watch {
+            topics: vec!["state".to_owned()],
+        })?;
+        let answer: Option<Answer> = states.receive_within(PATIENCE)?;
+        answer.ok_or_else(|| silent(socket))?.agreed()?;
+        let mut watched = Instant::now();
+        while watched.elapsed() < LINGER {
+            if self.is_watched() {
+                watched = Instant::now();
+            }
             let mut newest = None;
             while let Some(line) = states.receive::<Value>()? {
                 // Other lines are about states that were missed.
@@ -103,28 +153,29 @@ impl Feed {
                     .filter(|line| line.get("topic").is_some())
                     .or(newest);
             }
-            if let Some(state) = newest {
-                self.keep(&state);
-                self.states.send_replace(event("state", &state));
-            }
+            each(newest)?;
             thread::sleep(STATE_INTERVAL);
         }
-        // Nothing old is shown to the next one.
-        self.statuses.send_replace(Arc::from(""));
         Ok(())
     }
 
+    fn others(&self) -> MutexGuard<'_, Vec<Value>> {
+        self.others.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn keep(&self, state: &Value) {
-        let kept = KEPT.iter().filter_map(|key| {
-            let value = state.get(key)?;
-            Some(((*key).to_owned(), value.clone()))
-        });
         let mut history = self.history();
         if history.len() == STATES {
             history.pop_front();
         }
-        history.push_back(kept.collect());
+        history.push_back(picked(state, &KEPT).collect());
     }
+}
+
+/// Some keys of a state.
+fn picked<'a>(state: &'a Value, keys: &'a [&str]) -> impl Iterator<Item = (String, Value)> + 'a {
+    keys.iter()
+        .filter_map(|key| Some(((*key).to_owned(), state.get(key)?.clone())))
 }
 
 /// An event.

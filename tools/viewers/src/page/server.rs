@@ -71,7 +71,7 @@ pub struct Page {
     address: SocketAddr,
     stop: Arc<Notify>,
     thread: Option<JoinHandle<()>>,
-    _follower: Follower,
+    _followers: Vec<Follower>,
     _token_file: Option<TokenFile>,
 }
 
@@ -89,13 +89,17 @@ pub(super) type Viewer<'a> = SemaphorePermit<'a>;
 
 impl Page {
     /// Starts to listen, for the daemon at `socket`, which need not run; and writes the file of the
-    /// token.
+    /// token. The cars of the daemons at `others` are shown beside.
     ///
     /// # Errors
     ///
     /// The address can't be listened on, or must not be without a token; the token can't be
     /// written; a thread does not start.
-    pub fn start(socket: PathBuf, section: &PageSection) -> Result<Self, PageError> {
+    pub fn start(
+        socket: PathBuf,
+        others: Vec<PathBuf>,
+        section: &PageSection,
+    ) -> Result<Self, PageError> {
         section.check_served()?;
         let address = SocketAddr::new(section.address, section.port);
         let failed = |source| PageError::Listen { address, source };
@@ -113,7 +117,7 @@ impl Page {
         });
         let (token, token_file) = key.transpose()?.unzip();
         let shared = Arc::new(Shared {
-            feed: Feed::default(),
+            feed: Feed::new(others.len()),
             setup: Setup::default(),
             token,
             places: Semaphore::new(VIEWERS),
@@ -125,7 +129,7 @@ impl Page {
             .max_blocking_threads(1)
             .build()?;
         let stop = Arc::new(Notify::new());
-        let follower = {
+        let first = {
             let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
             let (lost, socket) = (Arc::clone(&shared), socket.clone());
             Follower::start(
@@ -134,6 +138,15 @@ impl Page {
                 move |why| lost.feed.lost(&why),
             )?
         };
+        let mut followers = vec![first];
+        for (index, socket) in others.into_iter().enumerate() {
+            let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
+            followers.push(Follower::start(
+                move || watched.feed.is_watched(),
+                move || followed.feed.follow_other(index, &socket),
+                |_| {},
+            )?);
+        }
         let thread = thread::Builder::new().name("page".to_owned()).spawn({
             let stop = Arc::clone(&stop);
             move || run(runtime, listener, &socket, &shared, &stop)
@@ -142,7 +155,7 @@ impl Page {
             address,
             stop,
             thread: Some(thread),
-            _follower: follower,
+            _followers: followers,
             _token_file: token_file,
         })
     }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use serde_json::{Map, Value, json};
-use singletrack_api::Request;
+use singletrack_api::{ClientError, Request};
 use singletrack_control::Reference;
 use singletrack_core::{
     config::{Config, ReferenceSection},
@@ -71,8 +71,11 @@ impl Setup {
             }
             let socket = socket.to_owned();
             let asked = spawn_blocking(move || asked(&socket)).await;
-            let answer = asked.unwrap_or_else(|error| Err(error.to_string()));
-            let answer = answer.map(Arc::from).map_err(Arc::from);
+            let answer = match asked {
+                Ok(Ok(setup)) => Ok(Arc::from(setup)),
+                Ok(Err(error)) => Err(Arc::from(error.to_string())),
+                Err(error) => Err(Arc::from(error.to_string())),
+            };
             self.newest.send_replace(Some((Instant::now(), answer)));
         }
     }
@@ -84,40 +87,62 @@ fn fresh(newest: Option<&(Instant, Answer)>) -> Option<Answer> {
 }
 
 /// The setup by the configuration of the daemon at `socket`.
-fn asked(socket: &Path) -> Result<String, String> {
-    let answer = singletrack_api::ask_within(&Request::Configuration {}, socket, PATIENCE);
-    let answer = answer.map_err(|error| error.to_string())?;
+fn asked(socket: &Path) -> Result<String, ClientError> {
+    let (number, config) = configuration(socket)?;
+    Ok(setup(number, &config).to_string())
+}
+
+/// The configuration in force of the daemon at `socket`, and its number.
+fn configuration(socket: &Path) -> Result<(u32, Config), ClientError> {
+    let answer = singletrack_api::ask_within(&Request::Configuration {}, socket, PATIENCE)?;
     let (Some(number), Some(text)) = (answer.configuration, answer.toml) else {
-        return Err("the daemon's configuration has no number or no text".to_owned());
+        let why = "the daemon's configuration has no number or no text";
+        return Err(ClientError::Refused(why.to_owned()));
     };
     // It is in force: the daemon has judged it.
-    let config: Config = toml::from_str(&text).map_err(|error| {
-        format!("can't read the daemon's configuration: {error}; is it the same version?")
+    let config = toml::from_str(&text).map_err(|error| {
+        ClientError::Refused(format!(
+            "can't read the daemon's configuration: {error}; is it the same version?"
+        ))
     })?;
-    Ok(setup(number, &config).to_string())
+    Ok((number, config))
+}
+
+/// What the page needs of another car, whose daemon is at `socket`.
+pub(super) fn car(socket: &Path) -> Result<Value, ClientError> {
+    let (_, config) = configuration(socket)?;
+    Ok(json!({
+        "car": car_of(&config),
+        "corners_m": config.fence.corners_m,
+        "hold_ms": config.supervisor.hold_ms,
+    }))
+}
+
+fn car_of(config: &Config) -> Value {
+    let (vehicle, law) = (&config.vehicle, &config.law);
+    json!({
+        "name": config.motion_capture.rigid_body,
+        "id": config.board.car_id,
+        "length_m": vehicle.body_length_m(),
+        "width_m": vehicle.body_width_m(),
+        "front_axle_m": law.front_axle_distance_m,
+        "rear_axle_m": vehicle.wheelbase_m() - law.front_axle_distance_m,
+        "point_m": law.front_axle_distance_m + law.point_distance_m,
+    })
 }
 
 /// The answer to `/setup.json`. `number` is that of the configuration.
 fn setup(number: u32, config: &Config) -> Value {
-    let (vehicle, law) = (&config.vehicle, &config.law);
     let (points_m, is_closed) = reference_path(config);
     json!({
         "version": env!("CARGO_PKG_VERSION"),
         "configuration": number,
         "fence": {
             "corners_m": config.fence.corners_m,
-            "margin_m": config.fence.margin_m(vehicle),
+            "margin_m": config.fence.margin_m(&config.vehicle),
         },
         "reference": { "points_m": points_m, "closed": is_closed },
-        "car": {
-            "name": config.motion_capture.rigid_body,
-            "id": config.board.car_id,
-            "length_m": vehicle.body_length_m(),
-            "width_m": vehicle.body_width_m(),
-            "front_axle_m": law.front_axle_distance_m,
-            "rear_axle_m": vehicle.wheelbase_m() - law.front_axle_distance_m,
-            "point_m": law.front_axle_distance_m + law.point_distance_m,
-        },
+        "car": car_of(config),
         "max_speed_m_s": config.limits.max_speed_m_s,
         "max_steering_rad": config.limits.max_steering_rad,
         "hold_ms": config.supervisor.hold_ms,

@@ -143,6 +143,7 @@ function write() {
   text(element("link"), isOld ? "Daemon not connected" : "Daemon connected");
   writeNow(isOld);
   text(element("calibration"), advice(status?.calibration));
+  text(element("others"), beside(state?.others));
   if (state === null || setup === null) {
     return;
   }
@@ -201,6 +202,12 @@ function advice(calibration) {
   }
   const accept = calibration.corrections.length ? ", or `singletrack accept`" : "";
   return `${calibration.advice.join("; ")}: run \`singletrack calibrate\`${accept}.`;
+}
+
+// What the other cars do.
+function beside(others) {
+  return others?.map((other) => (other === null ? "a car without a daemon"
+    : `\`${other.car.name}\` ${other.mode}${other.reason ? `, ${other.reason}` : ""}`)).join(" · ") ?? "";
 }
 
 function named(path) {

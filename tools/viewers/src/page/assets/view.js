@@ -1,4 +1,4 @@
-// The top view: geofence, path of the reference, trail of P, and the car to scale.
+// The top view: geofence, path of the reference, trail of P, and the cars to scale.
 
 import { SPAN_S, colours, context, line } from "./chart.js";
 
@@ -23,7 +23,9 @@ export class View {
     const text = state === null || state.x === null ? "the place of the car is not known"
       : `the car is at x ${state.x.toFixed(2)} m, y ${state.y.toFixed(2)} m, `
         + `yaw ${degrees(state.yaw).toFixed(0)}°`;
-    this.canvas.setAttribute("aria-label", `Top view: ${text}`);
+    const beside = others(state).map(({ car }) => car.name).join(", ");
+    this.canvas.setAttribute("aria-label",
+      `Top view: ${text}${beside ? `; other cars: ${beside}` : ""}`);
   }
 
   // What is shown, in m.
@@ -32,7 +34,8 @@ export class View {
     if (this.follows && state?.x != null) {
       return [state.x - NEAR_M, state.y - NEAR_M, state.x + NEAR_M, state.y + NEAR_M];
     }
-    const points = [...setup.fence.corners_m, ...setup.reference.points_m];
+    const points = [...setup.fence.corners_m, ...setup.reference.points_m,
+      ...others(state).flatMap(({ corners_m }) => corners_m)];
     const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
     return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
   }
@@ -64,8 +67,16 @@ export class View {
       return;
     }
     this.drawTrail(pen, states, to, colour);
+    pen.font = colour.font;
+    for (const other of others(state).filter(({ x }) => x !== null)) {
+      drawCar(pen, to, scale, colour, other, other);
+      const [x, y] = to([other.x, other.y]);
+      pen.fillStyle = colour.soft;
+      pen.fillText(other.car.name, x + 12, y - 12);
+    }
     if (state.x !== null) {
-      this.drawCar(pen, to, scale, colour);
+      drawCar(pen, to, scale, colour, setup, state);
+      this.drawArm(pen, to, colour);
     }
     if (state.reference) {
       if (state.point) {
@@ -116,43 +127,9 @@ export class View {
     pen.globalAlpha = 1;
   }
 
-  drawCar(pen, to, scale, colour) {
-    const { setup, state } = this;
-    const { car } = setup;
-    const overhang = (car.length_m - car.front_axle_m - car.rear_axle_m) / 2;
-    const [wheel, tyre] = [0.17 * car.length_m, 0.07 * car.length_m];
-    const side = (car.width_m - tyre) / 2;
-    pen.save();
-    pen.translate(...to([state.x, state.y]));
-    pen.rotate(-state.yaw);
-    pen.scale(scale, -scale);
-    // What follows is in m, in the frame of the car.
-    const pixel = 1 / scale;
-    pen.lineWidth = 1.5 * pixel;
-    pen.strokeStyle = colour.ink;
-    pen.fillStyle = colour.paper;
-    pen.beginPath();
-    pen.roundRect(-car.rear_axle_m - overhang, -car.width_m / 2, car.length_m, car.width_m,
-      0.12 * car.length_m);
-    pen.fill();
-    // A place that is not known any more.
-    pen.setLineDash(state.pose_age * 1000 > setup.hold_ms ? [3 * pixel, 3 * pixel] : []);
-    pen.stroke();
-    pen.setLineDash([]);
-    pen.fillStyle = colour.ink;
-    for (const [x, angle] of [[car.front_axle_m, state.steering], [-car.rear_axle_m, 0]]) {
-      for (const y of [side, -side]) {
-        pen.save();
-        pen.translate(x, y);
-        pen.rotate(angle);
-        pen.fillRect(-wheel / 2, -tyre / 2, wheel, tyre);
-        pen.restore();
-      }
-    }
-    pen.lineWidth = pixel;
-    pen.strokeStyle = colour.soft;
-    line(pen, [[-car.rear_axle_m, 0], [car.front_axle_m, 0]]);
-    pen.restore();
+  // From the middle of the front axle to P.
+  drawArm(pen, to, colour) {
+    const { state, setup: { car } } = this;
     if (state.point) {
       const axle = [
         state.x + car.front_axle_m * Math.cos(state.yaw),
@@ -163,6 +140,47 @@ export class View {
       line(pen, [to(axle), to(state.point)]);
     }
   }
+}
+
+function others(state) {
+  return state?.others?.filter((other) => other !== null) ?? [];
+}
+
+function drawCar(pen, to, scale, colour, { car, hold_ms }, state) {
+  const overhang = (car.length_m - car.front_axle_m - car.rear_axle_m) / 2;
+  const [wheel, tyre] = [0.17 * car.length_m, 0.07 * car.length_m];
+  const side = (car.width_m - tyre) / 2;
+  pen.save();
+  pen.translate(...to([state.x, state.y]));
+  pen.rotate(-state.yaw);
+  pen.scale(scale, -scale);
+  // What follows is in m, in the frame of the car.
+  const pixel = 1 / scale;
+  pen.lineWidth = 1.5 * pixel;
+  pen.strokeStyle = colour.ink;
+  pen.fillStyle = colour.paper;
+  pen.beginPath();
+  pen.roundRect(-car.rear_axle_m - overhang, -car.width_m / 2, car.length_m, car.width_m,
+    0.12 * car.length_m);
+  pen.fill();
+  // A place that is not known any more.
+  pen.setLineDash(state.pose_age * 1000 > hold_ms ? [3 * pixel, 3 * pixel] : []);
+  pen.stroke();
+  pen.setLineDash([]);
+  pen.fillStyle = colour.ink;
+  for (const [x, angle] of [[car.front_axle_m, state.steering], [-car.rear_axle_m, 0]]) {
+    for (const y of [side, -side]) {
+      pen.save();
+      pen.translate(x, y);
+      pen.rotate(angle);
+      pen.fillRect(-wheel / 2, -tyre / 2, wheel, tyre);
+      pen.restore();
+    }
+  }
+  pen.lineWidth = pixel;
+  pen.strokeStyle = colour.soft;
+  line(pen, [[-car.rear_axle_m, 0], [car.front_axle_m, 0]]);
+  pen.restore();
 }
 
 export function degrees(radians) {
