@@ -22,6 +22,7 @@ from ._car import Car
 from ._compare import Comparison, Path, compare
 from ._drive import Drive
 from ._errors import ArmError, Rejected, SingletrackError
+from ._fleet import Fleet, FleetDrive
 from ._register import register as _register
 from ._record import Record, read
 from ._simulator import Simulator
@@ -32,6 +33,8 @@ __all__ = [
     "Car",
     "Comparison",
     "Drive",
+    "Fleet",
+    "FleetDrive",
     "Path",
     "Record",
     "Rejected",

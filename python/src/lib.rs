@@ -13,6 +13,7 @@ use pyo3::prelude::*;
 mod argument;
 mod comparison;
 mod environment;
+mod fleet;
 mod law;
 mod model;
 mod recording;
@@ -28,6 +29,7 @@ mod _native {
     use crate::{
         comparison::{Course, compare},
         environment::Batch,
+        fleet::{Fleet, FleetDrive},
         law::{front_point, point_p, velocity_point},
         model::{model_derivative, model_simulate, paper_vehicle},
         recording::read_record,

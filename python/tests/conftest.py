@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -63,13 +64,16 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
 class Daemon:
     """The daemon with its simulator: ``socket``, and ``token`` of its port on TCP."""
 
-    def __init__(self, folder: Path, board: str) -> None:
+    def __init__(
+        self, folder: Path, board: str = "native", reference: dict[str, Any] | None = None
+    ) -> None:
         self.socket = folder / "control.sock"
         self.token = folder / "control.sock.token"
         line = folder / "uno"
         configuration = folder / "car.toml"
         # The configuration of the simulated car, with the addresses of this test.
-        text = Simulator(configuration={"reference": {"kind": "external"}}).configuration()
+        reference = reference or {"kind": "external"}
+        text = Simulator(configuration={"reference": reference}).configuration()
         commands, frames = _free_port(), _free_port()
         text = _set(text, "serial", "port", f'"{line}"')
         # The port is left out by default.
@@ -140,10 +144,16 @@ def _wait(path: Path) -> None:
 
 
 @pytest.fixture
-def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
+def programs() -> None:
     missing = [name for name in PROGRAMS if name not in os.environ]
     if missing:
         pytest.skip(f"set {', '.join(missing)} to the programs")
+
+
+@pytest.fixture
+def daemon(
+    tmp_path: Path, request: pytest.FixtureRequest, programs: None
+) -> Iterator[Daemon]:
     running = Daemon(tmp_path, getattr(request, "param", "native"))
     yield running
     running.close()

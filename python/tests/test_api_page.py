@@ -17,7 +17,7 @@ from singletrack import gym, law, model, stability
 PAGE = Path(__file__).parents[2] / "docs/python-api.md"
 MODULES = (singletrack, gym, law, model, stability)
 #: Classes that a program makes itself.
-CALLED = ("Car", "Simulator", "SingletrackEnv", "SingletrackVectorEnv", "Vehicle")
+CALLED = ("Car", "Fleet", "Simulator", "SingletrackEnv", "SingletrackVectorEnv", "Vehicle")
 HEAD = """# Python API
 
 The public names of the package `singletrack`. How to use them: [Python](python.md).

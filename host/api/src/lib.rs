@@ -7,6 +7,7 @@ mod clock;
 mod connection;
 mod error;
 mod explain;
+mod fleet;
 mod messages;
 mod reply;
 mod request;
@@ -17,6 +18,7 @@ pub use clock::ClockOffset;
 pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
 pub use explain::explain;
+pub use fleet::{Fleet, FleetArm, FleetCar, FleetDrive, FleetEnd, FleetFileError, NotObeyed};
 pub use messages::{Clocks, Message, MessageStream, Received};
 pub use reply::{Answer, Drive, Ended, Reply, Tuning, TuningBounds, Word};
 pub use request::{

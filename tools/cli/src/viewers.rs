@@ -10,6 +10,8 @@ use std::{
 };
 
 use clap::Args;
+#[cfg(feature = "page")]
+use singletrack_api::{Fleet, FleetCar};
 use singletrack_core::{Config, config::SocketSection};
 use singletrack_figures::output::print;
 use tracing_subscriber::{
@@ -62,6 +64,14 @@ pub struct PageArgs {
     #[command(flatten)]
     viewer: ViewerArgs,
 
+    /// The cars of a fleet: the page of the first, which shows the others beside
+    #[arg(long, value_name = "FILE.toml")]
+    fleet: Option<PathBuf>,
+
+    /// Another car of the fleet for the first
+    #[arg(long, value_name = "NAME", requires = "fleet")]
+    car: Option<String>,
+
     /// Port to listen on; 0 takes any free port [default: that of --config, or 8767]
     #[arg(long, value_name = "PORT")]
     port: Option<u16>,
@@ -92,12 +102,27 @@ pub struct LiveArgs {
 #[cfg(feature = "page")]
 pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     let interrupt = Interrupt::listen()?;
-    let (socket, mut section) = args.viewer.settings(|config| config.page)?;
+    let (mut socket, mut section) = args.viewer.settings(|config| config.page)?;
+    let mut others = Vec::new();
+    if let Some(path) = &args.fleet {
+        let mut cars = Fleet::read(path)?.cars;
+        let name = args.car.as_ref();
+        let first = cars
+            .iter()
+            .position(|car| name.is_none_or(|it| *it == car.name));
+        let Some(first) = first else {
+            let names: Vec<_> = cars.iter().map(|car| car.name.as_str()).collect();
+            let why = format!("--car is none of the fleet: {}", names.join(", "));
+            return Err(why.into());
+        };
+        socket = cars.remove(first).socket();
+        others = cars.iter().map(FleetCar::socket).collect();
+    }
     section.address = args.viewer.address.unwrap_or(section.address);
     section.port = args.port.unwrap_or(section.port);
     section.token_file = args.token_file.clone().or(section.token_file);
     start_log();
-    let page = singletrack_viewers::page::Page::start(socket, Vec::new(), &section)?;
+    let page = singletrack_viewers::page::Page::start(socket, others, &section)?;
     let token = section.token_file.map_or_else(String::new, |path| {
         format!("/?token=TOKEN with the token from {}", path.display())
     });

@@ -2,7 +2,6 @@
 
 mod arm;
 mod cameras;
-mod file;
 
 use std::{
     io::{self, IsTerminal as _, Write as _},
@@ -13,22 +12,15 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use singletrack_api::{
-    Answer, ClientError, ClockOffset, Connection, Reply, Request, Status, ask_within,
-};
+use singletrack_api::{ClockOffset, Fleet, FleetFileError, NotObeyed, Request, Status};
 use singletrackd::monotonic_ns;
 
 use crate::{
     control::{ControlError, print},
     interrupt::Interrupt,
 };
-use file::{Car, Fleet};
-
 pub use cameras::RelayError;
-pub use file::FleetFileError;
 
-/// The longest wait for a daemon's answer: the others are asked meanwhile.
-const PATIENCE: Duration = Duration::from_secs(1);
 /// Interval of `status --watch`.
 const WATCH: Duration = Duration::from_millis(500);
 
@@ -83,8 +75,8 @@ pub enum FleetError {
     #[error(transparent)]
     Relay(#[from] RelayError),
     /// Cars did not obey.
-    #[error("{}", .0.join("\n"))]
-    Cars(Vec<String>),
+    #[error(transparent)]
+    Cars(#[from] NotObeyed),
     /// A terminal, or a signal.
     #[error(transparent)]
     Control(#[from] ControlError),
@@ -101,16 +93,18 @@ pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
         FleetCommand::Status { watch: false } => {
             let (lines, failures) = status(&fleet()?);
             print(&lines.join("\n"))?;
-            obeyed(failures)?;
+            if !failures.is_empty() {
+                return Err(NotObeyed(failures).into());
+            }
         }
         FleetCommand::Status { watch: true } => watch(&fleet()?)?,
         FleetCommand::Arm(args) => return arm::run(&fleet()?, args),
         FleetCommand::Disarm => {
-            tell(&fleet()?, &Request::DISARM)?;
+            fleet()?.tell(&Request::DISARM)?;
             print("disarming: all cars slow down and stop")?;
         }
         FleetCommand::Stop => {
-            tell(&fleet()?, &Request::Stop {})?;
+            fleet()?.tell(&Request::Stop {})?;
             print("stopped: neutral until the boards are reset")?;
         }
         FleetCommand::Cameras(args) => return cameras::run(args),
@@ -118,99 +112,17 @@ pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Does something with all cars at once; the results are in their order.
-fn with_all<T: Send>(
-    fleet: &Fleet,
-    ask: impl Fn(&Car) -> Result<T, ClientError> + Sync,
-) -> Vec<Result<T, ClientError>> {
-    thread::scope(|scope| {
-        let ask = &ask;
-        let cars = fleet.cars.iter();
-        let asked: Vec<_> = cars.map(|car| scope.spawn(move || ask(car))).collect();
-        let answers = asked.into_iter().map(thread::ScopedJoinHandle::join);
-        // A thread that has panicked has not heard its daemon.
-        answers
-            .map(|answer| answer.unwrap_or(Err(ClientError::Ended)))
-            .collect()
-    })
-}
-
-/// Asks all cars at once.
-fn ask_all(fleet: &Fleet, request: &Request) -> Vec<Result<Answer, ClientError>> {
-    with_all(fleet, |car| ask_within(request, &car.socket(), PATIENCE))
-}
-
-/// A connection to the daemon of a car with its number, and how far its clock is ahead of this
-/// computer's.
-fn connect(car: &Car) -> Result<(Connection, ClockOffset), ClientError> {
-    let mut connection = Connection::open(&car.socket(), PATIENCE)?;
-    if let Some(number) = car.number {
-        let toml = answer(&mut connection, &Request::Configuration {})?.toml;
-        let table = toml.and_then(|toml| toml.parse::<toml::Table>().ok());
-        let configured = table
-            .as_ref()
-            .and_then(|table| table.get("board")?.get("car_id"));
-        if configured.and_then(toml::Value::as_integer) != Some(number.into()) {
-            let configured = configured.map_or_else(|| "unknown".to_owned(), ToString::to_string);
-            return Err(ClientError::Refused(format!(
-                "number is {number}, and board.car_id of its daemon is {configured}: correct the \
-                 number or the socket in the fleet's file"
-            )));
-        }
-    }
-    let offset = connection.clock_offset(monotonic_ns, PATIENCE)?;
-    Ok((connection, offset))
-}
-
-/// The answer to a request.
-fn answer(connection: &mut Connection, request: &Request) -> Result<Answer, ClientError> {
-    connection.send(request)?;
-    let reply = connection.receive_within::<Reply>(PATIENCE)?;
-    reply.ok_or(ClientError::Ended)?.agreed()
-}
-
-/// Tells all cars something.
-fn tell(fleet: &Fleet, request: &Request) -> Result<(), FleetError> {
-    let answers = ask_all(fleet, request).into_iter().zip(&fleet.cars);
-    obeyed(
-        answers
-            .filter_map(|(answer, car)| Some(failure(car, &answer.err()?)))
-            .collect(),
-    )
-}
-
-fn failure(car: &Car, error: &ClientError) -> String {
-    format!("{}: {error}", car.name)
-}
-
-fn obeyed(failures: Vec<String>) -> Result<(), FleetError> {
-    if failures.is_empty() {
-        Ok(())
-    } else {
-        Err(FleetError::Cars(failures))
-    }
-}
-
 /// A line for each car that answers, and what failed of the others.
 fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
     let (mut lines, mut failures) = (Vec::new(), Vec::new());
-    let width = fleet
-        .cars
-        .iter()
-        .map(|car| car.name.len())
-        .max()
-        .unwrap_or(0);
-    let ask = |car: &Car| {
-        let (mut connection, offset) = connect(car)?;
-        let status = answer(&mut connection, &Request::Status {})?.status;
-        Ok((status.ok_or(ClientError::Ended)?, offset))
-    };
-    for (answer, car) in with_all(fleet, ask).into_iter().zip(&fleet.cars) {
+    let names = fleet.cars.iter().map(|car| car.name.as_str());
+    let width = names.clone().map(str::len).max().unwrap_or(0);
+    for (answer, name) in fleet.status(monotonic_ns).into_iter().zip(names) {
         match answer {
             Ok((status, offset)) => {
-                lines.push(format!("{:width$}  {}", car.name, line(&status, &offset)));
+                lines.push(format!("{name:width$}  {}", line(&status, &offset)));
             }
-            Err(error) => failures.push(failure(car, &error)),
+            Err(failure) => failures.push(failure),
         }
     }
     (lines, failures)

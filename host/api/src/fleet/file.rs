@@ -8,22 +8,23 @@ use std::{
 
 use serde::Deserialize;
 
-/// A fleet.
+/// Several cars, each with a daemon of its own.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Fleet {
-    pub(super) cars: Vec<Car>,
+pub struct Fleet {
+    /// In the order of the file.
+    pub cars: Vec<FleetCar>,
 }
 
 /// A car of a fleet.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Car {
+pub struct FleetCar {
     /// Of the car, as in `singletrackd@NAME.service`.
-    pub(super) name: String,
+    pub name: String,
     /// The control socket of its daemon; for a car on another computer, one that `ssh -L` forwards.
     socket: Option<PathBuf>,
     /// The number of its board, as `board.car_id` in its configuration.
-    pub(super) number: Option<u16>,
+    pub number: Option<u16>,
 }
 
 /// Why there is no fleet.
@@ -68,9 +69,10 @@ pub enum FleetFileError {
     },
 }
 
-impl Car {
+impl FleetCar {
     /// The control socket of its daemon.
-    pub(super) fn socket(&self) -> PathBuf {
+    #[must_use]
+    pub fn socket(&self) -> PathBuf {
         let default = || PathBuf::from(format!("/run/singletrackd-{}/control.sock", self.name));
         self.socket.clone().unwrap_or_else(default)
     }
@@ -78,7 +80,11 @@ impl Car {
 
 impl Fleet {
     /// Reads a file.
-    pub(super) fn read(path: &Path) -> Result<Self, FleetFileError> {
+    ///
+    /// # Errors
+    ///
+    /// There is none, or it does not name cars that differ.
+    pub fn read(path: &Path) -> Result<Self, FleetFileError> {
         let text = fs::read_to_string(path).map_err(|source| FleetFileError::Read {
             path: path.to_owned(),
             source,
@@ -90,7 +96,7 @@ impl Fleet {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
         struct File {
-            car: Vec<Car>,
+            car: Vec<FleetCar>,
         }
         let path = path.to_owned();
         let File { car: cars } = match toml::from_str(text) {
@@ -121,6 +127,7 @@ impl Fleet {
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
     use super::*;
 
@@ -134,7 +141,7 @@ mod tests {
             "[[car]]\nname = \"car1\"\n[[car]]\nname = \"two\"\nsocket = \"/tmp/two.sock\"\n",
         )
         .unwrap();
-        let sockets: Vec<_> = fleet.cars.iter().map(Car::socket).collect();
+        let sockets: Vec<_> = fleet.cars.iter().map(FleetCar::socket).collect();
         let expected = ["/run/singletrackd-car1/control.sock", "/tmp/two.sock"];
         assert_eq!(sockets, expected.map(PathBuf::from));
     }
