@@ -1,5 +1,5 @@
 //! Cost of a control tick: one pose and one board record in, one command out, with every outer
-//! loop, and with the compensation of the actuators. The ideal car of the tests is driven.
+//! loop, with the compensation of the actuators, and with corrections that were learned. The ideal car of the tests is driven.
 
 #[path = "../../../host/pilot/tests/bench/mod.rs"]
 mod bench;
@@ -11,7 +11,7 @@ use singletrack_control::{
     ActuatorModel, Circle, DelayedMpc, FrontPointLaw, LqiAxis, LqiConfig, LqiLoop, Motion,
     MpcConfig, Position, Reference, TrackingLoop, Velocity,
 };
-use singletrack_pilot::{Compensation, Mode, PilotConfig};
+use singletrack_pilot::{Compensation, Event, Learned, Mode, PilotConfig};
 use ticks::measure;
 
 const PERIOD: f64 = 0.01;
@@ -52,12 +52,10 @@ fn mpc() -> Option<TrackingLoop> {
 }
 
 /// A drive along a circle that goes on for as long as it is measured.
-fn drive(tracking: TrackingLoop, compensation: Compensation) -> Option<Bench> {
+fn drive(config: PilotConfig) -> Option<Bench> {
     let mut bench = Bench::with(PilotConfig {
-        tracking,
-        compensation,
         reference: Reference::Circle(Circle::new(Position::new(0.48, 1.5), 1.5, 0.4).ok()?),
-        ..config()
+        ..config
     });
     bench.drive();
     Some(bench)
@@ -80,9 +78,13 @@ fn control_tick(criterion: &mut Criterion) {
         ("pilot, mpc", mpc()),
     ] {
         for (compensates, compensation) in [("", off), (", compensated", on)] {
-            let driven = tracking
-                .clone()
-                .and_then(|tracking| drive(tracking, compensation));
+            let driven = tracking.clone().and_then(|tracking| {
+                drive(PilotConfig {
+                    tracking,
+                    compensation,
+                    ..config()
+                })
+            });
             let Some(mut bench) = driven else { continue };
             measure(criterion, &format!("{name}{compensates}"), || {
                 let output = bench.step();
@@ -90,6 +92,29 @@ fn control_tick(criterion: &mut Criterion) {
             });
         }
     }
+}
+
+/// A drive of which the cameras have shown something.
+fn learning_tick(criterion: &mut Criterion) {
+    let Some(mut bench) = drive(PilotConfig {
+        learns: true,
+        ..config()
+    }) else {
+        return;
+    };
+    bench.extra.push(Event::Learned(Learned {
+        steering_trim: 0.002,
+        stamp_offset: 0.002,
+        body_yaw: 0.002,
+        pivot_left: 0.001,
+        ..Learned::default()
+    }));
+    bench.run(200);
+    assert_ne!(bench.pilot.learned(), Some(Learned::default()));
+    measure(criterion, "pilot, proportional, live", || {
+        let output = bench.step();
+        assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+    });
 }
 
 fn law_alone(criterion: &mut Criterion) {
@@ -112,5 +137,5 @@ fn law_alone(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, control_tick, law_alone);
+criterion_group!(benches, control_tick, learning_tick, law_alone);
 criterion_main!(benches);
