@@ -94,8 +94,7 @@ pub struct ControlLoop<L> {
     index: u64,
     commands_since_heard: u32,
     arm_when_ready: bool,
-    /// When the reference of an armed car that waits begins: until then the ticks are aligned with
-    /// this time, so that several cars begin together.
+    /// When the reference of a car that is armed and waits begins, in ns.
     begin_ns: Option<u64>,
     ending: Ending,
     alignment: Option<Alignment>,
@@ -197,8 +196,7 @@ impl<L: Line> ControlLoop<L> {
     #[must_use]
     pub fn due_ns(&mut self, grid: &Grid) -> u64 {
         let deadline_ns = grid.next_ns();
-        let aligned = self.alignment.filter(|_| self.begin_ns.is_none());
-        let Some(alignment) = &aligned else {
+        let Some(alignment) = &self.alignment else {
             return deadline_ns;
         };
         let since_ns = deadline_ns.saturating_sub(alignment.period_ns() / 2);
@@ -251,15 +249,8 @@ impl<L: Line> ControlLoop<L> {
             self.controller.push(Event::Tuning(tuning));
         }
         let now = Time(clock());
-        // The nearest tick: at most half a period early.
-        let early_ns = slot.start_ns.saturating_sub(self.last_start_ns) / 2;
-        let nearest_ns = now.0.saturating_add(early_ns);
-        if self
-            .begin_ns
-            .take_if(|at_ns| *at_ns <= nearest_ns)
-            .is_some()
-        {
-            self.request(PilotRequest::Begin);
+        if let Some(begin_ns) = self.begin_ns.take_if(|begin_ns| *begin_ns <= now.0) {
+            self.controller.push(Event::Begin(Time(begin_ns)));
         }
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
@@ -335,12 +326,8 @@ impl<L: Line> ControlLoop<L> {
         dropped += u64::from(!rings.ticks.push(&record));
         self.counters.reports_dropped += dropped;
         self.begin_ns = self.begin_ns.filter(|_| self.is_driving());
-        let is_driving = self.is_driving() && self.begin_ns.is_none();
+        let is_driving = self.is_driving();
         self.slide_ns = self.alignment.as_mut().map_or(0, |alignment| {
-            if let Some(begin_ns) = self.begin_ns {
-                // A deadline is to be at the start, in place of one after each frame.
-                alignment.arrived(begin_ns.saturating_sub(alignment.window_ns() / 2));
-            }
             alignment.slide_ns(slot.deadline_ns, is_driving)
         });
         self.last_start_ns = slot.start_ns;

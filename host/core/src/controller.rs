@@ -410,6 +410,7 @@ impl Queue<'_> {
             | Event::Request(_)
             | Event::Tuning(_)
             | Event::ArmRefused
+            | Event::Begin(_)
             | Event::Proved(_)
             | Event::Reconfigured(_) => {
                 self.drop_repeated_link(event);

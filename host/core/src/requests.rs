@@ -14,7 +14,7 @@ use crate::controller::ReconfigureError;
 pub enum ControlRequest {
     /// Pass a request to the pilot.
     Pilot(PilotRequest),
-    /// Arm the car, and let its reference begin with the tick nearest to this time, in ns.
+    /// Arm the car, and let its reference begin at this time, in ns.
     ArmAt(u64),
     /// Tell the pilot what is learned.
     Learned(Learned),
@@ -90,7 +90,6 @@ impl ControlRequest {
                 | PilotRequest::ArmHeld
                 | PilotRequest::ArmJog
                 | PilotRequest::ArmWaiting
-                | PilotRequest::Begin
                 | PilotRequest::Hold,
             )
             | Self::ArmAt(_)

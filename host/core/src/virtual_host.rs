@@ -159,6 +159,15 @@ impl<L: Line> VirtualHost<L> {
         self.host.requests.push(ControlRequest::Pilot(request))
     }
 
+    /// Arms the car, held, and lets its reference begin at `begin_ns`.
+    ///
+    /// # Errors
+    ///
+    /// As [`request`](Self::request).
+    pub fn arm_at(&self, begin_ns: u64) -> Result<(), Stalled> {
+        self.host.requests.push(ControlRequest::ArmAt(begin_ns))
+    }
+
     /// Tells the pilot what is learned, with the next tick.
     ///
     /// # Errors

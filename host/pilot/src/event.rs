@@ -49,6 +49,9 @@ pub enum Event {
     /// Other values of what can be tuned, from the operator. Without effect outside the bounds of
     /// [`crate::PilotConfig::tuning`].
     Tuning(Tuning),
+    /// A car that was armed by [`PilotRequest::ArmWaiting`] follows its reference, which began at this
+    /// time. One that is not armed yet is not armed any more.
+    Begin(Time),
     /// What a learner has learned of the car by now. Without effect unless
     /// [`crate::PilotConfig::learns`].
     Learned(Learned),
@@ -244,10 +247,7 @@ words! {
         /// the car: it was carried out of their sight. Without effect on an estimate that has not
         /// lost the car, and while the board is commanded. No program says it by itself.
         Carried = 10 "carried",
-        /// As [`ArmHeld`](Self::ArmHeld). The armed car stands until [`Begin`](Self::Begin).
+        /// As [`ArmHeld`](Self::ArmHeld). The armed car stands until [`Event::Begin`].
         ArmWaiting = 11 "arm-waiting",
-        /// An armed car that waits begins to follow its reference. One that is not armed yet is not
-        /// armed any more.
-        Begin = 12 "begin",
     }
 }

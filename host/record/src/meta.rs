@@ -7,7 +7,7 @@ use mcap::{Attachment, records::Metadata};
 use crate::RecordError;
 
 /// The version of records that this crate writes and reads. It must match exactly.
-pub const RECORD_VERSION: u32 = 11;
+pub const RECORD_VERSION: u32 = 12;
 
 /// Name of the metadata in the file.
 pub(crate) const METADATA_NAME: &str = "singletrack";

@@ -11,7 +11,7 @@ use singletrack_record::{Channel, RECORD_VERSION};
 /// that lack it. The layouts of the messages of ROS never change here.
 #[test]
 fn the_layouts_are_those_of_this_version() {
-    assert_eq!(RECORD_VERSION, 11);
+    assert_eq!(RECORD_VERSION, 12);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("msg");
     for channel in Channel::all() {
         let name = channel.schema_name();

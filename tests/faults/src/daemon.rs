@@ -75,6 +75,11 @@ impl Daemon {
         self.host.request(request).is_ok()
     }
 
+    /// Arms a car that waits until `begin_ns`. Without room, it is not armed.
+    pub(crate) fn arm_at(&self, begin_ns: u64) {
+        let _ = self.host.arm_at(begin_ns);
+    }
+
     /// Sends values to tune, as a client of the control socket. A refusal has no effect.
     pub(crate) fn tune(&self, gain: f64) {
         let _ = self.host.tune(Tuning {

@@ -33,6 +33,12 @@ use crate::{
 /// Interval at which the host reads bytes and packets, in µs: that of USB.
 const LOOK_US: u64 = 1_000;
 
+/// From a request to arm to the start that it gives.
+const WAIT_US: u64 = 1_200_000;
+
+/// Interval at which the operator holds a drive that waits or waited.
+const HOLD_US: u64 = 100_000;
+
 /// Interval at which the learner tells the pilot something, in ticks.
 const LEARNED_TICKS: u64 = 100;
 
@@ -184,6 +190,8 @@ struct Drive<'a> {
     newest_setpoint_ns: Option<u64>,
     /// The corrections in force after the last tick.
     learned: Option<Learned>,
+    /// When the operator held the drive last.
+    held_us: u64,
     spec: Spec,
     now_us: u64,
     world: Box<World>,
@@ -292,6 +300,7 @@ impl<'a> Drive<'a> {
             drive_time_s: None,
             newest_setpoint_ns: None,
             learned: None,
+            held_us: 0,
             violation: None,
             violated: BTreeSet::new(),
             digest: Digest::default(),
@@ -464,11 +473,18 @@ impl<'a> Drive<'a> {
             return Ok(());
         }
         self.flood();
+        self.hold();
         while let Some(ask) = self.schedule.requests.get(self.next_request)
             && u64::from(ask.at_ms) * 1_000 <= self.now_us
         {
             self.next_request += 1;
             let request = match ask.request {
+                OperatorRequest::Arm if self.schedule.situation.waits => {
+                    if let Some(daemon) = &self.daemon {
+                        daemon.arm_at(host_ns(self.now_us + WAIT_US));
+                    }
+                    continue;
+                }
                 OperatorRequest::Arm => PilotRequest::Arm,
                 OperatorRequest::Disarm => PilotRequest::Disarm,
                 OperatorRequest::Stop => PilotRequest::EmergencyStop,
@@ -518,6 +534,17 @@ impl<'a> Drive<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Holds the drive of a car that was armed for a later start.
+    fn hold(&mut self) {
+        if let Some(daemon) = &self.daemon
+            && self.schedule.situation.waits
+            && self.now_us >= self.held_us + HOLD_US
+        {
+            self.held_us = self.now_us;
+            daemon.request(PilotRequest::Hold);
+        }
     }
 
     /// Sends what other clients send.

@@ -142,7 +142,6 @@ impl Pilot {
 
     /// A drive begins.
     pub(super) fn begin_drive(&mut self, sensed: &Sensed) {
-        self.drive_start = Some(sensed.now);
         self.law.reset();
         self.tracking.reset();
         self.applied = Velocity::zeros();

@@ -2,7 +2,7 @@
 
 use singletrack_control::{External, PoseSample, PoseVerdict, Reference, SetpointError, Time};
 
-use super::Pilot;
+use super::{Begins, Pilot};
 use crate::{
     event::{BoardSample, Event, PilotRequest},
     refusal::SetpointRefusal,
@@ -35,6 +35,10 @@ impl Pilot {
             Event::Attitude(sample) => self.watches.attitude.handle(sample, &self.config.watch),
             Event::Proved(proved) => self.proved = *proved,
             Event::Tuning(tuning) => self.tune(tuning),
+            Event::Begin(time) => {
+                self.supervisor.handle_begin();
+                self.begins = Begins::At(*time);
+            }
             Event::Learned(learned) => {
                 if let Some(learning) = &mut self.learning {
                     learning.learned(now, *learned);
@@ -51,11 +55,10 @@ impl Pilot {
     fn handle_request(&mut self, request: PilotRequest) {
         self.supervisor.handle_request(request);
         match request {
-            PilotRequest::ArmWaiting => self.waits = true,
-            PilotRequest::Arm
-            | PilotRequest::ArmHeld
-            | PilotRequest::ArmJog
-            | PilotRequest::Begin => self.waits = false,
+            PilotRequest::ArmWaiting => self.begins = Begins::Later,
+            PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog => {
+                self.begins = Begins::AtOnce;
+            }
             _ => {}
         }
         if request == PilotRequest::Carried && !self.supervisor.mode().commands() {

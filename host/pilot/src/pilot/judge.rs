@@ -5,7 +5,7 @@ use core::f64::consts::PI;
 use libm::{copysign, fabs, sin, tan};
 use singletrack_control::{Estimate, Reference, Velocity, direction};
 
-use super::{Pilot, sense::Sensed};
+use super::{Begins, Pilot, sense::Sensed};
 use crate::{
     supervisor::{BoardRequest, Conditions, Mode, Reason},
     watch::StopLimits,
@@ -26,6 +26,10 @@ pub(super) struct Verdict {
     pub(super) braking_measured: Option<f64>,
 }
 
+/// A car that waited begins with its time if no more ticks were left out, else with the tick: P must
+/// not jump.
+const MISSED_TICKS: f64 = 5.0;
+
 impl Pilot {
     /// Takes the supervisor to its next mode; begins and ends a drive.
     pub(super) fn judge(&mut self, sensed: &Sensed) -> Verdict {
@@ -33,11 +37,20 @@ impl Pilot {
         let was = self.supervisor.mode();
         let request = self.supervisor.step(&self.conditions(sensed));
         let mode = self.supervisor.mode();
-        let begins = self.drive_start.is_none() && !self.waits;
-        if mode == Mode::Driving && (was == Mode::Arming || begins) {
-            self.begin_drive(sensed);
+        let waits = self.begins == Begins::Later;
+        if mode == Mode::Driving && (was == Mode::Arming || (self.drive_start.is_none() && !waits))
+        {
             // A car that waits begins once more, from where it stands then.
-            self.drive_start = self.drive_start.filter(|_| !self.waits);
+            self.begin_drive(sensed);
+            self.drive_start = match self.begins {
+                Begins::AtOnce => Some(now),
+                Begins::Later => None,
+                Begins::At(time) => {
+                    let missed = 0.0..=MISSED_TICKS * self.config.period;
+                    let is_now = missed.contains(&now.seconds_since(time));
+                    Some(if is_now { time } else { now })
+                }
+            };
         }
         if mode != Mode::Jogging || was != Mode::Jogging {
             // Pulses from before the board was armed do not count.

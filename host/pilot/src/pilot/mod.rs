@@ -72,9 +72,17 @@ pub struct Pilot {
     pose_time: Option<Time>,
     motor_speed: f64,
     drive_start: Option<Time>,
-    /// Whether an armed car stands until [`PilotRequest::Begin`](crate::PilotRequest::Begin).
-    waits: bool,
+    begins: Begins,
     last_tick: Option<Time>,
+}
+
+/// When an armed car begins to follow its reference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Begins {
+    AtOnce,
+    /// By [`Event::Begin`].
+    Later,
+    At(Time),
 }
 
 impl Pilot {
@@ -103,7 +111,7 @@ impl Pilot {
             pose_time: None,
             motor_speed: 0.0,
             drive_start: None,
-            waits: false,
+            begins: Begins::AtOnce,
             last_tick: None,
             config,
         }

@@ -250,11 +250,13 @@ impl Supervisor {
                 self.heard.halt = true;
             }
             PilotRequest::EmergencyStop => self.heard.emergency = true,
-            PilotRequest::Begin => {
-                if !matches!(self.mode, Mode::Driving | Mode::Slowing) {
-                    self.request_stop(Reason::BoardTimeout);
-                }
-            }
+        }
+    }
+
+    /// The time has come at which an armed car is to begin. It is too late to arm it.
+    pub const fn handle_begin(&mut self) {
+        if !matches!(self.mode, Mode::Driving | Mode::Slowing) {
+            self.request_stop(Reason::BoardTimeout);
         }
     }
 

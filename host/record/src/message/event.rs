@@ -50,6 +50,10 @@ choice! {
         16 "tuning" Tuning(tuning: Maybe<TuningMessage>, "the values"),
         17 "neighbour" Neighbour(neighbour: Maybe<NeighbourMessage>, "the body"),
         18 "learned" Learned(learned: Maybe<LearnedMessage>, "what is learned"),
+        19 "begin" Begin(
+            /// When the reference of a car that waited began, in ns of the host's monotonic clock.
+            begin_ns: Maybe<u64>, "the time"
+        ),
     }
 }
 
@@ -491,7 +495,7 @@ mod tests {
                 Event::Request(PilotRequest::Halt),
                 Event::Request(PilotRequest::Carried),
                 Event::Request(PilotRequest::ArmWaiting),
-                Event::Request(PilotRequest::Begin),
+                Event::Begin(Time(3)),
                 Event::Proved(true),
                 Event::Proved(false),
                 Event::ArmRefused,

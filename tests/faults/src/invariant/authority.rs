@@ -153,7 +153,13 @@ impl Invariant for Unasked {
         let requested = |request| tick.events.contains(&Event::Request(request));
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
-        let armed = requested(PilotRequest::Arm) || requested(PilotRequest::ArmJog);
+        let armed = [
+            PilotRequest::Arm,
+            PilotRequest::ArmWaiting,
+            PilotRequest::ArmJog,
+        ]
+        .into_iter()
+        .any(requested);
         if self.underway && !was_underway && !armed {
             return Err(format!("mode {mode} without an arm request"));
         }
@@ -185,6 +191,48 @@ impl Invariant for Unasked {
             return Err(format!("a command in mode {mode}"));
         }
         Ok(())
+    }
+}
+
+/// `waits-still`: a car that was armed for a later start is commanded to stand until then.
+#[derive(Default)]
+pub(super) struct Waits {
+    waiting: bool,
+    underway: bool,
+    daemon_since_us: Option<u64>,
+}
+
+impl Invariant for Waits {
+    fn name(&self) -> &'static str {
+        "waits-still"
+    }
+
+    fn check(&mut self, observation: &Observation<'_>) -> Verdict {
+        if observation.daemon_since_us != self.daemon_since_us {
+            self.daemon_since_us = observation.daemon_since_us;
+            (self.waiting, self.underway) = (false, false);
+        }
+        let Some(tick) = observation.tick else {
+            return Ok(());
+        };
+        let output = &tick.output;
+        for event in &tick.events {
+            match event {
+                // One that comes in a drive is without effect.
+                Event::Request(PilotRequest::ArmWaiting) => self.waiting |= !self.underway,
+                Event::Request(PilotRequest::Arm) | Event::Begin(_) => self.waiting = false,
+                _ => {}
+            }
+        }
+        self.underway = output.mode.is_underway();
+        self.waiting &= self.underway;
+        match output.command {
+            Some(command) if self.waiting && command.rear_speed != 0.0 => Err(format!(
+                "{} m/s commanded before the start",
+                command.rear_speed
+            )),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -18,6 +18,8 @@ const VALID: f64 = 2.0;
 pub(super) struct Learns {
     last: Option<Learned>,
     told: Option<(Time, Learned)>,
+    /// Whether the tick before followed a reference.
+    followed: bool,
 }
 
 impl Invariant for Learns {
@@ -33,7 +35,8 @@ impl Invariant for Learns {
             return Ok(());
         };
         let now = tick.pilot_time;
-        if tick.output.drive_time == Some(0.0) {
+        let follows = tick.output.drive_time.is_some();
+        if !core::mem::replace(&mut self.followed, follows) && follows {
             (self.last, self.told) = (None, None);
         } else {
             for event in &tick.events {

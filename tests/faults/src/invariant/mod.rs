@@ -66,6 +66,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<pulse::NeutralFirst>::default(),
         Box::<authority::Unarmed>::default(),
         Box::<authority::Unasked>::default(),
+        Box::<authority::Waits>::default(),
         Box::<authority::Latched>::default(),
         Box::<age::CommandAge>::default(),
         Box::<age::HostSilence>::default(),

@@ -226,6 +226,11 @@ bugs! {
             tick.output.mode = Mode::Arming;
         }
     });
+    Host "drives before the start", "waits-still", "waits true", |_| Ticks(|tick: &mut TickRecord| {
+        if let Some(command) = tick.output.command.as_mut().filter(|it| it.rear_speed == 0.0) {
+            command.rear_speed = 0.1;
+        }
+    });
     Host "does not obey a disarm", "unasked-drive", "ask disarm at 6500", |_| drives_on();
     Host "drives on without poses", "host-hold",
         "fault camera-silent at 6500 for 900 severity 1000", |_| drives_on();

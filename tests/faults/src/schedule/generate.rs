@@ -42,6 +42,7 @@ impl Default for Situation {
             steering_table: false,
             tuning: false,
             live: false,
+            waits: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
             board_skew_ppm: 3_000,
@@ -57,6 +58,7 @@ impl Schedule {
         let random = &mut Random::new(seed, Stream::Schedule);
         let mut situation = situation(random, board);
         situation.live = seed.is_multiple_of(3);
+        situation.waits = seed.is_multiple_of(7);
         let truth = true_car(random, &situation);
         believe(random, &mut situation, &truth);
         let [shortest, longest] = match board {
@@ -195,6 +197,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         steering_table: random.happens(300),
         tuning: false,
         live: false,
+        waits: false,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
         board_skew_ppm: random.between(0, 10_000) as i32 - 5_000,

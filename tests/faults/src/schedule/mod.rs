@@ -75,6 +75,8 @@ pub struct Situation {
     pub tuning: bool,
     /// Whether the pilot learns live. The learner may send any values. Never with the safety filter.
     pub live: bool,
+    /// Whether an armed car waits for a start that was given with the request to arm.
+    pub waits: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
     pub camera_latency_ms: u32,
     /// Delay of every byte beyond its transmission time, in µs.

@@ -49,6 +49,7 @@ impl fmt::Display for Schedule {
             ("steering_table", s.steering_table),
             ("tuning", s.tuning),
             ("live", s.live),
+            ("waits", s.waits),
         ] {
             writeln!(out, "{key} {value}")?;
         }
@@ -155,6 +156,7 @@ impl Draft {
             ["steering_table", yes] => s.steering_table = yes.parse().ok()?,
             ["tuning", yes] => s.tuning = yes.parse().ok()?,
             ["live", yes] => s.live = yes.parse().ok()?,
+            ["waits", yes] => s.waits = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
                 s.esc_kind = esc_named(name).filter(|kind| *kind != EscKind::LearnsNeutral)?;
