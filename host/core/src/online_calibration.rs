@@ -137,6 +137,12 @@ impl OnlineCalibration {
     pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
         self.calibration.estimates()
     }
+
+    /// The least standard deviations of the estimates, see [`Calibration::bounds`].
+    #[must_use]
+    pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
+        self.calibration.bounds(&free.calibration)
+    }
 }
 
 /// What is wrong with the calibration, and what to write.
@@ -169,8 +175,9 @@ pub fn deviation(estimate: &CalibrationEstimate) -> String {
     format!("{value:+.digits$} +- {half:.digits$} {unit}")
 }
 
-/// Name and unit of a parameter, the unit for one of its own, and digits.
-const fn units(parameter: CalibrationParameter) -> (&'static str, &'static str, f64, usize) {
+/// Name and unit of a parameter for a person, the unit for one of its own, and digits.
+#[must_use]
+pub const fn units(parameter: CalibrationParameter) -> (&'static str, &'static str, f64, usize) {
     use CalibrationParameter as Parameter;
     match parameter {
         Parameter::SteeringGain => ("the steering gain", "%", 1e2, 1),

@@ -4,3 +4,4 @@ mod compare;
 mod cycles;
 mod limit_cycles;
 mod other_structure;
+mod plan;

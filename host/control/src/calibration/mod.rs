@@ -334,22 +334,39 @@ impl Calibration {
     /// The estimates, in the order of their numbers.
     #[must_use]
     pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
-        let gyro = self.gyro_fit.fit(None);
-        let steering = self.steering_fit.fit(None);
         let across = self.across_fit.fit(None);
         let body_yaw = across.as_ref().map_or(0.0, |fit| fit.values[1]);
-        let along = self.along_fit.fit(Some((3, body_yaw)));
-        CalibrationParameter::ALL.map(|parameter| match parameter {
-            CalibrationParameter::SteeringGain => estimate(parameter, steering.as_ref(), 0),
-            CalibrationParameter::SteeringTrim => estimate(parameter, steering.as_ref(), 1),
-            CalibrationParameter::GyroScale => estimate(parameter, gyro.as_ref(), 0),
-            CalibrationParameter::StampOffset => {
-                stamps(gyro.as_ref(), steering.as_ref(), along.as_ref())
-            }
-            CalibrationParameter::PivotForward => estimate(parameter, across.as_ref(), 0),
-            CalibrationParameter::BodyYaw => estimate(parameter, across.as_ref(), 1),
-            CalibrationParameter::PulseDistance => estimate(parameter, along.as_ref(), 0),
-            CalibrationParameter::PivotLeft => estimate(parameter, along.as_ref(), 1),
+        estimates(
+            self.gyro_fit.fit(None).as_ref(),
+            self.steering_fit.fit(None).as_ref(),
+            across.as_ref(),
+            self.along_fit.fit(Some((3, body_yaw))).as_ref(),
+        )
+    }
+
+    /// The least standard deviation of each estimate (Cramér and Rao) from this drive of a
+    /// calibrated car, in the order of their numbers; `None` for what it does not show. `free` has
+    /// taken the same drive without the noise of the sensors. The windows count as independent,
+    /// and what the model is wrong by is left out, but for the delays of the stamps' offset.
+    #[must_use]
+    pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
+        let estimates = estimates(
+            self.gyro_fit.bound(&free.gyro_fit, None).as_ref(),
+            self.steering_fit.bound(&free.steering_fit, None).as_ref(),
+            self.across_fit.bound(&free.across_fit, None).as_ref(),
+            self.along_fit
+                .bound(&free.along_fit, Some((3, 0.0)))
+                .as_ref(),
+        );
+        estimates.map(|estimate| {
+            let CalibrationEstimate {
+                parameter,
+                half_width,
+                ..
+            } = estimate;
+            let systematic = parameter.bounds().systematic;
+            let random = half_width * half_width - systematic * systematic;
+            estimate.observable.then(|| 0.5 * sqrt(random.max(0.0)))
         })
     }
 
@@ -559,6 +576,25 @@ fn stamps(
         half_width,
         observable: half_width <= bounds.widest,
     }
+}
+
+/// What the fits say.
+fn estimates(
+    gyro: Option<&Fit<4>>,
+    steering: Option<&Fit<3>>,
+    across: Option<&Fit<2>>,
+    along: Option<&Fit<4>>,
+) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
+    CalibrationParameter::ALL.map(|parameter| match parameter {
+        CalibrationParameter::SteeringGain => estimate(parameter, steering, 0),
+        CalibrationParameter::SteeringTrim => estimate(parameter, steering, 1),
+        CalibrationParameter::GyroScale => estimate(parameter, gyro, 0),
+        CalibrationParameter::StampOffset => stamps(gyro, steering, along),
+        CalibrationParameter::PivotForward => estimate(parameter, across, 0),
+        CalibrationParameter::BodyYaw => estimate(parameter, across, 1),
+        CalibrationParameter::PulseDistance => estimate(parameter, along, 0),
+        CalibrationParameter::PivotLeft => estimate(parameter, along, 1),
+    })
 }
 
 /// What a fit says of a parameter.

@@ -18,6 +18,8 @@ const LEAST_EQUATIONS: u32 = 3;
 struct Block<const N: usize> {
     matrix: SMatrix<f64, N, N>,
     right: SVector<f64, N>,
+    /// Sum of the squared values.
+    squares: f64,
     count: u32,
 }
 
@@ -26,6 +28,7 @@ impl<const N: usize> Block<N> {
         Self {
             matrix: SMatrix::zeros(),
             right: SVector::zeros(),
+            squares: 0.0,
             count: 0,
         }
     }
@@ -33,6 +36,7 @@ impl<const N: usize> Block<N> {
     fn add(&mut self, other: &Self) {
         self.matrix += other.matrix;
         self.right += other.right;
+        self.squares += other.squares;
         self.count += other.count;
     }
 
@@ -40,6 +44,8 @@ impl<const N: usize> Block<N> {
     fn holding(&self, held: Option<(usize, f64)>) -> Self {
         let mut block = *self;
         if let Some((index, value)) = held {
+            block.squares +=
+                value * (value * self.matrix[(index, index)] - 2.0 * self.right[index]);
             block.right -= value * self.matrix.column(index);
             block.right[index] = 0.0;
             block.matrix.row_mut(index).fill(0.0);
@@ -85,6 +91,7 @@ impl<const N: usize> Regression<N> {
         if finite && positive {
             self.open.matrix += regressors * regressors.transpose();
             self.open.right += value * regressors;
+            self.open.squares += value * value;
             self.open.count += 1;
         }
     }
@@ -96,6 +103,7 @@ impl<const N: usize> Regression<N> {
             matrix,
             right,
             count,
+            ..
         } = &self.open;
         let rest = right - matrix * values;
         (*count >= LEAST_EQUATIONS).then(|| rest[index] / matrix[(index, index)])
@@ -131,14 +139,7 @@ impl<const N: usize> Regression<N> {
         if count < LEAST_BLOCKS {
             return None;
         }
-        let mut whole = Block::new();
-        for block in &self.blocks {
-            whole.add(&block.holding(held));
-        }
-        if let Some((index, value)) = held {
-            whole.matrix[(index, index)] = 1.0;
-            whole.right[index] = value;
-        }
+        let whole = whole(&self.blocks, held);
         let inverse = whole.matrix.cholesky()?.inverse();
         let values = inverse * whole.right;
         let mut squares = SVector::<f64, N>::zeros();
@@ -160,6 +161,45 @@ impl<const N: usize> Regression<N> {
             excitation,
         })
     }
+
+    /// The bound of Cramér and Rao from the equations of a drive, the open block's too, with the
+    /// value of at most one parameter given: the half widths of a fit without an error. The
+    /// regressors are those of the same drive without noise, `free`. The variance of the noise is
+    /// that of these residuals beyond those of `free`, which are the model's own errors. `None` if
+    /// there is no noise, or with regressors that depend on each other.
+    pub(super) fn bound(&self, free: &Self, held: Option<(usize, f64)>) -> Option<Fit<N>> {
+        let residual = |of: &Self| {
+            let whole = whole(of.blocks.iter().chain([&of.open]), held);
+            let inverse = whole.matrix.cholesky()?.inverse();
+            let rest = whole.squares - whole.right.dot(&(inverse * whole.right));
+            let freedom = f64::from(whole.count) - N as f64;
+            (freedom > 0.0).then(|| (rest / freedom, inverse.diagonal(), whole.count))
+        };
+        let (noisy, ..) = residual(self)?;
+        let (model, inverse, count) = residual(free)?;
+        let variance = noisy - model;
+        (variance > 0.0).then(|| Fit {
+            values: SVector::zeros(),
+            half_widths: inverse.map(|it| 2.0 * sqrt(variance * it)),
+            excitation: inverse.map(|it| sqrt(1.0 / (f64::from(count) * it))),
+        })
+    }
+}
+
+/// The sum of blocks, with the value of at most one parameter given.
+fn whole<'a, const N: usize>(
+    blocks: impl IntoIterator<Item = &'a Block<N>>,
+    held: Option<(usize, f64)>,
+) -> Block<N> {
+    let mut whole = Block::new();
+    for block in blocks {
+        whole.add(&block.holding(held));
+    }
+    if let Some((index, value)) = held {
+        whole.matrix[(index, index)] = 1.0;
+        whole.right[index] = value;
+    }
+    whole
 }
 
 /// The quantile of Student's t at 97.5 %, to 2 % from four degrees of freedom on.

@@ -4,6 +4,7 @@ mod collect;
 mod drives;
 mod figures;
 mod output;
+pub mod plan;
 mod report;
 pub mod study;
 mod study_command;
@@ -26,6 +27,7 @@ use singletrack_figures::{
     plot::PlotError,
 };
 use singletrack_record::RecordError;
+use singletrack_scenario::simulate::CarError;
 
 use crate::vehicle_file::{self, VehicleFileError};
 use study::StudyError;
@@ -40,8 +42,22 @@ pub use study_command::StudyArgs;
 #[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
     /// The records of drives (*.mcap), a minute of weaving at 1.5 m/s or more; of several, one fit.
-    #[arg(required_unless_present_any = ["study", "from"])]
+    #[arg(required_unless_present_any = ["study", "from", "plan"])]
     pub record: Vec<PathBuf>,
+
+    /// Drive paths in the geofence of a scenario, simulated, and print the least standard deviation
+    /// of each parameter of the online calibration after them.
+    ///
+    /// The noise is that of the scenario. No record is read.
+    #[arg(
+        long,
+        value_name = "SCENARIO",
+        conflicts_with_all = [
+            "record", "validate", "config", "vehicle", "parameters", "tyres", "drive",
+            "least_speed", "out", "study",
+        ]
+    )]
+    pub plan: Option<PathBuf>,
 
     /// Another drive, to validate the identified parameters. May be given several times.
     #[arg(long, value_name = "RECORD")]
@@ -124,6 +140,8 @@ pub enum IdentifyFormat {
     Table,
     /// For a program, every digit.
     Json,
+    /// A row for each parameter; of `--plan` only.
+    Csv,
 }
 
 /// Why the identification failed.
@@ -190,6 +208,12 @@ pub enum IdentifyError {
         /// Why.
         source: IdentificationError,
     },
+    /// A path can't be planned.
+    #[error(transparent)]
+    Plan(#[from] CarError),
+    /// The result has no such format.
+    #[error("--format {0}: {1}")]
+    Format(&'static str, &'static str),
     /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -217,6 +241,22 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     if args.study.is_meant() {
         return Ok(print(&study_command::report(&args.study, args.tyres)?)?);
     }
+    if let Some(scenario) = &args.plan {
+        if args.format == IdentifyFormat::Json {
+            return Err(IdentifyError::Format("json", "--plan prints table or csv"));
+        }
+        let wait = wait(format!("driving paths in {}", scenario.display()));
+        let paths = plan::plan(scenario)?;
+        wait.finish_and_clear();
+        let is_csv = args.format == IdentifyFormat::Csv;
+        return Ok(print(&plan::table(&paths, is_csv))?);
+    }
+    if args.format == IdentifyFormat::Csv {
+        return Err(IdentifyError::Format(
+            "csv",
+            "use table or json; csv is of --plan",
+        ));
+    }
     if let Some(folder) = &args.out {
         prepare(folder)?;
     }
@@ -238,8 +278,8 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
         print_note(&format!("warning: not validated: {error}"));
     }
     let text = match args.format {
-        IdentifyFormat::Table => table::table(&report),
         IdentifyFormat::Json => output::json(&report),
+        _ => table::table(&report),
     };
     print(&text)?;
     if let Some(folder) = &args.out {
