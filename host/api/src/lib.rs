@@ -26,7 +26,8 @@ pub use request::{
 };
 pub use state::{SetpointInForce, State};
 pub use status::{
-    Board, Calibration, Cameras, Change, Command, Configuration, Correction, Estimate, Status,
+    Board, Calibration, Cameras, Change, Command, Configuration, Correction, Estimate, Learned,
+    Status,
 };
 
 /// The version of the protocol. Client and daemon must have the same one.

@@ -35,6 +35,9 @@ pub struct Status {
     pub filtering: Option<Word>,
     /// Whether no pose was accepted since the last tick.
     pub held: Option<bool>,
+    /// What live calibration corrects in this drive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub learned: Option<Learned>,
     /// The phase of the session with the board.
     pub link: Option<Word>,
     /// Of daemons that served a live view.
@@ -113,6 +116,21 @@ pub struct Correction {
     pub key: String,
     /// The value by the drives.
     pub value: Value,
+}
+
+/// Corrections of live calibration: the true value less the configured one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Learned {
+    /// Yaw of the rigid body on the car, in rad.
+    pub body_yaw_rad: f64,
+    /// Pivot of the rigid body, forward and to the left, in m.
+    pub pivot_m: [f64; 2],
+    /// By how much the stamps of the cameras are late, in ms.
+    pub stamp_offset_ms: f64,
+    /// Angle of the front wheels for that commanded, as a fraction beyond one.
+    pub steering_gain: f64,
+    /// Angle of the front wheels when straight ones are commanded, in rad.
+    pub steering_trim_rad: f64,
 }
 
 /// The cameras.

@@ -3,6 +3,7 @@
 use singletrack_api::Calibration;
 use singletrack_core::{
     Config,
+    config::OnlineCalibrationMode,
     online_calibration::{OnlineCalibration, advice},
 };
 use singletrack_pilot::Learned;
@@ -16,29 +17,46 @@ pub(crate) struct DriveCalibration {
     estimator: Option<(Config, OnlineCalibration)>,
     /// Ticks of the drive under way.
     ticks: u32,
+    /// What the pilot corrects in the drive under way, if it learns.
+    in_force: Option<Learned>,
 }
 
 /// Interval at which the estimates are computed, in ticks.
 const INTERVAL: u32 = 100;
 
+/// Interval at which the pilot is told what is learned, s.
+const TOLD: f64 = 1.0;
+
 impl DriveCalibration {
     /// A drive begins, with the configuration of this number and text. Another configuration
     /// discards what was collected.
     pub(crate) fn begin(&mut self, number: u32, toml: Option<&str>) {
-        if self.number == Some(number) {
-            return;
+        if self.number != Some(number) {
+            self.number = Some(number);
+            self.estimator = toml
+                .and_then(|text| Config::from_toml(text).ok())
+                .and_then(|config| OnlineCalibration::new(&config).map(|it| (config, it)));
         }
-        self.number = Some(number);
-        self.estimator = toml
-            .and_then(|text| Config::from_toml(text).ok())
-            .and_then(|config| OnlineCalibration::new(&config).map(|it| (config, it)));
+        let config = self.estimator.as_ref().map(|(config, _)| config);
+        let learns =
+            config.is_some_and(|it| it.online_calibration.mode == OnlineCalibrationMode::Live);
+        // Every drive begins as the configured car.
+        self.in_force = learns.then(|| self.in_force.unwrap_or_default());
+    }
+
+    /// What the pilot corrects in the drive under way: it goes there within a second, and later
+    /// while it doubts its poses. `None` if it does not learn.
+    pub(crate) const fn in_force(&self) -> Option<Learned> {
+        self.in_force
     }
 
     /// Takes a tick of a drive; gives what the pilot is to be told.
     pub(crate) fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
         let (_, estimator) = self.estimator.as_mut()?;
         self.ticks += 1;
-        estimator.tick(tick)
+        let learned = estimator.tick(tick)?;
+        self.in_force = self.in_force.map(|it| it.towards(&learned, TOLD));
+        Some(learned)
     }
 
     /// Once a second of a drive, what is known by then.
@@ -48,6 +66,7 @@ impl DriveCalibration {
 
     /// The drive has ended: what is known, with the number of the configuration.
     pub(crate) fn end(&mut self) -> Option<(u32, Calibration)> {
+        self.in_force = None;
         (core::mem::take(&mut self.ticks) > 0).then(|| self.known())?
     }
 
@@ -61,5 +80,29 @@ impl DriveCalibration {
             ));
         }
         Some((self.number?, known))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_that_learns_begins_without_a_correction() {
+        let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
+        let mut drives = DriveCalibration::default();
+        drives.begin(1, config.to_toml().ok().as_deref());
+        assert_eq!(drives.in_force(), None);
+        config.online_calibration.mode = OnlineCalibrationMode::Live;
+        drives.begin(2, config.to_toml().ok().as_deref());
+        assert_eq!(drives.in_force(), Some(Learned::default()));
+        drives.in_force = Some(Learned::MOST);
+        // The same drive slows down.
+        drives.begin(2, None);
+        assert_eq!(drives.in_force(), Some(Learned::MOST));
+        drives.end();
+        assert_eq!(drives.in_force(), None);
+        drives.begin(2, None);
+        assert_eq!(drives.in_force(), Some(Learned::default()));
     }
 }

@@ -52,6 +52,7 @@ impl DaemonHandle {
             calibration: calibration
                 .filter(|(number, _)| *number == configuration.number)
                 .map(|(_, calibration)| calibration.clone()),
+            learned: latest.learned,
             cameras: latest.cameras.clone(),
             figures: Figures {
                 setpoints: self.status.setpoints.figures(),

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use singletrack_api::Calibration;
 use singletrack_core::diagnosis::Diagnosis;
+use singletrack_pilot::Learned;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::{ClockMapping, TickRecord, Topic};
 use tokio::sync::{Semaphore, broadcast};
@@ -32,6 +33,8 @@ pub(crate) struct Latest {
     pub(crate) proved: Option<bool>,
     /// What drives say of the configuration of this number.
     pub(crate) calibration: Option<(u32, Calibration)>,
+    /// What the pilot corrects in this drive, if it learns.
+    pub(crate) learned: Option<Learned>,
     /// What is wrong with the cameras.
     pub(crate) cameras: Diagnosis,
     pub(crate) tally: Tally,

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use singletrack_api::{Board, Calibration, Cameras, Command, Configuration, Tuning, Word};
 use singletrack_control::Position;
 use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
-use singletrack_pilot::{Mode, Output, Reason, Tuned};
+use singletrack_pilot::{Learned, Mode, Output, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 use singletrack_record::TickRecord;
 
@@ -27,6 +27,8 @@ pub struct Snapshot {
     pub proved: Option<bool>,
     /// What drives say of the configuration in force.
     pub calibration: Option<Calibration>,
+    /// What the pilot corrects in this drive.
+    pub learned: Option<Learned>,
     /// What is wrong with the cameras, or that nothing is.
     pub cameras: Diagnosis,
     /// The figures so far.
@@ -106,6 +108,13 @@ impl Snapshot {
             filtered_ticks: output.map(|output| output.filtered_ticks),
             filtering: output.map(|output| output.filtering.name().into()),
             held: output.map(|output| output.held),
+            learned: self.learned.map(|it| singletrack_api::Learned {
+                body_yaw_rad: it.body_yaw,
+                pivot_m: [it.pivot_forward, it.pivot_left],
+                stamp_offset_ms: 1e3 * it.stamp_offset,
+                steering_gain: it.steering_gain,
+                steering_trim_rad: it.steering_trim,
+            }),
             link: self.tick.as_ref().map(|tick| tick.link.name().into()),
             live: None,
             looked_ahead_s: output.and_then(|output| output.looked_ahead),
@@ -254,6 +263,11 @@ mod tests {
                     value: json!(1_542),
                 }],
             }),
+            learned: Some(Learned {
+                steering_gain: -0.125,
+                pivot_left: 0.0078125,
+                ..Learned::default()
+            }),
             cameras: Diagnosis {
                 neighbour: Some("\"wand\" is near".to_owned()),
                 ..Diagnosis::default()
@@ -287,6 +301,7 @@ mod tests {
             board: None,
             proved: None,
             calibration: None,
+            learned: None,
             commissioned: None,
             config_path: None,
             record: None,

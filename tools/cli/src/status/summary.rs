@@ -78,6 +78,9 @@ impl Summary {
         if let Some(advice) = self.calibration() {
             line += &format!("; calibration: {advice}");
         }
+        if let Some(learned) = self.learned() {
+            line += &format!("; learned: {learned}");
+        }
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
         }
@@ -119,6 +122,9 @@ impl Summary {
         if let Some(advice) = self.calibration() {
             lines.paragraph("advice", &advice);
         }
+        if let Some(learned) = self.learned() {
+            lines.paragraph("learned", &learned);
+        }
         if let Some(error) = &status.record_error {
             lines.paragraph("record", &format!("has ended: {error}"));
         }
@@ -138,6 +144,29 @@ impl Summary {
     /// What the drives say of the calibration.
     fn calibration(&self) -> Option<String> {
         self.status.calibration.as_ref()?.line()
+    }
+
+    /// What live calibration corrects, such as "steering gain -12.5 %"; only what is not nothing.
+    fn learned(&self) -> Option<String> {
+        let learned = self.status.learned?;
+        let [forward, left] = learned.pivot_m;
+        let corrections = [
+            ("steering gain", 1e2 * learned.steering_gain, "%"),
+            ("trim", 1e3 * learned.steering_trim_rad, "mrad"),
+            ("stamps", learned.stamp_offset_ms, "ms"),
+            ("body yaw", 1e3 * learned.body_yaw_rad, "mrad"),
+            ("pivot forward", 1e3 * forward, "mm"),
+            ("pivot left", 1e3 * left, "mm"),
+        ];
+        let shown: Vec<String> = corrections
+            .into_iter()
+            .filter(|(_, value, ..)| *value != 0.0)
+            .map(|(name, value, unit)| format!("{name} {value:+.1} {unit}"))
+            .collect();
+        Some(match shown.as_slice() {
+            [] => "nothing yet".to_owned(),
+            shown => shown.join(", "),
+        })
     }
 
     fn pose_age_ms(&self) -> Option<f64> {
@@ -295,6 +324,24 @@ mod tests {
             assert_eq!(line.contains("; \"wand\" is near"), named, "{line}");
             assert!(line.contains("To do: "), "{line}");
         }
+    }
+
+    #[test]
+    fn what_is_learned_is_shown_without_what_is_not() {
+        let mut status = standing();
+        status["learned"] = json!({
+            "body_yaw_rad": 0.0,
+            "pivot_m": [0.0, -0.005],
+            "stamp_offset_ms": 0.0,
+            "steering_gain": -0.125,
+            "steering_trim_rad": 0.0,
+        });
+        let line = of(&status).line();
+        let learned = "; learned: steering gain -12.5 %, pivot left -5.0 mm";
+        assert!(line.contains(learned), "{line}");
+        status["learned"] = json!(null);
+        let line = of(&status).line();
+        assert!(!line.contains("learned"), "{line}");
     }
 
     #[test]
