@@ -218,6 +218,13 @@ struct Line<R> {
     request: R,
 }
 
+/// A line whose command is a word.
+#[derive(Deserialize)]
+struct Named {
+    #[serde(rename = "command")]
+    _command: String,
+}
+
 impl Request {
     /// A disarm with a ramp, of a car that was not carried.
     pub const DISARM: Self = Self::Disarm {
@@ -233,7 +240,14 @@ impl Request {
     pub fn parse(line: &[u8]) -> Result<Self, RequestError> {
         let parsed = serde_json::from_slice::<Line<Self>>(line);
         let error = match parsed.or_else(|error| without_nulls(line).ok_or(error)) {
-            Ok(line) if line.version == SOCKET_VERSION => return Ok(line.request),
+            Ok(given) if given.version == SOCKET_VERSION => {
+                // serde takes the number of a command for its word.
+                let named = serde_json::from_slice::<Named>(line);
+                let text = "command takes a word in quotes";
+                return named
+                    .map(|_| given.request)
+                    .map_err(|_| with_example(None, text));
+            }
             Ok(line) => return Err(other_version(line.version)),
             Err(error) => error,
         };
@@ -428,6 +442,19 @@ mod tests {
             let values = [line, &written].map(|line| serde_json::from_str::<Value>(line).unwrap());
             assert_eq!(values[0], values[1]);
         }
+    }
+
+    #[test]
+    fn the_number_of_a_command_is_not_its_word() {
+        for number in 0..20 {
+            for keys in ["", ",\"servo_us\":1500,\"esc_us\":1500"] {
+                let line = format!("{{\"version\":2,\"command\":{number}{keys}}}\n");
+                let error = Request::parse(line.as_bytes()).unwrap_err();
+                assert!(!error.to_string().is_empty(), "{line}");
+            }
+        }
+        let error = Request::parse(b"{\"version\":2,\"command\":2}").unwrap_err();
+        assert!(error.to_string().contains("a word in quotes"), "{error}");
     }
 
     #[test]

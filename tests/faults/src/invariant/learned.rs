@@ -18,8 +18,8 @@ const VALID: f64 = 2.0;
 pub(super) struct Learns {
     last: Option<Learned>,
     told: Option<(Time, Learned)>,
-    /// Whether the tick before followed a reference.
-    followed: bool,
+    /// Whether the tick before was one of a drive.
+    drove: bool,
 }
 
 impl Invariant for Learns {
@@ -35,8 +35,8 @@ impl Invariant for Learns {
             return Ok(());
         };
         let now = tick.pilot_time;
-        let follows = tick.output.drive_time.is_some();
-        if !core::mem::replace(&mut self.followed, follows) && follows {
+        let drives = matches!(tick.output.mode, Mode::Driving | Mode::Slowing);
+        if !core::mem::replace(&mut self.drove, drives) && drives {
             (self.last, self.told) = (None, None);
         } else {
             for event in &tick.events {
