@@ -1,5 +1,6 @@
 //! Cost of a control tick: one pose and one board record in, one command out, with every outer
-//! loop, with the compensation of the actuators, and with corrections that were learned. The ideal car of the tests is driven.
+//! loop, with the compensation of the actuators, and with what is learned. The ideal car of the
+//! tests is driven.
 
 #[path = "../../../host/pilot/tests/bench/mod.rs"]
 mod bench;
@@ -8,13 +9,21 @@ mod ticks;
 use bench::{Bench, config};
 use criterion::{Criterion, criterion_group, criterion_main};
 use singletrack_control::{
-    ActuatorModel, Circle, DelayedMpc, FrontPointLaw, LqiAxis, LqiConfig, LqiLoop, Motion,
-    MpcConfig, Position, Reference, TrackingLoop, Velocity,
+    ActuatorModel, Calibration, CalibrationConfig, CalibrationSample, CalibrationTick, Circle,
+    DelayedMpc, FrontPointLaw, InertialSample, LqiAxis, LqiConfig, LqiLoop, Motion, MpcConfig,
+    PoseSample, Position, Reference, Time, TrackingLoop, VehicleParameters, Velocity,
 };
 use singletrack_pilot::{Compensation, Event, Learned, Mode, PilotConfig};
 use ticks::measure;
 
 const PERIOD: f64 = 0.01;
+
+const ACTUATORS: ActuatorModel = ActuatorModel {
+    steering_dead_time: 0.018,
+    steering_lag: 0.04,
+    speed_dead_time: 0.036,
+    speed_lag: 0.08,
+};
 
 fn lqi() -> Option<TrackingLoop> {
     let axis = LqiAxis {
@@ -64,12 +73,7 @@ fn drive(config: PilotConfig) -> Option<Bench> {
 fn control_tick(criterion: &mut Criterion) {
     let off = config().compensation;
     let on = Compensation {
-        actuation: Some(ActuatorModel {
-            steering_dead_time: 0.018,
-            steering_lag: 0.04,
-            speed_dead_time: 0.036,
-            speed_lag: 0.08,
-        }),
+        actuation: Some(ACTUATORS),
         ..off
     };
     for (name, tracking) in [
@@ -94,26 +98,65 @@ fn control_tick(criterion: &mut Criterion) {
     }
 }
 
-/// A drive of which the cameras have shown something.
-fn learning_tick(criterion: &mut Criterion) {
-    let Some(mut bench) = drive(PilotConfig {
+/// The tick that learns: the pilot's with `mode = "live"`, which is told something once a second;
+/// and what `advice` and `live` add to it on the thread of the log, a tick and the estimates of
+/// once a second.
+fn learning(criterion: &mut Criterion) {
+    let live = PilotConfig {
         learns: true,
         ..config()
-    }) else {
-        return;
     };
-    bench.extra.push(Event::Learned(Learned {
-        steering_trim: 0.002,
-        stamp_offset: 0.002,
-        body_yaw: 0.002,
-        pivot_left: 0.001,
+    let Some(mut bench) = drive(live) else { return };
+    let learned = Learned {
+        steering_gain: -0.2,
         ..Learned::default()
-    }));
-    bench.run(200);
-    assert_ne!(bench.pilot.learned(), Some(Learned::default()));
+    };
     measure(criterion, "pilot, proportional, live", || {
+        if bench.tick.is_multiple_of(100) {
+            bench.extra.push(Event::Learned(learned));
+        }
         let output = bench.step();
         assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+    });
+    let mut calibration = Calibration::new(CalibrationConfig {
+        vehicle: VehicleParameters::paper(),
+        actuators: ACTUATORS,
+        marker_offset: [0.0; 2],
+        marker_yaw: 0.0,
+        pulse_distance: 0.003,
+    });
+    let mut tick = 0_u64;
+    let mut learn = |calibration: &mut Calibration| {
+        tick += 1;
+        let time = Time(tick * 10_000_000);
+        let yaw = 0.5 * (0.01 * tick as f64).sin();
+        calibration.tick(&CalibrationTick {
+            time,
+            steering: Some(0.2 * yaw),
+            poses: &[PoseSample {
+                capture: time,
+                receive: time,
+                frame: 0,
+                position: Position::new(0.01 * tick as f64, yaw),
+                yaw,
+            }],
+            samples: &[CalibrationSample {
+                time,
+                inertial: Some(InertialSample {
+                    time,
+                    yaw_rate: yaw,
+                    forward_acceleration: 0.0,
+                    left_acceleration: 0.0,
+                }),
+                motor_speed: 1.0,
+            }],
+        });
+    };
+    // The memory is full.
+    (0..36_000).for_each(|_| learn(&mut calibration));
+    measure(criterion, "calibration, tick", || learn(&mut calibration));
+    measure(criterion, "calibration, estimates", || {
+        calibration.estimates()
     });
 }
 
@@ -137,5 +180,5 @@ fn law_alone(criterion: &mut Criterion) {
     });
 }
 
-criterion_group!(benches, control_tick, learning_tick, law_alone);
+criterion_group!(benches, control_tick, learning, law_alone);
 criterion_main!(benches);
