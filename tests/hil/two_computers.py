@@ -3,10 +3,11 @@
 
 The computers are two network namespaces with a cable between them, and the clock of the second one
 is 100000 s ahead: its offset is known. Each has a simulated car and its daemon. The socket of the
-second car is forwarded over the cable as `ssh -L` does. Needs Linux with user namespaces, `unshare`,
-`ip` and Python 3.10, and no other rights; nothing leaves the namespaces. Takes 20 s.
+second car is forwarded over the cable as `ssh -L` does, and with `--zenoh` by `singletrack-zenoh`,
+whose processes are killed as well. Needs Linux with user namespaces, `unshare`, `ip` and Python 3.10,
+and no other rights; nothing leaves the namespaces. Takes 20 s, with zenoh 50 s.
 
-    cargo verify two-computers
+    cargo verify two-computers zenoh
 """
 
 import contextlib
@@ -26,6 +27,7 @@ START_APART_S = 0.010
 STOP_S = 0.2
 PORT = 9_000
 ADDRESSES = ["10.9.0.1", "10.9.0.2"]
+ROUTER = f"tcp/{ADDRESSES[0]}:7447"
 EXAMPLE = Path(__file__).parents[2] / "host/daemon/singletrackd.example.toml"
 
 
@@ -143,22 +145,45 @@ class Lateness(threading.Thread):
             looked = now
 
 
-def second(programs, folder):
-    """The second computer."""
+class Zenoh:
+    """A process of `singletrack-zenoh`."""
+
+    def __init__(self, programs, *arguments):
+        self.command = [programs / "singletrack-zenoh", *arguments]
+        self.start()
+
+    def start(self):
+        self.process = subprocess.Popen(self.command, stderr=subprocess.DEVNULL)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+
+def second(programs, folder, zenoh):
+    """The second computer. A line of its input kills what serves the car, and another starts it anew."""
     sys.stdin.readline()
     for command in ("link set lo up", f"addr add {ADDRESSES[1]}/24 dev cable", "link set cable up"):
         subprocess.run(["ip", *command.split()], check=True)
     start(programs, folder)
-    relay(socket.create_server((ADDRESSES[1], PORT)), lambda: unix(folder / "control.sock"))
+    path = folder / "control.sock"
+    if zenoh:
+        car = ["car", "--name", "car2", "--socket", path, "--router", ROUTER]
+        server = Zenoh(programs, *car)
+        while sys.stdin.readline():
+            server.kill()
+            sys.stdin.readline()
+            server.start()
+    relay(socket.create_server((ADDRESSES[1], PORT)), lambda: unix(path))
     time.sleep(3_600)
 
 
-def main(programs, root):
+def main(programs, root, zenoh):
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     cars = [root / "car1", root / "car2"]
     unshare = ["unshare", "--net", "--time", "--monotonic", str(AHEAD_S), "--fork", "--kill-child"]
     other = subprocess.Popen(
-        [*unshare, sys.executable, __file__, str(programs), "--second", str(cars[1])],
+        [*unshare, sys.executable, __file__, *sys.argv[1:], "--second", str(cars[1])],
         stdin=subprocess.PIPE,
         text=True,
     )
@@ -171,27 +196,42 @@ def main(programs, root):
         subprocess.run(["ip", *command.split()], check=True)
     print(file=other.stdin, flush=True)
     start(programs, cars[0])
-    forwarded = socket.socket(socket.AF_UNIX)
-    forwarded.bind(str(root / "forwarded.sock"))
-    forwarded.listen()
-    relay(forwarded, lambda: socket.create_connection((ADDRESSES[1], PORT)))
     sockets = [cars[0] / "control.sock", root / "forwarded.sock"]
     entries = [f'[[car]]\nname = "car{n}"\nsocket = "{path}"\n' for n, path in enumerate(sockets, 1)]
+    processes = {}
+    if zenoh:
+        entries.append(f'router = "{ROUTER}"\n')
     (root / "fleet.toml").write_text("".join(entries))
-    for folder in cars:
-        wait_ready(folder)
+    if zenoh:
+        processes["router"] = Zenoh(programs, "router", "--listen", ROUTER)
+        processes["desk"] = Zenoh(programs, "desk", "--fleet", root / "fleet.toml")
+    else:
+        forwarded = socket.socket(socket.AF_UNIX)
+        forwarded.bind(str(sockets[1]))
+        forwarded.listen()
+        relay(forwarded, lambda: socket.create_connection((ADDRESSES[1], PORT)))
 
     fleet = [programs / "singletrack", "fleet", "--fleet", root / "fleet.toml"]
-    status = subprocess.run([*fleet, "status"], check=True, capture_output=True, text=True).stdout
+
+    def wait_all_ready():
+        for folder in cars:
+            wait_ready(folder)
+        for _ in range(200):
+            answer = subprocess.run([*fleet, "status"], capture_output=True, text=True)
+            if answer.returncode == 0:
+                return answer.stdout
+            time.sleep(0.05)
+        sys.exit(answer.stderr)
+
+    status = wait_all_ready()
     clocks = re.findall(r"clock (\S+) ms ± (\S+)", status)
     for (offset, bound), truth in zip(clocks, (0, 1e3 * AHEAD_S), strict=True):
         error = float(offset) - truth
         print(f"offset of the clock: error {1e3 * error:.0f} us, bound {1e3 * float(bound):.0f} us")
         assert abs(error) <= float(bound) + 1e-3, status
 
-    for failure in ("partition", "kill", "hang"):
-        for folder in cars:
-            wait_ready(folder)
+    for failure in ("partition", "kill", "hang", *processes, *(["server"] if zenoh else [])):
+        wait_all_ready()
         watches = [Watch(folder, ahead) for folder, ahead in zip(cars, (0, AHEAD_S * 10**9))]
         arm = subprocess.Popen([*fleet, "arm", "--uncalibrated", "--together", "--start-in", "1s"])
         while not all(watch.begun for watch in watches):
@@ -208,12 +248,20 @@ def main(programs, root):
                 arm.kill()
             case "hang":
                 arm.send_signal(signal.SIGSTOP)
+            case "server":
+                print(file=other.stdin, flush=True)
+            case process:
+                processes[process].kill()
         for watch in watches:
             watch.join(5)
         after = [(watch.stopped - failed) / 1e9 for watch in watches]
         arm.kill()
         arm.wait()
         subprocess.run(["ip", "link", "set", "cable", "up"], check=True)
+        if failure in processes:
+            processes[failure].start()
+        elif failure == "server":
+            print(file=other.stdin, flush=True)
         begin = ", ".join(f"{1e3 * seconds:.0f} ms" for seconds in after)
         late = f"measured to {1e3 * lateness.longest_s:.0f} ms"
         print(f"{failure}: started {1e3 * apart:.3f} ms apart, begin to stop after {begin}, {late}")
@@ -222,14 +270,15 @@ def main(programs, root):
 
 if __name__ == "__main__":
     programs = Path(sys.argv[1]).resolve()
+    zenoh = "--zenoh" in sys.argv
     if "--second" in sys.argv:
-        second(programs, Path(sys.argv[3]))
+        second(programs, Path(sys.argv[-1]), zenoh)
     elif "--inside" in sys.argv:
         with tempfile.TemporaryDirectory() as root:
-            main(programs, Path(root))
+            main(programs, Path(root), zenoh)
     else:
         inside = ["unshare", "--user", "--map-root-user", "--net", "--pid", "--fork", "--mount-proc"]
         if subprocess.run([*inside, "ip", "link", "show"], stdout=subprocess.DEVNULL).returncode:
             sys.exit(print("not run: this user may create no namespaces, or there is no `ip`"))
-        command = [*inside, sys.executable, __file__, programs, "--inside"]
+        command = [*inside, sys.executable, __file__, *sys.argv[1:], "--inside"]
         sys.exit(subprocess.run(command).returncode)

@@ -28,6 +28,8 @@ words! {
         Python = "python",
         /// ROS 2 in Python.
         Ros = "ros",
+        /// Cars on other computers by way of a zenoh router.
+        Zenoh = "zenoh",
         /// Octave, for MATLAB's language.
         Octave = "octave",
         /// The page in a browser.

@@ -23,7 +23,7 @@ Run the checks that need nothing but Rust and a C compiler, or the named steps. 
 the processor time and the budget of each step, and stops at the first failure.
 
   --all            run every check of the project; installs Debian packages that are missing
-  --without PART   every check but those of a part: uno, odroid, readers, python, ros, octave, browser, slurm, units, debian
+  --without PART   every check but those of a part: uno, odroid, readers, python, ros, zenoh, octave, browser, slurm, units, debian
   -h, --help       print this help
 ";
 
@@ -157,7 +157,7 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 28] = [
+const STEPS: [Step; 29] = [
     // Static checks.
     row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -230,9 +230,9 @@ const STEPS: [Step; 28] = [
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
     row("two-computers", 10, All,
         "the cars of two computers start together, and stop when their network is cut",
-        |packages| check(
-            Command::new(root().join("tests/hil/two_computers.py")).arg(packages.path("")?),
-        )),
+        |packages| two_computers(packages, &[])),
+    row("zenoh", 5, Of(Part::Zenoh), "the same by way of a zenoh router, which is killed as well",
+        |packages| two_computers(packages, &["--zenoh"])),
     row("octave", 10, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
     row("browser", 15, Of(Part::Browser),
@@ -267,6 +267,11 @@ fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
     let mut suite = packages.tests(Some("hil"));
     suite.args(["--board", board, "--daemon"]).arg(daemon);
     Ok(suite)
+}
+
+fn two_computers(packages: &Packages, options: &[&str]) -> Result<(), Failure> {
+    let mut cars = Command::new(root().join("tests/hil/two_computers.py"));
+    check(cars.arg(packages.path("")?).args(options))
 }
 
 /// No log of a real car is part of the project: they are judged where there are some.

@@ -12,7 +12,7 @@ pub struct Line {
 }
 
 /// Programs whose lines are read.
-const PROGRAMS: [&str; 8] = [
+const PROGRAMS: [&str; 9] = [
     "singletrack",
     "singletrackd",
     "singletrack-sim",
@@ -20,6 +20,7 @@ const PROGRAMS: [&str; 8] = [
     "singletrack-faults",
     "singletrack-onboard",
     "singletrack-ros",
+    "singletrack-zenoh",
     "cargo",
 ];
 

@@ -14,6 +14,8 @@ use clap::Args;
 use singletrack_api::{Fleet, FleetCar};
 use singletrack_core::{Config, config::SocketSection};
 use singletrack_figures::output::print;
+#[cfg(feature = "page")]
+use singletrack_viewers::page::{OtherCar, Page};
 use tracing_subscriber::{
     filter::{LevelFilter, Targets},
     layer::SubscriberExt as _,
@@ -116,13 +118,17 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
             return Err(why.into());
         };
         socket = cars.remove(first).socket();
-        others = cars.iter().map(FleetCar::socket).collect();
+        let other = |car: FleetCar| OtherCar {
+            socket: car.socket(),
+            colour: car.colour,
+        };
+        others = cars.into_iter().map(other).collect();
     }
     section.address = args.viewer.address.unwrap_or(section.address);
     section.port = args.port.unwrap_or(section.port);
     section.token_file = args.token_file.clone().or(section.token_file);
     start_log();
-    let page = singletrack_viewers::page::Page::start(socket, others, &section)?;
+    let page = Page::start(socket, others, &section)?;
     let token = section.token_file.map_or_else(String::new, |path| {
         format!("/?token=TOKEN with the token from {}", path.display())
     });

@@ -215,11 +215,26 @@ fn cars_stop_by_themselves_when_the_command_that_holds_them_is_killed() {
     wait(&cars, |mode| mode == Mode::Ready);
     let file = folder.join("fleet.toml");
     let right = std::fs::read_to_string(&file).unwrap();
-    std::fs::write(&file, right.replace("\"car2\"\n", "\"car2\"\nnumber = 7\n")).unwrap();
-    let other = fleet(folder, &["arm"]).output().unwrap();
-    assert_eq!(other.status.code(), Some(1), "{}", text(&other));
-    let wrong = "car2: number is 7, and board.car_id of its daemon is 0";
-    assert!(text(&other).contains(wrong), "{}", text(&other));
+    for (key, wrong) in [
+        (
+            "number = 7",
+            "number is 7, and board.car_id of its daemon is 0",
+        ),
+        (
+            "body = \"it\"",
+            "body is \"it\", and motion_capture.rigid_body of its daemon is \"",
+        ),
+    ] {
+        let changed = right.replace("\"car2\"\n", &format!("\"car2\"\n{key}\n"));
+        std::fs::write(&file, changed).unwrap();
+        let other = fleet(folder, &["arm"]).output().unwrap();
+        assert_eq!(other.status.code(), Some(1), "{}", text(&other));
+        assert!(
+            text(&other).contains(&format!("car2: {wrong}")),
+            "{}",
+            text(&other)
+        );
+    }
     // It is no reason not to stop.
     let stop = fleet(folder, &["stop"]).output().unwrap();
     assert!(stop.status.success(), "{}", text(&stop));

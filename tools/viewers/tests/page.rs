@@ -15,7 +15,7 @@ use std::{
 
 use serde_json::{Value, json};
 use singletrack_core::{Config, config::PageSection};
-use singletrack_viewers::page::{Page, PageError};
+use singletrack_viewers::page::{OtherCar, Page, PageError};
 use singletrackd::{Daemon, StartOptions};
 use socket2::{Domain, Socket, Type};
 use tempfile::TempDir;
@@ -234,8 +234,10 @@ fn other_cars_are_shown_beside_as_long_as_their_daemons_answer() {
     let [socket, other] = folders
         .each_ref()
         .map(|folder| folder.path().join("control.sock"));
-    let others = vec![other, folders[0].path().join("nobody.sock")];
-    let page = Page::start(socket, others, &section()).unwrap();
+    let nobody = folders[0].path().join("nobody.sock");
+    let others = [(other, Some("teal".to_owned())), (nobody, None)];
+    let others = others.map(|(socket, colour)| OtherCar { socket, colour });
+    let page = Page::start(socket, others.into(), &section()).unwrap();
     let mut viewer = Viewer::connect(page.address());
     let mut shown = |is_wanted: fn(&Value) -> bool| loop {
         let others = viewer.event("state")["others"].take();
@@ -250,6 +252,7 @@ fn other_cars_are_shown_beside_as_long_as_their_daemons_answer() {
         folders[1].path().display().to_string()
     );
     assert_eq!(other["mode"], "disconnected");
+    assert_eq!(other["colour"], "teal");
     for key in [
         "corners_m",
         "hold_ms",

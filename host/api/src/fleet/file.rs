@@ -25,6 +25,12 @@ pub struct FleetCar {
     socket: Option<PathBuf>,
     /// The number of its board, as `board.car_id` in its configuration.
     pub number: Option<u16>,
+    /// Its body in the cameras' software, as `motion_capture.rigid_body` in its configuration.
+    pub body: Option<String>,
+    /// Its colour on the page, as CSS writes it.
+    pub colour: Option<String>,
+    /// The zenoh router by which its computer is reached: `singletrack-zenoh desk` offers `socket`.
+    pub router: Option<String>,
 }
 
 /// Why there is no fleet.
@@ -57,12 +63,12 @@ pub enum FleetFileError {
         /// The name.
         name: String,
     },
-    /// Two cars have one name, socket or number.
+    /// Two cars have one name, socket, number or body.
     #[error("{}: two cars have the {what} {value}: give each one of its own", path.display())]
     Twice {
         /// The file.
         path: PathBuf,
-        /// `name`, `socket` or `number`.
+        /// `name`, `socket`, `number` or `body`.
         what: &'static str,
         /// Its value.
         value: String,
@@ -115,8 +121,9 @@ impl Fleet {
             }
             let socket = car.socket().display().to_string();
             let number = car.number.map(|number| ("number", number.to_string()));
+            let body = car.body.clone().map(|body| ("body", body));
             let named = [("name", name), ("socket", socket)];
-            for (what, value) in named.into_iter().chain(number) {
+            for (what, value) in named.into_iter().chain(number).chain(body) {
                 if !taken.insert((what, value.clone())) {
                     return Err(FleetFileError::Twice { path, what, value });
                 }
@@ -158,6 +165,10 @@ mod tests {
             (
                 "[[car]]\nname = \"a\"\nnumber = 1\n[[car]]\nname = \"b\"\nnumber = 1\n",
                 "two cars have the number 1",
+            ),
+            (
+                "[[car]]\nname = \"a\"\nbody = \"x\"\n[[car]]\nname = \"b\"\nbody = \"x\"\n",
+                "two cars have the body x",
             ),
             ("", "[[car]]"),
             (

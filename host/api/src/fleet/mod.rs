@@ -80,22 +80,32 @@ impl Fleet {
 }
 
 impl FleetCar {
-    /// A connection to its daemon, which must have its number, and how far the daemon's clock is
+    /// A connection to its daemon, which must have its number and its body, and how far the daemon's clock is
     /// ahead of `clock`.
     fn connect(&self, clock: impl Fn() -> u64) -> Result<(Connection, ClockOffset), ClientError> {
         let mut connection = Connection::open(&self.socket(), PATIENCE)?;
-        if let Some(number) = self.number {
+        let number = self
+            .number
+            .map(|number| toml::Value::from(i64::from(number)));
+        let body = self.body.clone().map(toml::Value::from);
+        if number.is_some() || body.is_some() {
             let toml = answer(&mut connection, &Request::Configuration {})?.toml;
             let table = toml.and_then(|toml| toml.parse::<toml::Table>().ok());
-            let configured = table
-                .as_ref()
-                .and_then(|table| table.get("board")?.get("car_id"));
-            if configured.and_then(toml::Value::as_integer) != Some(number.into()) {
+            for (name, wanted, section, key) in [
+                ("number", number, "board", "car_id"),
+                ("body", body, "motion_capture", "rigid_body"),
+            ] {
+                let configured = table
+                    .as_ref()
+                    .and_then(|table| table.get(section)?.get(key));
+                let Some(wanted) = wanted.filter(|wanted| configured != Some(wanted)) else {
+                    continue;
+                };
                 let configured =
                     configured.map_or_else(|| "unknown".to_owned(), ToString::to_string);
                 return Err(ClientError::Refused(format!(
-                    "number is {number}, and board.car_id of its daemon is {configured}: correct \
-                     the number or the socket in the fleet's file"
+                    "{name} is {wanted}, and {section}.{key} of its daemon is {configured}: \
+                     correct the {name} or the socket in the fleet's file"
                 )));
             }
         }

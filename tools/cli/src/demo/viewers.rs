@@ -9,7 +9,7 @@ use singletrack_core::config::PageSection;
 #[cfg(feature = "live")]
 use singletrack_viewers::live::Live;
 #[cfg(feature = "page")]
-use singletrack_viewers::page::Page;
+use singletrack_viewers::page::{OtherCar, Page};
 
 use super::{arguments::DemoArgs, error::DemoError};
 
@@ -37,7 +37,12 @@ impl Viewers {
                 port,
                 ..PageSection::default()
             };
-            let page = Page::start(socket.to_owned(), others.to_vec(), &section)?;
+            let other = |socket: &PathBuf| OtherCar {
+                socket: socket.clone(),
+                colour: None,
+            };
+            let others = others.iter().map(other).collect();
+            let page = Page::start(socket.to_owned(), others, &section)?;
             eprintln!("Watch the drive in a browser: http://{}", page.address());
             viewers._page = Some(page);
         }

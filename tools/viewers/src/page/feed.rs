@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
-use super::setup::car;
+use super::{server::OtherCar, setup::car};
 use crate::daemon::{PATIENCE, silent};
 
 /// Interval of the states, and of the statuses.
@@ -109,15 +109,18 @@ impl Feed {
         Ok(())
     }
 
-    /// Keeps the newest of another car, whose daemon is at `socket`, for the states.
-    pub(super) fn follow_other(&self, index: usize, socket: &Path) -> Result<(), ClientError> {
+    /// Keeps the newest of another car for the states.
+    pub(super) fn follow_other(&self, index: usize, other: &OtherCar) -> Result<(), ClientError> {
         let set = |value| {
             if let Some(other) = self.others().get_mut(index) {
                 *other = value;
             }
         };
-        let mut shown = car(socket)?;
-        let result = self.stream(socket, |newest| {
+        let mut shown = car(&other.socket)?;
+        if let Some(shown) = shown.as_object_mut() {
+            shown.insert("colour".to_owned(), json!(other.colour));
+        }
+        let result = self.stream(&other.socket, |newest| {
             if let (Some(newest), Some(shown)) = (newest, shown.as_object_mut()) {
                 shown.extend(picked(&newest, &SHOWN));
                 set(json!(shown));

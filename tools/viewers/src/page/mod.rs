@@ -23,4 +23,4 @@ mod server;
 mod setup;
 
 pub use request::{BadRequest, Request};
-pub use server::{Page, PageError};
+pub use server::{OtherCar, Page, PageError};

@@ -87,9 +87,18 @@ pub(super) struct Shared {
 /// The place of a viewer of the events.
 pub(super) type Viewer<'a> = SemaphorePermit<'a>;
 
+/// A car that is shown beside that of the page.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OtherCar {
+    /// The control socket of its daemon.
+    pub socket: PathBuf,
+    /// As CSS writes it.
+    pub colour: Option<String>,
+}
+
 impl Page {
     /// Starts to listen, for the daemon at `socket`, which need not run; and writes the file of the
-    /// token. The cars of the daemons at `others` are shown beside.
+    /// token. The cars of `others` are shown beside.
     ///
     /// # Errors
     ///
@@ -97,7 +106,7 @@ impl Page {
     /// written; a thread does not start.
     pub fn start(
         socket: PathBuf,
-        others: Vec<PathBuf>,
+        others: Vec<OtherCar>,
         section: &PageSection,
     ) -> Result<Self, PageError> {
         section.check_served()?;
@@ -139,11 +148,11 @@ impl Page {
             )?
         };
         let mut followers = vec![first];
-        for (index, socket) in others.into_iter().enumerate() {
+        for (index, other) in others.into_iter().enumerate() {
             let (watched, followed) = (Arc::clone(&shared), Arc::clone(&shared));
             followers.push(Follower::start(
                 move || watched.feed.is_watched(),
-                move || followed.feed.follow_other(index, &socket),
+                move || followed.feed.follow_other(index, &other),
                 |_| {},
             )?);
         }

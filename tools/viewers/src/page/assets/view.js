@@ -69,7 +69,7 @@ export class View {
     this.drawTrail(pen, states, to, colour);
     pen.font = colour.font;
     for (const other of others(state).filter(({ x }) => x !== null)) {
-      drawCar(pen, to, scale, colour, other, other);
+      drawCar(pen, to, scale, { ...colour, ink: other.colour ?? colour.ink }, other, other);
       const [x, y] = to([other.x, other.y]);
       pen.fillStyle = colour.soft;
       pen.fillText(other.car.name, x + 12, y - 12);

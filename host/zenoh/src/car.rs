@@ -1,0 +1,96 @@
+//! On the computer of a car: connects clients elsewhere to the daemon.
+
+use std::{collections::HashMap, net::Shutdown, os::unix::net::UnixStream, path::Path, thread};
+
+use zenoh::{Session, Wait as _, liveliness::LivelinessToken, sample::SampleKind};
+
+use crate::{
+    arguments::Car,
+    connection::Connection,
+    network::{Keys, ZenohError, join},
+};
+
+/// Connections at once: more than a daemon serves, whose refusal then says why.
+const CONNECTIONS: usize = 64;
+
+/// Serves a car until the process ends.
+pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> {
+    let keys = Keys::of(&car.name)?;
+    let session = join(config, &car.router)?;
+    if session
+        .liveliness()
+        .get(keys.server("*"))
+        .wait()?
+        .recv()
+        .is_ok()
+    {
+        return Err(ZenohError::Taken(car.name.clone()));
+    }
+    let liveliness = session.liveliness();
+    let clients = liveliness
+        .declare_subscriber(keys.client("*"))
+        .history(true);
+    let clients = clients.wait()?;
+    let me = keys.server(&session.zid().to_string());
+    let _served = liveliness.declare_token(me).wait()?;
+    tracing::info!(car = car.name, socket = %car.socket.display(), "serving");
+    let mut open = HashMap::new();
+    while let Ok(change) = clients.recv() {
+        let key = change.key_expr().as_str();
+        let Some((_, id)) = key.rsplit_once('/') else {
+            continue;
+        };
+        if change.kind() == SampleKind::Delete {
+            tracing::info!(client = id, "gone");
+            if let Some(stream) = open.remove(id) {
+                let _ = UnixStream::shutdown(&stream, Shutdown::Both);
+            }
+        } else if open.len() >= CONNECTIONS {
+            tracing::warn!(client = id, "refused: {CONNECTIONS} clients are connected");
+        } else if !open.contains_key(id) {
+            match connect(&session, &keys, id, &car.socket) {
+                Ok(stream) => drop(open.insert(id.to_owned(), stream)),
+                Err(error) => tracing::warn!(client = id, "not connected: {error}"),
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Connects a client to the daemon; the stream is to be shut down when the client is gone.
+fn connect(
+    session: &Session,
+    keys: &Keys,
+    id: &str,
+    socket: &Path,
+) -> Result<UnixStream, ConnectError> {
+    let stream = singletrack_api::connect(socket)?;
+    let daemon = stream.try_clone().map_err(zenoh::Error::from)?;
+    let connection = Connection::declare(session, daemon, keys.down(id), keys.up(id))?;
+    // The client begins when it sees this, and all is declared.
+    let token = session.liveliness().declare_token(keys.daemon(id)).wait()?;
+    let carry = move || carry(connection, token);
+    thread::Builder::new()
+        .spawn(carry)
+        .map_err(zenoh::Error::from)?;
+    tracing::info!(client = id, "connected");
+    Ok(stream)
+}
+
+fn carry(connection: Connection, token: LivelinessToken) {
+    if let Err(error) = connection.carry() {
+        tracing::debug!("a connection ended: {error}");
+    }
+    drop(token);
+}
+
+/// Why a client is not connected.
+#[derive(Debug, thiserror::Error)]
+enum ConnectError {
+    /// The daemon accepts no connection.
+    #[error(transparent)]
+    Daemon(#[from] singletrack_api::ClientError),
+    /// A key can't be declared, or a thread not be started.
+    #[error(transparent)]
+    Session(#[from] zenoh::Error),
+}

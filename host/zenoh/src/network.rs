@@ -1,0 +1,192 @@
+//! Sessions of zenoh, and the keys of a car.
+
+use std::{
+    io,
+    path::{Path, PathBuf},
+    thread,
+};
+
+use zenoh::{Config, Session, Wait as _};
+
+/// A computer that is silent for as long has left. A drive has ended before: its holder is not heard.
+const LEASE_MS: u32 = 1_000;
+
+/// Why the program ends.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ZenohError {
+    /// A configuration file can't be used.
+    #[error("{}: {message}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What zenoh says.
+        message: String,
+    },
+    /// An endpoint is none.
+    #[error("{endpoint:?} is no endpoint of zenoh ({message}): write tcp/192.168.1.30:7447")]
+    Endpoint {
+        /// The endpoint.
+        endpoint: String,
+        /// What zenoh says.
+        message: String,
+    },
+    /// A session does not open, or a key can't be declared.
+    #[error("zenoh: {0}")]
+    Session(#[from] zenoh::Error),
+    /// A name can't be that of a car.
+    #[error("the name of the car is {0:?}: it must be of letters, digits, - and _")]
+    Name(String),
+    /// Another process serves a car of this name.
+    #[error(
+        "another singletrack-zenoh serves a car with the name {0} at this router: give each car a \
+         name of its own"
+    )]
+    Taken(String),
+    /// There is no such fleet.
+    #[error(transparent)]
+    Fleet(#[from] singletrack_api::FleetFileError),
+    /// No car of the fleet is to be reached by a router.
+    #[error("{}: no car has a router: write router = \"tcp/192.168.1.30:7447\"", .0.display())]
+    NoRouter(PathBuf),
+    /// A socket can't be offered.
+    #[error(
+        "can't listen at {}: {source}; give the car a socket of yours in the fleet's file, such as \
+         /tmp/car2.sock",
+        path.display()
+    )]
+    Listen {
+        /// The socket.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// A client of a router. It waits until the router is there, and comes back when it was lost.
+pub(crate) fn join(file: Option<&Path>, router: &str) -> Result<Session, ZenohError> {
+    let mut config = configuration(file, "client", "connect", router)?;
+    config.insert_json5("connect/timeout_ms", "-1")?;
+    let retry = r#"{ period_init_ms: 100, period_max_ms: 500, period_increase_factor: 2 }"#;
+    config.insert_json5("connect/retry", retry)?;
+    tracing::info!(router, "connecting");
+    let session = zenoh::open(config).wait()?;
+    tracing::info!(router, "connected");
+    Ok(session)
+}
+
+/// Runs a router until the process ends.
+pub(crate) fn route(file: Option<&Path>, listen: &str) -> Result<(), ZenohError> {
+    let config = configuration(file, "router", "listen", listen)?;
+    let _router = zenoh::open(config).wait()?;
+    tracing::info!(listen, "the router has started");
+    loop {
+        thread::park();
+    }
+}
+
+fn configuration(
+    file: Option<&Path>,
+    mode: &str,
+    direction: &str,
+    endpoint: &str,
+) -> Result<Config, ZenohError> {
+    let mut config = match file {
+        None => Config::default(),
+        Some(path) => Config::from_file(path).map_err(|error| ZenohError::File {
+            path: path.to_owned(),
+            message: said(&error),
+        })?,
+    };
+    config.insert_json5("mode", &format!("{mode:?}"))?;
+    config
+        .insert_json5(
+            &format!("{direction}/endpoints"),
+            &format!("[{endpoint:?}]"),
+        )
+        .map_err(|error| ZenohError::Endpoint {
+            endpoint: endpoint.to_owned(),
+            message: said(&error),
+        })?;
+    // Only the router that is named.
+    config.insert_json5("scouting/multicast/enabled", "false")?;
+    config.insert_json5("transport/link/tx/lease", &LEASE_MS.to_string())?;
+    Ok(config)
+}
+
+/// What zenoh says, without the lines of its source that it adds.
+fn said(error: &zenoh::Error) -> String {
+    let error = error.to_string();
+    let end = error.find(" at /").unwrap_or(error.len());
+    error[..end].to_owned()
+}
+
+/// The keys of a car.
+#[derive(Clone, Debug)]
+pub(crate) struct Keys(String);
+
+impl Keys {
+    pub(crate) fn of(name: &str) -> Result<Self, ZenohError> {
+        let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if name.is_empty() || !name.chars().all(is_allowed) {
+            return Err(ZenohError::Name(name.to_owned()));
+        }
+        Ok(Self(format!("singletrack/{name}")))
+    }
+
+    /// Alive while a process serves the car.
+    pub(crate) fn server(&self, process: &str) -> String {
+        format!("{}/server/{process}", self.0)
+    }
+
+    /// Alive while the client of a connection is connected.
+    pub(crate) fn client(&self, connection: &str) -> String {
+        format!("{}/client/{connection}", self.0)
+    }
+
+    /// Alive while the daemon is connected to a client.
+    pub(crate) fn daemon(&self, connection: &str) -> String {
+        format!("{}/daemon/{connection}", self.0)
+    }
+
+    /// What the client of a connection sends.
+    pub(crate) fn up(&self, connection: &str) -> String {
+        format!("{}/up/{connection}", self.0)
+    }
+
+    /// What the daemon sends to the client of a connection.
+    pub(crate) fn down(&self, connection: &str) -> String {
+        format!("{}/down/{connection}", self.0)
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_would_be_a_pattern_of_keys_is_refused() {
+        for name in ["", "*", "a/b", "a b", "$*", "é"] {
+            let error = Keys::of(name).unwrap_err().to_string();
+            assert!(error.contains(&format!("{name:?}")), "{error}");
+        }
+        assert_eq!(
+            Keys::of("car-1_a").unwrap().up("7"),
+            "singletrack/car-1_a/up/7"
+        );
+    }
+
+    #[test]
+    fn an_endpoint_or_a_file_that_is_none_is_named_with_what_to_write() {
+        let error = configuration(None, "client", "connect", "192.168.1.30").unwrap_err();
+        let error = error.to_string();
+        assert!(error.contains("write tcp/192.168.1.30:7447"), "{error}");
+        assert!(!error.contains(".rs:"), "{error}");
+        let file = Path::new("/nonexistent/zenoh.json5");
+        let error = configuration(Some(file), "client", "connect", "tcp/[::1]:1").unwrap_err();
+        assert!(
+            error.to_string().starts_with("/nonexistent/zenoh.json5: "),
+            "{error}"
+        );
+    }
+}
