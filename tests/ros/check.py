@@ -208,15 +208,18 @@ def every(interval, duration, act):
 class System:
     """Simulator, daemon and singletrack-ros."""
 
-    def __init__(self, arguments):
+    def __init__(self, arguments, folder, namespace=NAMESPACE, start="0.57,-0.39,54", port=1510):
         self.programs = arguments.programs
-        self.folder = arguments.folder
+        self.folder = folder
+        self.namespace = namespace
         self.socket = self.folder / "control.sock"
         board = self.folder / "board"
         text = arguments.configuration.read_text()
         for pattern, value in (
             (r"^port = .*", f'port = "{board}"'),
             (r"^server = .*", 'server = "127.0.0.1"'),
+            (r"^# command_port = .*", f"command_port = {port}"),
+            (r"^#data_port = .*", f"data_port = {port + 1}"),
             (r"^#directory = .*", f'directory = "{self.folder}"'),
             (r"^#path = .*", f'path = "{self.socket}"'),
             (r'^kind = "circle"', 'kind = "external"'),
@@ -229,14 +232,15 @@ class System:
         configuration.write_text(text)
         self.processes = {}
         atexit.register(self.kill)
-        self.start("singletrack-sim", "--port", board, "--start", "0.57,-0.39,54")
+        cameras = ["--command-port", port, "--data-port", port + 1]
+        self.start("singletrack-sim", "--port", board, "--start", start, *cameras)
         wait("the simulator's port", board.exists)
         self.start("singletrackd", "--config", configuration)
         wait("the daemon's socket", self.socket.exists)
         self.start_node()
 
     def start_node(self):
-        self.start("singletrack-ros", "--socket", self.socket, "--namespace", NAMESPACE)
+        self.start("singletrack-ros", "--socket", self.socket, "--namespace", self.namespace)
 
     def start(self, name, *arguments):
         log = open(self.folder / f"{name}.log", "w")
@@ -459,6 +463,37 @@ def check_stop(lab, system):
     print("stop: emergency-stop")
 
 
+def check_beside(executor, arguments):
+    """Two cars with a daemon and a node each: each is heard and told in its own namespace."""
+    node = Node("fleet")
+    executor.add_node(node)
+    places, stops, systems = {}, {}, {}
+    for namespace, x, port in (("/car7", 0.5, 1510), ("/car8", -0.5, 1520)):
+        folder = arguments.folder / namespace[1:]
+        folder.mkdir()
+        systems[namespace] = System(arguments, folder, namespace, f"{x},0,0", port)
+
+        def take(odometry, namespace=namespace):
+            places[namespace] = odometry.pose.pose.position.x
+
+        node.create_subscription(Odometry, f"{namespace}/odom", take, RELIABLE)
+        stops[namespace] = node.create_client(Trigger, f"{namespace}/stop")
+    try:
+        for namespace, stop in stops.items():
+            assert stop.wait_for_service(10.0), f"{namespace}/stop is missing"
+        near = lambda namespace, x: abs(places.get(namespace, 9.0) - x) < 0.2
+        wait("both cars at their places", lambda: near("/car7", 0.5) and near("/car8", -0.5))
+        answer = stops["/car8"].call_async(Trigger.Request())
+        wait("an answer of stop", answer.done, 15.0)
+        assert answer.result().success, answer.result().message
+        wait("the stop", lambda: systems["/car8"].mode()[1] == "emergency-stop")
+        assert systems["/car7"].mode()[1] != "emergency-stop", systems["/car7"].mode()
+        print("two cars: each has its namespace, and one is stopped")
+    finally:
+        for system in systems.values():
+            system.kill()
+
+
 def padded(message):
     """A message as it is on the wire: in words of four bytes, with the padding's length."""
     return message[:2] + message[4:] + bytes(-len(message) % 4)
@@ -555,7 +590,7 @@ def main():
         return
     begin = time.monotonic()
     lateness = Lateness()
-    system = System(arguments)
+    system = System(arguments, arguments.folder)
     rclpy.init()
     lab = Lab()
     executor = SingleThreadedExecutor()
@@ -586,6 +621,7 @@ def main():
         check_bytes(lab, arguments.folder)
         check_transforms(lab)
         report_setpoints(system, arguments.folder)
+        check_beside(executor, arguments)
         print(f"{time.monotonic() - begin:.0f} s")
     except BaseException:
         for name in ("singletrackd", "singletrack-ros"):
