@@ -94,9 +94,11 @@ enum Fault {
     Disarmed,
     /// Its pose jumps.
     Jumps,
+    /// Its cameras take it for another car, and that one for it.
+    Swapped,
 }
 
-const FAULTS: [Fault; 7] = [
+const FAULTS: [Fault; 8] = [
     Fault::Hidden,
     Fault::Frozen,
     Fault::Deaf,
@@ -104,6 +106,7 @@ const FAULTS: [Fault; 7] = [
     Fault::Unpowered,
     Fault::Disarmed,
     Fault::Jumps,
+    Fault::Swapped,
 ];
 
 impl Experiment for FleetCampaign {
@@ -228,6 +231,7 @@ fn change(fleet: &mut VirtualFleet, index: usize, fault: Fault, begins: bool) {
             let jump = if begins { 0.7 } else { 0.0 };
             car.world_mut().cameras_mut().faults_mut().jump_m = [jump, 0.0, 0.0];
         }
+        Fault::Swapped => car.world_mut().cameras_mut().faults_mut().swapped = begins,
         Fault::Disarmed => {
             let request = if begins {
                 PilotRequest::Disarm
