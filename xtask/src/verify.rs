@@ -176,7 +176,7 @@ const STEPS: [Step; 29] = [
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| units::check()),
     // Checks of the programs in virtual time.
-    row("tests", 1230, Always, "unit, property and virtual-time tests",
+    row("tests", 1295, Always, "unit, property and virtual-time tests",
         |packages| packages.check_with_image(&mut packages.tests(None))),
     row("faults", 70, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
@@ -212,7 +212,7 @@ const STEPS: [Step; 29] = [
     }),
     row("book", 100, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book")))),
-    row("release", 660, All,
+    row("release", 585, All,
         "the programs build as they are installed, and simulate the bits of the tested ones",
         compare_release),
     row("debian", 30, Of(Part::Debian),
