@@ -259,6 +259,19 @@ fn the_compensation_makes_the_laws_of_the_literature_better() {
 }
 
 #[test]
+fn a_plan_with_the_compensation_goes_on_from_what_the_motor_has_yet_to_do() {
+    let mut plan = plan(&[ControllerName::MpcCompensated], &[Condition::Nominal]);
+    plan.paths = vec![PathName::Stop, PathName::WideEight];
+    plan.speeds_m_s = vec![1.9];
+    let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
+    for line in table.lines().skip(1) {
+        let rms: f64 = line.split(',').nth(5).unwrap().parse().unwrap();
+        // 15 and 11 mm; a plan that goes on from what it last wanted has 340 at the stop.
+        assert!(rms < 0.03, "{table}");
+    }
+}
+
+#[test]
 fn a_wrong_belief_costs_and_the_test_paths_are_driven() {
     let mut plan = plan(
         &[ControllerName::PCompensated],

@@ -113,14 +113,21 @@ impl Course<'_> {
         Ok((wanted, command))
     }
 
-    /// The state after a period with this command, and the velocity that P is given in it.
-    fn next(&self, state: &Predicted, command: &FrontPointCommand) -> (Predicted, Velocity) {
+    /// The state after a period with this command, and the velocity that P is given in it. `planned`
+    /// is the speed (m/s) that was commanded before for this period.
+    fn next(
+        &self,
+        state: &Predicted,
+        command: &FrontPointCommand,
+        planned: Option<f64>,
+    ) -> (Predicted, Velocity) {
         let most = self.limits.max_steering_rate;
         let rate = command.steering_rate.clamp(-most, most);
         let change = self.limits.max_acceleration * self.period;
-        let speed = command
-            .speed
-            .clamp(state.speed - change, state.speed + change);
+        let speed = planned.unwrap_or_else(|| {
+            let wanted = command.speed;
+            wanted.clamp(state.speed - change, state.speed + change)
+        });
         let applied = front_point_velocity(self.law, &state.motion, state.wheels, speed, rate);
         (state.after(self.period, rate, speed), applied)
     }
@@ -185,6 +192,23 @@ impl Compensator {
         applied: Velocity,
     ) -> Result<(Predicted, Velocity, Lead), Singularity> {
         let state = self.predictor.predict(estimate, measured);
+        // A loop that plans goes on from what P is given. The motor has yet to act on the speeds of
+        // its dead time, and what is wanted now does not change them.
+        let plans = matches!(tracking, TrackingLoop::Mpc(_));
+        let planned = |state: &Predicted| {
+            let speed = self.planned_for(course.now.after(state.ahead), course.period)?;
+            let limits = course.limits;
+            let most = limits.max_speed.min(limits.speed_in_bend(state.wheels));
+            plans.then_some(speed.clamp(-most, most))
+        };
+        let applied = match planned(&state) {
+            None => applied,
+            Some(speed) => {
+                let (motion, wheels) = (&state.motion, state.wheels);
+                let rate = course.law.command(motion, wheels, &applied)?.steering_rate;
+                front_point_velocity(course.law, motion, wheels, speed, rate)
+            }
+        };
         let (wanted, first) = course.at(&state, tracking, applied)?;
         let model = *self.predictor.model();
         // The motor acts later than the wheels: the speed is the one that is wanted then. The
@@ -193,11 +217,11 @@ impl Compensator {
         let (mut later, mut command) = (state, first);
         let far = model.speed_dead_time.min(FARTHEST);
         while later.ahead + 0.5 * course.period < far {
-            let (after, given) = course.next(&later, &command);
+            let (after, given) = course.next(&later, &command, planned(&later));
             later = after;
             command = course.at(&later, &mut imagined, given)?.1;
         }
-        let (after, given) = course.next(&later, &command);
+        let (after, given) = course.next(&later, &command, planned(&later));
         let (_, next) = course.at(&after, &mut imagined, given)?;
         let most = course.limits.max_acceleration;
         let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
@@ -211,6 +235,13 @@ impl Compensator {
             speed: asked - first.speed,
         };
         Ok((state, wanted, lead))
+    }
+
+    /// The speed that was planned for this time, m/s, if any was in the last period.
+    fn planned_for(&self, time: Time, period: f64) -> Option<f64> {
+        let mut planned = self.planned.iter().rev();
+        let (since, speed) = *planned.find(|(planned, _)| *planned <= time)?;
+        (time.seconds_since(since) < 1.5 * period).then_some(speed)
     }
 
     /// What the deviation from the planned speed adds to the command, m/s.
