@@ -195,3 +195,43 @@ fn a_contradiction_of_a_proved_car_makes_its_next_drive_slow_again() {
     assert!(again && speeds[0] > 2.0 * SLOW, "{speeds:?}");
     assert!(speeds[1] > 0.2 && speeds[1] <= SLOW, "{speeds:?}");
 }
+
+#[test]
+fn the_reference_waits_for_a_car_that_proves_its_first_metre() {
+    let mut config = config();
+    config.reference = ReferenceSection::Circle {
+        radius_m: 1.0,
+        angular_velocity_rad_s: 1.0,
+        centre_m: [0.0, 0.0],
+        start: Start::Beginning,
+    };
+    let mut simulation = simulation();
+    simulation.car.start.x_m = 1.0;
+    let mut drive = VirtualDrive::with_options(config, simulation, options(&[])).unwrap();
+    let start = drive.start().unwrap().now;
+    let (mut most, mut late_s, mut proved_s) = (0.0_f64, 0.0, None);
+    loop {
+        let tick = drive.step();
+        let output = &tick.tick.output;
+        let time = tick.now.seconds_since(start);
+        if time > 20.0 {
+            break;
+        }
+        assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
+        if output.proved {
+            proved_s = Some(time);
+        }
+        let wanted = output.reference.unwrap().position.unwrap();
+        let off = (output.point.unwrap() - wanted).norm();
+        most = most.max(off);
+        if off > 0.05 {
+            late_s = time;
+        }
+    }
+    assert!(
+        proved_s.is_some_and(|proved_s| proved_s < 5.0),
+        "{proved_s:?}"
+    );
+    // 0.21 m and 5.5 s; 2.15 m and 14.2 s if it does not wait.
+    assert!(most < 0.3 && late_s < 7.0, "{most} m, {late_s} s");
+}

@@ -49,7 +49,8 @@ section! {
     /// the car.
     max_damaged_frames: f64 => max_damaged, in up_to(1.0);
     /// Drives the first metre of a configuration that has not been proved on this car with
-    /// 0.3 m/s at most, and compares the sensors. A contradiction stops the car.
+    /// 0.3 m/s at most, and compares the sensors; the reference waits for it. A contradiction stops
+    /// the car.
     prove_first_metre: bool => prove;
     /// Refuses to arm unless `doctor`, `bring-up` and `calibrate` have passed with this
     /// configuration on this car, within the last 90 days. An `arm` that says `uncalibrated`

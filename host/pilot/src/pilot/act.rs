@@ -153,6 +153,7 @@ impl Pilot {
         }
         self.safety.begin(self.commanded_steering);
         self.obstacles.begin();
+        self.waited = 0.0;
         // It begins as the configured car.
         self.learning = self.config.learns.then(Learning::default);
         let unproved = self.config.supervisor.prove && !self.proved;
@@ -189,7 +190,7 @@ impl Pilot {
         let elapsed = self
             .drive_start
             .map_or(0.0, |start| now.seconds_since(start));
-        let time = elapsed - self.obstacles.waited;
+        let time = elapsed - self.waited;
         let before = self.law.actuation().speed;
         let wanted = &self.config.reference;
         action.path = Some(match (&mut self.governor, action.point) {
@@ -222,6 +223,7 @@ impl Pilot {
             self.law.cap_speed(fabs(before));
         }
         let (coast, wave) = self.prove(now, estimate, action);
+        self.wait_for_proof(estimate, action, coast);
         let actuation = self.law.actuation();
         self.applied = match action.reference {
             Some(_) => self.law.point_velocity(),
@@ -323,6 +325,21 @@ impl Pilot {
             },
         };
         self.step_law(estimate, &step, &velocity, action)
+    }
+
+    /// Lets the reference be no faster than the car may be until everything has been proved.
+    fn wait_for_proof(&mut self, estimate: &Estimate, action: &Action, coast: bool) {
+        let path = action.reference.filter(|it| it.position.is_some());
+        if let (Some(reference), true) = (path, self.watches.proving.is_some()) {
+            let speed = if coast {
+                fabs(estimate.speed)
+            } else {
+                PROVING_SPEED
+            };
+            let share = speed / reference.velocity.norm();
+            // NaN, where both stand, delays nothing.
+            self.waited += self.config.period * (1.0 - share.min(1.0)).max(0.0);
+        }
     }
 
     /// A tick of the proving run: limits the speed, and returns whether the car is to roll at

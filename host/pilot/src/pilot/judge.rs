@@ -112,7 +112,7 @@ impl Pilot {
         let (now, config, watches) = (sensed.now, &self.config, &self.watches);
         let path_time = self
             .drive_start
-            .map(|start| now.seconds_since(start) - self.obstacles.waited);
+            .map(|start| now.seconds_since(start) - self.waited);
         let (estimate, speeds) = (sensed.estimate.as_ref(), &sensed.speeds);
         let implausible_motion = watches
             .implausible_motion(&self.estimator, &config.watch)

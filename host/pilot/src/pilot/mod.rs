@@ -51,6 +51,8 @@ pub struct Pilot {
     compensator: Option<Compensator>,
     safety: Safety,
     obstacles: Obstacles,
+    /// The time of the drive by which its reference is later, s.
+    waited: f64,
     /// None if it does not learn.
     learning: Option<Learning>,
     /// Where p goes to, in m; the law has the one of now.
@@ -97,6 +99,7 @@ impl Pilot {
             compensator: Compensator::of(&config.compensation),
             safety: Safety::new(config.safety.as_ref()),
             obstacles: Obstacles::new(config.neighbours.as_ref()),
+            waited: 0.0,
             learning: config.learns.then(Learning::default),
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),

@@ -13,7 +13,7 @@ const SILENCE: f64 = 1.0;
 /// The car waits for so long after there was no way, s: it must not jerk.
 const PAUSE: f64 = 0.5;
 
-/// The other bodies, and how long the car has waited for them.
+/// The other bodies, and how the car waits for them.
 #[derive(Clone, Debug)]
 pub(super) struct Obstacles {
     /// None if the car does not keep apart from them.
@@ -22,8 +22,6 @@ pub(super) struct Obstacles {
     pub(super) sides: NeighbourSides,
     /// What it must not cross, even if they brake now.
     pub(super) last_sides: NeighbourSides,
-    /// The time of the drive by which its reference is later, s.
-    pub(super) waited: f64,
     /// How long it still waits after there was no way, s.
     pause: f64,
     /// How long the car has stood before one of them, s.
@@ -36,7 +34,6 @@ impl Obstacles {
             neighbours: config.map(|config| Neighbours::new(*config)),
             sides: NeighbourSides::new(),
             last_sides: NeighbourSides::new(),
-            waited: 0.0,
             pause: 0.0,
             stood: 0.0,
         }
@@ -50,7 +47,7 @@ impl Obstacles {
 
     /// A drive begins.
     pub(super) const fn begin(&mut self) {
-        (self.waited, self.pause, self.stood) = (0.0, 0.0, 0.0);
+        (self.pause, self.stood) = (0.0, 0.0);
     }
 
     /// A tick begins, of a drive or outside one.
@@ -76,14 +73,15 @@ impl Obstacles {
             .is_some_and(Neighbours::are_unknown)
     }
 
-    /// Delays the reference by what the filter has left out of the wanted velocity of P (m/s) in
-    /// a period (s).
-    pub(super) fn delay(&mut self, wanted: &Velocity, given: &Velocity, period: f64) {
-        if !self.sides.is_empty() {
-            let share = given.dot(wanted) / wanted.norm_squared();
-            // NaN, where nothing is wanted, delays nothing.
-            self.waited += period * (1.0 - share.clamp(0.0, 1.0)).max(0.0);
+    /// The share of a period by which the reference waits: what the filter has left out of the wanted
+    /// velocity of P (m/s).
+    pub(super) fn delay(&self, wanted: &Velocity, given: &Velocity) -> f64 {
+        if self.sides.is_empty() {
+            return 0.0;
         }
+        let share = given.dot(wanted) / wanted.norm_squared();
+        // NaN, where nothing is wanted, delays nothing.
+        (1.0 - share.clamp(0.0, 1.0)).max(0.0)
     }
 
     /// Whether the car stands for one of them: while they leave no way, and for a while after.

@@ -172,8 +172,8 @@ impl Pilot {
         let waits = self.obstacles.wait(yields && velocity.is_none(), period);
         let velocity = velocity.filter(|_| !waits);
         if yields || waits {
-            self.obstacles
-                .delay(wanted, &velocity.unwrap_or_default(), period);
+            let given = velocity.unwrap_or_default();
+            self.waited += period * self.obstacles.delay(wanted, &given);
         }
         action.point_velocity = velocity;
         let actuation = match velocity {
