@@ -192,8 +192,11 @@ impl Compensator {
         applied: Velocity,
     ) -> Result<(Predicted, Velocity, Lead), Singularity> {
         let state = self.predictor.predict(estimate, measured);
+        let model = *self.predictor.model();
+        let far = model.speed_dead_time.min(FARTHEST);
         // A loop that plans goes on from what P is given. The motor has yet to act on the speeds of
-        // its dead time, and what is wanted now does not change them.
+        // its dead time, which what is wanted now does not change: the two differ by no more than the
+        // speed can change in it.
         let plans = matches!(tracking, TrackingLoop::Mpc(_));
         let planned = |state: &Predicted| {
             let speed = self.planned_for(course.now.after(state.ahead), course.period)?;
@@ -205,17 +208,17 @@ impl Compensator {
             None => applied,
             Some(speed) => {
                 let (motion, wheels) = (&state.motion, state.wheels);
-                let rate = course.law.command(motion, wheels, &applied)?.steering_rate;
-                front_point_velocity(course.law, motion, wheels, speed, rate)
+                let given = course.law.command(motion, wheels, &applied)?;
+                let near = course.limits.max_acceleration * far;
+                let speed = given.speed.clamp(speed - near, speed + near);
+                front_point_velocity(course.law, motion, wheels, speed, given.steering_rate)
             }
         };
         let (wanted, first) = course.at(&state, tracking, applied)?;
-        let model = *self.predictor.model();
         // The motor acts later than the wheels: the speed is the one that is wanted then. The
         // loop's steps until then are only imagined, so they are those of a copy.
         let mut imagined = tracking.clone();
         let (mut later, mut command) = (state, first);
-        let far = model.speed_dead_time.min(FARTHEST);
         while later.ahead + 0.5 * course.period < far {
             let (after, given) = course.next(&later, &command, planned(&later));
             later = after;
@@ -240,7 +243,8 @@ impl Compensator {
     /// The speed that was planned for this time, m/s, if any was in the last period.
     fn planned_for(&self, time: Time, period: f64) -> Option<f64> {
         let mut planned = self.planned.iter().rev();
-        let (since, speed) = *planned.find(|(planned, _)| *planned <= time)?;
+        let close = time.after(0.5 * period);
+        let (since, speed) = *planned.find(|(planned, _)| *planned <= close)?;
         (time.seconds_since(since) < 1.5 * period).then_some(speed)
     }
 

@@ -97,7 +97,7 @@ impl ControllerName {
             Self::Lqi => [100.0, 0.03],
             Self::LqiCompensated => [300.0, 0.1],
             Self::Mpc => [0.1, 0.15],
-            Self::MpcCompensated => [0.03, 0.1],
+            Self::MpcCompensated => [0.1, 0.25],
             Self::PurePursuit => [0.2, 12.0],
             Self::PurePursuitCompensated => [0.15, 8.0],
             Self::Stanley => [16.0, 12.0],
