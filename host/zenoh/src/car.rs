@@ -17,22 +17,19 @@ const CONNECTIONS: usize = 64;
 pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> {
     let keys = Keys::of(&car.name)?;
     let session = join(config, &car.router)?;
-    if session
-        .liveliness()
-        .get(keys.server("*"))
-        .wait()?
-        .recv()
-        .is_ok()
-    {
-        return Err(ZenohError::Taken(car.name.clone()));
-    }
     let liveliness = session.liveliness();
+    let me = keys.server(&session.zid().to_string());
+    let _served = liveliness.declare_token(&me).wait()?;
+    // After this one is declared: of two that start at once, one sees the other.
+    for reply in liveliness.get(keys.server("*")).wait()? {
+        if reply.result().is_ok_and(|it| it.key_expr().as_str() != me) {
+            return Err(ZenohError::Taken(car.name.clone()));
+        }
+    }
     let clients = liveliness
         .declare_subscriber(keys.client("*"))
         .history(true);
     let clients = clients.wait()?;
-    let me = keys.server(&session.zid().to_string());
-    let _served = liveliness.declare_token(me).wait()?;
     tracing::info!(car = car.name, socket = %car.socket.display(), "serving");
     let mut open = HashMap::new();
     while let Ok(change) = clients.recv() {
