@@ -468,17 +468,17 @@ def check_beside(executor, arguments):
     node = Node("fleet")
     executor.add_node(node)
     places, stops, systems = {}, {}, {}
-    for namespace, x, port in (("/car7", 0.5, 1510), ("/car8", -0.5, 1520)):
-        folder = arguments.folder / namespace[1:]
-        folder.mkdir()
-        systems[namespace] = System(arguments, folder, namespace, f"{x},0,0", port)
-
-        def take(odometry, namespace=namespace):
-            places[namespace] = odometry.pose.pose.position.x
-
-        node.create_subscription(Odometry, f"{namespace}/odom", take, RELIABLE)
-        stops[namespace] = node.create_client(Trigger, f"{namespace}/stop")
     try:
+        for namespace, x, port in (("/car7", 0.5, 1510), ("/car8", -0.5, 1520)):
+            folder = arguments.folder / namespace[1:]
+            folder.mkdir()
+            systems[namespace] = System(arguments, folder, namespace, f"{x},0,0", port)
+
+            def take(odometry, namespace=namespace):
+                places[namespace] = odometry.pose.pose.position.x
+
+            node.create_subscription(Odometry, f"{namespace}/odom", take, RELIABLE)
+            stops[namespace] = node.create_client(Trigger, f"{namespace}/stop")
         for namespace, stop in stops.items():
             assert stop.wait_for_service(10.0), f"{namespace}/stop is missing"
         near = lambda namespace, x: abs(places.get(namespace, 9.0) - x) < 0.2
