@@ -155,6 +155,46 @@ fn a_car_with_the_right_of_way_waits_for_less() {
     assert!(with[0].yields < without[0].yields, "{with:?} {without:?}");
 }
 
+#[test]
+fn the_reference_of_an_unproved_car_that_waits_for_another_never_goes_back() {
+    let [mut one, mut other] = ["car1", "car2"].map(|name| car(name, [0.0, 0.0], 0.9));
+    one.config.neighbours.expected = vec!["car2".to_owned()];
+    other.config.neighbours.expected = vec!["car1".to_owned()];
+    if let ReferenceSection::Circle {
+        angular_velocity_rad_s: velocity,
+        ..
+    } = &mut other.config.reference
+    {
+        *velocity = -*velocity;
+    }
+    // Against it on the same circle, so near that the first metre ends before it.
+    other.start = StartPose {
+        x_m: 0.2,
+        y_m: 1.0,
+        yaw_rad: -0.2,
+    };
+    for car in [&mut one, &mut other] {
+        car.config.supervisor.prove_first_metre = true;
+    }
+    let mut fleet = VirtualFleet::new(&[one, other]).unwrap();
+    fleet.start().unwrap();
+    let mut last = [0.0; 2];
+    let mut waited = 0;
+    let until_us = fleet.now_us() + 8_000_000;
+    fleet.advance_to(until_us, &mut |index, tick| {
+        let output = &tick.tick.output;
+        if output.mode == Mode::Driving {
+            assert!(!output.proved, "it waits before it is proved");
+            let path = output.path.unwrap();
+            // A tick that comes with its frame may be shorter than a period.
+            assert!(path > last[index] - 0.005, "{path} after {}", last[index]);
+            last[index] = path.max(last[index]);
+            waited += u32::from(output.filtering == Filtering::Yielded);
+        }
+    });
+    assert!(waited > 100, "{waited}");
+}
+
 /// The least distance between two cars that meet on one circle, at 0.9 m/s each.
 fn meet(change: impl Fn(&mut NeighboursSection)) -> f64 {
     let [mut one, mut other] = ["car1", "car2"].map(|name| car(name, [0.0, 0.0], 0.9));

@@ -26,6 +26,8 @@ pub(super) struct Action {
     pub(super) turning_round: bool,
     pub(super) looked_ahead: Option<f64>,
     pub(super) path: Option<f64>,
+    /// The share of the period by which the reference waits.
+    pub(super) delay: f64,
     pub(super) slowed_by: Option<SlowedBy>,
     pub(super) command: Option<DriveCommand>,
     pub(super) proved: bool,
@@ -70,6 +72,7 @@ impl Pilot {
             turning_round: false,
             looked_ahead: None,
             path: None,
+            delay: 0.0,
             slowed_by: None,
             command: None,
             proved: false,
@@ -224,6 +227,7 @@ impl Pilot {
         }
         let (coast, wave) = self.prove(now, estimate, action);
         self.wait_for_proof(estimate, action, coast);
+        self.waited += self.config.period * action.delay;
         let actuation = self.law.actuation();
         self.applied = match action.reference {
             Some(_) => self.law.point_velocity(),
@@ -328,7 +332,7 @@ impl Pilot {
     }
 
     /// Lets the reference be no faster than the car may be until everything has been proved.
-    fn wait_for_proof(&mut self, estimate: &Estimate, action: &Action, coast: bool) {
+    fn wait_for_proof(&self, estimate: &Estimate, action: &mut Action, coast: bool) {
         let path = action.reference.filter(|it| it.position.is_some());
         if let (Some(reference), true) = (path, self.watches.proving.is_some()) {
             let speed = if coast {
@@ -338,7 +342,7 @@ impl Pilot {
             };
             let share = speed / reference.velocity.norm();
             // NaN, where both stand, delays nothing.
-            self.waited += self.config.period * (1.0 - share.min(1.0)).max(0.0);
+            action.delay = action.delay.max(1.0 - share.min(1.0));
         }
     }
 

@@ -173,7 +173,7 @@ impl Pilot {
         let velocity = velocity.filter(|_| !waits);
         if yields || waits {
             let given = velocity.unwrap_or_default();
-            self.waited += period * self.obstacles.delay(wanted, &given);
+            action.delay = self.obstacles.delay(wanted, &given);
         }
         action.point_velocity = velocity;
         let actuation = match velocity {
