@@ -1,12 +1,12 @@
 //! On the computer of a car: connects clients elsewhere to the daemon.
 
-use std::{collections::HashMap, net::Shutdown, os::unix::net::UnixStream, path::Path, thread};
+use std::{collections::HashMap, path::Path, thread};
 
 use zenoh::{Session, Wait as _, liveliness::LivelinessToken, sample::SampleKind};
 
 use crate::{
     arguments::Car,
-    connection::Connection,
+    connection::{Connection, Cut},
     network::{Keys, ZenohError, join},
 };
 
@@ -39,14 +39,14 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
         };
         if change.kind() == SampleKind::Delete {
             tracing::info!(client = id, "gone");
-            if let Some(stream) = open.remove(id) {
-                let _ = UnixStream::shutdown(&stream, Shutdown::Both);
+            if let Some(cut) = open.remove(id) {
+                Cut::off(&cut);
             }
         } else if open.len() >= CONNECTIONS {
             tracing::warn!(client = id, "refused: {CONNECTIONS} clients are connected");
         } else if !open.contains_key(id) {
             match connect(&session, &keys, id, &car.socket) {
-                Ok(stream) => drop(open.insert(id.to_owned(), stream)),
+                Ok(cut) => drop(open.insert(id.to_owned(), cut)),
                 Err(error) => tracing::warn!(client = id, "not connected: {error}"),
             }
         }
@@ -54,16 +54,11 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
     Ok(())
 }
 
-/// Connects a client to the daemon; the stream is to be shut down when the client is gone.
-fn connect(
-    session: &Session,
-    keys: &Keys,
-    id: &str,
-    socket: &Path,
-) -> Result<UnixStream, ConnectError> {
+/// Connects a client to the daemon, and returns what cuts it off when the client is gone.
+fn connect(session: &Session, keys: &Keys, id: &str, socket: &Path) -> Result<Cut, ConnectError> {
     let stream = singletrack_api::connect(socket)?;
-    let daemon = stream.try_clone().map_err(zenoh::Error::from)?;
-    let connection = Connection::declare(session, daemon, keys.down(id), keys.up(id))?;
+    let connection = Connection::declare(session, stream, keys.down(id), keys.up(id))?;
+    let cut = connection.cut();
     // The client begins when it sees this, and all is declared.
     let token = session.liveliness().declare_token(keys.daemon(id)).wait()?;
     let carry = move || carry(connection, token);
@@ -71,7 +66,7 @@ fn connect(
         .spawn(carry)
         .map_err(zenoh::Error::from)?;
     tracing::info!(client = id, "connected");
-    Ok(stream)
+    Ok(cut)
 }
 
 fn carry(connection: Connection, token: LivelinessToken) {

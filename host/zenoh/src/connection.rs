@@ -4,7 +4,10 @@ use std::{
     io::{self, Read as _, Write as _},
     net::Shutdown,
     os::unix::net::UnixStream,
-    sync::mpsc::{Receiver, SyncSender, sync_channel},
+    sync::{
+        Arc,
+        mpsc::{Receiver, SyncSender, sync_channel},
+    },
     thread,
 };
 
@@ -28,6 +31,7 @@ const NUMBER: usize = size_of::<u64>();
 /// One end of a connection.
 pub(crate) struct Connection {
     stream: UnixStream,
+    cut: Cut,
     publisher: Publisher<'static>,
     _subscriber: Subscriber<()>,
     pieces: Receiver<Vec<u8>>,
@@ -42,7 +46,11 @@ impl Connection {
         receive: String,
     ) -> zenoh::Result<Self> {
         let (sender, pieces) = sync_channel(WAITING);
-        let mut hear = hear(sender, stream.try_clone()?);
+        let cut = Cut {
+            stream: stream.try_clone()?.into(),
+            sender,
+        };
+        let mut hear = hear(cut.clone());
         let subscriber = session
             .declare_subscriber(receive)
             .callback_mut(move |sample: Sample| hear(&sample.payload().to_bytes()))
@@ -55,16 +63,23 @@ impl Connection {
             .wait()?;
         Ok(Self {
             stream,
+            cut,
             publisher,
             _subscriber: subscriber,
             pieces,
         })
     }
 
-    /// Carries both directions until both have ended, or the stream is shut down.
+    /// What ends it from elsewhere.
+    pub(crate) fn cut(&self) -> Cut {
+        self.cut.clone()
+    }
+
+    /// Carries both directions until both have ended, or it is cut off.
     pub(crate) fn carry(self) -> io::Result<()> {
         let Self {
             stream,
+            cut,
             publisher,
             _subscriber,
             pieces,
@@ -73,7 +88,7 @@ impl Connection {
         let sender = thread::Builder::new().spawn(move || {
             if send(&source, &publisher).is_err() {
                 // Nothing more comes through: the other direction ends with it.
-                let _ = source.shutdown(Shutdown::Both);
+                cut.off();
             }
         })?;
         let received = receive(&stream, &pieces);
@@ -86,20 +101,34 @@ impl Connection {
     }
 }
 
+/// Ends a connection at once, whoever waits for what.
+#[derive(Clone, Debug)]
+pub(crate) struct Cut {
+    stream: Arc<UnixStream>,
+    sender: SyncSender<Vec<u8>>,
+}
+
+impl Cut {
+    pub(crate) fn off(&self) {
+        // It fails for one that has ended.
+        let _ = self.stream.shutdown(Shutdown::Both);
+        // Wakes the receiver that waits; if the queue is full, it does not wait.
+        let _ = self.sender.try_send(Vec::new());
+    }
+}
+
 /// Checks and keeps pieces, and cuts the connection off when one is missing or too many wait. An
 /// empty piece is the end.
-fn hear(sender: SyncSender<Vec<u8>>, stream: UnixStream) -> impl FnMut(&[u8]) {
+fn hear(cut: Cut) -> impl FnMut(&[u8]) {
     let mut expected = 0_u64;
     move |bytes| {
         let kept = bytes
             .split_first_chunk::<NUMBER>()
             .filter(|(number, _)| u64::from_le_bytes(**number) == expected)
-            .is_some_and(|(_, piece)| sender.try_send(piece.to_owned()).is_ok());
+            .is_some_and(|(_, piece)| cut.sender.try_send(piece.to_owned()).is_ok());
         expected = expected.saturating_add(1);
         if !kept {
-            let _ = stream.shutdown(Shutdown::Both);
-            // Wakes the receiver that waits; the queue may be full, and then it does not wait.
-            let _ = sender.try_send(Vec::new());
+            cut.off();
         }
     }
 }
@@ -143,6 +172,12 @@ mod tests {
         [&number.to_le_bytes(), text].concat()
     }
 
+    fn end(near: &UnixStream) -> (Cut, Receiver<Vec<u8>>) {
+        let (sender, pieces) = sync_channel(WAITING);
+        let stream = near.try_clone().unwrap().into();
+        (Cut { stream, sender }, pieces)
+    }
+
     fn is_cut(mut end: &UnixStream) -> bool {
         end.set_nonblocking(true).unwrap();
         end.read(&mut [0]).is_ok_and(|length| length == 0)
@@ -151,8 +186,8 @@ mod tests {
     #[test]
     fn pieces_in_their_order_are_handed_over_until_one_is_missing() {
         let (near, far) = UnixStream::pair().unwrap();
-        let (sender, pieces) = sync_channel(WAITING);
-        let mut hear = hear(sender, near);
+        let (cut, pieces) = end(&near);
+        let mut hear = hear(cut);
         hear(&piece(0, b"one"));
         hear(&piece(1, b"two"));
         assert_eq!(pieces.try_recv().unwrap(), b"one");
@@ -167,8 +202,8 @@ mod tests {
     #[test]
     fn who_does_not_read_is_cut_off_and_holds_up_nobody() {
         let (near, far) = UnixStream::pair().unwrap();
-        let (sender, _pieces) = sync_channel(WAITING);
-        let mut hear = hear(sender, near);
+        let (cut, _pieces) = end(&near);
+        let mut hear = hear(cut);
         for number in 0..256 {
             hear(&piece(number, b"state"));
         }
@@ -178,10 +213,21 @@ mod tests {
     }
 
     #[test]
+    fn who_waits_for_a_lost_other_end_is_woken() {
+        let (near, far) = UnixStream::pair().unwrap();
+        let (cut, pieces) = end(&near);
+        let waits = thread::spawn(move || receive(&near, &pieces));
+        cut.off();
+        // It ends, with the error of a socket that is shut down or without.
+        let _ = waits.join().unwrap();
+        assert!(is_cut(&far));
+    }
+
+    #[test]
     fn the_end_of_one_direction_leaves_the_other() {
         let (near, mut far) = UnixStream::pair().unwrap();
-        let (sender, pieces) = sync_channel(WAITING);
-        let mut hear = hear(sender, near.try_clone().unwrap());
+        let (cut, pieces) = end(&near);
+        let mut hear = hear(cut);
         hear(&piece(0, b"status\n"));
         hear(&piece(1, b""));
         receive(&near, &pieces).unwrap();

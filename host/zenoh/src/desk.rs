@@ -3,7 +3,6 @@
 use std::{
     collections::BTreeMap,
     fs, io,
-    net::Shutdown,
     os::unix::net::{UnixListener, UnixStream},
     path::Path,
     sync::mpsc::sync_channel,
@@ -98,20 +97,19 @@ fn accept(session: &Session, keys: &Keys, listener: &UnixListener) {
 /// Connects a program to the daemon of a car until one of them ends.
 fn connect(session: &Session, keys: &Keys, id: &str, stream: UnixStream) -> zenoh::Result<()> {
     let (heard, daemon) = sync_channel(1);
-    let program = stream.try_clone()?;
-    let gone = stream.try_clone()?;
     let connection = Connection::declare(session, stream, keys.up(id), keys.down(id))?;
+    let (cut, gone) = (connection.cut(), connection.cut());
     let liveliness = session.liveliness();
     let _daemon = liveliness
         .declare_subscriber(keys.daemon(id))
         .callback(move |change: Sample| match change.kind() {
             SampleKind::Put => drop(heard.try_send(())),
-            SampleKind::Delete => drop(gone.shutdown(Shutdown::Both)),
+            SampleKind::Delete => gone.off(),
         })
         .wait()?;
     let _client = liveliness.declare_token(keys.client(id)).wait()?;
     if daemon.recv_timeout(PATIENCE).is_err() {
-        let _ = program.shutdown(Shutdown::Both);
+        cut.off();
         return Err("the daemon of the car is not reached".into());
     }
     Ok(connection.carry()?)

@@ -80,8 +80,8 @@ impl Fleet {
 }
 
 impl FleetCar {
-    /// A connection to its daemon, which must have its number and its body, and how far the daemon's clock is
-    /// ahead of `clock`.
+    /// A connection to its daemon, which must have its number and its body, and how far the daemon's
+    /// clock is ahead of `clock`.
     fn connect(&self, clock: impl Fn() -> u64) -> Result<(Connection, ClockOffset), ClientError> {
         let mut connection = Connection::open(&self.socket(), PATIENCE)?;
         let number = self
