@@ -49,6 +49,8 @@ mod real_time;
 mod scripted;
 #[cfg(feature = "real-time")]
 mod stream_server;
+#[cfg(feature = "real-time")]
+mod stream_servers;
 mod truth;
 #[cfg(feature = "real-time")]
 mod udp;

@@ -24,7 +24,7 @@ use crate::{
     floor::Floor,
     parameters::{ConfigError, SimulationConfig},
     pty::{Pty, PtyError},
-    stream_server::StreamServers,
+    stream_servers::StreamServers,
     udp::{NatNetSockets, UdpConfig, UdpError},
     world::World,
 };

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use singletrack_settings::section;
 
 use crate::{
-    parameters::PROBABILITY,
+    parameters::ranges::PROBABILITY,
     random::{Random, Stream},
 };
 

@@ -17,6 +17,7 @@ mod programs;
 mod python;
 mod release;
 mod ros;
+mod shell;
 mod step;
 mod target;
 mod toolchain;

@@ -1,17 +1,13 @@
 //! Prerequisites of the checks. Each has a probe, a shell script that uses it: an installed package
 //! may be too old, and a program may have been installed without a package.
 
-use std::{
-    env,
-    fmt::Write as _,
-    path::PathBuf,
-    process::{Command, Stdio},
-};
+use std::{env, fmt::Write as _, path::PathBuf};
 
 use singletrack_words::words;
 
 use crate::{
     process::Failure,
+    shell::{answer, shell},
     toolchain::{AARCH64, ARMHF, AVR},
 };
 
@@ -210,36 +206,6 @@ pub(crate) fn python() -> Result<PathBuf, Failure> {
     Ok(python.into())
 }
 
-/// A shell with the functions of the probes.
-pub(crate) fn shell(script: &str) -> Command {
-    let script = format!("{}\n{script}", include_str!("prerequisites.sh"));
-    let mut shell = Command::new("/bin/sh");
-    shell
-        .args(["-c", &script])
-        .env("OLDEST", env!("CARGO_PKG_RUST_VERSION"))
-        .stdin(Stdio::null());
-    shell
-}
-
-/// The output of a shell, or what it prints when it fails.
-pub(crate) fn answer(command: &mut Command) -> Result<String, String> {
-    let output = command
-        .output()
-        .map_err(|error| format!("sh does not start: {error}"))?;
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().to_owned();
-    if output.status.success() {
-        Ok(text(&output.stdout))
-    } else {
-        // The reason comes first.
-        let why = text(&[output.stderr, output.stdout].concat());
-        Err(if why.is_empty() {
-            output.status.to_string()
-        } else {
-            why
-        })
-    }
-}
-
 type Run<'a> = &'a dyn Fn(&str) -> Result<String, String>;
 
 fn ensure_by(required: &[Prerequisite], run: Run<'_>) -> Result<(), Failure> {
@@ -333,7 +299,7 @@ fn message(short: &[(Prerequisite, String)], trouble: Option<String>) -> String 
 
 #[cfg(test)]
 mod tests {
-    use std::{fs, path::Path};
+    use std::{fs, path::Path, process::Command};
 
     use super::*;
 

@@ -9,8 +9,8 @@ use std::{
 };
 
 use crate::{
-    prerequisites::{answer, shell},
     process::Failure,
+    shell::{answer, shell},
     target,
     workspace::{cargo_here, root},
 };

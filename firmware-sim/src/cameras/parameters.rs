@@ -8,7 +8,7 @@ use singletrack_words::words;
 
 use crate::{
     loss::{LossPattern, LossWindow},
-    parameters::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE},
+    parameters::ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE},
 };
 
 section! {

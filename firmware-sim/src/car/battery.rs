@@ -2,7 +2,7 @@
 
 use singletrack_settings::section;
 
-use crate::parameters::{NOT_NEGATIVE, POSITIVE};
+use crate::parameters::ranges::{NOT_NEGATIVE, POSITIVE};
 
 section! {
     /// A two-cell battery.

@@ -7,7 +7,7 @@ use singletrack_simavr::Motion;
 use super::{Truth, motor::GRAVITY};
 use crate::{
     attitude::{self, Rotation},
-    parameters::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY},
+    parameters::ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY},
     random::{Random, Stream},
 };
 

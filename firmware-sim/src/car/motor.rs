@@ -6,7 +6,7 @@ use singletrack_settings::section;
 
 use crate::{
     epoch::Epoch,
-    parameters::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
+    parameters::ranges::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
 };
 
 /// What an ESC makes of its pulses.

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use singletrack_settings::section;
 
 use crate::{
-    parameters::EDGE_RATE,
+    parameters::ranges::EDGE_RATE,
     random::{Random, Stream},
 };
 

@@ -3,7 +3,7 @@
 use singletrack_control::{SteeringMap, SteeringTable};
 use singletrack_settings::section;
 
-use crate::parameters::{LAG, NOT_NEGATIVE, POSITIVE};
+use crate::parameters::ranges::{LAG, NOT_NEGATIVE, POSITIVE};
 
 section! {
     /// True mapping of the steering servo from pulses to angles, and its dynamics.

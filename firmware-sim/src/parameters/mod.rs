@@ -2,7 +2,7 @@
 
 #[cfg(feature = "real-time")]
 mod file;
-mod ranges;
+pub(crate) mod ranges;
 
 use singletrack_control::VehicleParameterError;
 use singletrack_protocol::Configuration;
@@ -19,7 +19,6 @@ use crate::{
 
 #[cfg(feature = "real-time")]
 pub use file::SimulationFileError;
-pub(crate) use ranges::{EDGE_RATE, FINITE, LAG, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY};
 
 section! {
     /// The configuration of a simulation.

@@ -17,7 +17,7 @@ use std::{
 const README_WORDS: usize = 700;
 
 /// The folder that holds the workspace.
-fn root() -> PathBuf {
+pub(crate) fn root() -> PathBuf {
     let own = Path::new(env!("CARGO_MANIFEST_DIR"));
     let root = own.ancestors().find(|folder| {
         let file = folder.join("docs/SUMMARY.md");

@@ -12,6 +12,7 @@ mod common;
 mod control_port;
 mod control_socket;
 mod documentation;
+mod files;
 mod hazards;
 mod packaging;
 mod serial_line;

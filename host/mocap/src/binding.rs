@@ -2,7 +2,7 @@
 
 use core::fmt::{self, Write as _};
 
-use crate::source::Names;
+use crate::pose_source::Names;
 
 /// What the model definitions say of a rigid body's name.
 ///

@@ -88,6 +88,7 @@ mod config;
 mod consistency;
 mod counters;
 mod order;
+mod pose_source;
 mod session;
 mod source;
 mod stream;
@@ -102,10 +103,11 @@ pub use config::{
     SessionConfigError, Timing, Transport,
 };
 pub use counters::SessionCounters;
+pub use pose_source::{Input, LocalEnd, Names, Output, PoseSource, Stream};
 pub use session::{
     Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionEvent, Transmit,
 };
-pub use source::{Input, LocalEnd, Names, Output, PoseSource, Source, Stream};
+pub use source::Source;
 pub use stream::StreamSession;
 
 // The names by which the workspace's other crates know what is recorded of `planar`.

@@ -64,6 +64,7 @@ mod recording;
 pub mod schedule;
 mod setting;
 mod shrink;
+mod spec;
 mod stage;
 mod stop;
 mod tamper;

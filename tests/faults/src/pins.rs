@@ -2,7 +2,7 @@
 
 use singletrack_sim::PulseRecord;
 
-use crate::observation::{Spec, TOLERANCE_US};
+use crate::spec::{Spec, TOLERANCE_US};
 
 /// What an ESC pulse does, by the configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

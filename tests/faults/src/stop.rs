@@ -3,8 +3,8 @@
 use singletrack_pilot::Mode;
 
 use crate::{
-    observation::Spec,
     pins::{Effect, Pulse},
+    spec::Spec,
 };
 
 /// Time from the decision to stop until the car decelerates, in µs, as it is promised: 120 ms

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::{experiment::thread_count, shard::Shard};
+use crate::{shard::Shard, units::thread_count};
 
 /// Options of a command that runs a campaign.
 #[derive(Clone, Debug, Default, Args)]

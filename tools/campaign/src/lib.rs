@@ -20,11 +20,15 @@ mod experiment;
 mod file;
 mod merge;
 mod progress;
+mod run;
 mod shard;
+mod units;
 
 pub use arguments::CampaignArgs;
-pub use experiment::{Campaign, CampaignError, Experiment, Results, run_units, thread_count};
+pub use experiment::{Experiment, Results};
 pub use file::{FORMAT, FileError, Header, ResultFile};
 pub use merge::{MergeArgs, MergeError, merge, merge_files, run_merge};
 pub use progress::Progress;
+pub use run::{Campaign, CampaignError};
 pub use shard::{Shard, ShardError};
+pub use units::{run_units, thread_count};

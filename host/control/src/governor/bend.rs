@@ -3,7 +3,7 @@
 use core::f64::consts::FRAC_PI_4;
 use libm::{atan2, fabs, sqrt};
 
-use super::leader::STANDS;
+use super::STANDS;
 use crate::{Reference, Velocity};
 
 /// The path is looked at in this many pieces before and behind a place.

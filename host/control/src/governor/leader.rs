@@ -2,13 +2,11 @@
 
 use libm::{atan2, fabs, sin, sqrt};
 
-use super::{GovernorConfig, SPEED_RESERVE, SPEED_RESERVE_PART, SlowedBy, USABLE, bend};
+use super::{GovernorConfig, SPEED_RESERVE, SPEED_RESERVE_PART, STANDS, SlowedBy, USABLE, bend};
 use crate::{Position, Reference, ReferencePoint, Velocity, direction};
 
 /// The steps of the leader, s.
 pub(super) const STEP: f64 = 0.02;
-/// The reference stands below this speed, m/s.
-pub(super) const STANDS: f64 = 1e-3;
 /// A leader beside the path heads for the point this far along it, m.
 const AIM: f64 = 0.2;
 /// It is on the path again at this distance (m) and angle (as its sine).

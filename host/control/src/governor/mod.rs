@@ -26,6 +26,8 @@ const USABLE: f64 = 0.95;
 /// of the limit.
 const SPEED_RESERVE: f64 = 0.2;
 const SPEED_RESERVE_PART: f64 = 0.2;
+/// The reference stands below this speed, m/s.
+const STANDS: f64 = 1e-3;
 /// The fastest change of the rate, s⁻¹.
 const SLOPE: f64 = 1.0;
 /// How far ahead the leader is, s: from a rate of 1, its time stops within 1 / (2 `SLOPE`); and

@@ -5,7 +5,7 @@ mod model;
 mod solver;
 
 #[cfg(test)]
-mod against_clarabel;
+mod against_clarabel_tests;
 
 use libm::{ceil, sqrt};
 

@@ -9,7 +9,7 @@ use singletrack_pilot::Fence;
 
 use super::{
     ConfigError,
-    outer_loop::{LqiWeights, MpcWeights},
+    loop_weights::{LqiWeights, MpcWeights},
 };
 
 /// The length of a stage of the predictive loop's plan, where no dead time sets it, in s.

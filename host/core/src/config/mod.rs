@@ -17,6 +17,7 @@ mod governor;
 mod law;
 mod limits;
 mod loop_model;
+mod loop_weights;
 mod motion_capture;
 mod neighbours;
 mod online_calibration;
@@ -53,13 +54,14 @@ pub use governor::GovernorSection;
 pub use law::{LawKind, LawSection};
 pub use limits::LimitsSection;
 pub use loop_model::LoopModel;
+pub use loop_weights::{LqiWeights, MpcWeights};
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
 pub use neighbours::NeighboursSection;
 pub use online_calibration::{OnlineCalibrationMode, OnlineCalibrationSection};
-pub use outer_loop::{LqiWeights, MpcWeights, OuterLoopSection};
+pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{ReferenceSection, StepSection, WaypointSection};
 pub use safety_filter::SafetyFilterSection;

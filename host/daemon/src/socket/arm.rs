@@ -15,8 +15,8 @@ use tokio::{
 use super::{
     command::{Arm, Attendance},
     drives::Ticket,
+    outcome::{cannot_arm, not_ready},
     progress::{DriveWatch, POLL, Progress},
-    serve::{cannot_arm, not_ready},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
 

@@ -15,11 +15,12 @@ use tokio::{
 };
 
 use super::{
+    answers::{answer, no_command},
     arm::{begin, begin_jogging},
     command::{Arm, Command},
     drives::Ticket,
+    lines::{LONGEST_LINE, send, skip_line},
     progress::{DriveWatch, POLL, Progress},
-    serve::{LONGEST_LINE, answer, no_command, send, skip_line},
     setpoint::SetpointStream,
     stream::{ReadHalf, WriteHalf},
     tune::tune,

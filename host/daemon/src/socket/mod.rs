@@ -8,11 +8,14 @@
 //! A client that sends invalid set-points without reading the answers is not read any more once
 //! the answers fill its connection.
 
+mod answers;
 mod arm;
 mod attend;
 mod bind;
 mod command;
 mod drives;
+mod lines;
+mod outcome;
 mod progress;
 mod serve;
 mod setpoint;

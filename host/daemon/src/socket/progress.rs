@@ -5,7 +5,7 @@ use std::time::Duration;
 use singletrack_pilot::{Mode, Reason};
 use tokio::time::Instant;
 
-use super::serve::{arm_outcome, cannot_arm};
+use super::outcome::{arm_outcome, cannot_arm};
 use crate::{clock::monotonic_ns, snapshot::Snapshot};
 
 /// Interval at which the status is checked for the outcome of an arm request and for the end of a

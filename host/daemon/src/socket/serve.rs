@@ -2,47 +2,30 @@
 
 use std::{io, time::Duration};
 
-use serde::Serialize;
 use singletrack_access::Place;
 use singletrack_api::{Answer, Clocks, Reply, SOCKET_VERSION};
-use singletrack_core::{
-    ControlRequest,
-    commissioned::{Procedure, ProcedureResult},
-    config::ReferenceSection,
-    reasons::Why,
-    reconfigure::ChangeError,
-};
-use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_record::{Channel, Topic};
 use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
+    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
     sync::broadcast::error::RecvError,
-    task::{spawn_blocking, yield_now},
+    task::yield_now,
     time::timeout,
 };
 
 use super::{
+    answers::{answer, clocks, commissioned, configuration, no_command, reload, set_reference},
     arm::arm,
     attend::{hold, hung_up, jog},
-    command::{Attendance, Command, ParseError, SimpleRequest},
-    setpoint::{SetpointStream, reject},
-    stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
+    command::{Attendance, Command, SimpleRequest},
+    lines::{LONGEST_LINE, send, skip_line},
+    setpoint::SetpointStream,
+    stream::{Connection, WriteHalf, limit_send_buffer},
     tune::tune,
 };
-use crate::{
-    clock::{monotonic_ns, wall_ns},
-    commissioned_file::subject,
-    handle::DaemonHandle,
-    judgement,
-    shared_status::WATCHERS,
-    snapshot::Snapshot,
-};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, shared_status::WATCHERS};
 
 /// The largest number of clients at a time.
 pub(super) const CLIENTS: usize = 32;
-
-/// The longest line, in bytes: a trajectory of 100 points with all their digits.
-pub(super) const LONGEST_LINE: u64 = 16_384;
 
 /// The largest number of clients beyond [`CLIENTS`] whose first line is waited for.
 pub(super) const WAITING: usize = 64;
@@ -53,9 +36,6 @@ const REFUSAL_TIMEOUT: Duration = Duration::from_secs(1);
 /// Bytes of the kernel's buffer of a reader of states; the kernel doubles it. It holds some six lines,
 /// which a reader that is slow gets before it learns how many it has missed.
 const STATE_BUFFER: usize = 4_096;
-
-/// A control thread whose last tick is older is stuck.
-const TICK_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Serves a client beyond [`CLIENTS`]: only what ends a drive is obeyed.
 pub(super) async fn refuse(
@@ -202,211 +182,6 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
     }
 }
 
-/// The answer to a line that is no command. A rejected set-point is counted.
-pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Answer {
-    match &error.rejected {
-        Some(rejected) => reject(daemon, rejected),
-        None => Answer::failure(error),
-    }
-}
-
-/// Reads and discards up to the end of the line or of the stream.
-pub(super) async fn skip_line(read: &mut BufReader<ReadHalf>) -> io::Result<()> {
-    loop {
-        let bytes = read.fill_buf().await?;
-        let end = bytes.iter().position(|&byte| byte == b'\n');
-        let count = end.map_or(bytes.len(), |end| end + 1);
-        read.consume(count);
-        if end.is_some() || count == 0 {
-            return Ok(());
-        }
-        yield_now().await;
-    }
-}
-
-pub(super) async fn send(write: &mut WriteHalf, answer: &impl Serialize) -> io::Result<()> {
-    let mut line = serde_json::to_vec(answer)?;
-    line.push(b'\n');
-    write.write_all(&line).await
-}
-
-pub(super) async fn answer(request: SimpleRequest, daemon: &DaemonHandle) -> Answer {
-    let push = |request| {
-        let pushed = daemon.requests.push(ControlRequest::Pilot(request));
-        pushed.map_err(|error| error.to_string())
-    };
-    if request != SimpleRequest::Status {
-        daemon.drives.stop();
-    }
-    let stuck = daemon.snapshot().tick.is_some_and(|tick| {
-        monotonic_ns().saturating_sub(tick.start_ns) > TICK_TIMEOUT.as_nanos() as u64
-    });
-    // No mode in an answer: the effect of a request shows after the next tick only.
-    let done = match request {
-        SimpleRequest::Status => {
-            return Answer {
-                status: Some(daemon.snapshot().status()),
-                ..Answer::done()
-            };
-        }
-        SimpleRequest::Carried => push(PilotRequest::Carried),
-        SimpleRequest::Disarm => {
-            match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
-                (Ok(()), Some(note)) if !stuck => {
-                    return Answer {
-                        note: Some(note.into()),
-                        ..Answer::done()
-                    };
-                }
-                (result, _) => result,
-            }
-        }
-        SimpleRequest::Halt => push(PilotRequest::Halt),
-        SimpleRequest::Stop => push(PilotRequest::EmergencyStop),
-    };
-    match done {
-        Ok(()) if stuck => Answer::failure(
-            "the control thread is stuck: it does not see this. The board stops the car by itself, \
-             95 ms after the last command",
-        ),
-        Ok(()) => Answer::done(),
-        Err(error) => Answer::failure(error),
-    }
-}
-
-/// What a disarm does not change, if an emergency stop is in force.
-fn disarm_note(snapshot: &Snapshot) -> Option<&'static str> {
-    let stopped = matches!(snapshot.mode(), Mode::Fault | Mode::Disconnected)
-        && snapshot.reason() == Some(Reason::EmergencyStop);
-    stopped.then_some("an emergency stop is in force: the board stays stopped until it is reset")
-}
-
-/// The clocks now.
-fn clocks() -> Answer {
-    Answer {
-        clocks: Some(Clocks {
-            monotonic_ns: monotonic_ns(),
-            wall_ns: wall_ns(),
-        }),
-        ..Answer::done()
-    }
-}
-
-/// The configuration in force.
-fn configuration(daemon: &DaemonHandle) -> Answer {
-    match daemon.reconfigurer.text() {
-        (number, Some(toml)) => Answer {
-            configuration: Some(number),
-            toml: Some(toml.to_string()),
-            ..Answer::done()
-        },
-        (_, None) => Answer::failure("the configuration has a path that is not UTF-8"),
-    }
-}
-
-/// Reads the configuration's file again, as SIGHUP does.
-async fn reload(daemon: &DaemonHandle) -> Answer {
-    let Some(path) = daemon.config_path.clone() else {
-        return Answer::failure("this daemon was not started with a file");
-    };
-    let changing = daemon.clone();
-    match spawn_blocking(move || changing.reconfigurer.reload(&path)).await {
-        Ok(Ok(number)) => Answer {
-            configuration: Some(number),
-            ..Answer::done()
-        },
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
-    }
-}
-
-async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Answer {
-    let changing = daemon.clone();
-    // It reads files, waits for the control thread and judges. On a thread of its own, it does
-    // not delay a stop of another client.
-    let changed = spawn_blocking(move || {
-        let number = changing
-            .reconfigurer
-            .set_reference(reference, changing.config_path.as_deref())?;
-        let (_, config) = changing.reconfigurer.in_force();
-        let warnings = judgement::warnings(&config, judgement::stand(&changing.snapshot()));
-        Ok::<_, ChangeError>((number, warnings))
-    })
-    .await;
-    match changed {
-        Ok(Ok((number, warnings))) => Answer {
-            configuration: Some(number),
-            warnings,
-            ..Answer::done()
-        },
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
-    }
-}
-
-/// Keeps the state of a procedure with the configuration in force.
-async fn commissioned(
-    procedure: Procedure,
-    result: ProcedureResult,
-    daemon: &DaemonHandle,
-) -> Answer {
-    let noting = daemon.clone();
-    // It waits for a change that is under way, and for the disk.
-    let noted = spawn_blocking(move || {
-        let (_, config) = noting.reconfigurer.in_force();
-        let subject = subject(&config).map_err(|error| error.to_string())?;
-        let noted = noting.commissioned.note(procedure, result, subject);
-        noted.map_err(|error| {
-            format!(
-                "can't be kept in {}: {error}",
-                config.state.directory.display()
-            )
-        })
-    })
-    .await;
-    match noted {
-        Ok(Ok(())) => Answer::done(),
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
-    }
-}
-
-/// Whether a request to arm is obeyed, by a tick; `None` while it is open.
-pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Option<bool> {
-    // A tick that began before the request may not have seen it.
-    if tick_start_ns <= asked_ns {
-        return None;
-    }
-    match mode {
-        Mode::Driving | Mode::Jogging => Some(true),
-        Mode::Arming => None,
-        // The attempt has ended, even if no poll saw it in progress.
-        _ => Some(false),
-    }
-}
-
-/// Why a pilot that is not ready can't be armed: the reason of now, and not the one for which
-/// the last drive ended.
-pub(super) fn not_ready(snapshot: &Snapshot) -> String {
-    let now = snapshot.output().and_then(|output| output.preflight);
-    cannot_arm(snapshot, now.or(snapshot.reason()))
-}
-
-/// Why the car can't be armed, and what to do, in the words of `singletrack status`.
-pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> String {
-    let mode = snapshot.mode();
-    match reason {
-        Some(reason) => {
-            let why = Why::explain(reason.name(), &snapshot.status());
-            format!("can't arm: mode {mode}: {why}")
-        }
-        None if matches!(mode, Mode::Driving | Mode::Slowing | Mode::Jogging) => {
-            format!("can't arm: the car is driven already (mode {mode}); first end that drive")
-        }
-        None => format!("can't arm: mode {mode}"),
-    }
-}
-
 /// To a watcher that is too slow.
 const fn behind(missed: u64) -> Reply {
     Reply::Missed {
@@ -478,22 +253,6 @@ async fn watch_state(write: &mut WriteHalf, daemon: &DaemonHandle) -> io::Result
                 send(write, &behind(missed)).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_arm_is_answered_by_the_first_later_tick_that_is_not_arming() {
-        let outcome = |start_ns, mode| arm_outcome(100, start_ns, mode);
-        assert_eq!(outcome(100, Mode::Ready), None);
-        assert_eq!(outcome(101, Mode::Arming), None);
-        assert_eq!(outcome(101, Mode::Driving), Some(true));
-        for mode in [Mode::Ready, Mode::Idle, Mode::Disconnected] {
-            assert_eq!(outcome(101, mode), Some(false));
         }
     }
 }

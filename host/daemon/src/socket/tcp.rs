@@ -23,7 +23,7 @@ use tokio::{
 };
 
 use super::{
-    serve::send,
+    lines::send,
     stream::Connection,
     token::{is_given_by, token_path},
 };

@@ -18,10 +18,11 @@ use tokio::{
 };
 
 use super::{
+    answers::answer,
     arm::begin,
     command::{Arm, Attendance, SimpleRequest},
     drives::Drives,
-    serve::{answer, serve},
+    serve::serve,
     setpoint::SetpointSource,
 };
 use crate::{

@@ -12,8 +12,9 @@ use super::{
 };
 use crate::{
     binding::{Binding, BodyNames},
+    pose_source::{Input, Output, PoseSource as _, Stream},
     session::{Phase, SessionEvent, Transmit},
-    source::{Input, Output, PoseSource as _, Source, Stream},
+    source::Source,
 };
 
 /// A client of the configured protocol that follows one rigid body in the plane.

@@ -11,8 +11,8 @@ use super::{
 use crate::{
     binding::{Binding, BodyNames},
     body::{BodyState, InvalidBody},
+    pose_source::Names,
     session::PoseFrame,
-    source::Names,
 };
 
 /// Follows one rigid body: finds it by its name, projects its pose onto the plane,

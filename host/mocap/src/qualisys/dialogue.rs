@@ -8,8 +8,8 @@ use super::{
 };
 use crate::{
     body::{Body, BodyState},
+    pose_source::{Names, Output},
     session::SessionEvent,
-    source::{Names, Output},
     stream::{Broken, Dialogue, LastFrame, Link, Over, Progress},
 };
 

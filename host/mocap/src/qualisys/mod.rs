@@ -9,7 +9,7 @@
 
 pub mod packet;
 
-mod body_list;
+pub(crate) mod body_list;
 mod dialogue;
 
 pub use body_list::BodyList;

@@ -9,8 +9,8 @@ use crate::{
     codec::FrameFlags,
     config::{SessionConfig, Transport},
     counters::SessionCounters,
+    pose_source::{LocalEnd, Output},
     session::{Phase, PoseFrame, RestartReason, SessionEvent},
-    source::{LocalEnd, Output},
     stream::Over,
 };
 

@@ -10,7 +10,7 @@ mod session;
 pub(crate) use link::{LastFrame, Link};
 pub use session::StreamSession;
 
-use crate::source::Output;
+use crate::pose_source::Output;
 
 /// How a message arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

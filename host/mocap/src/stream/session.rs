@@ -6,8 +6,8 @@ use super::{Broken, Dialogue, Over, Progress, link::Link};
 use crate::{
     config::{SessionConfig, Transport},
     counters::SessionCounters,
+    pose_source::{Input, LocalEnd, Output, PoseSource, Stream},
     session::{MAX_LEN, Phase, RestartReason, SessionEvent, Transmit},
-    source::{Input, LocalEnd, Output, PoseSource, Stream},
 };
 
 /// If no datagram arrives for this time, frames are requested over the stream.

@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     body::{Body, BodyState},
-    source::{Names, Output},
+    pose_source::{Names, Output},
     stream::{Broken, Dialogue, LastFrame, Link, Over, Progress},
 };
 

@@ -9,7 +9,7 @@
 pub mod message;
 
 mod dialogue;
-mod senders;
+pub(crate) mod senders;
 
 pub use dialogue::VrpnDialogue;
 pub use senders::Senders;

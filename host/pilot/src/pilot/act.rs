@@ -2,13 +2,13 @@
 
 use libm::{cos, fabs, rint};
 use singletrack_control::{
-    Actuation, Ahead, Demand, Estimate, Governor, OuterLoop, Position, Reference, ReferencePoint,
-    Singularity, SlowedBy, Time, TrackingInput, Velocity, front_point_velocity,
+    Actuation, Ahead, Demand, Estimate, Governor, OuterLoop, ReferencePoint, Singularity, Time,
+    TrackingInput, Velocity, front_point_velocity,
 };
 
 use super::{
-    Compensator, DriveCommand, Filtering, Pilot, compensation::Course, safety::LawStep,
-    sense::Sensed,
+    Compensator, DriveCommand, Filtering, Pilot, action::Action, compensation::Course,
+    path_ahead::PathAhead, safety::LawStep, sense::Sensed,
 };
 use crate::{
     learned::Learning,
@@ -16,49 +16,8 @@ use crate::{
     watch::PROVING_SPEED,
 };
 
-/// What a tick commands, and what led there; see [`Output`](super::Output).
-pub(super) struct Action {
-    pub(super) drive_time: Option<f64>,
-    pub(super) reference: Option<ReferencePoint>,
-    pub(super) point: Option<Position>,
-    pub(super) point_velocity: Option<Velocity>,
-    pub(super) actuation: Actuation,
-    pub(super) turning_round: bool,
-    pub(super) looked_ahead: Option<f64>,
-    pub(super) path: Option<f64>,
-    /// The share of the period by which the reference waits.
-    pub(super) delay: f64,
-    pub(super) slowed_by: Option<SlowedBy>,
-    pub(super) command: Option<DriveCommand>,
-    pub(super) proved: bool,
-    /// The deceleration of the proving run's roll, m/s².
-    pub(super) coasted: Option<f64>,
-    pub(super) filtering: Filtering,
-    pub(super) filtered_ticks: u32,
-}
-
 /// A slower car learns nothing, m/s.
 const LEARNS_ABOVE: f64 = 0.25;
-
-/// The reference from now on.
-#[derive(Clone, Copy)]
-pub(super) struct PathAhead<'a> {
-    reference: &'a Reference,
-    governor: Option<&'a Governor>,
-    now: Time,
-    /// Time since the start of the drive, s.
-    time: f64,
-}
-
-impl PathAhead<'_> {
-    /// The point that is demanded `ahead` seconds from now; none where steering and speed are.
-    pub(super) fn at(&self, ahead: f64) -> Option<ReferencePoint> {
-        match self.governor {
-            Some(governor) => Some(governor.at(self.reference, ahead)),
-            None => self.reference.point_ahead(self.now, self.time, ahead),
-        }
-    }
-}
 
 impl Pilot {
     /// The command of the mode, and why there is none if the law is singular.

@@ -8,7 +8,7 @@ use singletrack_control::{
     front_point_velocity,
 };
 
-use super::act::PathAhead;
+use super::path_ahead::PathAhead;
 
 /// What the pilot compensates, and by which model.
 #[derive(Clone, Copy, Debug, PartialEq)]

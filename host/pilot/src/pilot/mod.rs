@@ -1,12 +1,14 @@
 //! The whole controller as one value: events of a tick in, one command out.
 
 mod act;
+mod action;
 mod compensation;
 mod events;
 mod interface;
 mod judge;
 mod neighbours;
 mod observe;
+mod path_ahead;
 mod safety;
 mod sense;
 mod tune;

@@ -7,7 +7,7 @@ use singletrack_control::{
 };
 use singletrack_words::words;
 
-use super::{Pilot, act::Action};
+use super::{Pilot, action::Action};
 use crate::{supervisor::Reason, watch::WAVE};
 
 words! {

@@ -4,9 +4,10 @@ use singletrack_protocol::{BoardMode, StopCause};
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{
-    observation::{Observation, TOLERANCE_US},
+    observation::Observation,
     pins::{BRAKE_US, Forward, START_PULSE_US},
     schedule::{Fault, FaultKind},
+    spec::TOLERANCE_US,
 };
 
 /// `brake-pulse`: while reverse is disabled, a pulse below the deadband is the brake pulse

@@ -4,8 +4,9 @@ use singletrack_sim::PulseRecord;
 
 use super::{Invariant, SERVO_US, Verdict};
 use crate::{
-    observation::{Observation, Spec, TOLERANCE_US},
+    observation::Observation,
     pins::START_PULSE_US,
+    spec::{Spec, TOLERANCE_US},
 };
 
 /// `pulse-limits`: every pulse is absent or within the configured limits, and none

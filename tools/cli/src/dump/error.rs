@@ -6,7 +6,7 @@ use singletrack_api::ClientError;
 use singletrack_record::{ParseEntryError, RecordError};
 use singletrackd::serial_port::PortError;
 
-use super::{moment::Moment, range::Span};
+use super::{moment::Moment, span::Span};
 
 /// Why a dump failed.
 #[derive(Debug, thiserror::Error)]

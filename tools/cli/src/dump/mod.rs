@@ -8,6 +8,7 @@ mod kind;
 mod moment;
 mod range;
 mod source;
+mod span;
 mod stats;
 mod words;
 

@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 use singletrack_words::words;
 
-use super::{condition::Condition, counted::OwnPoint, foreign::Law};
+use super::{condition::Condition, foreign::Law, own_point::OwnPoint};
 
 words! {
     /// A controller.
@@ -67,6 +67,19 @@ pub(super) enum Drives {
 }
 
 impl Drives {
+    /// The point whose errors are its own.
+    pub(super) const fn own_point(&self) -> OwnPoint {
+        match self {
+            Self::Point { .. } => OwnPoint::P,
+            Self::Appendix { .. } => OwnPoint::VelocityPoint,
+            Self::Actuators { law, .. } => match law {
+                Law::PurePursuit { .. } => OwnPoint::RearAxle,
+                Law::Stanley { .. } => OwnPoint::FrontAxle,
+            },
+            Self::Yours(own) => *own,
+        }
+    }
+
     /// Whether its outer loop has a model, with which it may be refused.
     pub(super) const fn has_model(&self) -> bool {
         matches!(

@@ -6,7 +6,10 @@ use singletrack_control::{GRAVITY, Position, VehicleParameters, velocity_point};
 use singletrack_sim::Truth;
 use singletrack_statistics::{Distribution, RootMeanSquare};
 
-use super::{controller::Drives, course::Table, foreign::Law};
+use super::{
+    course::Table,
+    own_point::{OwnPoint, POINT_DISTANCE_M},
+};
 
 /// What became of a drive.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,46 +69,8 @@ pub struct Errors {
     pub across_rms: f64,
 }
 
-pub(super) const POINT_DISTANCE_M: f64 = 0.35;
 /// The mean of the speed for the ripple is taken over this time to both sides, in s.
 const RIPPLE_HALF_S: f64 = 0.25;
-
-/// The point whose errors are the controller's own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OwnPoint {
-    /// P, in front of the front axle.
-    P,
-    /// The front axle.
-    FrontAxle,
-    /// The rear axle.
-    RearAxle,
-    /// P of the appendix: ahead of G along its velocity.
-    VelocityPoint,
-}
-
-impl OwnPoint {
-    pub(super) const fn of(drives: &Drives) -> Self {
-        match drives {
-            Drives::Point { .. } => Self::P,
-            Drives::Appendix { .. } => Self::VelocityPoint,
-            Drives::Actuators { law, .. } => match law {
-                Law::PurePursuit { .. } => Self::RearAxle,
-                Law::Stanley { .. } => Self::FrontAxle,
-            },
-            Drives::Yours(own) => *own,
-        }
-    }
-
-    /// How far it is ahead of G on a straight line, in m.
-    pub(super) fn reach(self, vehicle: &VehicleParameters) -> f64 {
-        match self {
-            Self::P => vehicle.front_axle_distance_m + POINT_DISTANCE_M,
-            Self::FrontAxle => vehicle.front_axle_distance_m,
-            Self::RearAxle => -vehicle.rear_axle_distance_m,
-            Self::VelocityPoint => POINT_DISTANCE_M,
-        }
-    }
-}
 
 /// The errors of a drive, from the true states.
 pub(super) struct Counted<'a> {

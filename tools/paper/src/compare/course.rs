@@ -8,8 +8,6 @@ use singletrack_core::{
 };
 use singletrack_words::words;
 
-use super::drive::LATERAL_M_S2;
-
 words! {
     /// A path.
     #[derive(ValueEnum)]
@@ -45,6 +43,9 @@ pub(super) const TEST_PATHS: [PathName; 5] = [
     PathName::WideEight,
     PathName::Stop,
 ];
+
+/// Just below where the tyres slide, at 2.45 m/s²: what is compared are loops, not limits.
+pub(super) const LATERAL_M_S2: f64 = 2.4;
 
 const RADIUS_M: f64 = 1.0;
 const INFEASIBLE_RADIUS_M: f64 = 0.45;

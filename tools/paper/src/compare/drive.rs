@@ -2,10 +2,9 @@
 
 use libm::{cos, sin};
 use singletrack_control::{
-    LawError, Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters, Velocity,
+    Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters, Velocity,
 };
 use singletrack_core::{
-    ConfigError,
     config::{CompensationSection, ReferenceSection},
     setpoint::SetpointCommand,
     state_stream::States,
@@ -20,31 +19,13 @@ use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
 use super::{
     condition::Condition,
     controller::Drives,
-    counted::{AddedDelay, Counted, DriveResult, OwnPoint, POINT_DISTANCE_M},
-    course::{Course, PathName, Table},
+    counted::{AddedDelay, Counted, DriveResult},
+    course::{Course, LATERAL_M_S2, PathName, Table},
+    error::DriveError,
     foreign::{Ahead, Foreign, Known},
     ideal,
+    own_point::POINT_DISTANCE_M,
 };
-
-/// Why a drive can't be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum DriveError {
-    /// The reference is refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The host or the world is refused.
-    #[error(transparent)]
-    Drive(#[from] VirtualDriveError),
-    /// The law of the appendix has no limits and no start from standstill.
-    #[error("the law of the appendix drives the ideal plant only; choose condition ideal-plant")]
-    IdealPlantOnly,
-    /// A program's own controller is driven by that program.
-    #[error("a controller of your own is compared by the Python package")]
-    Yours,
-    /// A law is refused.
-    #[error(transparent)]
-    Law(#[from] LawError),
-}
 
 /// The row that a drive belongs to, and its seed.
 #[derive(Clone, Copy, Debug)]
@@ -68,8 +49,6 @@ const INTEGRAL_LIMIT_US: u16 = 150;
 /// the board takes, if it stops with this deceleration, in m/s².
 const STOP_DECELERATION_M_S2: f64 = 3.0;
 const MAX_POSE_AGE_MS: u16 = 1_000;
-/// Just below where the tyres slide, at 2.45 m/s²: what is compared are loops, not limits.
-pub(super) const LATERAL_M_S2: f64 = 2.4;
 /// Time for the start, in s.
 const START_S: f64 = 15.0;
 /// How long a set-point is in force, in ms.
@@ -131,7 +110,7 @@ impl Case {
             Err(DriveError::Drive(VirtualDriveError::Config(error))) if self.drives.has_model() => {
                 let vehicle = VehicleParameters::paper();
                 let nothing =
-                    Counted::new(OwnPoint::of(&self.drives), &vehicle, course.counted, table);
+                    Counted::new(self.drives.own_point(), &vehicle, course.counted, table);
                 return Ok(nothing.result(Some(format!("refused: {error}"))));
             }
             run => run?,
@@ -273,7 +252,7 @@ impl<'a> Run<'a> {
         let true_car = &mut simulation.car.vehicle;
         true_car.front_cornering_stiffness_n_rad *= case.condition.stiffness();
         true_car.rear_cornering_stiffness_n_rad *= case.condition.stiffness();
-        let own = OwnPoint::of(&case.drives);
+        let own = case.drives.own_point();
         let reach = own.reach(true_car);
         let errors = Counted::new(own, true_car, course.counted, table);
         let [x, y] = course.start;

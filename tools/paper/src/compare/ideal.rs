@@ -11,10 +11,11 @@ use singletrack_sim::Truth;
 
 use super::{
     controller::Drives,
-    counted::{Counted, DriveResult, OwnPoint, POINT_DISTANCE_M},
+    counted::{Counted, DriveResult},
     course::{Course, Table},
-    drive::DriveError,
+    error::DriveError,
     foreign::Foreign,
+    own_point::POINT_DISTANCE_M,
 };
 
 /// Step of the integration and of the controller, which is almost continuous, in s.
@@ -40,7 +41,7 @@ pub(super) fn drive(
     table: &Table,
 ) -> Result<DriveResult, DriveError> {
     let vehicle = VehicleParameters::paper();
-    let own = OwnPoint::of(drives);
+    let own = drives.own_point();
     let mut errors = Counted::new(own, &vehicle, course.counted, table);
     let mut law = Controller::new(drives, &vehicle, table)?;
     let mut car = Car::at(own.reach(&vehicle), course, vehicle);

@@ -7,9 +7,11 @@ use singletrack_control::Reference;
 use super::{
     condition::Condition,
     controller::{ControllerName, Drives},
-    counted::{DriveResult, OwnPoint},
+    counted::DriveResult,
     course::{Course, PathName},
-    drive::{Case, Decide, DriveError},
+    drive::{Case, Decide},
+    error::DriveError,
+    own_point::OwnPoint,
 };
 
 /// A comparison: every controller on every path at every speed under every condition, with

@@ -29,6 +29,9 @@ use singletrack_control::CalibrationEstimate;
 
 use crate::tracking::TrackingError;
 
+/// A moment of the trajectory, in s.
+const MOMENT: core::ops::RangeInclusive<f64> = 0.0..=86_400.0;
+
 /// Why a simulation stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {

@@ -1,15 +1,10 @@
 //! Who drives the car of a scenario.
 
-use core::ops::RangeInclusive;
-
 use singletrack_pilot::{PilotRequest, Tuning};
 use singletrack_settings::section;
 
-use super::{error::ScenarioError, tune::TuneSection};
+use super::{MOMENT, error::ScenarioError, tune::TuneSection};
 use crate::virtual_drive::VirtualDrive;
-
-/// A moment of the trajectory, in s.
-pub(super) const MOMENT: RangeInclusive<f64> = 0.0..=86_400.0;
 
 section! {
     /// What the operator does, and what happens to the board's cable. Times, also those of

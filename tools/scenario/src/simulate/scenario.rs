@@ -15,10 +15,7 @@ use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
 
 use super::{
-    error::ScenarioError,
-    layer::layer,
-    operator::{MOMENT, OperatorSection},
-    tune::TuneSection,
+    MOMENT, error::ScenarioError, layer::layer, operator::OperatorSection, tune::TuneSection,
 };
 use crate::simulated::{self, daemon_config, follow};
 

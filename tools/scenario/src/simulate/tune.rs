@@ -5,7 +5,7 @@ use singletrack_core::config::TuningRule;
 use singletrack_pilot::Tuning;
 use singletrack_settings::{check, section};
 
-use super::{error::ScenarioError, operator::MOMENT};
+use super::{MOMENT, error::ScenarioError};
 
 section! {
     /// A request to tune the pilot, as by `singletrack tune`, any number of times; `[tuning]` must

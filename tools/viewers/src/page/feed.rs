@@ -2,7 +2,7 @@
 
 use std::{
     collections::VecDeque,
-    path::Path,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread,
     time::{Duration, Instant},
@@ -12,7 +12,7 @@ use serde_json::{Map, Value, json};
 use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
-use super::{server::OtherCar, setup::car};
+use super::setup::car;
 use crate::daemon::{PATIENCE, silent};
 
 /// Interval of the states, and of the statuses.
@@ -39,6 +39,15 @@ const SHOWN: [&str; 7] = ["mode", "reason", "x", "y", "yaw", "steering", "pose_a
 /// For this long the daemon is watched after the last viewer has left: it may be loading the page
 /// again.
 const LINGER: Duration = Duration::from_secs(5);
+
+/// A car that is shown beside that of the page.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OtherCar {
+    /// The control socket of its daemon.
+    pub socket: PathBuf,
+    /// As CSS writes it.
+    pub colour: Option<String>,
+}
 
 /// The newest events, ready to be sent. Empty before the first.
 #[derive(Debug)]

@@ -21,6 +21,8 @@ mod request;
 mod respond;
 mod server;
 mod setup;
+mod shared;
 
+pub use feed::OtherCar;
 pub use request::{BadRequest, Request};
-pub use server::{OtherCar, Page, PageError};
+pub use server::{Page, PageError};

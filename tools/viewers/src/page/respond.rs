@@ -19,7 +19,7 @@ use tokio::{
 use super::{
     assets::asset,
     request::{BadRequest, Request},
-    server::{Shared, Viewer},
+    shared::{Shared, Viewer},
 };
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow

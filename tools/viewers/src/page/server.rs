@@ -14,11 +14,16 @@ use singletrack_core::{ConfigError, config::PageSection};
 use tokio::{
     net::TcpListener,
     runtime::{self, Runtime},
-    sync::{Notify, Semaphore, SemaphorePermit, TryAcquireError},
+    sync::{Notify, Semaphore},
     task::yield_now,
 };
 
-use super::{feed::Feed, respond::serve, setup::Setup};
+use super::{
+    feed::{Feed, OtherCar},
+    respond::serve,
+    setup::Setup,
+    shared::Shared,
+};
 use crate::daemon::Follower;
 
 /// The largest number of connections at a time that wait for an answer, or for a request. A newer
@@ -73,27 +78,6 @@ pub struct Page {
     thread: Option<JoinHandle<()>>,
     _followers: Vec<Follower>,
     _token_file: Option<TokenFile>,
-}
-
-/// What all connections share.
-#[derive(Debug)]
-pub(super) struct Shared {
-    pub(super) feed: Feed,
-    pub(super) setup: Setup,
-    pub(super) token: Option<Token>,
-    places: Semaphore,
-}
-
-/// The place of a viewer of the events.
-pub(super) type Viewer<'a> = SemaphorePermit<'a>;
-
-/// A car that is shown beside that of the page.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct OtherCar {
-    /// The control socket of its daemon.
-    pub socket: PathBuf,
-    /// As CSS writes it.
-    pub colour: Option<String>,
 }
 
 impl Page {
@@ -184,13 +168,6 @@ impl Drop for Page {
         {
             tracing::error!("the page's thread has panicked");
         }
-    }
-}
-
-impl Shared {
-    /// A place for a viewer of the events, if one is free.
-    pub(super) fn viewer(&self) -> Result<Viewer<'_>, TryAcquireError> {
-        self.places.try_acquire()
     }
 }
 

@@ -5,8 +5,8 @@ use singletrack_control::VehicleParameters;
 
 use super::{
     Servo,
+    delay::Delay,
     plant::{POSITION, SIDESLIP, YAW, YAW_RATE},
-    tick::Delay,
 };
 
 /// The longest step of the pilot's prediction, in s.

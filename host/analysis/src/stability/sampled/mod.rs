@@ -17,6 +17,7 @@
 
 mod ages;
 mod compensation;
+mod delay;
 mod growth;
 mod plant;
 mod servo;

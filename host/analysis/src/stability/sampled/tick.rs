@@ -6,27 +6,11 @@ use singletrack_control::VehicleParameters;
 use super::{
     SampledLoop,
     compensation::{Compensation, Modelled},
+    delay::Delay,
     plant::{POSITION, Plant, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
     servo::Prediction,
 };
 use crate::stability::closed_loop::{Belief, ClosedLoop, Law};
-
-/// A delay in whole ticks and the rest, in s.
-#[derive(Clone, Copy)]
-pub(super) struct Delay {
-    pub(super) ticks: usize,
-    pub(super) late: f64,
-}
-
-impl Delay {
-    pub(super) fn new(delay: f64, period: f64) -> Self {
-        let ticks = (delay / period + 1e-9) as usize;
-        Self {
-            ticks,
-            late: (delay - ticks as f64 * period).max(0.0),
-        }
-    }
-}
 
 /// Where the state of the loop has what. The states of the plant are first.
 struct Layout {

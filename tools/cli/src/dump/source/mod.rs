@@ -22,7 +22,7 @@ pub(super) use line::Line;
 pub(super) use live::Live;
 pub(super) use record::Record;
 
-use super::{DumpError, range::Span};
+use super::{DumpError, span::Span};
 
 /// The longest time that a source waits for more.
 const PATIENCE: Duration = Duration::from_millis(100);

@@ -5,7 +5,7 @@ use std::{path::Path, thread};
 use singletrack_record::{Ending, Reader, Recorded, Topic, Value};
 
 use super::{Close, Next, PATIENCE, Row, Source};
-use crate::dump::{DumpError, range::Span};
+use crate::dump::{DumpError, span::Span};
 
 /// A record, finished or not.
 pub(in crate::dump) struct Record {
