@@ -137,3 +137,28 @@ fn a_board_without_its_configuration_does_not_say_that_the_wheels_stand() {
     let output = bench.step_with(Some(PilotRequest::Disarm));
     assert_ne!(output.mode, Mode::Fault);
 }
+
+#[test]
+fn a_board_without_its_configuration_does_not_lead_the_estimate_away_while_markers_are_lost() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let (speed, steering) = (bench.speed, bench.steering);
+    bench.pulses = 0.0;
+    bench
+        .extra
+        .push(Event::Link(LinkState::ConfigurationRefused));
+    for tick in 0..200 {
+        bench.pose = if (20..80).contains(&tick) {
+            Pose::Missing
+        } else {
+            Pose::Seen
+        };
+        // The throttle is stuck.
+        (bench.speed, bench.speed_before) = (speed, speed);
+        bench.steering = steering;
+        let output = bench.step();
+        assert_eq!(output.held, bench.pose == Pose::Missing, "{tick}");
+        let estimated = output.estimate.unwrap().speed;
+        assert!((estimated - speed).abs() < 0.05, "{tick}: {estimated}");
+    }
+}

@@ -49,7 +49,7 @@ impl Circle {
             forward_acceleration: -self.rear_axle_distance * yaw_rate * yaw_rate,
             left_acceleration: SPEED * yaw_rate,
         };
-        self.estimator.handle_inertial(inertial, SPEED);
+        self.estimator.handle_inertial(inertial, Some(SPEED));
         // The rear axle moves along the car.
         let ahead = self.rear_axle_distance;
         let pose = PoseSample {

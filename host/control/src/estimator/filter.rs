@@ -209,24 +209,26 @@ impl Filter {
         (normalised, true)
     }
 
-    /// Corrects with the speed from the motor pulses (m/s), and with a lateral speed of the
-    /// rear axle of zero: its wheels roll along the car.
+    /// Corrects with the speed from the motor pulses (m/s), if it is measured, and with a lateral
+    /// speed of the rear axle of zero: its wheels roll along the car.
     pub(super) fn correct_wheels(
         &mut self,
-        motor_speed: f64,
+        motor_speed: Option<f64>,
         inertial: &InertialSample,
         config: &EstimatorConfig,
     ) {
-        let (s, c) = sincos(self.mean[YAW]);
-        let (vx, vy) = (self.mean[VX], self.mean[VY]);
-
-        let mut row = State::zeros();
-        row[VX] = c;
-        row[VY] = s;
-        row[YAW] = -s * vx + c * vy;
-        let innovation = motor_speed - (c * vx + s * vy);
-        let noise = config.motor_speed_noise + config.motor_speed_scale_noise * motor_speed.abs();
-        self.correct_scalar(&row, innovation, noise);
+        if let Some(motor_speed) = motor_speed {
+            let (s, c) = sincos(self.mean[YAW]);
+            let (vx, vy) = (self.mean[VX], self.mean[VY]);
+            let mut row = State::zeros();
+            row[VX] = c;
+            row[VY] = s;
+            row[YAW] = -s * vx + c * vy;
+            let innovation = motor_speed - (c * vx + s * vy);
+            let noise =
+                config.motor_speed_noise + config.motor_speed_scale_noise * motor_speed.abs();
+            self.correct_scalar(&row, innovation, noise);
+        }
 
         let (s, c) = sincos(self.mean[YAW]);
         let (vx, vy) = (self.mean[VX], self.mean[VY]);

@@ -41,7 +41,7 @@ const DYNAMIC_ABOVE: f64 = 0.15;
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sample {
     inertial: InertialSample,
-    motor_speed: f64,
+    motor_speed: Option<f64>,
 }
 
 /// Fuses motion capture, IMU and motor speed in an extended Kalman filter.
@@ -66,7 +66,7 @@ struct Sample {
 ///         forward_acceleration: 0.0,
 ///         left_acceleration: 0.0,
 ///     };
-///     estimator.handle_inertial(inertial, 0.0);
+///     estimator.handle_inertial(inertial, Some(0.0));
 ///     let pose = PoseSample {
 ///         capture: now.before(0.005),
 ///         receive: now,
@@ -243,8 +243,9 @@ impl Estimator {
     }
 
     /// Handles an inertial sample and the speed of the rear axle from the motor pulses
-    /// (m/s) of the same telemetry. A sample out of order or not finite is ignored.
-    pub fn handle_inertial(&mut self, inertial: InertialSample, motor_speed: f64) {
+    /// (m/s) of the same telemetry; `None` if that does not measure it. A sample out of order or
+    /// not finite is ignored.
+    pub fn handle_inertial(&mut self, inertial: InertialSample, motor_speed: Option<f64>) {
         let newest = self
             .samples
             .back()
@@ -253,7 +254,7 @@ impl Estimator {
         let finite = inertial.yaw_rate.is_finite()
             && inertial.forward_acceleration.is_finite()
             && inertial.left_acceleration.is_finite()
-            && motor_speed.is_finite();
+            && motor_speed.is_none_or(f64::is_finite);
         if inertial.time <= newest || !finite {
             return;
         }

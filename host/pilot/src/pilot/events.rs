@@ -99,7 +99,8 @@ impl Pilot {
         self.watches.observe_board(sample, mode, &self.config);
         if let Some(inertial) = sample.inertial {
             self.imu_time = Some(inertial.time);
-            self.estimator.handle_inertial(inertial, sample.motor_speed);
+            let motor_speed = measures.then_some(sample.motor_speed);
+            self.estimator.handle_inertial(inertial, motor_speed);
         }
     }
 }

@@ -39,7 +39,7 @@ pub(crate) struct Bench {
     pub(crate) yaw: f64,
     pub(crate) speed: f64,
     /// At the tick before.
-    speed_before: f64,
+    pub(crate) speed_before: f64,
     pub(crate) steering: f64,
     pub(crate) board: BoardState,
     pub(crate) link: bool,
