@@ -162,3 +162,28 @@ fn a_board_without_its_configuration_does_not_lead_the_estimate_away_while_marke
         assert!((estimated - speed).abs() < 0.05, "{tick}: {estimated}");
     }
 }
+
+#[test]
+fn a_motor_sensor_that_dies_in_a_stop_does_not_say_that_a_car_before_rare_cameras_stands() {
+    let mut bench = Bench::new();
+    bench.drive();
+    let (speed, steering) = (bench.speed, bench.steering);
+    bench.step_with(Some(PilotRequest::Disarm));
+    bench.pulses = 0.0;
+    for tick in 0..200 {
+        bench.pose = if tick % 11 == 0 {
+            Pose::Seen
+        } else {
+            Pose::Missing
+        };
+        // The throttle is stuck.
+        (bench.speed, bench.speed_before) = (speed, speed);
+        bench.steering = steering;
+        let output = bench.step();
+        if output.reason == Some(Reason::StopNotObeyed) {
+            assert!(tick < 100, "{tick}");
+            return;
+        }
+    }
+    panic!("nothing was found");
+}

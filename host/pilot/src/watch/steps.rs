@@ -21,6 +21,9 @@ const APART: f64 = 0.008;
 const SPAN: (f64, f64) = (0.05, 0.1);
 /// The longest age of the newest pose of that speed, s.
 const RECENT: f64 = 0.1;
+/// Poses that are farther apart are all that rare cameras have: up to this span, s, and for this
+/// multiple of the time between the last two.
+const RARE: (f64, f64) = (0.25, 1.2);
 
 /// The motion between two poses.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -208,16 +211,21 @@ impl Steps {
     /// The speed that the cameras see, m/s; `None` without recent poses.
     pub(crate) fn camera_speed(&self, now: Time) -> Option<f64> {
         let (newest, end) = *self.poses.back()?;
-        if now.seconds_since(newest) > RECENT {
+        let before = |(time, _): &(Time, Position)| newest.seconds_since(*time);
+        let ((shortest, longest), (farthest, wait)) = (SPAN, RARE);
+        let apart = self.poses.iter().rev().nth(1).map_or(0.0, before);
+        if now.seconds_since(newest) > (wait * apart).min(farthest).max(RECENT) {
             return None;
         }
-        let (shortest, longest) = SPAN;
-        let (start, from) = self
+        let usual = self
             .poses
             .iter()
-            .find(|(time, _)| newest.seconds_since(*time) <= longest + APART)?;
-        let span = newest.seconds_since(*start);
-        (span >= shortest).then(|| (end - from).norm() / span)
+            .find(|pose| before(pose) <= longest + APART);
+        let (start, from) = usual.filter(|pose| before(pose) >= shortest).or_else(|| {
+            let mut newest_first = self.poses.iter().rev();
+            newest_first.find(|pose| (shortest..=farthest).contains(&before(pose)))
+        })?;
+        Some((end - from).norm() / newest.seconds_since(*start))
     }
 
     /// Whether the poses are too far apart for a step: whatever compares the sensors is blind.
@@ -477,6 +485,19 @@ mod tests {
         assert_near([speed.unwrap()], [2.0]);
         let speed = camera_speed([(0, 0.0), (60, 0.0), (110, -0.21)], 110);
         assert_near([speed.unwrap()], [4.2]);
+    }
+
+    #[test]
+    fn rare_cameras_have_the_speed_of_their_last_two_poses_until_the_next_one_is_due() {
+        let rare = [(0, 0.0), (110, 0.0), (220, 0.11)];
+        for now in [220, 330, 352] {
+            assert_near([camera_speed(rare, now).unwrap()], [1.0]);
+        }
+        assert_eq!(camera_speed(rare, 353), None);
+        // The first poses after a gap are compared with the last one before it.
+        let gap = [(0, 0.0), (10, 0.01), (150, 0.15), (160, 0.16)];
+        assert_near([camera_speed(gap, 160).unwrap()], [1.0]);
+        assert_eq!(camera_speed([(0, 0.0), (251, 0.251)], 251), None);
     }
 
     #[test]
