@@ -4,29 +4,13 @@
 
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{BoardClock, Stamp, StampOutcome};
-
-/// `SplitMix64`: the same noise on every run.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn up_to(&mut self, limit: u64) -> u64 {
-        self.next() % (limit + 1)
-    }
-}
+use singletrack_statistics::Random;
 
 /// A board whose clock runs `skew` fast, first stamped `first_us`, heard with
 /// up to `jitter_ns` of delay.
 struct Bench {
     clock: BoardClock,
-    noise: Noise,
+    noise: Random,
     host_ns: u64,
     board_us: f64,
     skew: f64,
@@ -41,7 +25,7 @@ impl Bench {
     fn new(skew: f64, first_us: u32, jitter_ns: u64, seed: u64) -> Self {
         Self {
             clock: BoardClock::new(),
-            noise: Noise(seed),
+            noise: Random::new(seed),
             host_ns: START_NS,
             board_us: f64::from(first_us),
             skew,
@@ -60,7 +44,7 @@ impl Bench {
         self.host_ns += 10_000_000;
         self.board_us += 10_000.0 * (1.0 + self.skew);
         self.skew += self.drift_per_s * 0.01;
-        let delay_ns = self.noise.up_to(self.jitter_ns);
+        let delay_ns = self.noise.bits() % (self.jitter_ns + 1);
         // One reader, one line: records can't overtake each other.
         self.received_ns = (self.host_ns + delay_ns).max(self.received_ns);
         match self.clock.observe(self.received_ns, self.stamp()) {

@@ -5,12 +5,13 @@
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
+use singletrack_statistics::Random;
 
 use crate::common::{
     MS, START_NS,
     board::TestBoard,
     configuration, session_config,
-    wire::{Faults, Noise, Wire},
+    wire::{Faults, Wire},
 };
 
 /// The board's clock runs fast by this fraction.
@@ -432,10 +433,10 @@ proptest! {
 
     #[test]
     fn random_bytes_never_panic_nor_connect(seed in any::<u64>(), length in 0_usize..5_000) {
-        let mut noise = Noise(seed);
+        let mut noise = Random::new(seed);
         let mut session = Session::new(session_config()).unwrap();
         session.handle_opened(START_NS);
-        let bytes: Vec<u8> = (0..length).map(|_| noise.next() as u8).collect();
+        let bytes: Vec<u8> = (0..length).map(|_| noise.bits() as u8).collect();
         let mut events = 0;
         for chunk in bytes.chunks(64) {
             session.handle_bytes(START_NS, chunk, &mut |_| events += 1);

@@ -1,8 +1,8 @@
 //! Seeded random numbers, the same on every machine.
 
-/// One stream of random numbers (the `SplitMix64` generator).
+/// One stream of random numbers.
 #[derive(Clone, Debug)]
-pub(crate) struct Random(u64);
+pub(crate) struct Random(singletrack_statistics::Random);
 
 /// Consumers with a stream of their own, so that one's draws do not shift
 /// another's.
@@ -28,19 +28,16 @@ pub(crate) enum Stream {
 impl Random {
     /// The stream of a seed.
     pub(crate) fn new(seed: u64, stream: Stream) -> Self {
-        let mut random = Self(seed ^ (stream as u64).wrapping_mul(0xd6e8_feb8_6659_fd93));
+        let seed = seed ^ (stream as u64).wrapping_mul(0xd6e8_feb8_6659_fd93);
+        let mut random = singletrack_statistics::Random::new(seed);
         // The first output of seeds that differ in one bit is similar.
-        random.next();
-        random
+        random.bits();
+        Self(random)
     }
 
     /// A uniform 64-bit number.
     pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// A uniform integer from `least` to `most`, inclusive.

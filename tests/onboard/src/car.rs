@@ -7,7 +7,7 @@ use singletrack_core::config::{Config, ConfigError};
 use singletrack_sim::{EscKind, SimulationConfig, StartPose, UpAxis, WIDE_US, crooked_steering};
 use toml_edit::{Array, DocumentMut, Item, Table, Value};
 
-use crate::random::Random;
+use crate::Random;
 
 /// The example that a newcomer begins with.
 const EXAMPLE: &str = include_str!("../../../host/daemon/singletrackd.example.toml");

@@ -11,7 +11,6 @@ mod car;
 mod circle;
 mod guard;
 mod person;
-mod random;
 mod rehearsal;
 mod truths;
 
@@ -24,6 +23,6 @@ pub use car::{HALL_M, OnboardCar, PlantedFault};
 pub use circle::Circle;
 pub use guard::{Guard, Violation};
 pub use person::{Hands, Person};
-pub use random::Random;
 pub use rehearsal::{Rehearsal, RehearsalError, RehearsedStep};
+pub use singletrack_statistics::Random;
 pub use truths::truth_of;

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use singletrack_commissioning::{Answer, Answers, Question};
 use singletrack_sim::{HandCommand, HandMotion, Seen as View, StartPose, World};
 
-use crate::random::Random;
+use crate::Random;
 
 /// A car that a person stands beside.
 pub trait Hands {

@@ -2,25 +2,10 @@
 
 use std::collections::VecDeque;
 
+use singletrack_statistics::Random;
+
 /// Ten bits at 115200 baud.
 const BYTE_NS: u64 = 86_806;
-
-/// `SplitMix64`: the same faults on every run.
-pub(crate) struct Noise(pub(crate) u64);
-
-impl Noise {
-    pub(crate) fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub(crate) fn happens(&mut self, probability: f64) -> bool {
-        ((self.next() >> 11) as f64) < probability * (1_u64 << 53) as f64
-    }
-}
 
 /// What goes wrong, for every byte.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,7 +16,7 @@ pub(crate) struct Faults {
 
 /// One direction.
 pub(crate) struct Wire {
-    noise: Noise,
+    noise: Random,
     pub(crate) faults: Faults,
     /// Bytes with the time at which they arrive.
     under_way: VecDeque<(u64, u8)>,
@@ -43,7 +28,7 @@ pub(crate) struct Wire {
 impl Wire {
     pub(crate) fn new(seed: u64, faults: Faults) -> Self {
         Self {
-            noise: Noise(seed),
+            noise: Random::new(seed),
             faults,
             under_way: VecDeque::new(),
             free_at_ns: 0,
@@ -59,7 +44,7 @@ impl Wire {
                 continue;
             }
             let damage = if self.noise.happens(self.faults.corrupt) {
-                (self.noise.next() % 255 + 1) as u8
+                (self.noise.bits() % 255 + 1) as u8
             } else {
                 0
             };

@@ -2,6 +2,7 @@
 
 use singletrack_protocol::{Decoder, ImuState, Telemetry, ToHost};
 use singletrack_sim::Truth;
+use singletrack_statistics::Random;
 
 /// Splits the bytes from the board into frames, and passes undecodable bytes
 /// unchanged.
@@ -56,30 +57,19 @@ pub(super) fn replace_motion(telemetry: &mut Telemetry, truth: &Truth) {
 
 /// Flips bits, reproducibly.
 #[derive(Debug)]
-pub(super) struct Damage(u64);
+pub(super) struct Damage(Random);
 
 impl Damage {
     pub(super) const fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(Random::new(seed))
     }
 
     /// Flips one bit of each byte with this probability.
     pub(super) fn apply(&mut self, bytes: &mut [u8], probability: f64) {
         for byte in bytes {
-            let draw = self.next();
-            let uniform = (draw >> 11) as f64 / (1_u64 << 53) as f64;
-            if uniform < probability {
-                *byte ^= 1 << (draw & 7);
+            if self.0.happens(probability) {
+                *byte ^= 1 << self.0.below(8);
             }
         }
-    }
-
-    /// The `SplitMix64` generator.
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
     }
 }
