@@ -121,6 +121,19 @@ impl Connection {
         })
     }
 
+    /// Connects to `path` and subscribes to the state of every tick; the daemon's answer is the first
+    /// line. `patience` is as for [`open`](Self::open).
+    ///
+    /// # Errors
+    ///
+    /// No process listens there, or the daemon does not read.
+    pub fn watch_states(path: &Path, patience: Duration) -> Result<Self, ClientError> {
+        let mut states = Self::open(path, patience)?;
+        let topics = vec!["state".to_owned()];
+        states.send(&Request::Watch { topics })?;
+        Ok(states)
+    }
+
     /// A second handle of a connection from which nothing was received yet: to read with one, and to
     /// send with the other.
     ///

@@ -61,7 +61,9 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    pub(crate) fn silent(path: &Path, patience: Duration) -> Self {
+    /// The daemon at `path` has not answered within `patience`.
+    #[must_use]
+    pub fn silent(path: &Path, patience: Duration) -> Self {
         Self::Silent {
             path: path.to_owned(),
             patience,

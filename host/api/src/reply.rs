@@ -42,7 +42,7 @@ pub enum Reply {
 }
 
 /// The answer to a request.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// To `messages`: how to map their stamps. To `clock`: now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -132,19 +132,11 @@ pub struct TuningBounds {
 impl Answer {
     /// The request is obeyed.
     #[must_use]
-    pub const fn done() -> Self {
+    pub fn done() -> Self {
         Self {
-            clocks: None,
-            configuration: None,
-            error: None,
-            note: None,
             ok: true,
-            rejected: None,
-            status: None,
-            toml: None,
-            tuning: None,
             version: SOCKET_VERSION,
-            warnings: Vec::new(),
+            ..Self::default()
         }
     }
 

@@ -147,14 +147,8 @@ impl TryFrom<Value> for Gain {
 
     fn try_from(given: Value) -> Result<Self, String> {
         let both = given.as_f64().map(Self::Both);
-        let each = || {
-            Some(Self::Each([
-                given.get(0)?.as_f64()?,
-                given.get(1)?.as_f64()?,
-            ]))
-        };
-        let is_pair = given.as_array().is_some_and(|axes| axes.len() == 2);
-        both.or_else(|| is_pair.then(each)?).ok_or_else(|| {
+        let each = || <[f64; 2]>::deserialize(&given).ok().map(Self::Each);
+        both.or_else(each).ok_or_else(|| {
             format!("gain_per_s is {given}: give a number, or two for x and y, such as [2.0, 2.0]")
         })
     }

@@ -1,6 +1,6 @@
 //! Publishes the counts of this program once a second, beside the daemon's diagnostics.
 
-use std::{sync::Arc, thread, time::Duration};
+use std::{collections::BTreeMap, fmt::Display, sync::Arc, thread, time::Duration};
 
 use crate::{
     RunError,
@@ -39,18 +39,6 @@ pub(crate) fn start(node: &mut Node, tally: &Arc<Tally>) -> Result<(), RunError>
 
 fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
     let value = |key, value: String| KeyValue { key, value };
-    let by_word = |words: Vec<(&str, &u64)>| {
-        let words: Vec<String> = words
-            .into_iter()
-            .map(|(word, count)| format!("{word} {count}"))
-            .collect();
-        words.join(", ")
-    };
-    let refused = counts.refused.iter().map(|(word, count)| (*word, count));
-    let rejected = counts
-        .rejected
-        .iter()
-        .map(|(word, count)| (word.as_str(), count));
     let message = match level {
         OK => "set-points pass",
         _ => "set-points are refused",
@@ -67,10 +55,10 @@ fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
             hardware_id: "",
             values: vec![
                 value("set-points passed on", counts.passed.to_string()),
-                value("set-points refused", by_word(refused.collect())),
+                value("set-points refused", by_word(&counts.refused)),
                 value(
                     "set-points rejected by the daemon",
-                    by_word(rejected.collect()),
+                    by_word(&counts.rejected),
                 ),
                 value("set-points lost", counts.lost.to_string()),
                 value("entries missed", counts.missed.to_string()),
@@ -78,6 +66,12 @@ fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
             ],
         }],
     }
+}
+
+/// Words with how often each came.
+fn by_word(counts: &BTreeMap<impl Display, u64>) -> String {
+    let words = counts.iter().map(|(word, count)| format!("{word} {count}"));
+    words.collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicU32, Ordering},
     },
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use futures::{StreamExt as _, executor::block_on};
@@ -163,8 +163,6 @@ impl Way {
     fn warn(&self, text: &str) {
         // Numbers in a reason do not make it another one.
         let reason: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
-        if self.tally.lock().may_log(&reason, Instant::now()) {
-            tracing::warn!("{text}");
-        }
+        self.tally.warn(&reason, text);
     }
 }

@@ -74,17 +74,11 @@ impl Node {
     pub(crate) fn publisher<M: Serialize>(
         &mut self,
         topic: &str,
-        (package, kind): (&str, &str),
+        kind: (&str, &str),
     ) -> Result<Publisher<M>, RunError> {
-        let qos = qos(
-            Reliability::Reliable {
-                when_full: WhenFull::Fail,
-            },
-            KEPT,
-        );
-        let name = self.name(topic)?;
-        let kind = MessageTypeName::new(package, kind);
-        let topic = self.node.create_topic(&name, kind, &qos).map_err(network)?;
+        let when_full = WhenFull::Fail;
+        let qos = qos(Reliability::Reliable { when_full }, KEPT);
+        let topic = self.topic(topic, kind, &qos)?;
         self.node
             .create_publisher(&topic, Some(qos))
             .map_err(network)
@@ -94,13 +88,11 @@ impl Node {
     pub(crate) fn subscription<M: DeserializeOwned + 'static>(
         &mut self,
         topic: &str,
-        (package, kind): (&str, &str),
+        kind: (&str, &str),
         reliability: Reliability,
     ) -> Result<Subscription<M>, RunError> {
         let qos = qos(reliability, 1);
-        let name = self.name(topic)?;
-        let kind = MessageTypeName::new(package, kind);
-        let topic = self.node.create_topic(&name, kind, &qos).map_err(network)?;
+        let topic = self.topic(topic, kind, &qos)?;
         self.node
             .create_subscription(&topic, Some(qos))
             .map_err(network)
@@ -110,12 +102,8 @@ impl Node {
         &mut self,
         service: &str,
     ) -> Result<Server<TriggerRequest, TriggerResponse>, RunError> {
-        let qos = qos(
-            Reliability::Reliable {
-                when_full: WhenFull::DEFAULT,
-            },
-            10,
-        );
+        let when_full = WhenFull::DEFAULT;
+        let qos = qos(Reliability::Reliable { when_full }, 10);
         let name = self.name(service)?;
         self.node
             .create_server(
@@ -136,6 +124,17 @@ impl Node {
                 tracing::error!(%error, "discovery has ended");
             }
         })
+    }
+
+    fn topic(
+        &self,
+        topic: &str,
+        (package, kind): (&str, &str),
+        qos: &QosProfile,
+    ) -> Result<rustdds::Topic, RunError> {
+        let name = self.name(topic)?;
+        let kind = MessageTypeName::new(package, kind);
+        self.node.create_topic(&name, kind, qos).map_err(network)
     }
 
     fn name(&self, base: &str) -> Result<Name, RunError> {

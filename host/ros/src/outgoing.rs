@@ -1,12 +1,6 @@
 //! Publishes the messages of the record, as the daemon encodes them.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-    sync::Arc,
-    thread,
-    time::{Duration, Instant},
-};
+use std::{collections::BTreeMap, path::PathBuf, sync::Arc, thread, time::Duration};
 
 use ros2_client::{Publisher, WriteError};
 use singletrack_api::{ClientError, Clocks, MessageStream, Received};
@@ -76,22 +70,18 @@ struct Outgoing {
 impl Outgoing {
     fn run(&self) {
         loop {
-            let Err(error) = self.publish(&self.socket);
-            if self
-                .tally
-                .lock()
-                .may_log(&error.to_string(), Instant::now())
-            {
-                tracing::warn!("nothing is published: {error}");
-            }
+            let Err(error) = self.publish();
+            let reason = error.to_string();
+            self.tally
+                .warn(&reason, &format!("nothing is published: {reason}"));
             thread::sleep(PAUSE);
         }
     }
 
     /// Publishes until the daemon is lost.
-    fn publish(&self, socket: &Path) -> Result<core::convert::Infallible, ClientError> {
+    fn publish(&self) -> Result<core::convert::Infallible, ClientError> {
         let topics: Vec<_> = self.publishers.keys().copied().collect();
-        let mut stream = MessageStream::open(socket, &topics, SILENCE)?;
+        let mut stream = MessageStream::open(&self.socket, &topics, SILENCE)?;
         tracing::info!("connected to the daemon");
         warn_of_clocks(stream.clocks());
         loop {
@@ -108,9 +98,8 @@ impl Outgoing {
                         Err(WriteError::WouldBlock { .. }) => self.tally.lock().held_up += 1,
                         Err(error) => {
                             let error = error.to_string();
-                            if self.tally.lock().may_log(&error, Instant::now()) {
-                                tracing::warn!("{}: {error}", message.topic);
-                            }
+                            self.tally
+                                .warn(&error, &format!("{}: {error}", message.topic));
                         }
                     }
                 }

@@ -3,7 +3,6 @@
 //! The daemon checks every set-point again. What is refused here is what only ROS knows: stamps
 //! on the wall clock, and frames.
 
-use core::fmt;
 use std::time::Duration;
 
 use singletrack_api::{Setpoint, TrajectoryPoint};
@@ -27,21 +26,36 @@ const FEWEST: usize = 2;
 const MOST: usize = 100;
 
 /// Why a set-point is not passed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Refusal {
     /// Its stamp is zero.
+    #[error("{}: header.stamp is zero: give the time at which it was decided", self.name())]
     NoStamp,
     /// Its stamp is too old.
+    #[error("{}: header.stamp is older than --max-age-ms", self.name())]
     Old,
     /// Its stamp is in the future.
+    #[error("{}: header.stamp is in the future: are the clocks synchronised?", self.name())]
     Future,
     /// It is in another frame.
+    #[error(
+        "{}: header.frame_id must be \"world\" for velocities and paths, \"base_link\" or empty for \
+         /drive",
+        self.name()
+    )]
     Frame,
     /// It has a number that is none.
+    #[error("{}: a number is not finite", self.name())]
     NotFinite,
     /// It asks for what the car does not offer.
+    #[error(
+        "{}: only linear.x and linear.y of a velocity, and steering_angle and speed of /drive, may \
+         differ from zero",
+        self.name()
+    )]
     NotOffered,
     /// Its points are too few, too many or not in order.
+    #[error("{}: a path has 2 to 100 poses with increasing stamps", self.name())]
     Points,
 }
 
@@ -57,27 +71,6 @@ impl Refusal {
             Self::NotOffered => "not-offered",
             Self::Points => "points",
         }
-    }
-}
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let text = match self {
-            Self::NoStamp => "header.stamp is zero: give the time at which it was decided",
-            Self::Old => "header.stamp is older than --max-age-ms",
-            Self::Future => "header.stamp is in the future: are the clocks synchronised?",
-            Self::Frame => {
-                "header.frame_id must be \"world\" for velocities and paths, \"base_link\" or \
-                 empty for /drive"
-            }
-            Self::NotFinite => "a number is not finite",
-            Self::NotOffered => {
-                "only linear.x and linear.y of a velocity, and steering_angle and speed of \
-                 /drive, may differ from zero"
-            }
-            Self::Points => "a path has 2 to 100 poses with increasing stamps",
-        };
-        write!(formatter, "{}: {text}", self.name())
     }
 }
 
@@ -148,10 +141,7 @@ impl Judge {
                 position: [pose.position.x, pose.position.y],
             });
         }
-        if points.windows(2).any(|pair| match pair {
-            [first, second] => second.wall <= first.wall,
-            _ => false,
-        }) {
+        if !points.is_sorted_by(|first, second| first.wall < second.wall) {
             return Err(Refusal::Points);
         }
         let trajectory = velocities(&points)
@@ -202,11 +192,8 @@ fn velocities(points: &[Timed]) -> impl Iterator<Item = [f64; 2]> {
     let slope = |from: Option<&Timed>, to: Option<&Timed>| {
         let (from, to) = (from?, to?);
         let time = (to.wall - from.wall) as f64 * 1e-9;
-        let [x, y] = [0, 1].map(|axis| {
-            let at = |point: &Timed| point.position.get(axis).copied().unwrap_or(0.0);
-            (at(to) - at(from)) / time
-        });
-        Some(([x, y], time))
+        let ([x, y], [to_x, to_y]) = (from.position, to.position);
+        Some(([(to_x - x) / time, (to_y - y) / time], time))
     };
     (0..points.len()).map(move |index| {
         let here = points.get(index);

@@ -36,20 +36,24 @@ impl Tally {
         // The counts hold no invariant that a panic could break.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    /// Warns of a reason, unless that was done a short while ago.
+    pub(crate) fn warn(&self, reason: &str, text: &str) {
+        if self.lock().may_log(reason, Instant::now()) {
+            tracing::warn!("{text}");
+        }
+    }
 }
 
 impl Counts {
     /// Whether `reason` has not been logged for a while; it counts as logged now.
-    pub(crate) fn may_log(&mut self, reason: &str, now: Instant) -> bool {
-        if let Some(logged) = self.logged.get_mut(reason) {
-            let may = now.duration_since(*logged) >= LOG_INTERVAL;
-            if may {
-                *logged = now;
-            }
-            return may;
+    fn may_log(&mut self, reason: &str, now: Instant) -> bool {
+        let logged = self.logged.get(reason);
+        let may = logged.is_none_or(|logged| now.duration_since(*logged) >= LOG_INTERVAL);
+        if may {
+            self.logged.insert(reason.to_owned(), now);
         }
-        self.logged.insert(reason.to_owned(), now);
-        true
+        may
     }
 }
 

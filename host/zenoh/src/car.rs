@@ -23,7 +23,11 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
     // After this one is declared: of two that start at once, one sees the other.
     for reply in liveliness.get(keys.server("*")).wait()? {
         if reply.result().is_ok_and(|it| it.key_expr().as_str() != me) {
-            return Err(ZenohError::Taken(car.name.clone()));
+            return Err(ZenohError::Other(format!(
+                "another singletrack-zenoh serves a car with the name {} at this router: give each \
+                 car a name of its own",
+                car.name
+            )));
         }
     }
     let clients = liveliness
@@ -55,16 +59,13 @@ pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> 
 }
 
 /// Connects a client to the daemon, and returns what cuts it off when the client is gone.
-fn connect(session: &Session, keys: &Keys, id: &str, socket: &Path) -> Result<Cut, ConnectError> {
+fn connect(session: &Session, keys: &Keys, id: &str, socket: &Path) -> zenoh::Result<Cut> {
     let stream = singletrack_api::connect(socket)?;
     let connection = Connection::declare(session, stream, keys.down(id), keys.up(id))?;
     let cut = connection.cut();
     // The client begins when it sees this, and all is declared.
     let token = session.liveliness().declare_token(keys.daemon(id)).wait()?;
-    let carry = move || carry(connection, token);
-    thread::Builder::new()
-        .spawn(carry)
-        .map_err(zenoh::Error::from)?;
+    thread::Builder::new().spawn(move || carry(connection, token))?;
     tracing::info!(client = id, "connected");
     Ok(cut)
 }
@@ -74,15 +75,4 @@ fn carry(connection: Connection, token: LivelinessToken) {
         tracing::debug!("a connection ended: {error}");
     }
     drop(token);
-}
-
-/// Why a client is not connected.
-#[derive(Debug, thiserror::Error)]
-enum ConnectError {
-    /// The daemon accepts no connection.
-    #[error(transparent)]
-    Daemon(#[from] singletrack_api::ClientError),
-    /// A key can't be declared, or a thread not be started.
-    #[error(transparent)]
-    Session(#[from] zenoh::Error),
 }

@@ -35,7 +35,10 @@ pub(crate) fn offer(config: Option<&Path>, file: &Path) -> Result<(), ZenohError
         }
     }
     if offered.is_empty() {
-        return Err(ZenohError::NoRouter(file.to_owned()));
+        return Err(ZenohError::Other(format!(
+            "{}: no car has a router: write router = \"tcp/192.168.1.30:7447\"",
+            file.display()
+        )));
     }
     let mut sessions = BTreeMap::new();
     for (car, router, keys, listener) in offered {
@@ -67,9 +70,12 @@ fn listen(path: &Path) -> Result<UnixListener, ZenohError> {
         umask(before);
         listener
     };
-    listen().map_err(|source| ZenohError::Listen {
-        path: path.to_owned(),
-        source,
+    listen().map_err(|error| {
+        let path = path.display();
+        ZenohError::Other(format!(
+            "can't listen at {path}: {error}; give the car a socket of yours in the fleet's file, such \
+             as /tmp/car2.sock"
+        ))
     })
 }
 

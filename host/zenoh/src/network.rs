@@ -1,10 +1,6 @@
 //! Sessions of zenoh, and the keys of a car.
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-    thread,
-};
+use std::{path::Path, thread};
 
 use zenoh::{Config, Session, Wait as _};
 
@@ -14,52 +10,15 @@ const LEASE_MS: u32 = 1_000;
 /// Why the program ends.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ZenohError {
-    /// A configuration file can't be used.
-    #[error("{}: {message}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What zenoh says.
-        message: String,
-    },
-    /// An endpoint is none.
-    #[error("{endpoint:?} is no endpoint of zenoh ({message}): write tcp/192.168.1.30:7447")]
-    Endpoint {
-        /// The endpoint.
-        endpoint: String,
-        /// What zenoh says.
-        message: String,
-    },
     /// A session does not open, or a key can't be declared.
     #[error("zenoh: {0}")]
     Session(#[from] zenoh::Error),
-    /// A name can't be that of a car.
-    #[error("the name of the car is {0:?}: it must be of letters, digits, - and _")]
-    Name(String),
-    /// Another process serves a car of this name.
-    #[error(
-        "another singletrack-zenoh serves a car with the name {0} at this router: give each car a \
-         name of its own"
-    )]
-    Taken(String),
     /// There is no such fleet.
     #[error(transparent)]
     Fleet(#[from] singletrack_api::FleetFileError),
-    /// No car of the fleet is to be reached by a router.
-    #[error("{}: no car has a router: write router = \"tcp/192.168.1.30:7447\"", .0.display())]
-    NoRouter(PathBuf),
-    /// A socket can't be offered.
-    #[error(
-        "can't listen at {}: {source}; give the car a socket of yours in the fleet's file, such as \
-         /tmp/car2.sock",
-        path.display()
-    )]
-    Listen {
-        /// The socket.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    /// Anything else: a text which says what to do.
+    #[error("{0}")]
+    Other(String),
 }
 
 /// A client of a router. It waits until the router is there, and comes back when it was lost.
@@ -92,21 +51,19 @@ fn configuration(
 ) -> Result<Config, ZenohError> {
     let mut config = match file {
         None => Config::default(),
-        Some(path) => Config::from_file(path).map_err(|error| ZenohError::File {
-            path: path.to_owned(),
-            message: said(&error),
+        Some(path) => Config::from_file(path).map_err(|error| {
+            let (path, error) = (path.display(), said(&error));
+            ZenohError::Other(format!("{path}: {error}"))
         })?,
     };
     config.insert_json5("mode", &format!("{mode:?}"))?;
-    config
-        .insert_json5(
-            &format!("{direction}/endpoints"),
-            &format!("[{endpoint:?}]"),
-        )
-        .map_err(|error| ZenohError::Endpoint {
-            endpoint: endpoint.to_owned(),
-            message: said(&error),
-        })?;
+    let (key, endpoints) = (format!("{direction}/endpoints"), format!("[{endpoint:?}]"));
+    config.insert_json5(&key, &endpoints).map_err(|error| {
+        let error = said(&error);
+        ZenohError::Other(format!(
+            "{endpoint:?} is no endpoint of zenoh ({error}): write tcp/192.168.1.30:7447"
+        ))
+    })?;
     // Only the router that is named.
     config.insert_json5("scouting/multicast/enabled", "false")?;
     config.insert_json5("transport/link/tx/lease", &LEASE_MS.to_string())?;
@@ -128,7 +85,9 @@ impl Keys {
     pub(crate) fn of(name: &str) -> Result<Self, ZenohError> {
         let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
         if name.is_empty() || !name.chars().all(is_allowed) {
-            return Err(ZenohError::Name(name.to_owned()));
+            return Err(ZenohError::Other(format!(
+                "the name of the car is {name:?}: it must be of letters, digits, - and _"
+            )));
         }
         Ok(Self(format!("singletrack/{name}")))
     }

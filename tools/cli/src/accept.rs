@@ -1,6 +1,7 @@
 //! `singletrack accept`: writes what drives say of the calibration into the configuration.
 
 use std::{
+    error::Error,
     io::{self, IsTerminal as _},
     path::{Path, PathBuf},
 };
@@ -8,19 +9,19 @@ use std::{
 use clap::Args;
 use jiff::Timestamp;
 use serde_json::Value as Json;
-use singletrack_api::{Calibration, ClientError, Request, ask};
-use singletrack_commissioning::edit::{Edit, EditError};
+use singletrack_api::{Calibration, Request, ask};
+use singletrack_commissioning::edit::Edit;
 use singletrack_control::CalibrationParameter;
 use singletrack_core::{
-    Config, ConfigError,
+    Config,
     feasibility::judge,
     online_calibration::{OnlineCalibration, advice, corrected, deviation},
 };
 use singletrack_pilot::DriveCommand;
-use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_record::{Entry, Reader, Topic};
 use toml_edit::Value;
 
-use crate::control::{self, ControlArgs, ControlError};
+use crate::control::{self, ControlArgs};
 
 /// Options of `singletrack accept`.
 #[derive(Clone, Debug, Args)]
@@ -42,55 +43,23 @@ pub struct AcceptArgs {
     control: ControlArgs,
 }
 
-/// Why nothing was written.
-#[derive(Debug, thiserror::Error)]
-pub enum AcceptError {
-    /// The daemon can't be asked, or refuses.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// A configuration is invalid, or another one than that of the drives.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The file can't be changed.
-    #[error(transparent)]
-    Edit(#[from] EditError),
-    /// The daemon estimates nothing, or has not driven yet.
-    #[error(
-        "the daemon knows nothing of its calibration: set online_calibration.mode = \"advice\" and \
-         drive bends to both sides for a minute, or give the record of such a drive"
-    )]
-    Unknown,
-    /// The daemon was started without a file.
-    #[error("the daemon has no configuration file: start it with --config")]
-    NoFile,
-    /// A value that has no place in the file.
-    #[error("{key} = {value} can't be written: set it by hand")]
-    Value {
-        /// The key.
-        key: String,
-        /// Its value.
-        value: Json,
-    },
-    /// The car could not drive its reference any more.
-    #[error("{0}; change that first, and accept then")]
-    Impossible(String),
-    /// Nobody has agreed.
-    #[error("nothing was written: agree with y, or give --yes")]
-    NotAgreed,
-    /// Standard input or output.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-}
+/// The daemon estimates nothing, or has not driven yet.
+const UNKNOWN: &str = "the daemon knows nothing of its calibration: set online_calibration.mode = \
+                       \"advice\" and drive bends to both sides for a minute, or give the record of \
+                       such a drive";
+
+/// The daemon was started without a file.
+const NO_FILE: &str = "the daemon has no configuration file: start it with --config";
+
+/// Nobody has agreed.
+const NOT_AGREED: &str = "nothing was written: agree with y, or give --yes";
 
 /// Shows the advice and the change, and writes it if the operator agrees.
 ///
 /// # Errors
 ///
 /// Nothing is known, the file is not the one that was driven with, or the new values do not fit.
-pub fn run(args: &AcceptArgs) -> Result<(), AcceptError> {
+pub fn run(args: &AcceptArgs) -> Result<(), Box<dyn Error>> {
     if let (true, Some(record), Some(config)) = (args.check, &args.record, &args.config) {
         return Ok(control::print(&check(record, &Config::read(config)?)?)?);
     }
@@ -108,7 +77,7 @@ pub fn run(args: &AcceptArgs) -> Result<(), AcceptError> {
     let edit = change(&path, &known)?;
     control::print(edit.diff(&path.display().to_string()).trim_end())?;
     if !args.yes && !agrees() {
-        return Err(AcceptError::NotAgreed);
+        return Err(NOT_AGREED.into());
     }
     let date = Timestamp::now().strftime("%Y-%m-%dT%H%M%SZ").to_string();
     if let Some(kept) = edit.write(&path, &date)? {
@@ -126,16 +95,16 @@ pub fn run(args: &AcceptArgs) -> Result<(), AcceptError> {
 }
 
 /// What the daemon knows, and the file that it reads.
-fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), AcceptError> {
+fn of_daemon(control: &ControlArgs) -> Result<(Calibration, PathBuf), Box<dyn Error>> {
     let status = ask(&Request::Status {}, &control.socket)?.status;
-    let status = status.ok_or(AcceptError::Unknown)?;
-    let known = status.calibration.ok_or(AcceptError::Unknown)?;
-    let path = status.config_path.ok_or(AcceptError::NoFile)?;
+    let status = status.ok_or(UNKNOWN)?;
+    let known = status.calibration.ok_or(UNKNOWN)?;
+    let path = status.config_path.ok_or(NO_FILE)?;
     Ok((known, path.into()))
 }
 
 /// What the drives of a record say of their last configuration.
-fn of_record(path: &Path) -> Result<Calibration, AcceptError> {
+fn of_record(path: &Path) -> Result<Calibration, Box<dyn Error>> {
     let mut reader = Reader::open(path)?.only(&[Topic::Configuration, Topic::Tick]);
     let mut config = Config::from_record(&reader.meta().configuration)?;
     let mut calibration = OnlineCalibration::of(&config);
@@ -155,7 +124,7 @@ fn of_record(path: &Path) -> Result<Calibration, AcceptError> {
 }
 
 /// A line a parameter: what the ticks of all drives of a record say, and each half of them.
-fn check(path: &Path, config: &Config) -> Result<String, AcceptError> {
+fn check(path: &Path, config: &Config) -> Result<String, Box<dyn Error>> {
     let mut ticks = Vec::new();
     for entry in Reader::open(path)?.only(&[Topic::Tick]) {
         if let Entry::Tick(mut tick) = entry?
@@ -193,21 +162,19 @@ fn check(path: &Path, config: &Config) -> Result<String, AcceptError> {
 }
 
 /// The change of the file, if it passes what `singletrackd --check` judges.
-fn change(path: &Path, known: &Calibration) -> Result<Edit, AcceptError> {
+fn change(path: &Path, known: &Calibration) -> Result<Edit, Box<dyn Error>> {
     let config = corrected(&Config::read(path)?, &known.corrections)?;
     let judgement = judge(&config, None)?;
     if !judgement.is_possible() {
         let findings = judgement.findings.iter().map(ToString::to_string);
-        let findings: Vec<_> = findings.collect();
-        return Err(AcceptError::Impossible(findings.join("; ")));
+        let findings = findings.collect::<Vec<_>>().join("; ");
+        return Err(format!("{findings}; change that first, and accept then").into());
     }
     let mut edit = Edit::read(path)?;
     for correction in &known.corrections {
-        let value = written(&correction.value).ok_or_else(|| AcceptError::Value {
-            key: correction.key.clone(),
-            value: correction.value.clone(),
-        })?;
-        edit.set(&correction.key, &value)?;
+        let (key, value) = (&correction.key, &correction.value);
+        let cannot = || format!("{key} = {value} can't be written: set it by hand");
+        edit.set(key, &written(value).ok_or_else(cannot)?)?;
     }
     Ok(edit)
 }

@@ -61,11 +61,19 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// What is shown with the mode of a drive.
 const CTRL_C: &str = "(Ctrl-C stops the car)";
 
-/// The exit status of a drive that the daemon or the board stopped.
-pub(crate) const STOPPED: u8 = 3;
-
 /// Reasons with which a drive ends as its operator wanted.
-pub(crate) const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
+const WANTED: [&str; 3] = ["requested", "reference-finished", "time-up"];
+
+/// Whether a drive ended as its operator wanted.
+pub(crate) fn is_wanted(ended: &Ended) -> bool {
+    let reason = ended.reason.as_deref();
+    reason.is_none_or(|reason| WANTED.contains(&reason)) && ended.mode != "fault"
+}
+
+/// The exit status of a drive that ended as wanted, or that something else than the operator stopped.
+pub(crate) fn ended_as_wanted(is_so: bool) -> ExitCode {
+    ExitCode::from(if is_so { 0 } else { 3 })
+}
 
 /// Arms the car. With `--hold` or `--for`, returns when the drive has ended: with success if it
 /// ended as wanted, otherwise with status 3.
@@ -264,13 +272,8 @@ impl Progress {
             begun.elapsed().as_secs_f64(),
             ended
         ))?;
-        let reason = ended.reason.as_deref();
-        let as_wanted =
-            reason.is_none_or(|reason| WANTED.contains(&reason)) && ended.mode != "fault";
-        if as_wanted {
-            return Ok(ExitCode::SUCCESS);
-        }
-        if let Some(word) = reason {
+        let as_wanted = is_wanted(ended);
+        if let Some(word) = ended.reason.as_deref().filter(|_| !as_wanted) {
             // What the board says about it, if the daemon still answers.
             let status = ask_within(&Request::Status {}, socket, PATIENCE).ok();
             print(&match status.and_then(|answer| answer.status) {
@@ -278,7 +281,7 @@ impl Progress {
                 None => Why::of_word("host", word).to_string(),
             })?;
         }
-        Ok(ExitCode::from(STOPPED))
+        Ok(ended_as_wanted(as_wanted))
     }
 }
 

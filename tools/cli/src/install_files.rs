@@ -17,21 +17,13 @@ pub struct InstallFilesArgs {
     out: PathBuf,
 }
 
-/// A file can't be written.
-#[derive(Debug, thiserror::Error)]
-#[error("can't write to {}: {source}; choose another folder with --out", .folder.display())]
-pub struct InstallFilesError {
-    folder: PathBuf,
-    source: io::Error,
-}
-
 /// Writes the files for `singletrack`, which `command` describes, for `singletrackd` and for
 /// `singletrack-sim`.
 ///
 /// # Errors
 ///
 /// When a file can't be written.
-pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), InstallFilesError> {
+pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), String> {
     for command in [
         &shown(command),
         &singletrackd::Arguments::command(),
@@ -70,14 +62,11 @@ fn shown(command: &Command) -> Command {
     shown
 }
 
-fn write_to(
-    folder: &Path,
-    write: impl FnOnce(&Path) -> io::Result<()>,
-) -> Result<(), InstallFilesError> {
+fn write_to(folder: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), String> {
     fs::create_dir_all(folder)
         .and_then(|()| write(folder))
-        .map_err(|source| InstallFilesError {
-            folder: folder.to_owned(),
-            source,
+        .map_err(|error| {
+            let folder = folder.display();
+            format!("can't write to {folder}: {error}; choose another folder with --out")
         })
 }

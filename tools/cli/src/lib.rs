@@ -54,5 +54,7 @@ mod interrupt;
 #[cfg(any(feature = "demo", feature = "operator"))]
 mod progress;
 #[cfg(feature = "operator")]
+mod readable;
+#[cfg(feature = "operator")]
 mod terminal;
 mod wrap;

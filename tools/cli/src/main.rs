@@ -241,15 +241,15 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "demo")]
         Command::Demo(args) => Ok(demo::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Cameras(args) => return Ok(cameras::run(args)?),
+        Command::Cameras(args) => return cameras::run(args),
         #[cfg(feature = "operator")]
-        Command::Doctor(args) => return Ok(bench::run(args.procedure(), &args.bench)?),
+        Command::Doctor(args) => return bench::run(args.procedure(), &args.bench),
         #[cfg(feature = "operator")]
-        Command::BringUp(args) => return Ok(bench::run(&bench::BRING_UP, args)?),
+        Command::BringUp(args) => return bench::run(&bench::BRING_UP, args),
         #[cfg(feature = "operator")]
-        Command::Calibrate(args) => return Ok(bench::run(&bench::CALIBRATE, args)?),
+        Command::Calibrate(args) => return bench::run(&bench::CALIBRATE, args),
         #[cfg(feature = "operator")]
-        Command::Accept(args) => Ok(accept::run(args)?),
+        Command::Accept(args) => accept::run(args),
         #[cfg(feature = "paper")]
         Command::Compare(args) => Ok(compare::run(args)?),
         #[cfg(feature = "page")]
@@ -259,20 +259,14 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "operator")]
         Command::Dump(args) => Ok(dump::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Import(args) => Ok(import::run(args)?),
+        Command::Import(args) => import::run(args),
         #[cfg(feature = "operator")]
         Command::Judge(args) => Ok(judge::run(args)?),
         Command::Plot(args) => Ok(plot::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Recover(args) => Ok(recover::run(args)?),
+        Command::Recover(args) => recover::run(args),
         #[cfg(feature = "operator")]
-        Command::Replay(args) => match replay::run(args) {
-            Err(failure) if failure.status() != 1 => {
-                eprintln!("singletrack: {}", printable(&failure.to_string()));
-                return Ok(ExitCode::from(failure.status()));
-            }
-            result => Ok(result?),
-        },
+        Command::Replay(args) => return replay::run(args),
         #[cfg(feature = "paper")]
         Command::Stability(args) => Ok(stability::run(args)?),
         #[cfg(feature = "paper")]
@@ -292,17 +286,17 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         #[cfg(feature = "operator")]
         Command::Stop(args) => Ok(control::stop(args)?),
         #[cfg(feature = "operator")]
-        Command::Fleet(args) => return Ok(fleet::run(args)?),
+        Command::Fleet(args) => return fleet::run(args),
         #[cfg(feature = "operator")]
-        Command::SetReference(args) => Ok(set_reference::run(args)?),
+        Command::SetReference(args) => set_reference::run(args),
         #[cfg(feature = "operator")]
-        Command::Setpoint(args) => Ok(setpoint::run(args)?),
+        Command::Setpoint(args) => setpoint::run(args),
         #[cfg(feature = "operator")]
         Command::Tune(args) => Ok(tune::run(args)?),
         #[cfg(feature = "operator")]
-        Command::Drive(args) => return Ok(drive::run(args)?),
+        Command::Drive(args) => return drive::run(args),
         #[cfg(feature = "operator")]
-        Command::Teach(args) => Ok(teach::run(args)?),
+        Command::Teach(args) => teach::run(args),
         #[cfg(feature = "operator")]
         Command::InstallFiles(args) => Ok(install_files::run(args, &Cli::command())?),
         Command::Simulate {

@@ -1,7 +1,8 @@
 //! `singletrack set-reference`: replaces the reference of a standing car.
 
 use std::{
-    fs, io,
+    error::Error,
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -9,10 +10,10 @@ use clap::Args;
 use serde::Deserialize;
 use serde_json::Value;
 use singletrack_api::{Request, ask};
-use singletrack_core::{ConfigError, config::ReferenceSection};
+use singletrack_core::config::ReferenceSection;
 use singletrack_settings::explain;
 
-use crate::control::{self, ControlArgs, ControlError};
+use crate::control::{self, ControlArgs};
 
 /// The new reference.
 #[derive(Clone, Debug, Args)]
@@ -22,45 +23,6 @@ pub struct SetReferenceArgs {
     file: PathBuf,
     #[command(flatten)]
     control: ControlArgs,
-}
-
-/// Why the reference was not replaced.
-#[derive(Debug, thiserror::Error)]
-pub enum SetReferenceError {
-    /// The file can't be read.
-    #[error("can't read {}: {source}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The file is not a reference.
-    #[error(
-        "{}: {message} (the file must have a table [reference], as in the daemon's configuration, and \
-         nothing else)",
-        .path.display()
-    )]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and why.
-        message: String,
-    },
-    /// A file that it names is refused.
-    #[error(transparent)]
-    Reference(#[from] ConfigError),
-    /// It can't be sent.
-    #[error("{}: {source}; every path must be UTF-8", .path.display())]
-    Send {
-        /// The file.
-        path: PathBuf,
-        /// Why not.
-        source: serde_json::Error,
-    },
-    /// The daemon refuses or does not answer.
-    #[error(transparent)]
-    Control(#[from] ControlError),
 }
 
 #[derive(Deserialize)]
@@ -74,10 +36,10 @@ struct File {
 /// # Errors
 ///
 /// The file is not a reference, or the daemon refuses it.
-pub fn run(args: &SetReferenceArgs) -> Result<(), SetReferenceError> {
+pub fn run(args: &SetReferenceArgs) -> Result<(), Box<dyn Error>> {
     let reference = read_reference(&args.file)?;
     let request = Request::SetReference { reference };
-    let answer = ask(&request, &args.control.socket).map_err(ControlError::from)?;
+    let answer = ask(&request, &args.control.socket)?;
     for warning in answer.warnings {
         eprintln!("singletrack: warning: {warning}");
     }
@@ -92,31 +54,29 @@ const LONGEST: usize = 16_000;
 
 /// The reference in a file, with its points, or with the absolute path of their file if they are too
 /// many: the daemon runs in another folder.
-pub(crate) fn read_reference(path: &Path) -> Result<Value, SetReferenceError> {
-    let read = |source| SetReferenceError::Read {
-        path: path.to_owned(),
-        source,
-    };
+pub(crate) fn read_reference(path: &Path) -> Result<Value, Box<dyn Error>> {
+    let name = path.display();
+    let read = |error| format!("can't read {name}: {error}");
     let text = fs::read_to_string(path).map_err(read)?;
-    let File { mut reference } =
-        toml::from_str(&text).map_err(|error| SetReferenceError::Parse {
-            path: path.to_owned(),
-            message: explain(&text, &error),
-        })?;
+    let File { mut reference } = toml::from_str(&text).map_err(|error| {
+        let message = explain(&text, &error);
+        format!(
+            "{name}: {message} (the file must have a table [reference], as in the daemon's \
+             configuration, and nothing else)"
+        )
+    })?;
     let path_of_file = std::path::absolute(path).map_err(read)?;
     if let Some(folder) = path_of_file.parent() {
         reference.resolve(folder);
     }
     let value = |reference: &ReferenceSection| {
-        serde_json::to_value(reference).map_err(|source| SetReferenceError::Send {
-            path: path.to_owned(),
-            source,
-        })
+        serde_json::to_value(reference)
+            .map_err(|error| format!("{name}: {error}; every path must be UTF-8"))
     };
     // The daemon reads files of one folder only. What fits into a line is sent.
     let written = value(&reference.with_points_inlined()?)?;
     if written.to_string().len() <= LONGEST {
         return Ok(written);
     }
-    value(&reference)
+    Ok(value(&reference)?)
 }

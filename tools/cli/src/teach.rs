@@ -1,6 +1,7 @@
 //! `singletrack teach`: records the path that the car is pushed along as a reference.
 
 use std::{
+    error::Error,
     fs::{self, File},
     io::{self, IsTerminal as _, Write as _},
     path::{Path, PathBuf},
@@ -13,10 +14,10 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Connection, Reply, Request, State};
-use singletrack_commissioning::{Place, TeachError, TeachOptions, taught_path};
-use singletrack_control::{Path as SmoothPath, PathSpeed, Position, ReferenceError};
-use singletrack_core::{Config, config::ConfigError};
+use singletrack_api::{Connection, Reply, State};
+use singletrack_commissioning::{Place, TeachOptions, taught_path};
+use singletrack_control::{Path as SmoothPath, PathSpeed, Position};
+use singletrack_core::Config;
 
 use crate::{
     control::{self, ControlArgs, ControlError},
@@ -50,42 +51,9 @@ pub struct TeachArgs {
     control: ControlArgs,
 }
 
-/// Why no path was recorded.
-#[derive(Debug, thiserror::Error)]
-pub enum CannotTeach {
-    /// The daemon can't be reached, or refuses.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-    /// The configuration is invalid.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The car was not moved along a path.
-    #[error("{0}")]
-    Path(#[from] TeachError),
-    /// The path can't be driven.
-    #[error("the path can't be driven: {0}")]
-    Reference(#[from] ReferenceError),
-    /// A file can't be written, or would be replaced.
-    #[error("can't write {}: {source}", .path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The name is not that of a CSV file.
-    #[error("{}: give a name that ends in .csv", .0.display())]
-    Name(PathBuf),
-    /// A number is out of range.
-    #[error("--{name} is {value}: give {range}")]
-    Number {
-        /// The option.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// What it may be.
-        range: &'static str,
-    },
+/// A file that can't be written, or would be replaced.
+fn not_written(path: &Path, source: &io::Error) -> String {
+    format!("can't write {}: {source}", path.display())
 }
 
 /// Interval at which Ctrl-C is looked for.
@@ -96,31 +64,24 @@ const POLL: Duration = Duration::from_millis(50);
 /// # Errors
 ///
 /// When there is no path, or it can't be written.
-pub fn run(args: &TeachArgs) -> Result<(), CannotTeach> {
+pub fn run(args: &TeachArgs) -> Result<(), Box<dyn Error>> {
     let table = reference_file(&args.file)?;
-    let check = |name, value, range, is_good| match is_good {
-        true => Ok(()),
-        false => Err(CannotTeach::Number { name, value, range }),
-    };
     let (speed, spacing) = (args.speed, args.spacing);
-    check(
-        "speed",
-        speed,
-        "above 0, to 20",
+    let (is_speed, is_spacing) = (
         speed > 0.0 && speed <= 20.0,
-    )?;
-    check(
-        "spacing",
-        spacing,
-        "0.02 to 1",
         (0.02..=1.0).contains(&spacing),
-    )?;
+    );
+    for (name, value, range, is_good) in [
+        ("speed", speed, "above 0, to 20", is_speed),
+        ("spacing", spacing, "0.02 to 1", is_spacing),
+    ] {
+        if !is_good {
+            return Err(format!("--{name} is {value}: give {range}").into());
+        }
+    }
     for path in [&args.file, &table] {
         if path.exists() {
-            return Err(CannotTeach::Write {
-                path: path.clone(),
-                source: io::Error::from(io::ErrorKind::AlreadyExists),
-            });
+            return Err(not_written(path, &io::ErrorKind::AlreadyExists.into()).into());
         }
     }
     let config = Config::read(&args.config)?;
@@ -128,7 +89,7 @@ pub fn run(args: &TeachArgs) -> Result<(), CannotTeach> {
         front_axle_distance_m: config.vehicle.front_axle_distance_m,
         point_distance_m: config.law.point_distance_m,
         is_closed: args.closed,
-        spacing_m: args.spacing,
+        spacing_m: spacing,
     };
     let taught = taught_path(&watch(args)?, &options)?;
     let limits = PathSpeed {
@@ -136,7 +97,8 @@ pub fn run(args: &TeachArgs) -> Result<(), CannotTeach> {
         lateral_acceleration: LATERAL_M_S2,
         acceleration: ACCELERATION_M_S2,
     };
-    let path = SmoothPath::new(&taught.points, args.closed, limits)?;
+    let path = SmoothPath::new(&taught.points, args.closed, limits)
+        .map_err(|error| format!("the path can't be driven: {error}"))?;
     write_new(&args.file, &points_csv(&taught.points))?;
     write_new(&table, &reference_toml(&args.file, args))?;
     let gap = if args.closed {
@@ -161,22 +123,20 @@ const LATERAL_M_S2: f64 = 1.0;
 const ACCELERATION_M_S2: f64 = 0.5;
 
 /// The file for the table `[reference]`, beside that of the points.
-fn reference_file(points: &Path) -> Result<PathBuf, CannotTeach> {
+fn reference_file(points: &Path) -> Result<PathBuf, String> {
     let is_csv = points.extension().is_some_and(|end| end == "csv");
     if is_csv && points.file_stem().is_some() {
         Ok(points.with_extension("toml"))
     } else {
-        Err(CannotTeach::Name(points.to_owned()))
+        let name = points.display();
+        Err(format!("{name}: give a name that ends in .csv"))
     }
 }
 
 /// The places of the car until the operator ends it.
 fn watch(args: &TeachArgs) -> Result<Vec<Place>, ControlError> {
     let interrupt = Interrupt::listen()?;
-    let mut states = Connection::open(&args.control.socket, POLL)?;
-    states.send(&Request::Watch {
-        topics: vec!["state".to_owned()],
-    })?;
+    let mut states = Connection::watch_states(&args.control.socket, POLL)?;
     let is_at_end = Arc::new(AtomicBool::new(false));
     let enter = Arc::clone(&is_at_end);
     // It is not waited for: it ends with the process.
@@ -249,7 +209,7 @@ fn reference_toml(points: &Path, args: &TeachArgs) -> String {
 }
 
 /// Writes a file that is not there yet, whole or not at all.
-fn write_new(path: &Path, text: &str) -> Result<(), CannotTeach> {
+fn write_new(path: &Path, text: &str) -> Result<(), String> {
     let write = || {
         let mut file = File::create_new(path)?;
         let written = file
@@ -260,10 +220,7 @@ fn write_new(path: &Path, text: &str) -> Result<(), CannotTeach> {
         }
         written
     };
-    write().map_err(|source| CannotTeach::Write {
-        path: path.to_owned(),
-        source,
-    })
+    write().map_err(|source| not_written(path, &source))
 }
 
 #[cfg(test)]

@@ -3,14 +3,19 @@
 use std::{
     env,
     io::{self, IsTerminal as _, Write as _},
+    os::fd::AsFd as _,
+    time::Duration,
 };
 
-use rustix::{
-    event::{PollFd, PollFlags, Timespec, poll},
-    termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcgetwinsize, tcsetattr},
+use rustix::termios::{
+    LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcgetwinsize,
+    tcsetattr,
 };
 
-/// A terminal that gives every key at once. Dropping it restores its settings.
+use crate::readable::wait_to_read;
+
+/// A terminal that gives every key at once. Dropping it restores its settings. What was typed before
+/// either is dropped.
 pub(crate) struct RawTerminal {
     input: io::Stdin,
     before: Termios,
@@ -27,14 +32,13 @@ impl RawTerminal {
         let mut raw = before.clone();
         // Ctrl-C still interrupts.
         raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
-        tcsetattr(&input, OptionalActions::Flush, &raw)?;
+        set(&input, &raw)?;
         Ok(Some(Self { input, before }))
     }
 
     /// Adds what has been typed, without waiting.
     pub(crate) fn read(&self, bytes: &mut Vec<u8>) -> io::Result<()> {
-        let mut input = [PollFd::new(&self.input, PollFlags::IN)];
-        while poll(&mut input, Some(&Timespec::default()))? > 0 {
+        while wait_to_read([self.input.as_fd()], Duration::ZERO)? {
             let mut buffer = [0; 256];
             let count = rustix::io::read(&self.input, &mut buffer)?;
             if count == 0 {
@@ -48,8 +52,14 @@ impl RawTerminal {
 
 impl Drop for RawTerminal {
     fn drop(&mut self) {
-        let _ = tcsetattr(&self.input, OptionalActions::Flush, &self.before);
+        let _ = set(&self.input, &self.before);
     }
+}
+
+/// Sets it at once and not after its output: one that is stopped must not hold up the end of a drive.
+fn set(input: &io::Stdin, settings: &Termios) -> io::Result<()> {
+    tcsetattr(input, OptionalActions::Now, settings)?;
+    Ok(tcflush(input, QueueSelector::IFlush)?)
 }
 
 /// The whole window of the terminal on standard output, for a view that is drawn again and

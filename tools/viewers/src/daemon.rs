@@ -2,7 +2,6 @@
 
 use std::{
     io,
-    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -79,13 +78,5 @@ impl Follower {
             .name("daemon".to_owned())
             .spawn(body)?;
         Ok(Self(stop))
-    }
-}
-
-/// The daemon at `socket` has not answered in time.
-pub(crate) fn silent(socket: &Path) -> ClientError {
-    ClientError::Silent {
-        path: socket.to_owned(),
-        patience: PATIENCE,
     }
 }

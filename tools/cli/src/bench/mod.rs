@@ -11,6 +11,7 @@ mod session;
 mod terminal;
 
 use std::{
+    error::Error,
     io,
     path::PathBuf,
     thread,
@@ -19,13 +20,13 @@ use std::{
 
 use clap::Args;
 use serde_json::json;
-use singletrack_api::{ClientError, Request, Setpoint, ask};
+use singletrack_api::{Request, Setpoint, ask};
 use singletrack_commissioning::{
     Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question, Refused,
-    edit::{Edit, EditError},
+    edit::Edit,
 };
 use singletrack_control::{Position, Velocity};
-use singletrack_core::{Config, ConfigError};
+use singletrack_core::Config;
 use singletrack_record::{Entry, LinkPhase};
 
 use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
@@ -61,43 +62,6 @@ pub struct BenchArgs {
     /// Print questions, findings and changes on standard output, one JSON object a line
     #[arg(long)]
     json: bool,
-}
-
-/// Why a procedure did not run to its end.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchError {
-    /// The configuration can't be read.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// It can't be changed.
-    #[error(transparent)]
-    Edit(#[from] EditError),
-    /// Measured values could not be written: no step is begun.
-    #[error(
-        "{0}; measured values are written there: use sudo, or let the group write to the \
-         configuration and its folder (docs/onboarding.md)"
-    )]
-    ReadOnly(EditError),
-    /// Two procedures would write the same files.
-    #[error("another procedure is running with this configuration")]
-    Busy,
-    /// The folder of the findings can't be used.
-    #[error("{}: {source}; --state takes another folder", .path.display())]
-    State {
-        /// The folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The daemon refuses or does not answer.
-    #[error(transparent)]
-    Control(#[from] ClientError),
-    /// Terminal, signals or the findings.
-    #[error("{0}")]
-    System(#[from] io::Error),
-    /// It was interrupted.
-    #[error("{0}; run the same command again to resume")]
-    Interrupted(#[from] Interrupted),
 }
 
 /// Time without a line from the daemon after which it counts as gone. It reports every tick.
@@ -144,7 +108,7 @@ impl LiveBench {
     pub(crate) fn open(
         reported: Option<&'static str>,
         args: &BenchArgs,
-    ) -> Result<Self, BenchError> {
+    ) -> Result<Self, Box<dyn Error>> {
         let config = Config::read(&args.config)?;
         let before = Edit::read(&args.config)?;
         let interrupt = Interrupt::listen()?;

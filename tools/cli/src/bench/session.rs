@@ -1,6 +1,7 @@
 //! A procedure at the terminal: steps, findings, page.
 
 use std::{
+    error::Error,
     fs::{self, File, TryLockError},
     io,
     path::{Path, PathBuf},
@@ -16,7 +17,7 @@ use singletrack_commissioning::{
 use singletrack_core::configuration_hash;
 
 use super::{
-    BenchArgs, BenchError, LiveBench,
+    BenchArgs, LiveBench,
     journal::{self, FileJournal},
 };
 
@@ -46,23 +47,25 @@ const FAILED: u8 = 3;
 /// # Errors
 ///
 /// It was interrupted, or files can't be read or written.
-pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchError> {
+pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, Box<dyn Error>> {
     let reported = procedure.required.then_some(procedure.name);
     let mut bench = LiveBench::open(reported, args)?;
     let folder = args.state.clone();
     let folder = folder.unwrap_or_else(|| args.config.with_added_extension("commissioning"));
     let lock = lock(&folder);
     if matches!(lock, Ok(None)) {
-        return Err(BenchError::Busy);
+        return Err("another procedure is running with this configuration".into());
     }
     // Before a quarter of an hour of measurements is lost.
-    bench
-        .before
-        .rehearse(&args.config)
-        .map_err(BenchError::ReadOnly)?;
-    let _lock = lock.map_err(|source| BenchError::State {
-        path: folder.clone(),
-        source,
+    bench.before.rehearse(&args.config).map_err(|error| {
+        format!(
+            "{error}; measured values are written there: use sudo, or let the group write to the \
+             configuration and its folder (docs/onboarding.md)"
+        )
+    })?;
+    let _lock = lock.map_err(|error| {
+        let folder = folder.display();
+        format!("{folder}: {error}; --state takes another folder")
     })?;
     bench.pictures = folder.join(procedure.name);
     let path = folder.join(format!("{}.json", procedure.name));
@@ -77,10 +80,8 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
             &bench.before,
             Timestamp::now(),
         ),
-        terminal: Report {
-            json: args.json,
-            bar: bench.terminal.bar(),
-        },
+        json: args.json,
+        bar: bench.terminal.bar(),
     };
     let is_resumed = procedure
         .steps
@@ -95,7 +96,8 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
                 .say(&format!("{}: found before: {}", step.name, finding.found));
         }
     }
-    let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)?;
+    let findings = commissioning::run(procedure.steps, &mut bench, &mut journal)
+        .map_err(|interrupted| format!("{interrupted}; run the same command again to resume"))?;
     let page = write_page(procedure, &bench, &folder, &findings)?;
     bench.terminal.say(&format!(
         "\n{}\nThe page is {}.",
@@ -120,11 +122,7 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, BenchErr
         "failed": failed,
         "page": page,
     }))?;
-    Ok(if failed {
-        ExitCode::from(FAILED)
-    } else {
-        ExitCode::SUCCESS
-    })
+    Ok(ExitCode::from(if failed { FAILED } else { 0 }))
 }
 
 /// Makes the folder and locks it until the file is closed: two procedures would write the same
@@ -144,7 +142,7 @@ fn write_page(
     bench: &LiveBench,
     folder: &Path,
     findings: &[Finding],
-) -> Result<PathBuf, BenchError> {
+) -> Result<PathBuf, Box<dyn Error>> {
     let now = Timestamp::now();
     let name = format!("{}-{}", procedure.name, now.strftime("%Y-%m-%dT%H%M%SZ"));
     let date = now.strftime("%Y-%m-%d %H:%M UTC").to_string();
@@ -177,7 +175,7 @@ fn dated_pictures(
     procedure: &str,
     folder: &Path,
     dated: &str,
-) -> Result<Vec<(String, String)>, BenchError> {
+) -> Result<Vec<(String, String)>, Box<dyn Error>> {
     let mut pictures = Vec::new();
     for entry in fs::read_dir(folder)? {
         let file = entry?.file_name();
@@ -198,14 +196,9 @@ fn dated_pictures(
     Ok(pictures)
 }
 
-/// Prints what is begun and found, and keeps it.
+/// Prints what is begun and found, while the bench has the terminal, and keeps it.
 struct SessionJournal {
     file: FileJournal,
-    terminal: Report,
-}
-
-/// What the journal prints, while the bench has the terminal.
-struct Report {
     json: bool,
     /// That of the bench.
     bar: ProgressBar,
@@ -217,16 +210,16 @@ impl Journal for SessionJournal {
     }
 
     fn keep(&mut self, finding: &Finding) -> Result<(), Interrupted> {
-        self.terminal.finding(finding);
+        self.print(finding);
         self.file
             .keep(finding, Timestamp::now())
             .map_err(|error| Interrupted::NotKept(error.to_string()))
     }
 
     fn begin(&mut self, step: &Step, number: usize, of: usize) {
-        self.terminal.bar.finish_and_clear();
+        self.bar.finish_and_clear();
         eprintln!("\n[{number}/{of}] {}", step.title);
-        if self.terminal.json {
+        if self.json {
             println!(
                 "{}",
                 json!({ "step": step.name, "number": number, "of": of })
@@ -235,8 +228,8 @@ impl Journal for SessionJournal {
     }
 }
 
-impl Report {
-    fn finding(&self, finding: &Finding) {
+impl SessionJournal {
+    fn print(&self, finding: &Finding) {
         self.bar.finish_and_clear();
         eprintln!("{}: {}", finding.verdict.name(), finding.found);
         if matches!(finding.verdict, Verdict::Failed | Verdict::Warning) {

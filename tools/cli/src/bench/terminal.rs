@@ -1,20 +1,17 @@
 //! The operator's terminal: questions, answers, a live line, and the held key.
 
 use std::{
-    io::{self, IsTerminal as _, Write as _},
+    io::{self, Write as _},
     os::fd::AsFd as _,
     time::{Duration, Instant},
 };
 
 use indicatif::ProgressBar;
-use rustix::{
-    event::{PollFd, PollFlags, Timespec, poll},
-    termios::{LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcsetattr},
-};
+use rustix::io::Errno;
 use serde_json::{Value, json};
 use singletrack_commissioning::{Answer, Answers, Live, Question};
 
-use crate::progress::progress_bar;
+use crate::{progress::progress_bar, readable::wait_to_read, terminal::RawTerminal};
 
 /// Time after the last press of the held key from which it counts as released. A key repeats 10
 /// to 30 times a second, after a first pause of up to 0.66 s.
@@ -31,8 +28,7 @@ pub(super) struct Terminal {
 
 /// The space bar while a car is armed.
 struct HeldKey {
-    /// The settings of the terminal before.
-    before: Termios,
+    _terminal: RawTerminal,
     pressed: Instant,
     presses: u32,
     repeats: bool,
@@ -128,25 +124,13 @@ impl Terminal {
 
     /// From now on the space bar is the dead-man switch.
     pub(super) fn hold_key(&mut self) -> io::Result<()> {
-        let input = io::stdin();
-        if !input.is_terminal() {
-            return Err(io::Error::other(
-                "a terminal is needed: its space bar is the dead-man switch",
-            ));
-        }
         // A jog that ended by itself has not given it back.
-        let before = match self.held.take() {
-            Some(held) => held.before,
-            None => tcgetattr(&input)?,
-        };
-        let mut raw = before.clone();
-        // Ctrl-C still interrupts.
-        raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
-        tcsetattr(&input, OptionalActions::Now, &raw)?;
-        // What was typed before is no press.
-        tcflush(&input, QueueSelector::IFlush)?;
+        self.release_key();
+        let terminal = RawTerminal::open()?.ok_or_else(|| {
+            io::Error::other("a terminal is needed: its space bar is the dead-man switch")
+        })?;
         self.held = Some(HeldKey {
-            before,
+            _terminal: terminal,
             pressed: Instant::now(),
             presses: 0,
             repeats: false,
@@ -207,11 +191,7 @@ impl Terminal {
 
     /// Ends [`Terminal::hold_key`]. Presses that were not read are dropped.
     pub(super) fn release_key(&mut self) {
-        if let Some(held) = self.held.take() {
-            let input = io::stdin();
-            let _ = tcflush(&input, QueueSelector::IFlush);
-            let _ = tcsetattr(&input, OptionalActions::Now, &held.before);
-        }
+        self.held = None;
     }
 }
 
@@ -225,20 +205,13 @@ impl Drop for Terminal {
 /// What has arrived on standard input; its end is an error.
 fn read_now(buffer: &mut [u8]) -> io::Result<usize> {
     let input = io::stdin();
-    let mut polled = [PollFd::new(&input, PollFlags::IN)];
-    let now = Timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    match poll(&mut polled, Some(&now)) {
-        Ok(0) | Err(rustix::io::Errno::INTR) => return Ok(0),
-        Ok(_) => {}
-        Err(error) => return Err(error.into()),
+    if !wait_to_read([input.as_fd()], Duration::ZERO)? {
+        return Ok(0);
     }
     match rustix::io::read(input.as_fd(), buffer) {
         Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
         Ok(count) => Ok(count),
-        Err(rustix::io::Errno::INTR | rustix::io::Errno::AGAIN) => Ok(0),
+        Err(Errno::INTR | Errno::AGAIN) => Ok(0),
         Err(error) => Err(error.into()),
     }
 }

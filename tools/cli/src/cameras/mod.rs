@@ -4,8 +4,8 @@ mod discovery;
 mod survey;
 
 use std::{
+    error::Error,
     fmt::Write as _,
-    io,
     net::{Ipv4Addr, SocketAddr},
     path::PathBuf,
     process::ExitCode,
@@ -17,11 +17,11 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use singletrack_core::{
     cameras::{Channel, Sockets as _, StreamEvent},
-    config::{Config, ConfigError, MotionCaptureSection, ServerKind, TransportKind, UpAxis},
+    config::{Config, MotionCaptureSection, ServerKind, TransportKind, UpAxis},
 };
 use singletrack_figures::output;
-use singletrack_mocap::{Input, Phase, PoseSource as _, SessionConfigError, SessionEvent, Source};
-use singletrackd::{MocapSocketError, MocapSockets, monotonic_ns};
+use singletrack_mocap::{Input, Phase, PoseSource as _, SessionEvent, Source};
+use singletrackd::{MocapSockets, monotonic_ns};
 
 use crate::{arguments::parse_duration, printable::printable, progress::progress_bar};
 use survey::{BodyReport, Survey, Times};
@@ -97,28 +97,9 @@ fn parse_up_axis(text: &str) -> Result<UpAxis, String> {
     UpAxis::named(text).ok_or_else(|| "choose y or z".to_owned())
 }
 
-/// Why the cameras can't be looked at.
-#[derive(Debug, thiserror::Error)]
-pub enum CamerasError {
-    /// The configuration can't be used.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// A value of it can't be used.
-    #[error(transparent)]
-    Session(#[from] SessionConfigError),
-    /// Nobody answered.
-    #[error(
-        "no NatNet or Qualisys server answers in this network; a firewall may keep answers away, \
-         and VRPN can't be asked: give its address with --server"
-    )]
-    NoServer,
-    /// A socket can't be opened.
-    #[error(transparent)]
-    Socket(#[from] MocapSocketError),
-    /// The result can't be printed.
-    #[error(transparent)]
-    Output(#[from] io::Error),
-}
+/// Nobody answered.
+const NO_SERVER: &str = "no NatNet or Qualisys server answers in this network; a firewall may keep \
+                         answers away, and VRPN can't be asked: give its address with --server";
 
 /// A server that is looked at.
 struct Watched {
@@ -151,7 +132,7 @@ struct Report {
 /// # Errors
 ///
 /// The configuration or a socket can't be used.
-pub fn run(args: &CamerasArgs) -> Result<ExitCode, CamerasError> {
+pub fn run(args: &CamerasArgs) -> Result<ExitCode, Box<dyn Error>> {
     let mut watched = sections(args)?
         .into_iter()
         .map(Watched::new)
@@ -180,7 +161,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode, CamerasError> {
     for report in &reports {
         match args.format {
             Format::Json => {
-                text += &serde_json::to_string(report).map_err(io::Error::from)?;
+                text += &serde_json::to_string(report)?;
                 text.push('\n');
             }
             Format::Text => report.write(&mut text),
@@ -191,7 +172,7 @@ pub fn run(args: &CamerasArgs) -> Result<ExitCode, CamerasError> {
     Ok(ExitCode::from(u8::from(!is_good)))
 }
 
-fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasError> {
+fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, Box<dyn Error>> {
     if let Some(path) = &args.config {
         return Ok(vec![Config::read(path)?.motion_capture]);
     }
@@ -212,7 +193,7 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasErro
             .collect(),
     };
     if servers.is_empty() {
-        return Err(CamerasError::NoServer);
+        return Err(NO_SERVER.into());
     }
     let section = |(kind, server)| MotionCaptureSection {
         kind,
@@ -232,7 +213,7 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, CamerasErro
 }
 
 impl Watched {
-    fn new(section: MotionCaptureSection) -> Result<Self, CamerasError> {
+    fn new(section: MotionCaptureSection) -> Result<Self, Box<dyn Error>> {
         section.validate()?;
         // All bodies: without a name that is followed.
         let source = Source::new(section.session()?.session, None)?;

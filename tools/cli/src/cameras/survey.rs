@@ -150,18 +150,11 @@ impl Seen {
             .windows(2)
             .map(|pair| pair[1].saturating_sub(pair[0]) as f64 * 1e-6)
             .collect();
-        let spread_mm = (0..3)
-            .map(|axis| {
-                deviation(
-                    &self
-                        .positions_m
-                        .iter()
-                        .map(|at| at[axis])
-                        .collect::<Vec<_>>(),
-                )
-            })
-            .fold(0.0, f64::hypot)
-            * 1e3;
+        let spread_m = |axis: usize| {
+            let positions_m: Vec<f64> = self.positions_m.iter().map(|at| at[axis]).collect();
+            deviation(&positions_m)
+        };
+        let spread_mm = (0..3).map(spread_m).fold(0.0, f64::hypot) * 1e3;
         let repeated = part(self.repeated, self.tracked.saturating_sub(1));
         let remarks = [
             (self.name.is_none(), "no name in the server's list"),

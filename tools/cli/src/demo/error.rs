@@ -1,7 +1,5 @@
 //! Why a demo failed.
 
-use std::{io, path::PathBuf};
-
 use singletrack_core::ConfigError;
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{virtual_drive::VirtualDriveError, virtual_record::VirtualRecordError};
@@ -13,48 +11,9 @@ use singletrack_figures::plot::PlotError;
 /// Why a demo failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
-    /// The program was built without what an option needs.
-    #[error(
-        "{option} needs the feature `{feature}`, without which this program was built: \
-         `cargo demo {option}` builds it with it"
-    )]
-    NotBuilt {
-        /// The option.
-        option: &'static str,
-        /// The feature of this package.
-        feature: &'static str,
-    },
-    /// Something can't be written.
-    #[error("can't write {}: {source}", path.display())]
-    Write {
-        /// What.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The folder holds something that no demo has written.
-    #[error(
-        "{} holds {name}, which no demo has written: give another folder with --out",
-        folder.display()
-    )]
-    HoldsOthers {
-        /// The folder.
-        folder: PathBuf,
-        /// What it holds.
-        name: String,
-    },
-    /// Another demo writes to the folder.
-    #[error("another demo writes to {}: give another folder with --out", .0.display())]
-    InUse(PathBuf),
-    /// Ctrl-C can't be listened for.
-    #[error("can't listen for signals: {0}")]
-    Signals(io::Error),
     /// Ctrl-C.
     #[error("interrupted")]
     Interrupted,
-    /// No private folder for socket and port.
-    #[error("can't make a temporary folder: {0}")]
-    Temporary(io::Error),
     /// The simulator does not run.
     #[error("the simulator: {0}")]
     Simulator(#[from] RealTimeError),
@@ -112,25 +71,12 @@ pub enum DemoError {
         /// How long it was given.
         seconds: u64,
     },
-    /// The car stopped before its time.
-    #[error(
-        "the drive ended after {after_s:.1} s of {wanted_s:.1} s: mode {mode}{}; see {}",
-        because(*reason), folder.display()
-    )]
-    Ended {
-        /// The mode it went to.
-        mode: Mode,
-        /// Why.
-        reason: Option<Reason>,
-        /// How long it drove, in s.
-        after_s: f64,
-        /// How long it should have, in s.
-        wanted_s: f64,
-        /// Where its record is.
-        folder: PathBuf,
-    },
+    /// Anything else: a text which says what to do.
+    #[error("{0}")]
+    Other(String),
 }
 
-fn because(reason: Option<Reason>) -> String {
+/// The reason, beside a mode.
+pub(super) fn because(reason: Option<Reason>) -> String {
     reason.map_or_else(String::new, |reason| format!(" ({reason})"))
 }

@@ -8,6 +8,7 @@ use std::{
 
 use singletrack_core::config::Config;
 use singletrack_figures::plot::{ANIMATION, FigureKind, REPORT};
+use tempfile::TempDir;
 
 use super::error::DemoError;
 
@@ -19,14 +20,9 @@ pub(super) const SUMMARY: &str = "summary.json";
 /// The most cars of a demo.
 pub(super) const MAX_CARS: usize = 20;
 
-/// The record of one of several cars.
-pub(super) fn record_of(config: &Config) -> PathBuf {
-    PathBuf::from(format!("{}.mcap", config.motion_capture.rigid_body))
-}
-
-/// The configuration of one of several cars.
-pub(super) fn configuration_of(config: &Config) -> PathBuf {
-    PathBuf::from(format!("{}.toml", config.motion_capture.rigid_body))
+/// The record (`mcap`) or the configuration (`toml`) of one of several cars.
+pub(super) fn file_of(config: &Config, extension: &str) -> String {
+    format!("{}.{extension}", config.motion_capture.rigid_body)
 }
 
 /// A folder.
@@ -39,29 +35,43 @@ pub(super) const FIGURES: &str = "figures";
 ///
 /// It holds something else, or another demo writes to it.
 pub(super) fn prepare(folder: &Path) -> Result<File, DemoError> {
-    let error = |source| DemoError::Write {
-        path: folder.to_owned(),
-        source,
-    };
+    let error = |error| not_written(folder, &error);
     std::fs::create_dir_all(folder).map_err(error)?;
     let own = File::open(folder).map_err(error)?;
     match own.try_lock() {
         Ok(()) => {}
-        Err(TryLockError::WouldBlock) => return Err(DemoError::InUse(folder.to_owned())),
+        Err(TryLockError::WouldBlock) => {
+            let folder = folder.display();
+            return Err(DemoError::Other(format!(
+                "another demo writes to {folder}: give another folder with --out"
+            )));
+        }
         Err(TryLockError::Error(source)) => return Err(error(source)),
     }
     let known = files();
     for entry in std::fs::read_dir(folder).map_err(error)? {
         let name = entry.map_err(error)?.file_name();
         if name != FIGURES && !known.iter().any(|file| file.as_os_str() == name) {
-            return Err(DemoError::HoldsOthers {
-                folder: folder.to_owned(),
-                name: name.to_string_lossy().into_owned(),
-            });
+            return Err(DemoError::Other(format!(
+                "{} holds {}, which no demo has written: give another folder with --out",
+                folder.display(),
+                name.display()
+            )));
         }
     }
     clear(folder)?;
     Ok(own)
+}
+
+/// A folder for sockets and ports, which is removed when the result is dropped.
+pub(super) fn private() -> Result<TempDir, DemoError> {
+    let folder = tempfile::Builder::new().prefix("singletrack-").tempdir();
+    folder.map_err(|error| not_made(&error))
+}
+
+/// A temporary folder can't be made.
+pub(super) fn not_made(error: &io::Error) -> DemoError {
+    DemoError::Other(format!("can't make a temporary folder: {error}"))
 }
 
 /// Removes what a demo has written.
@@ -69,11 +79,8 @@ pub(super) fn clear(folder: &Path) -> Result<(), DemoError> {
     let figures = FigureKind::ALL.map(|kind| Path::new(FIGURES).join(kind.file_name()));
     for file in files().into_iter().chain(figures) {
         match std::fs::remove_file(folder.join(file)) {
-            Err(source) if source.kind() != io::ErrorKind::NotFound => {
-                return Err(DemoError::Write {
-                    path: folder.to_owned(),
-                    source,
-                });
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(not_written(folder, &error));
             }
             _ => {}
         }
@@ -101,8 +108,9 @@ fn files() -> Vec<PathBuf> {
 
 /// Writes a file.
 pub(super) fn write(path: &Path, text: &str) -> Result<(), DemoError> {
-    std::fs::write(path, text).map_err(|source| DemoError::Write {
-        path: path.to_owned(),
-        source,
-    })
+    std::fs::write(path, text).map_err(|error| not_written(path, &error))
+}
+
+fn not_written(path: &Path, error: &io::Error) -> DemoError {
+    DemoError::Other(format!("can't write {}: {error}", path.display()))
 }

@@ -19,15 +19,17 @@ use singletrack_scenario::{
     virtual_record::VirtualRecord,
 };
 use singletrack_sim::{RealTimeConfig, RealTimeSimulator, SharedFloor, StartPose};
-use singletrackd::{Daemon, StartOptions};
+use singletrackd::Daemon;
 
 use super::{
     DemoArgs, DemoError,
-    files::{SUMMARY, configuration_of, record_of, write},
+    files::{SUMMARY, file_of, not_made, private, write},
+    progress,
+    real_time::{arm, stop},
     settings,
     viewers::Viewers,
 };
-use crate::{interrupt::Interrupt, progress::progress_bar};
+use crate::interrupt::Interrupt;
 
 /// For a small fleet: its largest number of cars, the distance between neighbouring circles in m, and
 /// the lead of a car before the last one, as a fraction of the angle between their circles. The
@@ -150,13 +152,6 @@ fn car(args: &DemoArgs, index: usize) -> FleetCar {
     }
 }
 
-fn bar(args: &DemoArgs) -> ProgressBar {
-    progress_bar(
-        args.duration.as_millis() as u64,
-        "{bar:10} {percent:>3} %  {msg}",
-    )
-}
-
 fn show(bar: &ProgressBar, time_s: f64, summaries: &[CarSummary], nearest_m: f64) {
     let drive = summaries.iter().filter(|car| car.ended.is_none()).count();
     bar.set_position((time_s * 1e3) as u64);
@@ -177,13 +172,13 @@ fn virtual_time(
     let mut fleet = VirtualFleet::new(cars)?;
     let drives = fleet.cars_mut().iter_mut().zip(cars);
     let record = |(drive, car): (_, &FleetCar)| {
-        let path = args.out.join(record_of(&car.config));
+        let path = args.out.join(file_of(&car.config, "mcap"));
         VirtualRecord::start(&path, drive, &car.config, car.seed)
     };
     let mut records: Vec<_> = drives.map(record).collect::<Result<_, _>>()?;
     fleet.start()?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
-    let bar = bar(args);
+    let bar = progress::bar(args.duration);
     let start_us = fleet.now_us();
     let duration_s = args.duration.as_secs_f64();
     let mut time_s = 0.0;
@@ -223,10 +218,7 @@ fn real_time(
     cars: &[FleetCar],
     interrupt: &Interrupt,
 ) -> Result<(Vec<CarSummary>, f64), DemoError> {
-    let private = tempfile::Builder::new()
-        .prefix("singletrack-")
-        .tempdir()
-        .map_err(DemoError::Temporary)?;
+    let private = private()?;
     let floor = Arc::new(Mutex::new(fleet_floor(cars)));
     let nearest_m = || {
         floor
@@ -244,8 +236,11 @@ fn real_time(
     let first = sockets.next().unwrap_or_default();
     let _viewers = Viewers::start(args, &first, &sockets.collect::<Vec<_>>())?;
 
-    let bar = bar(args);
-    arm(&fleet, &bar, interrupt)?;
+    let bar = progress::bar(args.duration);
+    let daemons: Vec<_> = fleet.iter().map(|(_, daemon)| daemon).collect();
+    arm(&daemons, READY_TIMEOUT, interrupt, |snapshot| {
+        bar.set_message(format!("waiting for all cars: {}", snapshot.mode()));
+    })?;
     let mut summaries = vec![CarSummary::default(); cars.len()];
     let begin = Instant::now();
     let mut last = begin;
@@ -253,7 +248,7 @@ fn real_time(
         thread::sleep(POLL);
         let elapsed_s = last.elapsed().as_secs_f64();
         last = Instant::now();
-        for (summary, (_, daemon)) in summaries.iter_mut().zip(&fleet) {
+        for (summary, daemon) in summaries.iter_mut().zip(&daemons) {
             if let Some(output) = daemon.snapshot().output() {
                 summary.note(output, elapsed_s);
             }
@@ -261,7 +256,7 @@ fn real_time(
         show(&bar, begin.elapsed().as_secs_f64(), &summaries, nearest_m());
     }
     bar.finish_and_clear();
-    stop(&fleet)?;
+    stop(&daemons)?;
     for (summary, (simulator, daemon)) in summaries.iter_mut().zip(fleet) {
         let driven = daemon.stop()?;
         summary.deadline_misses = Some(driven.figures.deadline_misses);
@@ -282,7 +277,7 @@ fn start(
 ) -> Result<Pair, DemoError> {
     let mut config = cars[index].config.clone();
     let folder = folder(private, &cars[index]);
-    std::fs::create_dir(&folder).map_err(DemoError::Temporary)?;
+    std::fs::create_dir(&folder).map_err(|error| not_made(&error))?;
     let simulator = RealTimeSimulator::start(RealTimeConfig {
         floor: Some(SharedFloor {
             floor: Arc::clone(floor),
@@ -292,15 +287,9 @@ fn start(
     })?;
     settings::connect(&simulator, &mut config, &folder);
     write_configuration(args, &config)?;
-    let daemon = Daemon::start(
-        config,
-        StartOptions {
-            record: Some(args.out.join(record_of(&cars[index].config))),
-            seed: Some(cars[index].seed),
-            ..StartOptions::default()
-        },
-    )?;
-    Ok((simulator, daemon))
+    let record = args.out.join(file_of(&config, "mcap"));
+    let options = settings::options(record, cars[index].seed);
+    Ok((simulator, Daemon::start(config, options)?))
 }
 
 /// The private folder of a car.
@@ -309,50 +298,5 @@ fn folder(private: &Path, car: &FleetCar) -> PathBuf {
 }
 
 fn write_configuration(args: &DemoArgs, config: &Config) -> Result<(), DemoError> {
-    write(&args.out.join(configuration_of(config)), &config.to_toml()?)
-}
-
-/// Waits until all cars are ready, arms them, and waits until all drive.
-fn arm(fleet: &[Pair], bar: &ProgressBar, interrupt: &Interrupt) -> Result<(), DemoError> {
-    let begin = Instant::now();
-    for wanted in [Mode::Ready, Mode::Driving] {
-        while let Some((_, waits)) = fleet.iter().find(|(_, it)| it.snapshot().mode() != wanted) {
-            let snapshot = waits.snapshot();
-            if interrupt.is_raised() {
-                return Err(DemoError::Interrupted);
-            }
-            if begin.elapsed() > READY_TIMEOUT {
-                return Err(DemoError::NotStarted {
-                    mode: snapshot.mode(),
-                    reason: snapshot.reason(),
-                    seconds: READY_TIMEOUT.as_secs(),
-                });
-            }
-            bar.set_message(format!("waiting for all cars: {}", snapshot.mode()));
-            thread::sleep(POLL);
-        }
-        if wanted == Mode::Ready {
-            for (_, daemon) in fleet {
-                daemon.request(PilotRequest::Arm)?;
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Stops all cars, and waits until they are disarmed.
-fn stop(fleet: &[Pair]) -> Result<(), DemoError> {
-    for (_, daemon) in fleet {
-        if daemon.snapshot().mode().is_underway() {
-            daemon.request(PilotRequest::Disarm)?;
-        }
-    }
-    let begin = Instant::now();
-    let drives = |(_, daemon): &Pair| daemon.snapshot().mode().commands() && !daemon.has_ended();
-    // The request is taken at the next tick.
-    thread::sleep(POLL);
-    while fleet.iter().any(drives) && begin.elapsed() < STOP_TIMEOUT {
-        thread::sleep(POLL);
-    }
-    Ok(())
+    write(&args.out.join(file_of(config, "toml")), &config.to_toml()?)
 }

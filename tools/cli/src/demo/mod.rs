@@ -18,6 +18,7 @@ mod virtual_time;
 use singletrack_pilot::Reason;
 
 use crate::interrupt::Interrupt;
+use error::because;
 use files::prepare;
 use outcome::Drive;
 use progress::Progress;
@@ -39,10 +40,14 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         ("--watch", "page", lacks_page),
     ] {
         if lacks {
-            return Err(DemoError::NotBuilt { option, feature });
+            return Err(DemoError::Other(format!(
+                "{option} needs the feature `{feature}`, without which this program was built: \
+                 `cargo demo {option}` builds it with it"
+            )));
         }
     }
-    let interrupt = Interrupt::listen().map_err(DemoError::Signals)?;
+    let interrupt = Interrupt::listen()
+        .map_err(|error| DemoError::Other(format!("can't listen for signals: {error}")))?;
     let folder = prepare(&args.out)?;
     if args.cars > 1 {
         return fleet::run(args, &interrupt);
@@ -76,13 +81,14 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     match driven.ended {
         None => Ok(plotted?),
         Some(_) if interrupt.is_raised() => Err(DemoError::Interrupted),
-        Some(ended) => Err(DemoError::Ended {
-            mode: ended.mode,
-            reason: ended.reason,
-            after_s: ended.after_s,
-            wanted_s: args.duration.as_secs_f64(),
-            folder: args.out.clone(),
-        }),
+        Some(ended) => Err(DemoError::Other(format!(
+            "the drive ended after {:.1} s of {:.1} s: mode {}{}; see {}",
+            ended.after_s,
+            args.duration.as_secs_f64(),
+            ended.mode,
+            because(ended.reason),
+            args.out.display()
+        ))),
     }
 }
 

@@ -8,6 +8,12 @@ use singletrack_sim::Truth;
 
 use crate::progress::progress_bar;
 
+/// The bar of a drive of this duration, which is moved by milliseconds.
+pub(super) fn bar(duration: Duration) -> ProgressBar {
+    let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
+    progress_bar(length, "{bar:10} {percent:>3} %  {msg}")
+}
+
 pub(super) struct Progress {
     bar: ProgressBar,
     expected_m: f64,
@@ -16,9 +22,8 @@ pub(super) struct Progress {
 impl Progress {
     /// For a drive of this duration, whose error is expected to settle at a value.
     pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
-        let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
         Self {
-            bar: progress_bar(length, "{bar:10} {percent:>3} %  {msg}"),
+            bar: bar(duration),
             expected_m,
         }
     }

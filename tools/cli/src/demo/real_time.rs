@@ -8,12 +8,12 @@ use std::{
 
 use singletrack_pilot::{Mode, PilotRequest};
 use singletrack_sim::RealTimeSimulator;
-use singletrackd::{Daemon, Snapshot, StartOptions};
+use singletrackd::{Daemon, Snapshot};
 
 use super::{
     DemoArgs, DemoError,
     board_figures::BoardFigures,
-    files::{CONFIGURATION, RECORD, SIMULATION, write},
+    files::{CONFIGURATION, RECORD, SIMULATION, private, write},
     outcome::{Drive, Ended},
     progress::Progress,
     settings,
@@ -33,29 +33,21 @@ pub(super) fn run(
     progress: &mut Progress,
     interrupt: &Interrupt,
 ) -> Result<Drive, DemoError> {
-    let private = tempfile::Builder::new()
-        .prefix("singletrack-")
-        .tempdir()
-        .map_err(DemoError::Temporary)?;
+    let private = private()?;
     let simulation = settings::simulation(args)?;
     let front_axle_distance_m = args.car.vehicle()?.front_axle_distance_m;
     let simulator =
         RealTimeSimulator::start(settings::real_time(simulation.clone(), private.path()))?;
     simulator.with_world(|world| world.cameras_mut().set_loss_epoch(None))?;
-    let config = settings::connected(&simulator, args, private.path())?;
+    let mut config = settings::daemon(args)?;
+    settings::connect(&simulator, &mut config, private.path());
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
 
     #[cfg(any(feature = "live", feature = "page"))]
     let socket = config.socket.path.clone();
-    let daemon = Daemon::start(
-        config,
-        StartOptions {
-            record: Some(args.out.join(RECORD)),
-            seed: Some(args.seed),
-            ..StartOptions::default()
-        },
-    )?;
+    let options = settings::options(args.out.join(RECORD), args.seed);
+    let daemon = Daemon::start(config, options)?;
     #[cfg(any(feature = "live", feature = "page"))]
     let _viewers = super::viewers::Viewers::start(args, &socket, &[])?;
     let start_ns = start(&daemon, &simulator, progress, interrupt)?;
@@ -68,7 +60,7 @@ pub(super) fn run(
         progress,
         interrupt,
     )?;
-    stop(&daemon)?;
+    stop(&[&daemon])?;
     let summary = daemon.stop()?;
     let mut finished = simulator.stop()?;
     let board = BoardFigures::of(finished.world.board_mut())?;
@@ -93,38 +85,52 @@ fn start(
     progress: &Progress,
     interrupt: &Interrupt,
 ) -> Result<u64, DemoError> {
-    let begin = Instant::now();
-    let mut armed = false;
-    loop {
-        if interrupt.is_raised() {
-            return Err(DemoError::Interrupted);
-        }
-        let snapshot = daemon.snapshot();
+    arm(&[daemon], READY_TIMEOUT, interrupt, |snapshot| {
         progress.waiting(snapshot.mode(), snapshot.reason());
-        match snapshot.mode() {
-            Mode::Ready if !armed => {
-                daemon.request(PilotRequest::Arm)?;
-                armed = true;
+    })?;
+    let snapshot = daemon.snapshot();
+    let start_ns =
+        drive_start_ns(&snapshot).ok_or_else(|| not_started(&snapshot, READY_TIMEOUT))?;
+    let epoch_us = start_ns.saturating_sub(simulator.started_ns()) / 1000;
+    simulator.with_world(move |world| world.cameras_mut().set_loss_epoch(Some(epoch_us)))?;
+    Ok(start_ns)
+}
+
+/// Waits until all cars are ready, arms them, and waits until all drive. `show` is given one that is
+/// waited for.
+pub(super) fn arm(
+    daemons: &[&Daemon],
+    timeout: Duration,
+    interrupt: &Interrupt,
+    show: impl Fn(&Snapshot),
+) -> Result<(), DemoError> {
+    let begin = Instant::now();
+    for wanted in [Mode::Ready, Mode::Driving] {
+        let waits = |daemon: &&Daemon| Some(daemon.snapshot()).filter(|it| it.mode() != wanted);
+        while let Some(snapshot) = daemons.iter().find_map(waits) {
+            if interrupt.is_raised() {
+                return Err(DemoError::Interrupted);
             }
-            Mode::Driving => {
-                if let Some(start_ns) = drive_start_ns(&snapshot) {
-                    let epoch_us = start_ns.saturating_sub(simulator.started_ns()) / 1000;
-                    simulator.with_world(move |world| {
-                        world.cameras_mut().set_loss_epoch(Some(epoch_us));
-                    })?;
-                    return Ok(start_ns);
-                }
+            if begin.elapsed() > timeout {
+                return Err(not_started(&snapshot, timeout));
             }
-            mode if begin.elapsed() > READY_TIMEOUT => {
-                return Err(DemoError::NotStarted {
-                    mode,
-                    reason: snapshot.reason(),
-                    seconds: READY_TIMEOUT.as_secs(),
-                });
-            }
-            _ => {}
+            show(&snapshot);
+            thread::sleep(POLL);
         }
-        thread::sleep(POLL);
+        if wanted == Mode::Ready {
+            for daemon in daemons {
+                daemon.request(PilotRequest::Arm)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn not_started(snapshot: &Snapshot, timeout: Duration) -> DemoError {
+    DemoError::NotStarted {
+        mode: snapshot.mode(),
+        reason: snapshot.reason(),
+        seconds: timeout.as_secs(),
     }
 }
 
@@ -171,18 +177,18 @@ fn drive(
     }
 }
 
-/// Asks the car to stop and waits until it is disarmed.
-fn stop(daemon: &Daemon) -> Result<(), DemoError> {
+/// Asks cars to stop, and waits until they are disarmed.
+pub(super) fn stop(daemons: &[&Daemon]) -> Result<(), DemoError> {
     let begin = Instant::now();
-    if daemon.snapshot().mode().is_underway() {
-        daemon.request(PilotRequest::Disarm)?;
-        // The request is taken at the next tick.
-        thread::sleep(POLL);
+    for daemon in daemons {
+        if daemon.snapshot().mode().is_underway() {
+            daemon.request(PilotRequest::Disarm)?;
+        }
     }
-    while daemon.snapshot().mode().commands()
-        && begin.elapsed() < STOP_TIMEOUT
-        && !daemon.has_ended()
-    {
+    let commands = |daemon: &&Daemon| daemon.snapshot().mode().commands() && !daemon.has_ended();
+    // The request is taken at the next tick.
+    thread::sleep(POLL);
+    while daemons.iter().any(commands) && begin.elapsed() < STOP_TIMEOUT {
         thread::sleep(POLL);
     }
     Ok(())

@@ -74,7 +74,7 @@ impl<'a> RealTimeFigures<'a> {
                 detail: &figures.mocap,
             },
             latency_ms: Latency {
-                capture_to_command: Milliseconds {
+                capture_to_command: Percentiles {
                     p50: figures.capture_to_command_us.p50 / 1000.0,
                     p99: figures.capture_to_command_us.p99 / 1000.0,
                     max: figures.capture_to_command_us.max / 1000.0,
@@ -97,14 +97,8 @@ struct Mocap<'a> {
 
 #[derive(Serialize)]
 struct Latency {
-    capture_to_command: Milliseconds,
-}
-
-#[derive(Serialize)]
-struct Milliseconds {
-    p50: f64,
-    p99: f64,
-    max: f64,
+    /// In ms.
+    capture_to_command: Percentiles,
 }
 
 /// Writes the summary, and prints it with the path of the report if there is one.
@@ -127,11 +121,10 @@ pub(super) fn write(args: &DemoArgs, drive: &Drive, plotted: bool) -> Result<(),
         expected: settings::expected(args.feed_forward),
         board: drive.board,
     };
-    let json = serde_json::to_string_pretty(&summary).map_err(|error| DemoError::Write {
-        path: args.out.join(SUMMARY),
-        source: error.into(),
-    })?;
-    files::write(&args.out.join(SUMMARY), &format!("{json}\n"))?;
+    let path = args.out.join(SUMMARY);
+    let json = serde_json::to_string_pretty(&summary)
+        .map_err(|error| DemoError::Other(format!("can't write {}: {error}", path.display())))?;
+    files::write(&path, &format!("{json}\n"))?;
     // A closed pipe is no error.
     let _ = print(&mut io::stdout().lock(), args, drive, &summary, plotted);
     Ok(())

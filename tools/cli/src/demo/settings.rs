@@ -14,6 +14,7 @@ use singletrack_scenario::simulated::{self, daemon_config};
 use singletrack_sim::{
     CarTruth, RealTimeConfig, RealTimeSimulator, SimulationConfig, StartPose, Truth, UdpConfig,
 };
+use singletrackd::StartOptions;
 
 use super::{
     arguments::{Car, DemoArgs},
@@ -90,15 +91,13 @@ pub(super) fn real_time(simulation: SimulationConfig, private: &Path) -> RealTim
     }
 }
 
-/// The configuration of a daemon that is connected to a simulator in real time.
-pub(super) fn connected(
-    simulator: &RealTimeSimulator,
-    args: &DemoArgs,
-    private: &Path,
-) -> Result<Config, DemoError> {
-    let mut config = daemon(args)?;
-    connect(simulator, &mut config, private);
-    Ok(config)
+/// The options of a daemon that makes this record.
+pub(super) fn options(record: PathBuf, seed: u64) -> StartOptions {
+    StartOptions {
+        record: Some(record),
+        seed: Some(seed),
+        ..StartOptions::default()
+    }
 }
 
 /// Gives a daemon the addresses of the simulator, and a private folder.

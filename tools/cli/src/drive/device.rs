@@ -89,14 +89,12 @@ impl Source {
                 is_begun,
             } => read_pipe(file, rest, is_begun, events),
         };
-        match result {
-            Ok(()) => {}
-            Err(error)
-                if matches!(
-                    error.kind(),
-                    io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
-                ) => {}
-            Err(_) => events.push(PadEvent::Lost),
+        let is_lost = result.is_err_and(|error| {
+            let kind = error.kind();
+            !matches!(kind, io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+        });
+        if is_lost {
+            events.push(PadEvent::Lost);
         }
     }
 }

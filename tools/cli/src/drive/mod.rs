@@ -7,7 +7,7 @@ mod device;
 pub mod pad;
 
 use std::{
-    io,
+    error::Error,
     os::fd::AsFd as _,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -16,10 +16,6 @@ use std::{
 };
 
 use clap::Args;
-use rustix::{
-    event::{PollFd, PollFlags, Timespec, poll},
-    io::Errno,
-};
 use serde_json::{Value, json};
 use singletrack_api::{
     Answer, Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint, State, ask_within,
@@ -29,9 +25,11 @@ use singletrack_core::{config::ReferenceSection, reasons::Why};
 use singletrackd::monotonic_ns;
 
 use crate::{
+    arm::ended_as_wanted,
     control::{ControlArgs, ControlError, EMERGENCY_STOPPED, print},
     interrupt::Interrupt,
-    set_reference::{SetReferenceError, read_reference},
+    readable::wait_to_read,
+    set_reference::read_reference,
 };
 use device::Source;
 use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};
@@ -68,48 +66,11 @@ pub struct DriveArgs {
     control: ControlArgs,
 }
 
-/// Why the pad does not drive the car.
-#[derive(Debug, thiserror::Error)]
-pub enum DriveError {
-    /// The pad can't be opened.
-    #[error("can't open the pad {}: {source}", .path.display())]
-    Pad {
-        /// The device.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The pad is gone.
-    #[error("the pad is gone{}", if *.was_driving { ": the motor is at neutral" } else { "" })]
-    Lost {
-        /// Whether it held a drive.
-        was_driving: bool,
-    },
-    /// The daemon can't be reached.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-    /// The end of the drive can't be printed.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-    /// The reference is invalid.
-    #[error(transparent)]
-    Reference(#[from] SetReferenceError),
-    /// The speed is out of range.
-    #[error("--speed is {0}: give above 0, to 5")]
-    Speed(f64),
-}
-
-impl From<io::Error> for DriveError {
-    fn from(error: io::Error) -> Self {
-        Self::Control(error.into())
-    }
-}
-
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_millis(20);
 
 /// The longest wait for an event, so that renewals and Ctrl-C are not late.
-const WAIT_NS: i64 = 5_000_000;
+const WAIT: Duration = Duration::from_millis(5);
 
 /// The longest wait for the daemon's answer to a stop.
 const ANSWER: Duration = Duration::from_millis(200);
@@ -136,28 +97,20 @@ const HALT: Request = Request::Disarm {
     carried: false,
 };
 
-/// The exit status of a drive that something else stopped.
-const STOPPED: u8 = 3;
-
 /// Drives by the pad until Ctrl-C.
 ///
 /// # Errors
 ///
 /// When pad or daemon can't be reached, or the pad is lost; the car is stopped.
-pub fn run(args: &DriveArgs) -> Result<ExitCode, DriveError> {
+pub fn run(args: &DriveArgs) -> Result<ExitCode, Box<dyn Error>> {
     if !(args.speed > 0.0 && args.speed <= 5.0) {
-        return Err(DriveError::Speed(args.speed));
+        return Err(format!("--speed is {}: give above 0, to 5", args.speed).into());
     }
-    let interrupt = Interrupt::listen()?;
-    let (source, state) = Source::open(&args.pad).map_err(|source| DriveError::Pad {
-        path: args.pad.clone(),
-        source,
-    })?;
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let (source, state) = Source::open(&args.pad)
+        .map_err(|error| format!("can't open the pad {}: {error}", args.pad.display()))?;
     let reference = args.reference.as_deref().map(read_reference).transpose()?;
-    let mut watch = Connection::open(&args.control.socket, PATIENCE)?;
-    watch.send(&Request::Watch {
-        topics: vec!["state".to_owned()],
-    })?;
+    let watch = Connection::watch_states(&args.control.socket, PATIENCE)?;
     let now = Time(monotonic_ns());
     let mut drive = DriveSession {
         pad: Pad::new(args.speed, args.silence, now),
@@ -240,12 +193,13 @@ impl DriveSession<'_> {
         &mut self,
         mut source: Source,
         interrupt: &Interrupt,
-    ) -> Result<ExitCode, DriveError> {
+    ) -> Result<ExitCode, Box<dyn Error>> {
         let mut events = Vec::new();
         let mut is_leaving = false;
         let mut was_driving = false;
         loop {
-            wait(&source, &self.session, &self.watch)?;
+            let inputs = [source.as_fd(), self.session.as_fd(), self.watch.as_fd()];
+            wait_to_read(inputs, WAIT).map_err(ControlError::from)?;
             // The pad first: nothing else may delay a stop.
             if !self.pad.is_lost() {
                 source.read(&mut events);
@@ -284,20 +238,20 @@ impl DriveSession<'_> {
                 stage => stage == Stage::Off,
             };
             if is_over && self.pad.is_lost() {
-                return Err(DriveError::Lost { was_driving });
+                return Err(match was_driving {
+                    true => "the pad is gone: the motor is at neutral",
+                    false => "the pad is gone",
+                }
+                .into());
             }
             if is_over && is_leaving {
                 let stopped = matches!(self.stage, Stage::Ending(_));
-                return Ok(if stopped {
-                    ExitCode::from(STOPPED)
-                } else {
-                    ExitCode::SUCCESS
-                });
+                return Ok(ended_as_wanted(!stopped));
             }
         }
     }
 
-    fn act(&mut self, request: PadRequest) -> Result<(), DriveError> {
+    fn act(&mut self, request: PadRequest) -> Result<(), Box<dyn Error>> {
         match request {
             PadRequest::Begin(driver) => return self.begin(driver),
             PadRequest::Hold => {
@@ -330,7 +284,7 @@ impl DriveSession<'_> {
         Ok(())
     }
 
-    fn begin(&mut self, driver: Driver) -> Result<(), DriveError> {
+    fn begin(&mut self, driver: Driver) -> Result<(), Box<dyn Error>> {
         if matches!(self.stage, Stage::Ending(since) if since.elapsed() > END) {
             // Nothing was said of its end.
             self.stage = Stage::Off;
@@ -349,7 +303,7 @@ impl DriveSession<'_> {
     }
 
     /// Asks for the reference of a driver.
-    fn change(&mut self, driver: Driver) -> Result<(), DriveError> {
+    fn change(&mut self, driver: Driver) -> Result<(), Box<dyn Error>> {
         let change = match (driver, &self.reference) {
             (Driver::Sticks, _) => Request::SetReference {
                 reference: json!(ReferenceSection::External {
@@ -366,13 +320,13 @@ impl DriveSession<'_> {
     }
 
     /// Asks something about the configuration.
-    fn question(&mut self, request: &Request) -> Result<(), DriveError> {
+    fn question(&mut self, request: &Request) -> Result<(), Box<dyn Error>> {
         self.is_asked = true;
         Ok(self.session.send(request)?)
     }
 
     /// Arms a car that is ready.
-    fn settle(&mut self) -> Result<(), DriveError> {
+    fn settle(&mut self) -> Result<(), Box<dyn Error>> {
         let Stage::Settling(driver, since) = self.stage else {
             return Ok(());
         };
@@ -395,7 +349,7 @@ impl DriveSession<'_> {
     }
 
     /// Stops a drive, or what leads to one.
-    fn stop(&mut self, request: &Request) -> Result<(), DriveError> {
+    fn stop(&mut self, request: &Request) -> Result<(), Box<dyn Error>> {
         self.stage = self.stage.stopped();
         if self.stage == Stage::Off {
             return Ok(());
@@ -411,14 +365,14 @@ impl DriveSession<'_> {
         ask_within(request, self.socket, ANSWER)
     }
 
-    fn refused(&mut self, error: &str) -> Result<(), DriveError> {
+    fn refused(&mut self, error: &str) -> Result<(), Box<dyn Error>> {
         self.pad.ended();
         self.stage = Stage::Off;
         Ok(print(error)?)
     }
 
     /// Handles a line of the session.
-    fn answered(&mut self, reply: Reply) -> Result<(), DriveError> {
+    fn answered(&mut self, reply: Reply) -> Result<(), Box<dyn Error>> {
         let answer = match reply {
             Reply::Answer(answer) => answer,
             Reply::Ended { ended, .. } => {
@@ -471,7 +425,7 @@ impl DriveSession<'_> {
     }
 
     /// Sends the velocity of P. Without a fresh heading none is sent, and the car stops.
-    fn steer(&mut self, speed: f64, turn: f64) -> Result<(), DriveError> {
+    fn steer(&mut self, speed: f64, turn: f64) -> Result<(), Box<dyn Error>> {
         let car = self.car.as_ref();
         let car = car.filter(|(at, _)| at.elapsed() < HEADING_AGE);
         let Some(yaw) = car.and_then(|(_, state)| state.yaw) else {
@@ -491,23 +445,6 @@ fn restore(socket: &Path) {
     let begun = Instant::now();
     while ask_within(&Request::Reload {}, socket, ANSWER).is_err() && begun.elapsed() < RESTORE {
         thread::sleep(AGAIN);
-    }
-}
-
-/// Waits for something to read, but not for long.
-fn wait(source: &Source, session: &Connection, watch: &Connection) -> io::Result<()> {
-    let mut all = [
-        PollFd::from_borrowed_fd(source.as_fd(), PollFlags::IN),
-        PollFd::from_borrowed_fd(session.as_fd(), PollFlags::IN),
-        PollFd::from_borrowed_fd(watch.as_fd(), PollFlags::IN),
-    ];
-    let timeout = Timespec {
-        tv_sec: 0,
-        tv_nsec: WAIT_NS,
-    };
-    match poll(&mut all, Some(&timeout)) {
-        Ok(_) | Err(Errno::INTR) => Ok(()),
-        Err(error) => Err(error.into()),
     }
 }
 

@@ -12,22 +12,25 @@ use super::{
 };
 
 /// A condition such as `mode=driving` or `lateness_ns>500000`.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Condition {
     field: String,
-    operator: Operator,
+    accepts: Operator,
     wanted: Wanted,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Operator {
-    Equal,
-    Different,
-    Less,
-    LessOrEqual,
-    Greater,
-    GreaterOrEqual,
-}
+/// Whether it takes a value that compares so with the wanted one; none if the two can't be compared.
+type Operator = fn(Option<Ordering>) -> bool;
+
+/// The longer first: `<=` begins with `<`.
+const OPERATORS: [(&str, Operator); 6] = [
+    ("!=", |ordering| ordering != Some(Ordering::Equal)),
+    ("<=", |ordering| ordering.is_some_and(Ordering::is_le)),
+    (">=", |ordering| ordering.is_some_and(Ordering::is_ge)),
+    ("=", |ordering| ordering == Some(Ordering::Equal)),
+    ("<", |ordering| ordering == Some(Ordering::Less)),
+    (">", |ordering| ordering == Some(Ordering::Greater)),
+];
 
 /// The value of a condition: as it is written, and as a number.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,61 +41,21 @@ struct Wanted {
     number: Option<f64>,
 }
 
-/// Why a text is not a condition.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ParseConditionError {
-    /// It has no operator.
-    #[error(
-        "not a condition: {0:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in quotes, for the shell)"
-    )]
-    NoOperator(String),
-    /// Only numbers are less or greater.
-    #[error(
-        "{field}{operator}{value}: {operator} compares with numbers, and {value:?} is not one; use = or !="
-    )]
-    NotANumber {
-        /// The field.
-        field: String,
-        /// What compares.
-        operator: &'static str,
-        /// What the field is compared with.
-        value: String,
-    },
-}
-
-impl Operator {
-    /// The longer first: `<=` begins with `<`.
-    const ALL: [(&'static str, Self); 6] = [
-        ("!=", Self::Different),
-        ("<=", Self::LessOrEqual),
-        (">=", Self::GreaterOrEqual),
-        ("=", Self::Equal),
-        ("<", Self::Less),
-        (">", Self::Greater),
-    ];
-
-    fn accepts(self, ordering: Option<Ordering>) -> bool {
-        match self {
-            Self::Equal => ordering == Some(Ordering::Equal),
-            Self::Different => ordering != Some(Ordering::Equal),
-            Self::Less => ordering == Some(Ordering::Less),
-            Self::LessOrEqual => matches!(ordering, Some(Ordering::Less | Ordering::Equal)),
-            Self::Greater => ordering == Some(Ordering::Greater),
-            Self::GreaterOrEqual => matches!(ordering, Some(Ordering::Greater | Ordering::Equal)),
-        }
-    }
-}
-
 impl FromStr for Condition {
-    type Err = ParseConditionError;
+    type Err = String;
 
-    fn from_str(text: &str) -> Result<Self, ParseConditionError> {
-        let none = || ParseConditionError::NoOperator(text.to_owned());
+    fn from_str(text: &str) -> Result<Self, String> {
+        let none = || {
+            format!(
+                "not a condition: {text:?}; use FIELD=VALUE, or !=, <, <=, > or >= in place of = (in \
+                 quotes, for the shell)"
+            )
+        };
         let at = text.find(['=', '!', '<', '>']).ok_or_else(none)?;
         let (field, rest) = text.split_at_checked(at).ok_or_else(none)?;
-        let (sign, operator, value) = Operator::ALL
+        let (sign, accepts, value) = OPERATORS
             .into_iter()
-            .find_map(|(sign, operator)| Some((sign, operator, rest.strip_prefix(sign)?)))
+            .find_map(|(sign, accepts)| Some((sign, accepts, rest.strip_prefix(sign)?)))
             .ok_or_else(none)?;
         let (field, value) = (field.trim(), value.trim());
         if field.is_empty() {
@@ -103,23 +66,26 @@ impl FromStr for Condition {
             whole: value.parse().ok(),
             number: value.parse().ok(),
         };
-        let ordered = !matches!(operator, Operator::Equal | Operator::Different);
-        if ordered && wanted.number.is_none() {
-            return Err(ParseConditionError::NotANumber {
-                field: field.to_owned(),
-                operator: sign,
-                value: value.to_owned(),
-            });
+        if !matches!(sign, "=" | "!=") && wanted.number.is_none() {
+            return Err(format!(
+                "{field}{sign}{value}: {sign} compares with numbers, and {value:?} is not one; use = \
+                 or !="
+            ));
         }
         Ok(Self {
             field: field.to_owned(),
-            operator,
+            accepts,
             wanted,
         })
     }
 }
 
 impl Condition {
+    /// Whether this value of the field meets it.
+    fn holds(&self, value: &Value) -> bool {
+        (self.accepts)(self.wanted.compare(value))
+    }
+
     /// Refuses a word that the field is never.
     fn check_word<'a>(&self, kinds: impl Iterator<Item = &'a Kind>) -> Result<(), DumpError> {
         let mut known: Vec<String> = Vec::new();
@@ -139,11 +105,9 @@ impl Condition {
         if known.is_empty() {
             return Ok(());
         }
-        Err(DumpError::UnknownWord {
-            field: self.field.clone(),
-            word: self.wanted.text.clone(),
-            known,
-        })
+        let (field, word, known) = (&self.field, &self.wanted.text, known.join(", "));
+        let text = format!("{field} is never {word:?}; it is one of {known}");
+        Err(DumpError::Other(text))
     }
 }
 
@@ -204,18 +168,13 @@ impl Filter {
             check_field(chosen.clone(), &condition.field)?;
             condition.check_word(chosen.clone())?;
         }
-        let places = kinds
-            .iter()
-            .map(|kind| {
-                conditions
-                    .iter()
-                    .map(|condition| kind.place(&condition.field))
-                    .collect()
-            })
-            .collect();
+        let places = |kind: &Kind| {
+            let fields = conditions.iter().map(|condition| &condition.field);
+            fields.map(|field| kind.place(field)).collect()
+        };
         Ok(Self {
+            places: kinds.iter().map(places).collect(),
             conditions,
-            places,
             from_ns: None,
             to_ns: None,
         })
@@ -258,10 +217,7 @@ impl Filter {
         };
         let time = row.time();
         let mut conditions = self.conditions.iter().zip(places);
-        conditions.all(|(condition, place)| {
-            let ordering = condition.wanted.compare(place.value(&time, values));
-            condition.operator.accepts(ordering)
-        })
+        conditions.all(|(condition, place)| condition.holds(place.value(&time, values)))
     }
 }
 
@@ -272,7 +228,7 @@ mod tests {
 
     fn holds(condition: &str, value: &Value) -> bool {
         let condition: Condition = condition.parse().unwrap();
-        condition.operator.accepts(condition.wanted.compare(value))
+        condition.holds(value)
     }
 
     #[test]

@@ -119,11 +119,12 @@ fn brief(topic: Topic) -> Vec<&'static str> {
 pub(super) fn choose(kinds: &[Kind], names: &[String]) -> Result<Vec<usize>, DumpError> {
     for name in names {
         if !kinds.iter().any(|kind| kind.name == name) {
-            return Err(DumpError::UnknownTopic {
-                topic: name.clone(),
-                similar: nearest(name, kinds.iter().map(|kind| kind.name)),
-                known: kinds.iter().map(|kind| kind.name).collect(),
-            });
+            let known: Vec<_> = kinds.iter().map(|kind| kind.name).collect();
+            return Err(DumpError::Other(format!(
+                "there is no topic {name:?}{}: use {}",
+                near(name, known.iter().copied()),
+                known.join(", ")
+            )));
         }
     }
     Ok(kinds
@@ -149,12 +150,18 @@ pub(super) fn check_field<'a>(
         }
     }
     known.push(TIME);
-    Err(DumpError::UnknownField {
-        topics: kinds.map(|kind| kind.name).collect(),
-        field: name.to_owned(),
-        similar: nearest(name, known.iter().copied()),
-        known: known.into_iter().map(ToOwned::to_owned).collect(),
-    })
+    let topics: Vec<_> = kinds.map(|kind| kind.name).collect();
+    Err(DumpError::Other(format!(
+        "{} has no field {name:?}{}; its fields are {}",
+        topics.join(", "),
+        near(name, known.iter().copied()),
+        known.join(", ")
+    )))
+}
+
+/// A question for the name that was probably meant, if one is near.
+fn near<'a>(name: &str, known: impl Iterator<Item = &'a str> + Clone) -> String {
+    nearest(name, known).map_or_else(String::new, |name| format!(" (did you mean {name:?}?)"))
 }
 
 /// The name that was probably meant: one that contains it, or one that

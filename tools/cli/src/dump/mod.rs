@@ -13,7 +13,9 @@ mod stats;
 mod words;
 
 use std::{
+    fs::File,
     io::{self, IsTerminal, Write},
+    os::fd::AsFd as _,
     path::PathBuf,
     time::{Duration, Instant},
 };
@@ -31,7 +33,7 @@ use source::{Close, Line, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
 
 pub use error::DumpError;
-pub use filter::{Condition, ParseConditionError};
+pub use filter::Condition;
 pub use format::Format;
 pub use moment::{Moment, ParseTimeError};
 pub use source::Direction;
@@ -209,7 +211,8 @@ pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
 /// output can't be written.
 pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
     if args.stats && format == Format::Csv {
-        return Err(DumpError::StatsAsCsv);
+        let text = "--stats has no csv: use --format table or --format json";
+        return Err(DumpError::Other(text.to_owned()));
     }
     let place = args.place();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
@@ -246,17 +249,17 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     let source = source.as_mut();
     let (from_ns, to_ns) = range.since(source, &place.to_string())?;
     let filter = filter.within(from_ns, to_ns);
-    let limit = Limit {
-        end: args.duration.map(|duration| Instant::now() + duration),
-        interrupt: if args.stats {
-            Interrupt::listen().map_err(DumpError::Interrupt)?
-        } else {
-            // Ctrl-C ends the process, as it ends others.
-            Interrupt::default()
-        },
+    let end = args.duration.map(|duration| Instant::now() + duration);
+    let interrupt = if args.stats {
+        Interrupt::listen()
+            .map_err(|error| DumpError::Other(format!("can't listen for Ctrl-C: {error}")))?
+    } else {
+        // Ctrl-C ends the process, as it ends others.
+        Interrupt::default()
     };
+    let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
     sink.begin()?;
-    let pumped = pump(source, &mut sink, &chosen, &filter, &limit);
+    let pumped = pump(source, &mut sink, &chosen, &filter, is_over);
     // The rows before a failure are printed as well.
     let close = source.close();
     sink.end(format, &place.to_string(), &close)?;
@@ -341,30 +344,18 @@ impl<W: Write> Sink<W> {
     }
 }
 
-/// When to stop a source without an end.
-struct Limit {
-    end: Option<Instant>,
-    interrupt: Interrupt,
-}
-
-impl Limit {
-    fn is_reached(&self) -> bool {
-        self.end.is_some_and(|end| Instant::now() >= end)
-    }
-}
-
-/// Passes the rows of the source to the sink.
+/// Passes the rows of the source to the sink, until its end or until `is_over`.
 fn pump<W: Write>(
     source: &mut dyn Source,
     sink: &mut Sink<W>,
     chosen: &[usize],
     filter: &Filter,
-    limit: &Limit,
+    is_over: impl Fn() -> bool,
 ) -> Result<(), DumpError> {
     let needs_values = sink.needs_values() || filter.needs_values();
     let mut values = Vec::new();
     loop {
-        if limit.is_reached() || limit.interrupt.is_raised() {
+        if is_over() {
             return Ok(());
         }
         match source.next()? {
@@ -399,12 +390,21 @@ fn open(
     kinds: Vec<Kind>,
     chosen: &[usize],
 ) -> Result<Box<dyn Source>, DumpError> {
-    let direction = args.direction;
+    let (direction, follow, name) = (args.direction, args.follow, place.to_string());
     Ok(match place {
-        Place::Record(path) => Box::new(Record::open(path, chosen, args.follow)?),
+        Place::Record(path) => Box::new(Record::open(path, chosen, follow)?),
         Place::Live => Box::new(Live::connect(&args.control.socket, &kinds, chosen)?),
         Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
-        Place::Raw(path) => Box::new(Line::file(path, direction, kinds, args.follow)?),
-        Place::Stdin => Box::new(Line::stdin(direction, kinds)?),
+        Place::Raw(path) => Box::new(Line::capture(
+            name,
+            File::open(path),
+            direction,
+            kinds,
+            follow,
+        )?),
+        Place::Stdin => {
+            let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
+            Box::new(Line::capture(name, file, direction, kinds, false)?)
+        }
     })
 }

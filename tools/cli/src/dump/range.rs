@@ -13,9 +13,7 @@ impl Range {
     /// Refuses a range that ends before it begins, as far as that is known without the source.
     pub(super) fn check_order(self, span: Option<Span>) -> Result<(), DumpError> {
         match (self.from, self.to) {
-            (Some(from), Some(to)) if from.is_after(to) => {
-                Err(DumpError::NoTime { from, to, span })
-            }
+            (Some(from), Some(to)) if from.is_after(to) => Err(no_time(from, to, span)),
             _ => Ok(()),
         }
     }
@@ -30,11 +28,12 @@ impl Range {
         let span = source.span();
         self.check_order(span)?;
         let start_wall_ns = source.start_wall_ns();
-        let since = |moment: Option<Moment>, option| {
+        let since = |moment: Option<Moment>, option: &str| {
             let since = |moment: Moment| {
-                let no_wall_time = || DumpError::NoWallTime {
-                    name: name.to_owned(),
-                    option,
+                let no_wall_time = || {
+                    DumpError::Other(format!(
+                        "{name} holds no wall time: give --{option} in seconds since its start"
+                    ))
                 };
                 moment.since(start_wall_ns).ok_or_else(no_wall_time)
             };
@@ -46,14 +45,13 @@ impl Range {
             (self.from, self.to, from_ns, to_ns)
             && from_ns > to_ns
         {
-            return Err(DumpError::NoTime { from, to, span });
+            return Err(no_time(from, to, span));
         }
         if let Some(span) = span {
-            let outside = |option, moment| DumpError::OutsideRecord {
-                name: name.to_owned(),
-                option,
-                moment,
-                span,
+            let outside = |option: &str, moment: Moment| {
+                DumpError::Other(format!(
+                    "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
+                ))
             };
             if let Some(from) = self.from
                 && from_ns.is_some_and(|from_ns| from_ns > span.last_ns)
@@ -68,4 +66,13 @@ impl Range {
         }
         Ok((from_ns, to_ns))
     }
+}
+
+/// The range ends before it begins. `span` are the times of the record, if they are known.
+fn no_time(from: Moment, to: Moment, span: Option<Span>) -> DumpError {
+    let of_record = span.map(|span| format!("; the entries of the record are from {span}"));
+    DumpError::Other(format!(
+        "--from {from} is after --to {to}: give the earlier time to --from{}",
+        of_record.unwrap_or_default()
+    ))
 }

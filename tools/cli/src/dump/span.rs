@@ -6,7 +6,7 @@ use super::moment::Moment;
 
 /// When the entries of a record are, in ns since its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
+pub(super) struct Span {
     pub(super) first_ns: i64,
     pub(super) last_ns: i64,
     /// When the record starts, in ns since 1970.

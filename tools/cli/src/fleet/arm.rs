@@ -1,14 +1,13 @@
 //! `singletrack fleet arm`: the dead-man switch of all cars.
 
-use std::{process::ExitCode, time::Duration};
+use std::{error::Error, process::ExitCode, time::Duration};
 
 use clap::Args;
 use singletrack_api::{Fleet, FleetArm, FleetDrive};
 use singletrackd::monotonic_ns;
 
-use super::FleetError;
 use crate::{
-    arm::{STOPPED, WANTED, parse_time},
+    arm::{ended_as_wanted, is_wanted, parse_time},
     control::{ControlError, print},
     interrupt::Interrupt,
 };
@@ -31,7 +30,7 @@ pub(super) struct FleetArmArgs {
 }
 
 /// Arms all cars, if all are ready, and holds their drives until all have ended.
-pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetError> {
+pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dyn Error>> {
     let interrupt = Interrupt::listen().map_err(ControlError::from)?;
     let options = FleetArm {
         start_in: args.start_in,
@@ -50,14 +49,8 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, FleetE
     }
     let mut as_wanted = true;
     for car in drive.ends()? {
-        let reason = car.ended.reason.as_deref();
-        as_wanted &=
-            reason.is_none_or(|reason| WANTED.contains(&reason)) && car.ended.mode != "fault";
+        as_wanted &= is_wanted(&car.ended);
         print(&format!("{}: {}", car.name, car.ended))?;
     }
-    Ok(if as_wanted {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(STOPPED)
-    })
+    Ok(ended_as_wanted(as_wanted))
 }

@@ -1,7 +1,7 @@
 //! `singletrack fleet cameras`: one NatNet client of this computer for all its daemons.
 
 use std::{
-    io,
+    error::Error,
     net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket},
     process::ExitCode,
     sync::{Mutex, PoisonError},
@@ -11,7 +11,6 @@ use std::{
 
 use clap::Args;
 
-use super::FleetError;
 use crate::{cameras::parse_address, control::print};
 
 /// A daemon asks more often. A server drops a silent client as late.
@@ -34,22 +33,6 @@ pub(super) struct FleetCamerasArgs {
     listen: SocketAddrV4,
 }
 
-/// Why the frames are not passed on.
-#[derive(Debug, thiserror::Error)]
-pub enum RelayError {
-    /// It would send to itself.
-    #[error("--listen {0} is the cameras' own address: give another one, such as 127.0.0.1:1512")]
-    Itself(SocketAddrV4),
-    /// A socket fails.
-    #[error("can't receive on {address}: {source}; is another program at this address?")]
-    Socket {
-        /// Its address.
-        address: SocketAddrV4,
-        /// What the system says.
-        source: io::Error,
-    },
-}
-
 /// The daemons, and when each was heard.
 #[derive(Debug, Default)]
 struct Clients(Vec<(SocketAddr, Instant)>);
@@ -66,14 +49,21 @@ impl Clients {
 /// Passes what the daemons ask on to the server, and every answer and frame on to all of them,
 /// until it is killed. A daemon takes only the answers to its own questions, among them the
 /// server's clock: so what the way through this process takes is in the age of a pose.
-pub(super) fn run(args: &FleetCamerasArgs) -> Result<ExitCode, FleetError> {
+pub(super) fn run(args: &FleetCamerasArgs) -> Result<ExitCode, Box<dyn Error>> {
     let server = SocketAddrV4::new(args.server, args.port);
     let is_itself = args.server.is_loopback() || args.server == *args.listen.ip();
     if is_itself && args.port == args.listen.port() {
-        return Err(RelayError::Itself(args.listen).into());
+        let listen = args.listen;
+        return Err(format!(
+            "--listen {listen} is the cameras' own address: give another one, such as 127.0.0.1:1512"
+        )
+        .into());
     }
-    let bind =
-        |address| UdpSocket::bind(address).map_err(|source| RelayError::Socket { address, source });
+    let bind = |address: SocketAddrV4| {
+        UdpSocket::bind(address).map_err(|error| {
+            format!("can't receive on {address}: {error}; is another program at this address?")
+        })
+    };
     let daemons = bind(args.listen)?;
     let cameras = bind(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0))?;
     let here = daemons.local_addr().unwrap_or(args.listen.into());

@@ -4,6 +4,7 @@ mod arm;
 mod cameras;
 
 use std::{
+    error::Error,
     io::{self, IsTerminal as _, Write as _},
     path::PathBuf,
     process::ExitCode,
@@ -12,14 +13,13 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use singletrack_api::{ClockOffset, Fleet, FleetFileError, NotObeyed, Request, Status};
+use singletrack_api::{ClockOffset, Fleet, NotObeyed, Request, Status};
 use singletrackd::monotonic_ns;
 
 use crate::{
     control::{ControlError, print},
     interrupt::Interrupt,
 };
-pub use cameras::RelayError;
 
 /// Interval of `status --watch`.
 const WATCH: Duration = Duration::from_millis(500);
@@ -65,29 +65,12 @@ enum FleetCommand {
     Cameras(cameras::FleetCamerasArgs),
 }
 
-/// Why a command for a fleet failed.
-#[derive(Debug, thiserror::Error)]
-pub enum FleetError {
-    /// There is no fleet.
-    #[error(transparent)]
-    File(#[from] FleetFileError),
-    /// The cameras' frames can't be passed on.
-    #[error(transparent)]
-    Relay(#[from] RelayError),
-    /// Cars did not obey.
-    #[error(transparent)]
-    Cars(#[from] NotObeyed),
-    /// A terminal, or a signal.
-    #[error(transparent)]
-    Control(#[from] ControlError),
-}
-
 /// Runs the command.
 ///
 /// # Errors
 ///
 /// There is no fleet, or a car did not obey; all others were asked all the same.
-pub fn run(args: &FleetArgs) -> Result<ExitCode, FleetError> {
+pub fn run(args: &FleetArgs) -> Result<ExitCode, Box<dyn Error>> {
     let fleet = || Fleet::read(&args.fleet);
     match &args.command {
         FleetCommand::Status { watch: false } => {
@@ -150,7 +133,7 @@ fn line(status: &Status, clock: &ClockOffset) -> String {
     .to_owned()
 }
 
-fn watch(fleet: &Fleet) -> Result<(), FleetError> {
+fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
     let interrupt = Interrupt::listen().map_err(ControlError::from)?;
     let is_terminal = io::stdout().is_terminal();
     let mut drawn = 0;

@@ -11,41 +11,20 @@ pub struct Change {
     value: Value,
 }
 
-/// Why a change is invalid.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ChangeError {
-    /// It is not an assignment.
-    #[error("{0:?}: write KEY=VALUE, such as law.point_distance_m=0.4")]
-    NoAssignment(String),
-    /// The key is empty, or a part of it is.
-    #[error("{0:?} is no key: write it as law.point_distance_m")]
-    NoKey(String),
-    /// A section is a plain value.
-    #[error("{key}: {section} is no section but {value}")]
-    NoSection {
-        /// The whole key.
-        key: String,
-        /// The part of it.
-        section: String,
-        /// What that is.
-        value: String,
-    },
-    /// The recorded text is not TOML.
-    #[error("the configuration in the record: {0}")]
-    Text(String),
-}
-
 impl FromStr for Change {
-    type Err = ChangeError;
+    type Err = String;
 
     /// A value is written as in the configuration; words need no quotation marks.
-    fn from_str(text: &str) -> Result<Self, ChangeError> {
-        let (key, value) = text
-            .split_once('=')
-            .ok_or_else(|| ChangeError::NoAssignment(text.to_owned()))?;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (key, value) = text.split_once('=').ok_or_else(|| {
+            format!("{text:?}: write KEY=VALUE, such as law.point_distance_m=0.4")
+        })?;
         let key: Vec<_> = key.split('.').map(|part| part.trim().to_owned()).collect();
         if key.iter().any(String::is_empty) {
-            return Err(ChangeError::NoKey(key.join(".")));
+            let key = key.join(".");
+            return Err(format!(
+                "{key:?} is no key: write it as law.point_distance_m"
+            ));
         }
         let value = value.trim();
         Ok(Self {
@@ -64,9 +43,9 @@ impl fmt::Display for Change {
 }
 
 /// The configuration `toml` with changes.
-pub(super) fn apply(toml: &str, changes: &[Change]) -> Result<String, ChangeError> {
-    let mut table: Table =
-        toml::from_str(toml).map_err(|error| ChangeError::Text(error.to_string()))?;
+pub(super) fn apply(toml: &str, changes: &[Change]) -> Result<String, String> {
+    let of_record = |error: &dyn fmt::Display| format!("the configuration in the record: {error}");
+    let mut table: Table = toml::from_str(toml).map_err(|error| of_record(&error))?;
     for change in changes {
         let Some((last, sections)) = change.key.split_last() else {
             continue;
@@ -79,11 +58,8 @@ pub(super) fn apply(toml: &str, changes: &[Change]) -> Result<String, ChangeErro
             place = match inner {
                 Value::Table(table) => table,
                 other => {
-                    return Err(ChangeError::NoSection {
-                        key: change.key.join("."),
-                        section: section.clone(),
-                        value: other.to_string(),
-                    });
+                    let key = change.key.join(".");
+                    return Err(format!("{key}: {section} is no section but {other}"));
                 }
             };
         }
@@ -94,7 +70,7 @@ pub(super) fn apply(toml: &str, changes: &[Change]) -> Result<String, ChangeErro
         };
         place.insert(last.clone(), value);
     }
-    toml::to_string(&table).map_err(|error| ChangeError::Text(error.to_string()))
+    toml::to_string(&table).map_err(|error| of_record(&error))
 }
 
 #[cfg(test)]
@@ -103,7 +79,7 @@ mod tests {
 
     const TOML: &str = "[law]\npoint_distance_m = 0.35\n[estimator]\nmarker_loss = \"hold\"\n";
 
-    fn changed(changes: &[&str]) -> Result<String, ChangeError> {
+    fn changed(changes: &[&str]) -> Result<String, String> {
         let changes: Result<Vec<Change>, _> = changes.iter().map(|text| text.parse()).collect();
         apply(TOML, &changes?)
     }

@@ -9,17 +9,16 @@ mod source;
 mod span;
 mod verdict;
 
-use std::{io, path::PathBuf, time::Instant};
+use std::{error::Error, path::PathBuf, process::ExitCode, time::Instant};
 
 use clap::Args;
 use singletrack_figures::output::print;
-use singletrack_record::{Ending, Entry, Meta, Reader, RecordError, Topic};
+use singletrack_record::{Ending, Entry, Meta, Reader, Topic};
 
-pub use change::{Change, ChangeError};
-pub use source::SourceError;
+pub use change::Change;
 pub use verdict::{Deviation, Deviations};
 
-use crate::progress::progress_bar;
+use crate::{printable::printable, progress::progress_bar};
 use span::Span;
 
 /// Options of `singletrack replay`.
@@ -53,73 +52,8 @@ fn svg(name: &str) -> Result<PathBuf, String> {
     }
 }
 
-/// Why a replay failed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayFailure {
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The record does not hold its configuration.
-    #[error(transparent)]
-    Source(#[from] SourceError),
-    /// It can't be replayed to its end.
-    #[error("{}: {source}{}", path.display(), so_far(*ticks))]
-    Replay {
-        /// The record.
-        path: PathBuf,
-        /// Ticks that were the same.
-        ticks: u64,
-        /// Why.
-        source: singletrack_record::ReplayError,
-    },
-    /// There is nothing to replay.
-    #[error("{}: the record has no ticks", .0.display())]
-    Empty(PathBuf),
-    /// An output differs.
-    #[error("{0}")]
-    Differs(Box<str>),
-    /// The record was made by another controller.
-    #[error(
-        "{}: made by controller {recorded}, this is {}: {differ} of {ticks} ticks differ, from \
-         {from:.3} s on. An older version of singletrack replays it to the bit.",
-        path.display(),
-        singletrack_pilot::CONTROLLER
-    )]
-    OtherController {
-        /// The record.
-        path: PathBuf,
-        /// The number of its controller.
-        recorded: String,
-        /// Ticks with another output.
-        differ: u64,
-        /// All of them.
-        ticks: u64,
-        /// The first of them, s into the record.
-        from: f64,
-    },
-    /// The figure can't be written.
-    #[error("can't write {}: {source}; choose another --figure", path.display())]
-    Figure {
-        /// Where.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// Standard output.
-    #[error("standard output: {0}")]
-    Output(#[from] io::Error),
-}
-
-impl ReplayFailure {
-    /// The exit status of the program.
-    #[must_use]
-    pub const fn status(&self) -> u8 {
-        match self {
-            Self::OtherController { .. } => 4,
-            _ => 1,
-        }
-    }
-}
+/// The exit status of the replay of a record that another controller made, whose outputs differ.
+const OTHER_CONTROLLER: u8 = 4;
 
 /// The number of the controller that made a record.
 fn controller(meta: &Meta) -> &str {
@@ -133,16 +67,18 @@ fn so_far(ticks: u64) -> String {
     }
 }
 
-/// Replays a record and prints the result.
+/// Replays a record and prints the result. The status is 4 if another controller made the record, and
+/// its outputs differ.
 ///
 /// # Errors
 ///
 /// What can't be read or replayed; without `--set`, the first output that differs.
-pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
+pub fn run(args: &ReplayArgs) -> Result<ExitCode, Box<dyn Error>> {
     let start = Instant::now();
     let mut replay = source::pilot(&args.record, &args.set)?;
     let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
     let meta = ticks.meta().clone();
+    let record = args.record.display();
     let progress = progress_bar(0, "{spinner} {pos} ticks replayed");
     let mut deviations = Deviations::default();
     let mut span = Span::default();
@@ -152,21 +88,14 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     let mut differ: (u64, f64) = (0, 0.0);
     for entry in ticks.by_ref() {
         let Entry::Tick(tick) = entry? else { continue };
-        let output = replay.tick(&tick).map_err(|source| ReplayFailure::Replay {
-            path: args.record.clone(),
-            ticks: span.ticks,
-            source,
-        })?;
+        let output = replay
+            .tick(&tick)
+            .map_err(|error| format!("{record}: {error}{}", so_far(span.ticks)))?;
         if is_verified && !tick.is_output(&output) {
             if !foreign {
                 progress.finish_and_clear();
-                return Err(ReplayFailure::Differs(verdict::first_difference(
-                    &args.record,
-                    &meta,
-                    &tick,
-                    &output,
-                    &span,
-                )));
+                let path = &args.record;
+                return Err(verdict::first_difference(path, &meta, &tick, &output, &span).into());
             }
             if differ.0 == 0 {
                 differ.1 = span.seconds_to(&tick);
@@ -183,23 +112,23 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
     }
     progress.finish_and_clear();
     if span.ticks == 0 {
-        return Err(ReplayFailure::Empty(args.record.clone()));
+        return Err(format!("{record}: the record has no ticks").into());
     }
     if differ.0 > 0 {
         print!("{deviations}");
-        return Err(ReplayFailure::OtherController {
-            path: args.record.clone(),
-            recorded: controller(&meta).to_owned(),
-            differ: differ.0,
-            ticks: span.ticks,
-            from: differ.1,
-        });
+        let (recorded, ours) = (controller(&meta), singletrack_pilot::CONTROLLER);
+        let ((differ, from), ticks) = (differ, span.ticks);
+        let text = format!(
+            "{record}: made by controller {recorded}, this is {ours}: {differ} of {ticks} ticks differ, \
+             from {from:.3} s on. An older version of singletrack replays it to the bit."
+        );
+        eprintln!("singletrack: {}", printable(&text));
+        return Ok(ExitCode::from(OTHER_CONTROLLER));
     }
     let pace = span.pace(start.elapsed());
     let told = if is_verified {
-        let log = args.record.display();
         format!(
-            "{log}: {} ticks, every output the same to the bit\n",
+            "{record}: {} ticks, every output the same to the bit\n",
             span.ticks
         )
     } else {
@@ -210,17 +139,23 @@ pub fn run(args: &ReplayArgs) -> Result<(), ReplayFailure> {
         )
     };
     if let Some(ending @ Ending::Unfinished { .. }) = ticks.ending() {
-        eprintln!("singletrack: {}: {ending}", args.record.display());
+        eprintln!("singletrack: {record}: {ending}");
     }
-    Ok(print(&format!("{told}{pace}\n"))?)
+    print(&format!("{told}{pace}\n")).map_err(|error| format!("standard output: {error}"))?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Writes the figure, and says where.
-fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, ReplayFailure> {
+fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, String> {
     let beside = || args.record.with_extension("replay.svg");
     let path = args.figure.clone().unwrap_or_else(beside);
     match std::fs::write(&path, deviations.figure().to_svg()) {
         Ok(()) => Ok(path),
-        Err(source) => Err(ReplayFailure::Figure { path, source }),
+        Err(error) => {
+            let path = path.display();
+            Err(format!(
+                "can't write {path}: {error}; choose another --figure"
+            ))
+        }
     }
 }

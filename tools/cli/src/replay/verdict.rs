@@ -28,7 +28,7 @@ pub(super) fn first_difference(
     tick: &TickRecord,
     output: &Output,
     before: &Span,
-) -> Box<str> {
+) -> String {
     let differences = tick.differences(output);
     let mut text = format!(
         "{}: tick {}, {:.3} s into the record, differs; {} ticks before it are the same",
@@ -65,7 +65,7 @@ pub(super) fn first_difference(
              decide otherwise."
         );
     }
-    text.into()
+    text
 }
 
 /// What is compared: its name, and where it is found in an output.
@@ -174,21 +174,11 @@ impl Deviations {
     /// Speed and steering, replayed over recorded.
     #[must_use]
     pub fn figure(&self) -> Figure {
-        let column = |index: usize| -> Column {
-            let values = self.series.iter();
-            values
-                .map(|row| row.get(index).copied().unwrap_or(f64::NAN))
-                .collect()
-        };
+        let column =
+            |index: usize| -> Column { self.series.iter().map(|row| row[index]).collect() };
         let time = column(0);
         let panel = |axis: Axis, recorded: usize| {
-            let curve = |name, look, index| Curve {
-                name,
-                look,
-                x: time.clone(),
-                y: column(index),
-                time: None,
-            };
+            let curve = |name, look, index| Curve::new(name, look, &time, column(index));
             Panel {
                 curves: vec![
                     curve("recorded", Look::Nominal, recorded),

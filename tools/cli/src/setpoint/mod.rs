@@ -7,10 +7,11 @@ mod demand;
 mod trajectory;
 
 use std::{
+    error::Error,
     io::{self, BufRead, BufReader, Write},
     net::Shutdown,
     os::unix::net::UnixStream,
-    path::{Path, PathBuf},
+    path::Path,
     sync::mpsc::{self, Receiver, Sender},
     thread,
     time::{Duration, Instant},
@@ -23,7 +24,6 @@ use singletrackd::monotonic_ns;
 use crate::control::ControlArgs;
 use demand::DemandArgs;
 use trajectory::TrajectoryFile;
-pub use trajectory::TrajectoryFileError;
 
 /// The set-points, and where the daemon is.
 #[derive(Clone, Debug, Args)]
@@ -58,38 +58,6 @@ pub struct SetpointArgs {
     control: ControlArgs,
 }
 
-/// Why set-points no longer reach the daemon.
-#[derive(Debug, thiserror::Error)]
-pub enum SetpointError {
-    /// A line that is not a set-point.
-    #[error(
-        "line {number}: {line:?} is not a set-point: {reason}; write VX VY, or VX VY X Y, or a JSON \
-         object such as {{\"steering_rad\":0.1,\"speed_m_s\":0.5}}"
-    )]
-    Line {
-        /// From 1.
-        number: u64,
-        /// What it says.
-        line: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The lines can't be read.
-    #[error("can't read standard input: {0}")]
-    Input(io::Error),
-    /// The file of a trajectory is not one.
-    #[error("{}: {error}", .file.display())]
-    Trajectory {
-        /// The file.
-        file: PathBuf,
-        /// What is wrong with it, and what to write.
-        error: TrajectoryFileError,
-    },
-    /// The daemon refuses or does not answer.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-}
-
 /// Time limit for a write to a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(1);
 
@@ -110,12 +78,10 @@ enum Source {
 }
 
 impl Source {
-    fn of(args: &DemandArgs) -> Result<Self, SetpointError> {
+    fn of(args: &DemandArgs) -> Result<Self, String> {
         if let Some(file) = &args.trajectory {
-            let way = TrajectoryFile::read(file).map_err(|error| SetpointError::Trajectory {
-                file: file.clone(),
-                error,
-            })?;
+            let way = TrajectoryFile::read(file)
+                .map_err(|error| format!("{}: {error}", file.display()))?;
             return Ok(Self::Trajectory(way));
         }
         let lasts = args.lasts;
@@ -180,7 +146,7 @@ fn give(events: &Sender<Event>, mut setpoint: Setpoint) -> bool {
 /// An event on standard input or on the socket.
 enum Event {
     Setpoint(Setpoint),
-    Input(Result<(), SetpointError>),
+    Input(Result<(), String>),
     Answer(String),
     Closed(io::Result<()>),
 }
@@ -190,7 +156,7 @@ enum Event {
 /// # Errors
 ///
 /// The first one that is not a set-point, or that the daemon refuses.
-pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
+pub fn run(args: &SetpointArgs) -> Result<(), Box<dyn Error>> {
     let source = Source::of(&args.demand)?;
     let mut stream = connect(&args.control.socket)?;
     let prepared = || -> io::Result<UnixStream> {
@@ -215,7 +181,7 @@ pub fn run(args: &SetpointArgs) -> Result<(), SetpointError> {
             Event::Input(Ok(())) => stream
                 .shutdown(Shutdown::Write)
                 .map_err(ClientError::from)?,
-            Event::Input(Err(error)) => return Err(error),
+            Event::Input(Err(error)) => return Err(error.into()),
             Event::Answer(answer) => check(&answer)?,
             Event::Closed(closed) => return Ok(closed.map_err(ClientError::from)?),
         }
@@ -262,9 +228,9 @@ impl Iterator for Newest {
 }
 
 fn read_input(events: &Sender<Event>) {
-    let mut lines = (1..).zip(io::stdin().lock().lines());
+    let mut lines = (1_u64..).zip(io::stdin().lock().lines());
     let ended = lines.try_for_each(|(number, line)| {
-        let line = line.map_err(SetpointError::Input)?;
+        let line = line.map_err(|error| format!("can't read standard input: {error}"))?;
         if line.trim().is_empty() {
             return Ok(());
         }
@@ -272,11 +238,10 @@ fn read_input(events: &Sender<Event>) {
             // The receiver is gone when the process is about to end.
             Ok(setpoint) => drop(give(events, setpoint)),
             Err(reason) => {
-                return Err(SetpointError::Line {
-                    number,
-                    line,
-                    reason,
-                });
+                return Err(format!(
+                    "line {number}: {line:?} is not a set-point: {reason}; write VX VY, or VX VY X Y, \
+                     or a JSON object such as {{\"steering_rad\":0.1,\"speed_m_s\":0.5}}"
+                ));
             }
         }
         Ok(())

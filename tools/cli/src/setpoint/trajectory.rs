@@ -1,6 +1,6 @@
 //! The file of a trajectory, and the part of it that is sent now.
 
-use std::{fs, io, path::Path};
+use std::{fs, path::Path};
 
 use serde::Deserialize;
 use singletrack_api::{Setpoint, TrajectoryPoint};
@@ -15,43 +15,11 @@ const LEAST_SPAN: f64 = 0.3;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct TrajectoryFile(Vec<Point>);
 
-/// Why a file is no trajectory.
-#[derive(Debug, thiserror::Error)]
-pub enum TrajectoryFileError {
-    /// It can't be read.
-    #[error("{0}; give the path of a CSV or JSON file")]
-    File(#[from] io::Error),
-    /// It is not CSV with these columns.
-    #[error(
-        "{0}; the first line names the columns t_s,x_m,y_m (and vx_m_s,vy_m_s), the others have a \
-         number for each"
-    )]
-    Csv(#[from] csv::Error),
-    /// It is not JSON with these keys.
-    #[error(
-        "{0}; write a list of {{\"t_s\":0.0,\"position_m\":[0.0,0.0]}}, with \"velocity_m_s\" or \
-         without"
-    )]
-    Json(#[from] serde_json::Error),
-    /// A trajectory has at least two points.
-    #[error("it has {0} points; write two at least")]
-    TooShort(usize),
-    /// A number is infinite or none.
-    #[error("point {0}: write finite numbers")]
-    NotFinite(usize),
-    /// A point is not later than the one before.
-    #[error("point {0} is not later than the one before; put the points in order of time")]
-    Order(usize),
-    /// Only one component of a velocity.
-    #[error("point {0} has half a velocity; write vx_m_s and vy_m_s, or neither")]
-    HalfVelocity(usize),
-    /// The points are too close together to be sent in time.
-    #[error(
-        "points {0} to {1} take {2:.3} s; leave points out, so that 40 take at least 0.3 s: 100 a \
-         second will do"
-    )]
-    TooDense(usize, usize, f64),
-}
+/// What to write in a file of either kind.
+const CSV: &str = "the first line names the columns t_s,x_m,y_m (and vx_m_s,vy_m_s), the others have a \
+                   number for each";
+const JSON: &str = "write a list of {\"t_s\":0.0,\"position_m\":[0.0,0.0]}, with \"velocity_m_s\" or \
+                    without";
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Point {
@@ -82,47 +50,57 @@ struct Written {
 
 impl TrajectoryFile {
     /// Reads a file: JSON if it begins with a bracket, else CSV.
-    pub(super) fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
-        Self::parse(&fs::read_to_string(path)?)
+    pub(super) fn read(path: &Path) -> Result<Self, String> {
+        let text = fs::read_to_string(path)
+            .map_err(|error| format!("{error}; give the path of a CSV or JSON file"))?;
+        Self::parse(&text)
     }
 
-    fn parse(text: &str) -> Result<Self, TrajectoryFileError> {
-        use TrajectoryFileError::{HalfVelocity, NotFinite, Order, TooDense, TooShort};
+    fn parse(text: &str) -> Result<Self, String> {
         let written: Vec<Written> = if text.trim_start().starts_with(['[', '{']) {
-            serde_json::from_str(text)?
+            serde_json::from_str(text).map_err(|error| format!("{error}; {JSON}"))?
         } else {
             let mut reader = csv::ReaderBuilder::new()
                 .trim(csv::Trim::All)
                 .comment(Some(b'#'))
                 .from_reader(text.as_bytes());
-            let rows = reader.deserialize().collect::<Result<Vec<Row>, _>>()?;
-            let rows = (1..).zip(rows).map(|(number, row)| {
+            let rows = reader.deserialize().collect::<Result<Vec<Row>, _>>();
+            let rows = rows.map_err(|error| format!("{error}; {CSV}"))?;
+            let rows = (1_usize..).zip(rows).map(|(number, row)| {
                 Ok(Written {
                     t_s: row.t_s,
                     position_m: [row.x_m, row.y_m],
                     velocity_m_s: match (row.vx_m_s, row.vy_m_s) {
                         (Some(x), Some(y)) => Some([x, y]),
                         (None, None) => None,
-                        _ => return Err(HalfVelocity(number)),
+                        _ => {
+                            return Err(format!(
+                                "point {number} has half a velocity; write vx_m_s and vy_m_s, or \
+                                 neither"
+                            ));
+                        }
                     },
                 })
             });
             rows.collect::<Result<_, _>>()?
         };
         if written.len() < 2 {
-            return Err(TooShort(written.len()));
+            let count = written.len();
+            return Err(format!("it has {count} points; write two at least"));
         }
-        for (number, point) in (1..).zip(&written) {
+        for (number, point) in (1_usize..).zip(&written) {
             let velocity = point.velocity_m_s.unwrap_or_default();
             let [x, y] = point.position_m;
             let numbers = [point.t_s, x, y].into_iter().chain(velocity);
             if !numbers.into_iter().all(f64::is_finite) {
-                return Err(NotFinite(number));
+                return Err(format!("point {number}: write finite numbers"));
             }
         }
-        for (number, pair) in (2..).zip(written.windows(2)) {
+        for (number, pair) in (2_usize..).zip(written.windows(2)) {
             if matches!(pair, [before, after] if after.t_s <= before.t_s) {
-                return Err(Order(number));
+                return Err(format!(
+                    "point {number} is not later than the one before; put the points in order of time"
+                ));
             }
         }
         for (number, window) in (1..).zip(written.windows(WINDOW)) {
@@ -130,7 +108,11 @@ impl TrajectoryFile {
                 && last.t_s - first.t_s < LEAST_SPAN
             {
                 let span = last.t_s - first.t_s;
-                return Err(TooDense(number, number + WINDOW - 1, span));
+                let to = number + WINDOW - 1;
+                return Err(format!(
+                    "points {number} to {to} take {span:.3} s; leave points out, so that 40 take at \
+                     least 0.3 s: 100 a second will do"
+                ));
             }
         }
         let points = written.iter().enumerate().map(|(index, point)| Point {

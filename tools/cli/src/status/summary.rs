@@ -72,14 +72,14 @@ impl Summary {
             self.link(),
             self.speed(),
         );
-        if let Some(tuned) = self.tuned() {
-            line += &format!("; tuned: {tuned}");
-        }
-        if let Some(advice) = self.calibration() {
-            line += &format!("; calibration: {advice}");
-        }
-        if let Some(learned) = self.learned() {
-            line += &format!("; learned: {learned}");
+        for (name, text) in [
+            ("tuned", self.tuned()),
+            ("calibration", self.calibration()),
+            ("learned", self.learned()),
+        ] {
+            if let Some(text) = text {
+                line += &format!("; {name}: {text}");
+            }
         }
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
@@ -116,17 +116,16 @@ impl Summary {
         let telemetry = format!("telemetry {}", age(self.telemetry_age_ms));
         lines.field("link", self.link(), &telemetry);
         lines.field("battery", &self.battery(), "");
-        if let Some(tuned) = self.tuned() {
-            lines.paragraph("tuned", &tuned);
-        }
-        if let Some(advice) = self.calibration() {
-            lines.paragraph("advice", &advice);
-        }
-        if let Some(learned) = self.learned() {
-            lines.paragraph("learned", &learned);
-        }
-        if let Some(error) = &status.record_error {
-            lines.paragraph("record", &format!("has ended: {error}"));
+        let record = status.record_error.as_ref();
+        for (name, text) in [
+            ("tuned", self.tuned()),
+            ("advice", self.calibration()),
+            ("learned", self.learned()),
+            ("record", record.map(|error| format!("has ended: {error}"))),
+        ] {
+            if let Some(text) = text {
+                lines.paragraph(name, &text);
+            }
         }
         lines.lines
     }

@@ -42,12 +42,8 @@ impl Feed {
             .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
         let status = answer.agreed()?.status;
         let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
-        let mut states = Connection::open(socket, PATIENCE)?;
-        states.send(&Request::Watch {
-            topics: vec!["state".to_owned()],
-        })?;
         Ok(Self {
-            states,
+            states: Connection::watch_states(socket, PATIENCE)?,
             questions,
             summary: status.map(Summary::of).ok_or_else(missing)?,
             asked: Instant::now(),

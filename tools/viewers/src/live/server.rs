@@ -27,7 +27,7 @@ use tokio::{
 };
 
 use super::relay::{Inner, relay};
-use crate::daemon::{Follower, PATIENCE, silent};
+use crate::daemon::{Follower, PATIENCE};
 
 /// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
 /// date.
@@ -58,18 +58,12 @@ pub enum LiveError {
     },
     /// The server or a thread does not start.
     #[error("the live view does not start: {0}")]
-    Server(String),
+    Server(#[from] FoxgloveError),
 }
 
 impl From<io::Error> for LiveError {
     fn from(error: io::Error) -> Self {
-        Self::Server(error.to_string())
-    }
-}
-
-impl From<FoxgloveError> for LiveError {
-    fn from(error: FoxgloveError) -> Self {
-        Self::Server(error.to_string())
+        Self::Server(error.into())
     }
 }
 
@@ -213,7 +207,9 @@ impl Publisher {
 /// Passes the daemon's messages on for as long as there are viewers.
 fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), ClientError> {
     let in_time = |error| match error {
-        ClientError::BrokeOff(error) if error.kind() == io::ErrorKind::WouldBlock => silent(socket),
+        ClientError::BrokeOff(error) if error.kind() == io::ErrorKind::WouldBlock => {
+            ClientError::silent(socket, PATIENCE)
+        }
         error => error,
     };
     let mut stream = MessageStream::open(socket, &[], PATIENCE).map_err(in_time)?;

@@ -13,7 +13,7 @@ use singletrack_api::{Answer, ClientError, Connection, Request, ask_for_line};
 use tokio::sync::watch;
 
 use super::setup::car;
-use crate::daemon::{PATIENCE, silent};
+use crate::daemon::PATIENCE;
 
 /// Interval of the states, and of the statuses.
 const STATE_INTERVAL: Duration = Duration::from_millis(40);
@@ -147,12 +147,10 @@ impl Feed {
         socket: &Path,
         mut each: impl FnMut(Option<Value>) -> Result<(), ClientError>,
     ) -> Result<(), ClientError> {
-        let mut states = Connection::open(socket, PATIENCE)?;
-        states.send(&Request::Watch {
-            topics: vec!["state".to_owned()],
-        })?;
+        let mut states = Connection::watch_states(socket, PATIENCE)?;
         let answer: Option<Answer> = states.receive_within(PATIENCE)?;
-        answer.ok_or_else(|| silent(socket))?.agreed()?;
+        let silent = || ClientError::silent(socket, PATIENCE);
+        answer.ok_or_else(silent)?.agreed()?;
         let mut watched = Instant::now();
         while watched.elapsed() < LINGER {
             if self.is_watched() {

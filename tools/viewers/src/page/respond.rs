@@ -12,14 +12,14 @@ use tokio::{
         TcpStream,
         tcp::{OwnedReadHalf, OwnedWriteHalf},
     },
-    sync::watch,
+    sync::{SemaphorePermit, watch},
     time::timeout,
 };
 
 use super::{
     assets::asset,
     request::{BadRequest, Request},
-    shared::{Shared, Viewer},
+    shared::Shared,
 };
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow
@@ -47,30 +47,16 @@ X-Content-Type-Options: nosniff\r\n\
 Connection: close\r\n";
 
 /// The status lines in use.
-#[derive(Clone, Copy)]
-enum Code {
-    Ok,
-    BadRequest,
-    Forbidden,
-    NotFound,
-    MethodNotAllowed,
-    TooLong,
-    Busy,
-}
+const OK: &str = "200 OK";
+const BAD_REQUEST: &str = "400 Bad Request";
+const FORBIDDEN: &str = "403 Forbidden";
+const NOT_FOUND: &str = "404 Not Found";
+const METHOD_NOT_ALLOWED: &str = "405 Method Not Allowed\r\nAllow: GET, HEAD";
+const TOO_LONG: &str = "431 Request Header Fields Too Large";
+const BUSY: &str = "503 Service Unavailable";
 
-impl Code {
-    const fn line(self) -> &'static str {
-        match self {
-            Self::Ok => "200 OK",
-            Self::BadRequest => "400 Bad Request",
-            Self::Forbidden => "403 Forbidden",
-            Self::NotFound => "404 Not Found",
-            Self::MethodNotAllowed => "405 Method Not Allowed\r\nAllow: GET, HEAD",
-            Self::TooLong => "431 Request Header Fields Too Large",
-            Self::Busy => "503 Service Unavailable",
-        }
-    }
-}
+/// The place of a viewer of the events.
+type Viewer<'a> = SemaphorePermit<'a>;
 
 /// Reads a request, answers it and closes the connection. An answer that takes too long, and one
 /// whose place is taken, is cut off; events have places of their own.
@@ -118,10 +104,10 @@ async fn answer<'a>(
     let request = match request {
         Ok(request) => request,
         Err(BadRequest::Malformed) => {
-            return refuse(write, Code::BadRequest, "This is no request of HTTP.").await;
+            return refuse(write, BAD_REQUEST, "This is no request of HTTP.").await;
         }
         Err(BadRequest::TooLong) => {
-            return refuse(write, Code::TooLong, "The head of the request is too long.").await;
+            return refuse(write, TOO_LONG, "The head of the request is too long.").await;
         }
     };
     let with_body = match request.method.as_str() {
@@ -129,44 +115,44 @@ async fn answer<'a>(
         "HEAD" => false,
         _ => {
             let why = "The page only shows. Commands go through the control socket.";
-            return refuse(write, Code::MethodNotAllowed, why).await;
+            return refuse(write, METHOD_NOT_ALLOWED, why).await;
         }
     };
     if shared.token.is_none() && !request.names_no_other_host() {
         let why = "Ask for the page by the address of the computer, or as localhost.";
-        return refuse(write, Code::Forbidden, why).await;
+        return refuse(write, FORBIDDEN, why).await;
     }
     if let Some(asset) = asset(&request.path) {
-        return send(write, Code::Ok, asset.content_type, asset.bytes, with_body).await;
+        return send(write, OK, asset.content_type, asset.bytes, with_body).await;
     }
     if !matches!(
         request.path.as_str(),
         "/setup.json" | "/history.json" | "/events"
     ) {
-        return refuse(write, Code::NotFound, "There is nothing at this path.").await;
+        return refuse(write, NOT_FOUND, "There is nothing at this path.").await;
     }
     if let Some(expected) = &shared.token
         && !request.token.is_some_and(|token| expected.is(&token))
     {
         let why =
             "The address of the page must end with ?token= and the token from page.token_file.";
-        return refuse(write, Code::Forbidden, why).await;
+        return refuse(write, FORBIDDEN, why).await;
     }
     if request.path == "/setup.json" {
         return match shared.setup.get().await {
-            Ok(setup) => send(write, Code::Ok, JSON, setup.as_bytes(), with_body).await,
-            Err(why) => refuse(write, Code::Busy, &format!("No daemon: {why}")).await,
+            Ok(setup) => send(write, OK, JSON, setup.as_bytes(), with_body).await,
+            Err(why) => refuse(write, BUSY, &format!("No daemon: {why}")).await,
         };
     }
     if request.path == "/history.json" {
         let history = json!(*shared.feed.history()).to_string();
-        return send(write, Code::Ok, JSON, history.as_bytes(), with_body).await;
+        return send(write, OK, JSON, history.as_bytes(), with_body).await;
     }
-    let Ok(viewer) = shared.viewer() else {
+    let Ok(viewer) = shared.places.try_acquire() else {
         let why = "Too many viewers watch; close one.";
-        return refuse(write, Code::Busy, why).await;
+        return refuse(write, BUSY, why).await;
     };
-    write_all(write, head(Code::Ok, EVENTS, None).as_bytes()).await?;
+    write_all(write, head(OK, EVENTS, None).as_bytes()).await?;
     Ok(with_body.then_some(viewer))
 }
 
@@ -196,32 +182,33 @@ fn newest(events: &mut watch::Receiver<Arc<str>>) -> Arc<str> {
 
 async fn refuse<'a>(
     write: &mut OwnedWriteHalf,
-    code: Code,
+    status: &str,
     why: &str,
 ) -> io::Result<Option<Viewer<'a>>> {
-    send(write, code, TEXT, format!("{why}\n").as_bytes(), true).await
+    send(write, status, TEXT, format!("{why}\n").as_bytes(), true).await
 }
 
 /// Sends a whole answer: nobody watches.
 async fn send<'a>(
     write: &mut OwnedWriteHalf,
-    code: Code,
+    status: &str,
     content_type: &str,
     body: &[u8],
     with_body: bool,
 ) -> io::Result<Option<Viewer<'a>>> {
-    write_all(write, head(code, content_type, Some(body.len())).as_bytes()).await?;
+    write_all(
+        write,
+        head(status, content_type, Some(body.len())).as_bytes(),
+    )
+    .await?;
     if with_body {
         write_all(write, body).await?;
     }
     Ok(None)
 }
 
-fn head(code: Code, content_type: &str, length: Option<usize>) -> String {
-    let mut head = format!(
-        "HTTP/1.1 {}\r\nContent-Type: {content_type}\r\n",
-        code.line()
-    );
+fn head(status: &str, content_type: &str, length: Option<usize>) -> String {
+    let mut head = format!("HTTP/1.1 {status}\r\nContent-Type: {content_type}\r\n");
     if let Some(length) = length {
         // Writing to a text does not fail.
         let _ = write!(head, "Content-Length: {length}\r\n");

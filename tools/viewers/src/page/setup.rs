@@ -29,7 +29,7 @@ const POINTS: u32 = 400;
 const FRESH: Duration = Duration::from_secs(1);
 
 /// The answer to `/setup.json`: made once for all that ask for it together.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Setup {
     wanted: Notify,
     newest: watch::Sender<Option<(Instant, Answer)>>,
@@ -37,15 +37,6 @@ pub(super) struct Setup {
 
 /// The answer, or why there is none.
 type Answer = Result<Arc<str>, Arc<str>>;
-
-impl Default for Setup {
-    fn default() -> Self {
-        Self {
-            wanted: Notify::new(),
-            newest: watch::Sender::new(None),
-        }
-    }
-}
 
 impl Setup {
     /// An answer that is at most [`FRESH`] old.
@@ -70,7 +61,11 @@ impl Setup {
                 continue;
             }
             let socket = socket.to_owned();
-            let asked = spawn_blocking(move || asked(&socket)).await;
+            let asked = spawn_blocking(move || {
+                let (number, config) = configuration(&socket)?;
+                Ok::<_, ClientError>(setup(number, &config).to_string())
+            })
+            .await;
             let answer = match asked {
                 Ok(Ok(setup)) => Ok(Arc::from(setup)),
                 Ok(Err(error)) => Err(Arc::from(error.to_string())),
@@ -84,12 +79,6 @@ impl Setup {
 fn fresh(newest: Option<&(Instant, Answer)>) -> Option<Answer> {
     let (made, answer) = newest?;
     (made.elapsed() < FRESH).then(|| answer.clone())
-}
-
-/// The setup by the configuration of the daemon at `socket`.
-fn asked(socket: &Path) -> Result<String, ClientError> {
-    let (number, config) = configuration(socket)?;
-    Ok(setup(number, &config).to_string())
 }
 
 /// The configuration in force of the daemon at `socket`, and its number.

@@ -1,7 +1,5 @@
 //! Frames out of the bytes of the line, whole and broken ones.
 
-use core::fmt::Write;
-
 use clap::ValueEnum;
 use singletrack_protocol::{
     Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop,
@@ -95,18 +93,11 @@ impl Frames {
     pub(super) fn push(&mut self, byte: u8) -> Option<Found> {
         self.taken += 1;
         if byte == 0 {
-            let content = match self.decoder.push(byte) {
-                None => None,
-                Some(Ok(packet)) => Some(understand(
-                    self.direction,
-                    packet,
-                    &mut self.other_version,
-                    &self.bytes,
-                )),
-                Some(Err(error)) => {
-                    Some(broken(frame_error(error), error.to_string(), &self.bytes))
-                }
-            };
+            let (other_version, bytes) = (&mut self.other_version, &self.bytes);
+            let content = self.decoder.push(byte).map(|decoded| match decoded {
+                Ok(packet) => understand(self.direction, packet, other_version, bytes),
+                Err(error) => broken(frame_error(error), error.to_string(), bytes),
+            });
             return self.found(content);
         }
         self.decoder.push_data(byte);
@@ -252,21 +243,31 @@ impl Content {
     /// Its fields, by name.
     fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
         let number = |value: u32| Value::Unsigned(value.into());
+        let text = |text: String| Value::Text(text.into());
         let word = |word: &'static str| Value::Text(word.into());
         match self {
             Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
                 let [major, minor, patch] = hello.software_version;
                 field("protocol_version", number(hello.protocol_version.into()));
-                field(
-                    "software_version",
-                    Value::Text(format!("{major}.{minor}.{patch}").into()),
-                );
+                field("software_version", text(format!("{major}.{minor}.{patch}")));
                 field("nonce", number(hello.nonce));
             }
             Self::ToHost(ToHost::Telemetry(telemetry)) => {
-                recorded(&telemetry_entry(telemetry), field);
+                let record = TelemetryRecord {
+                    receive_time_ns: 0,
+                    board_time_host_ns: 0,
+                    imu_time_host_ns: None,
+                    telemetry: *telemetry,
+                };
+                recorded(&Entry::Telemetry(record), field);
             }
-            Self::ToHost(ToHost::Status(status)) => recorded(&status_entry(status), field),
+            Self::ToHost(ToHost::Status(status)) => {
+                let record = StatusRecord {
+                    receive_time_ns: 0,
+                    status: *status,
+                };
+                recorded(&Entry::Status(record), field);
+            }
             Self::ToHost(ToHost::Acknowledgement(answer)) => {
                 field("request", word(answer.request.name()));
                 field("sequence", number(answer.sequence.0.into()));
@@ -282,11 +283,8 @@ impl Content {
             }
             Self::ToBoard(ToBoard::Configure(configure)) => {
                 let configuration = &configure.configuration;
-                let (servo, esc, speed) = (
-                    &configuration.servo,
-                    &configuration.esc,
-                    &configuration.speed,
-                );
+                let (servo, esc) = (&configuration.servo, &configuration.esc);
+                let speed = &configuration.speed;
                 field("request", number(configure.request.0.into()));
                 field("configuration_hash", number(configuration.hash()));
                 field("esc.kind", word(esc.kind.name()));
@@ -371,9 +369,9 @@ impl Content {
                 detail,
                 bytes,
             } => {
-                field("reason", Value::Text((*reason).into()));
-                field("detail", Value::Text(detail.clone().into()));
-                field("bytes", Value::Text(hexadecimal(bytes).into()));
+                field("reason", word(reason));
+                field("detail", text(detail.clone()));
+                field("bytes", text(hexadecimal(bytes)));
             }
         }
     }
@@ -422,22 +420,6 @@ fn recorded(entry: &Entry, field: &mut dyn FnMut(&str, Value)) {
     }
 }
 
-const fn telemetry_entry(telemetry: &Telemetry) -> Entry {
-    Entry::Telemetry(TelemetryRecord {
-        receive_time_ns: 0,
-        board_time_host_ns: 0,
-        imu_time_host_ns: None,
-        telemetry: *telemetry,
-    })
-}
-
-const fn status_entry(status: &Status) -> Entry {
-    Entry::Status(StatusRecord {
-        receive_time_ns: 0,
-        status: *status,
-    })
-}
-
 /// A packet with a message of zeros.
 fn zero<M: Message>(zeros: &[u8]) -> Packet<'_> {
     Packet {
@@ -448,14 +430,9 @@ fn zero<M: Message>(zeros: &[u8]) -> Packet<'_> {
 
 /// `0a ff 13`; with an ellipsis if there may be more.
 fn hexadecimal(bytes: &[u8]) -> String {
-    let mut text = String::new();
-    for byte in bytes {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x} ");
-    }
+    let mut words: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     if bytes.len() == SHOWN_BYTES {
-        text.push_str("...");
+        words.push("...".to_owned());
     }
-    text.truncate(text.trim_end().len());
-    text
+    words.join(" ")
 }

@@ -4,16 +4,12 @@ use std::{
     fs::File,
     io::{self, Read},
     iter,
-    os::fd::{AsFd, BorrowedFd},
+    os::fd::AsFd as _,
     path::Path,
     thread,
     time::Instant,
 };
 
-use rustix::{
-    event::{PollFd, PollFlags, Timespec, poll},
-    io::Errno,
-};
 use singletrack_record::{Value, write_json_object};
 use singletrackd::serial_port::{self, ReadHalf};
 
@@ -22,9 +18,12 @@ use super::{
     frames::{Found, Frames},
     wall_ns,
 };
-use crate::dump::{
-    DumpError,
-    kind::{Kind, TIME},
+use crate::{
+    dump::{
+        DumpError,
+        kind::{Kind, TIME},
+    },
+    readable::wait_to_read,
 };
 
 /// How much is read at once.
@@ -80,32 +79,20 @@ impl Line {
         Ok(Self::new(name, Input::Serial(read), direction, kinds))
     }
 
-    /// Opens a capture of the line's bytes.
-    pub(in crate::dump) fn file(
-        path: &Path,
+    /// Takes the line's bytes from a capture: a file, or standard input.
+    pub(in crate::dump) fn capture(
+        name: String,
+        file: io::Result<File>,
         direction: Direction,
         kinds: Vec<Kind>,
         follow: bool,
     ) -> Result<Self, DumpError> {
-        let name = path.display().to_string();
-        match File::open(path) {
+        match file {
             Ok(file) => Ok(Self {
                 follow,
                 ..Self::new(name, Input::File(file), direction, kinds)
             }),
-            Err(source) => Err(DumpError::Capture { name, source }),
-        }
-    }
-
-    /// Takes the line's bytes from standard input.
-    pub(in crate::dump) fn stdin(
-        direction: Direction,
-        kinds: Vec<Kind>,
-    ) -> Result<Self, DumpError> {
-        let name = "standard input".to_owned();
-        match io::stdin().as_fd().try_clone_to_owned() {
-            Ok(file) => Ok(Self::new(name, Input::File(file.into()), direction, kinds)),
-            Err(source) => Err(DumpError::Capture { name, source }),
+            Err(error) => Err(unreadable(&name, &error)),
         }
     }
 
@@ -146,13 +133,11 @@ impl Line {
         }
         self.ended.then(|| self.frames.finish())?
     }
+}
 
-    fn lost(&self, source: io::Error) -> DumpError {
-        DumpError::Capture {
-            name: self.name.clone(),
-            source,
-        }
-    }
+/// The bytes of the line can't be read.
+fn unreadable(name: &str, error: &io::Error) -> DumpError {
+    DumpError::Other(format!("can't read {name}: {error}"))
 }
 
 impl Clock {
@@ -178,15 +163,6 @@ impl Clock {
     }
 }
 
-impl AsFd for Input {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        match self {
-            Self::Serial(port) => port.as_fd(),
-            Self::File(file) => file.as_fd(),
-        }
-    }
-}
-
 impl Source for Line {
     fn start_wall_ns(&self) -> Option<u64> {
         match self.clock {
@@ -201,10 +177,12 @@ impl Source for Line {
                 return Ok(Next::Pending);
             }
             if matches!(self.input, Input::File(_)) && self.frames.whole == 0 {
-                return Err(DumpError::NoFrames {
-                    name: self.name.clone(),
-                    bytes: self.frames.taken(),
-                });
+                let (name, bytes) = (&self.name, self.frames.taken());
+                return Err(DumpError::Other(format!(
+                    "{name} holds no whole frame of the protocol in {bytes} bytes: name a capture of \
+                     the serial line (--direction says which way the bytes went), or a record (*.mcap \
+                     or *.mcap.part)"
+                )));
             }
             return Ok(Next::End);
         };
@@ -222,15 +200,13 @@ impl Source for Line {
     }
 
     fn wait(&mut self) -> Result<(), DumpError> {
-        let mut ready = [PollFd::new(&self.input, PollFlags::IN)];
-        let patience = Timespec {
-            tv_sec: 0,
-            tv_nsec: PATIENCE.subsec_nanos().into(),
+        let input = match &self.input {
+            Input::Serial(port) => port.as_fd(),
+            Input::File(file) => file.as_fd(),
         };
-        match poll(&mut ready, Some(&patience)) {
-            Ok(0) | Err(Errno::INTR) => return Ok(()),
-            Ok(_) => {}
-            Err(error) => return Err(self.lost(error.into())),
+        let ready = wait_to_read([input], PATIENCE);
+        if !ready.map_err(|error| unreadable(&self.name, &error))? {
+            return Ok(());
         }
         self.received.resize(READ_LENGTH, 0);
         self.at = 0;
@@ -259,7 +235,9 @@ impl Source for Line {
         self.received
             .truncate(read.as_ref().copied().unwrap_or_default());
         match read {
-            Err(error) if error.kind() != io::ErrorKind::Interrupted => Err(self.lost(error)),
+            Err(error) if error.kind() != io::ErrorKind::Interrupted => {
+                Err(unreadable(&self.name, &error))
+            }
             _ => Ok(()),
         }
     }

@@ -1,8 +1,8 @@
 //! Rows of the running daemon.
 
 use std::{
-    io::{self, Read, Write},
-    os::unix::net::UnixStream,
+    io::{self, BufRead as _, BufReader, Write as _},
+    os::{fd::AsFd as _, unix::net::UnixStream},
     path::{Path, PathBuf},
     time::Instant,
 };
@@ -12,7 +12,10 @@ use singletrack_record::{ParseEntryError, Shown, Topic, Value};
 use singletrackd::monotonic_ns;
 
 use super::{Close, Next, PATIENCE, Row, Source, wall_ns};
-use crate::dump::{DumpError, kind::Kind};
+use crate::{
+    dump::{DumpError, kind::Kind},
+    readable::wait_to_read,
+};
 
 /// How long the daemon may take to answer.
 const ANSWER_TIMEOUT: std::time::Duration = std::time::Duration::from_secs(5);
@@ -22,10 +25,9 @@ const READ_LENGTH: usize = 64 << 10;
 /// The daemon's socket, and the entries that come over it.
 pub(in crate::dump) struct Live {
     path: PathBuf,
-    stream: UnixStream,
-    /// What has been received and not looked at, and where that begins.
+    stream: BufReader<UnixStream>,
+    /// The beginning of a line.
     received: Vec<u8>,
-    at: usize,
     closed: bool,
     line: String,
     values: Vec<Value>,
@@ -43,14 +45,14 @@ impl Live {
         kinds: &[Kind],
         chosen: &[usize],
     ) -> Result<Self, DumpError> {
-        let unreachable = |source| DumpError::Unreachable {
-            path: path.to_owned(),
-            source,
+        let unreachable = |error: io::Error| {
+            let path = path.display();
+            DumpError::Other(format!(
+                "can't reach the daemon at {path}: {error}; start singletrackd, or name its socket with \
+                 --socket"
+            ))
         };
         let mut stream = UnixStream::connect(path).map_err(unreachable)?;
-        stream
-            .set_read_timeout(Some(PATIENCE))
-            .map_err(unreachable)?;
         let topics: Vec<_> = chosen
             .iter()
             .filter_map(|index| kinds.get(*index))
@@ -60,6 +62,7 @@ impl Live {
         request
             .map_err(io::Error::other)
             .and_then(|line| stream.write_all(line.as_bytes()))
+            .and_then(|()| stream.set_nonblocking(true))
             .map_err(unreachable)?;
         let times = kinds
             .iter()
@@ -71,9 +74,8 @@ impl Live {
             .collect();
         let mut live = Self {
             path: path.to_owned(),
-            stream,
+            stream: BufReader::with_capacity(READ_LENGTH, stream),
             received: Vec::new(),
-            at: 0,
             closed: false,
             line: String::new(),
             values: Vec::new(),
@@ -94,16 +96,13 @@ impl Live {
                 return Err(DumpError::Lost(if self.closed {
                     ClientError::Ended
                 } else {
-                    ClientError::Silent {
-                        path: self.path.clone(),
-                        patience: ANSWER_TIMEOUT,
-                    }
+                    ClientError::silent(&self.path, ANSWER_TIMEOUT)
                 }));
             }
             self.wait()?;
         }
         let answer = serde_json::from_str::<serde_json::Value>(&self.line).map_err(|error| {
-            self.invalid_entry(ParseEntryError::NotJson {
+            self.invalid_entry(&ParseEntryError::NotJson {
                 line: self.line.clone(),
                 reason: error.to_string(),
             })
@@ -112,11 +111,11 @@ impl Live {
             return Ok(());
         }
         Err(match answer["error"].as_str() {
-            Some(error) => DumpError::Refused {
-                path: self.path.clone(),
-                error: error.to_owned(),
-            },
-            None => self.invalid_entry(ParseEntryError::NoTopic {
+            Some(error) => {
+                let path = self.path.display();
+                DumpError::Other(format!("the daemon at {path} refuses: {error}"))
+            }
+            None => self.invalid_entry(&ParseEntryError::NoTopic {
                 line: self.line.clone(),
             }),
         })
@@ -124,17 +123,18 @@ impl Live {
 
     /// Moves a whole line to `line`; false if there is none yet.
     fn take_line(&mut self) -> Result<bool, DumpError> {
-        let received = self.received.get(self.at..).unwrap_or_default();
-        let Some(length) = received.iter().position(|byte| *byte == b'\n') else {
-            self.received.drain(..self.at);
-            self.at = 0;
-            return Ok(false);
-        };
-        let bytes = received.get(..length).unwrap_or_default();
-        self.line.clear();
-        self.line.push_str(&String::from_utf8_lossy(bytes));
-        self.at += length + 1;
-        Ok(true)
+        match self.stream.read_until(b'\n', &mut self.received) {
+            Ok(_) => {}
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(false),
+            Err(error) => return Err(DumpError::Lost(error.into())),
+        }
+        // The last line before the end may not be whole.
+        self.closed = self.received.pop_if(|byte| *byte == b'\n').is_none();
+        if !self.closed {
+            self.line = String::from_utf8_lossy(&self.received).into_owned();
+            self.received.clear();
+        }
+        Ok(!self.closed)
     }
 
     /// The row that a line of an entry is; none if it was not asked for.
@@ -148,11 +148,11 @@ impl Live {
         Some(Row { kind, time_ns })
     }
 
-    fn invalid_entry(&self, source: ParseEntryError) -> DumpError {
-        DumpError::Answer {
-            path: self.path.clone(),
-            source,
-        }
+    fn invalid_entry(&self, error: &ParseEntryError) -> DumpError {
+        let path = self.path.display();
+        DumpError::Other(format!(
+            "can't understand the daemon at {path}: {error}; use the singletrack of its release"
+        ))
     }
 }
 
@@ -188,30 +188,16 @@ impl Source for Live {
                             self.path.display()
                         );
                     }
-                    None => return Err(self.invalid_entry(source)),
+                    None => return Err(self.invalid_entry(&source)),
                 },
             }
         }
     }
 
     fn wait(&mut self) -> Result<(), DumpError> {
-        let length = self.received.len();
-        self.received.resize(length + READ_LENGTH, 0);
-        let room = self.received.get_mut(length..).unwrap_or_default();
-        let read = self.stream.read(room);
-        self.received
-            .truncate(length + read.as_ref().copied().unwrap_or_default());
-        match read {
-            Ok(0) => self.closed = true,
-            Ok(_) => {}
-            Err(error) => match error.kind() {
-                io::ErrorKind::WouldBlock
-                | io::ErrorKind::TimedOut
-                | io::ErrorKind::Interrupted => {}
-                _ => return Err(DumpError::Lost(error.into())),
-            },
-        }
-        Ok(())
+        wait_to_read([self.stream.get_ref().as_fd()], PATIENCE)
+            .map(drop)
+            .map_err(|error| DumpError::Lost(error.into()))
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {

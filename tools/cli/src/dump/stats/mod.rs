@@ -25,12 +25,12 @@ pub(super) struct Stats {
     brief: bool,
 }
 
-/// What is counted of a kind besides its rate.
+/// What is counted of a kind besides its rate, and of which fields.
 enum Counter {
-    Ticks(Box<Ticks>),
-    Telemetry(Telemetry),
-    Status(Status),
-    Poses(Poses),
+    Ticks(Box<(Fields<8>, Ticks)>),
+    Telemetry(Fields<3>, Telemetry),
+    Status(Fields<2>, Fields<{ BoardCounters::NAMES.len() }>, Status),
+    Poses(Fields<3>, Poses),
     Broken(Fields<1>, BTreeMap<String, u64>),
     Drops(Fields<1>, u64),
     Nothing,
@@ -39,16 +39,12 @@ enum Counter {
 impl Stats {
     /// Counts the `chosen` of the `kinds`.
     pub(super) fn new(kinds: &[Kind], chosen: &[usize]) -> Self {
-        let topic = |index, kind: &Kind| {
+        let topic = |(index, kind): (usize, &Kind)| {
             let name = kind.name;
             chosen.contains(&index).then(|| (name, Arrivals::default()))
         };
         Self {
-            topics: kinds
-                .iter()
-                .enumerate()
-                .map(|(index, kind)| topic(index, kind))
-                .collect(),
+            topics: kinds.iter().enumerate().map(topic).collect(),
             counters: kinds.iter().map(Counter::of).collect(),
             first_ns: None,
             last_ns: None,
@@ -124,10 +120,32 @@ impl<const N: usize> Fields<N> {
 impl Counter {
     fn of(kind: &Kind) -> Self {
         match kind.name.parse() {
-            Ok(Topic::Tick) => Self::Ticks(Box::new(Ticks::new(kind))),
-            Ok(Topic::Telemetry) => Self::Telemetry(Telemetry::new(kind)),
-            Ok(Topic::Status) => Self::Status(Status::new(kind)),
-            Ok(Topic::Pose) => Self::Poses(Poses::new(kind)),
+            Ok(Topic::Tick) => {
+                let fields = [
+                    "mode",
+                    "reason",
+                    "held",
+                    "skipped",
+                    "events_dropped",
+                    "drive.written",
+                    "lateness_ns",
+                    "capture_to_command_ns",
+                ];
+                Self::Ticks(Box::new((Fields::of(kind, fields), Ticks::default())))
+            }
+            Ok(Topic::Telemetry) => {
+                let fields = ["board_time_us", "mode", "stop_cause"];
+                Self::Telemetry(Fields::of(kind, fields), Telemetry::default())
+            }
+            Ok(Topic::Status) => {
+                let counts = Fields::of(kind, BoardCounters::NAMES);
+                let fields = ["board_time_us", "last_refusal"];
+                Self::Status(Fields::of(kind, fields), counts, Status::default())
+            }
+            Ok(Topic::Pose) => {
+                let fields = ["frame_number", "state", "rejected"];
+                Self::Poses(Fields::of(kind, fields), Poses::default())
+            }
             Ok(Topic::Drops) => Self::Drops(Fields::of(kind, ["entries"]), 0),
             _ if kind.name == BROKEN => Self::Broken(Fields::of(kind, ["reason"]), BTreeMap::new()),
             _ => Self::Nothing,
@@ -136,10 +154,15 @@ impl Counter {
 
     fn add(&mut self, time_ns: i64, values: &[Value]) {
         match self {
-            Self::Ticks(ticks) => ticks.add(time_ns, values),
-            Self::Telemetry(telemetry) => telemetry.add(time_ns, values),
-            Self::Status(status) => status.add(values),
-            Self::Poses(poses) => poses.add(time_ns, values),
+            Self::Ticks(ticks) => {
+                let (fields, ticks) = ticks.as_mut();
+                ticks.add(time_ns, fields.read(values));
+            }
+            Self::Telemetry(fields, telemetry) => telemetry.add(time_ns, fields.read(values)),
+            Self::Status(fields, counts, status) => {
+                status.add(fields.read(values), counts.read(values));
+            }
+            Self::Poses(fields, poses) => poses.add(time_ns, fields.read(values)),
             Self::Broken(fields, counts) => {
                 let [reason] = fields.read(values);
                 count(counts, word(reason).to_owned());
@@ -155,10 +178,10 @@ impl Counter {
 
     fn report(&self, end_ns: i64, report: &mut Report) {
         match self {
-            Self::Ticks(ticks) => ticks.report(end_ns, report),
-            Self::Telemetry(telemetry) => telemetry.report(end_ns, report),
-            Self::Status(status) => report.board.clone_from(&status.counters),
-            Self::Poses(poses) => report.poses = poses.report(),
+            Self::Ticks(ticks) => ticks.1.report(end_ns, report),
+            Self::Telemetry(_, telemetry) => telemetry.report(end_ns, report),
+            Self::Status(.., status) => report.board.clone_from(&status.counters),
+            Self::Poses(_, poses) => report.poses = poses.report(),
             Self::Broken(_, counts) => report.line.broken.clone_from(counts),
             Self::Drops(_, entries) => report.entries_dropped = *entries,
             Self::Nothing => {}
@@ -213,8 +236,8 @@ impl Modes {
 }
 
 /// Ticks of the control thread.
+#[derive(Default)]
 struct Ticks {
-    fields: Fields<8>,
     counts: TickReport,
     /// In us, as all that is reported of them.
     lateness_us: Vec<f64>,
@@ -223,28 +246,10 @@ struct Ticks {
 }
 
 impl Ticks {
-    fn new(kind: &Kind) -> Self {
-        let fields = [
-            "mode",
-            "reason",
-            "held",
-            "skipped",
-            "events_dropped",
-            "drive.written",
-            "lateness_ns",
-            "capture_to_command_ns",
-        ];
-        Self {
-            fields: Fields::of(kind, fields),
-            counts: TickReport::default(),
-            lateness_us: Vec::new(),
-            capture_to_command_us: Vec::new(),
-            modes: Modes::default(),
-        }
-    }
-
-    fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let [
+    fn add(
+        &mut self,
+        time_ns: i64,
+        [
             mode,
             reason,
             held,
@@ -253,7 +258,8 @@ impl Ticks {
             written,
             lateness,
             latency,
-        ] = self.fields.read(values);
+        ]: [&Value; 8],
+    ) {
         let counts = &mut self.counts;
         let held = *held == Value::Bool(true);
         counts.skipped += number(skipped).unwrap_or_default() as u64;
@@ -280,8 +286,8 @@ impl Ticks {
 }
 
 /// Lost telemetry, by the board's clock.
+#[derive(Default)]
 struct Telemetry {
-    fields: Fields<3>,
     last: Option<(i64, u32)>,
     lost: u64,
     gaps: u64,
@@ -291,20 +297,7 @@ struct Telemetry {
 }
 
 impl Telemetry {
-    fn new(kind: &Kind) -> Self {
-        Self {
-            fields: Fields::of(kind, ["board_time_us", "mode", "stop_cause"]),
-            last: None,
-            lost: 0,
-            gaps: 0,
-            restarts: 0,
-            longest: Gap::default(),
-            modes: Modes::default(),
-        }
-    }
-
-    fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let [board_time, mode, cause] = self.fields.read(values);
+    fn add(&mut self, time_ns: i64, [board_time, mode, cause]: [&Value; 3]) {
         let Some(board_us) = number(board_time) else {
             return;
         };
@@ -349,27 +342,19 @@ impl Telemetry {
 }
 
 /// The board's counters, which wrap, and start at zero when the board restarts.
+#[derive(Default)]
 struct Status {
-    fields: Fields<2>,
-    counts: Fields<{ BoardCounters::NAMES.len() }>,
     last: Option<(u32, [u16; BoardCounters::NAMES.len()])>,
     counters: Option<BoardCounters>,
 }
 
 impl Status {
-    fn new(kind: &Kind) -> Self {
-        Self {
-            fields: Fields::of(kind, ["board_time_us", "last_refusal"]),
-            counts: Fields::of(kind, BoardCounters::NAMES),
-            last: None,
-            counters: None,
-        }
-    }
-
-    fn add(&mut self, values: &[Value]) {
-        let [board_time, refusal] = self.fields.read(values);
+    fn add(
+        &mut self,
+        [board_time, refusal]: [&Value; 2],
+        now: [&Value; BoardCounters::NAMES.len()],
+    ) {
         let board_us = number(board_time).unwrap_or_default() as u32;
-        let now = self.counts.read(values);
         let now = now.map(|count| number(count).unwrap_or_default() as u16);
         let counters = self.counters.get_or_insert_default();
         let before = match self.last {
@@ -388,8 +373,8 @@ impl Status {
 }
 
 /// Poses and frames of the motion capture.
+#[derive(Default)]
 struct Poses {
-    fields: Fields<3>,
     last_frame: Option<i64>,
     last_valid_ns: Option<i64>,
     frames_missing: u64,
@@ -398,19 +383,7 @@ struct Poses {
 }
 
 impl Poses {
-    fn new(kind: &Kind) -> Self {
-        Self {
-            fields: Fields::of(kind, ["frame_number", "state", "rejected"]),
-            last_frame: None,
-            last_valid_ns: None,
-            frames_missing: 0,
-            between_valid: Gap::default(),
-            states: BTreeMap::new(),
-        }
-    }
-
-    fn add(&mut self, time_ns: i64, values: &[Value]) {
-        let [frame_number, state, rejected] = self.fields.read(values);
+    fn add(&mut self, time_ns: i64, [frame_number, state, rejected]: [&Value; 3]) {
         let state = word(state);
         if let Some(number) = number(frame_number) {
             // Numbers that go back belong to another stream.

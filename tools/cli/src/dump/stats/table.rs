@@ -1,7 +1,6 @@
 //! The statistics as a page for a person.
 
 use core::fmt;
-use std::collections::BTreeMap;
 
 use super::report::{BoardCounters, Durations, ModeSpan, Report};
 
@@ -93,29 +92,31 @@ impl Report {
             if let Some(rate) = line.bytes_per_s {
                 write!(page, ", {rate:.0} per s")?;
             }
-            write!(page, "\nbroken frames: ")?;
-            counts(page, &line.broken)?;
+            write!(page, "\nbroken frames: {}", counts(&line.broken))?;
         }
         Ok(())
     }
 
     fn counters(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(board) = &self.board {
-            write!(page, "\nthe board counted: ")?;
-            for (index, (name, count)) in BoardCounters::NAMES.iter().zip(board.counts).enumerate()
-            {
-                let comma = if index == 0 { "" } else { ", " };
-                write!(page, "{comma}{count} {}", name.replace('_', " "))?;
-            }
+            let names = BoardCounters::NAMES.map(|name| name.replace('_', " "));
+            write!(
+                page,
+                "\nthe board counted: {}",
+                counts(names.iter().zip(&board.counts))
+            )?;
             let refused = board.count("drives_refused") > 0;
             if let Some(refusal) = board.last_refusal.as_ref().filter(|_| refused) {
                 write!(page, " (the last refusal: {refusal})")?;
             }
         }
         if let Some(poses) = &self.poses {
-            write!(page, "\nposes: ")?;
-            counts(page, &poses.states)?;
-            write!(page, "; {} frames missing", poses.frames_missing)?;
+            write!(
+                page,
+                "\nposes: {}; {} frames missing",
+                counts(&poses.states),
+                poses.frames_missing
+            )?;
             if let (Some(gap_ms), Some(at_s)) = (
                 poses.longest_between_valid_ms,
                 poses.longest_between_valid_at_s,
@@ -161,15 +162,15 @@ impl Report {
     }
 }
 
-fn counts(page: &mut fmt::Formatter<'_>, counts: &BTreeMap<String, u64>) -> fmt::Result {
-    if counts.is_empty() {
-        return page.write_str("none");
+fn counts<'a>(counts: impl IntoIterator<Item = (&'a String, &'a u64)>) -> String {
+    let counts: Vec<_> = counts
+        .into_iter()
+        .map(|(what, count)| format!("{count} {what}"))
+        .collect();
+    match counts.as_slice() {
+        [] => "none".to_owned(),
+        counts => counts.join(", "),
     }
-    for (index, (what, count)) in counts.iter().enumerate() {
-        let comma = if index == 0 { "" } else { ", " };
-        write!(page, "{comma}{count} {what}")?;
-    }
-    Ok(())
 }
 
 fn distribution(page: &mut fmt::Formatter<'_>, of: &Durations) -> fmt::Result {
