@@ -2,7 +2,7 @@
 
 use std::{
     collections::BTreeSet,
-    fs,
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -33,10 +33,47 @@ pub struct FleetCar {
     pub router: Option<String>,
 }
 
-/// Why there is no fleet: a text which says what to write instead.
+/// Why there is no fleet.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct FleetFileError(String);
+pub enum FleetFileError {
+    /// The file can't be read.
+    #[error("can't read the fleet {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// It is not TOML, or has other keys.
+    #[error("{}: {message}: write a table [[car]] for each, with name = \"car1\"", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        message: String,
+    },
+    /// A name can't be one.
+    #[error(
+        "{}: car.name is {name:?}: it must be of letters, digits, - and _, as it names a service",
+        path.display()
+    )]
+    Name {
+        /// The file.
+        path: PathBuf,
+        /// The name.
+        name: String,
+    },
+    /// Two cars have one name, socket, number or body.
+    #[error("{}: two cars have the {what} {value}: give each one of its own", path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+        /// `name`, `socket`, `number` or `body`.
+        what: &'static str,
+        /// Its value.
+        value: String,
+    },
+}
 
 impl FleetCar {
     /// The control socket of its daemon.
@@ -54,33 +91,33 @@ impl Fleet {
     ///
     /// There is none, or it does not name cars that differ.
     pub fn read(path: &Path) -> Result<Self, FleetFileError> {
-        let text = fs::read_to_string(path)
-            .map_err(|error| format!("can't read the fleet {}: {error}", path.display()));
-        text.and_then(|text| Self::parse(path, &text))
-            .map_err(FleetFileError)
+        let text = fs::read_to_string(path).map_err(|source| FleetFileError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::parse(path, &text)
     }
 
-    fn parse(path: &Path, text: &str) -> Result<Self, String> {
+    fn parse(path: &Path, text: &str) -> Result<Self, FleetFileError> {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
         struct File {
             car: Vec<FleetCar>,
         }
-        let path = path.display();
-        let File { car: cars } = toml::from_str(text).map_err(|error| {
-            let message = error.to_string();
-            let message = message.trim_end();
-            format!("{path}: {message}: write a table [[car]] for each, with name = \"car1\"")
-        })?;
+        let path = path.to_owned();
+        let File { car: cars } = match toml::from_str(text) {
+            Ok(file) => file,
+            Err(error) => {
+                let message = error.to_string().trim_end().to_owned();
+                return Err(FleetFileError::Parse { path, message });
+            }
+        };
         let mut taken = BTreeSet::new();
         for car in &cars {
             let name = car.name.clone();
             let is_allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
             if name.is_empty() || !name.chars().all(is_allowed) {
-                return Err(format!(
-                    "{path}: car.name is {name:?}: it must be of letters, digits, - and _, as it names \
-                     a service"
-                ));
+                return Err(FleetFileError::Name { path, name });
             }
             let socket = car.socket().display().to_string();
             let number = car.number.map(|number| ("number", number.to_string()));
@@ -88,9 +125,7 @@ impl Fleet {
             let named = [("name", name), ("socket", socket)];
             for (what, value) in named.into_iter().chain(number).chain(body) {
                 if !taken.insert((what, value.clone())) {
-                    return Err(format!(
-                        "{path}: two cars have the {what} {value}: give each one of its own"
-                    ));
+                    return Err(FleetFileError::Twice { path, what, value });
                 }
             }
         }
@@ -104,7 +139,7 @@ mod tests {
     use super::*;
 
     fn parse(text: &str) -> Result<Fleet, String> {
-        Fleet::parse(Path::new("fleet.toml"), text)
+        Fleet::parse(Path::new("fleet.toml"), text).map_err(|error| error.to_string())
     }
 
     #[test]
