@@ -318,7 +318,7 @@ impl NatNetServer {
             .map(|client| client.bitstream)
             .filter(|_| !self.parameters.multicast)
             .unwrap_or(self.parameters.bitstream);
-        let body = |name, id| {
+        let body = |(id, name)| {
             Dataset::rigid_body(RigidBodyDefinition {
                 name,
                 id,
@@ -330,13 +330,7 @@ impl NatNetServer {
             name: &cameras.car.name,
             marker_names: &MARKER_NAMES,
         }];
-        datasets.extend(
-            cameras
-                .decoys
-                .iter()
-                .map(|decoy| body(decoy.name.as_str(), decoy.id)),
-        );
-        datasets.push(body(cameras.car.name.as_str(), cameras.car.id));
+        datasets.extend(cameras.names().map(body));
         self.answer(from, |out| {
             encode::model_definitions(version, &datasets, out)
         })

@@ -179,20 +179,16 @@ impl StreamServer for QtmServer {
         _: u64,
         cameras: &CameraParameters,
         client: &mut Client<QtmClient>,
-    ) -> Result<bool, Refused> {
-        let input = core::mem::take(&mut client.input);
-        let unused = input.get(client.used..).unwrap_or_default();
-        let Some((packet, length)) = Packet::read(self.order, unused).map_err(|_| Refused)? else {
-            client.input = input;
-            return Ok(false);
+        input: &[u8],
+    ) -> Result<Option<usize>, Refused> {
+        let Some((packet, length)) = Packet::read(self.order, input).map_err(|_| Refused)? else {
+            return Ok(None);
         };
         if packet.kind == Kind::Command {
             let answer = self.answer(cameras, client, packet.text().unwrap_or_default());
             client.output.extend(answer);
         }
-        client.used += length;
-        client.input = input;
-        Ok(true)
+        Ok(Some(length))
     }
 
     fn frame(
@@ -212,11 +208,7 @@ impl StreamServer for QtmServer {
         let bodies: Vec<_> = cameras
             .names()
             .map(|(id, _)| {
-                let seen = frame
-                    .bodies
-                    .iter()
-                    .find(|body| body.id == id && body.tracking_valid());
-                seen.map_or(UNSEEN, |body| FrameBody {
+                frame.tracked(id).map_or(UNSEEN, |body| FrameBody {
                     position_mm: body.position_m.map(|metres| metres * 1e3),
                     axes: axes(body.orientation_xyzw),
                     residual_mm: body.mean_error_m * 1e3,

@@ -19,13 +19,14 @@ pub(crate) trait StreamServer: core::fmt::Debug {
     /// What is said first.
     fn greeting(&self, client: &Client<Self::State>) -> Vec<u8>;
 
-    /// Takes the first message of the client's input, and returns whether there was one.
+    /// Takes the first message of the input, and returns its length; none if it is not complete.
     fn receive(
         &self,
         clock_us: u64,
         cameras: &CameraParameters,
         client: &mut Client<Self::State>,
-    ) -> Result<bool, Refused>;
+        input: &[u8],
+    ) -> Result<Option<usize>, Refused>;
 
     /// The bytes of a frame for the client.
     fn frame(
@@ -44,9 +45,6 @@ pub(crate) struct Client<S> {
     pub(crate) address: IpAddr,
     /// The server called it back.
     pub(crate) was_called: bool,
-    /// What was received, and how much of it was used.
-    pub(crate) input: Vec<u8>,
-    pub(crate) used: usize,
     /// What is to be sent on the stream.
     pub(crate) output: Vec<u8>,
     /// Where frames go, if not on the stream.
@@ -62,7 +60,8 @@ const MAX_WAITING: usize = 1 << 20;
 pub(crate) struct Serving<P: StreamServer> {
     protocol: P,
     listener: TcpListener,
-    clients: Vec<(TcpStream, Client<P::State>)>,
+    /// With what was received of each and not used.
+    clients: Vec<(TcpStream, Client<P::State>, Vec<u8>)>,
 }
 
 impl<P: StreamServer> Serving<P> {
@@ -85,13 +84,11 @@ impl<P: StreamServer> Serving<P> {
             state: P::State::default(),
             address,
             was_called,
-            input: Vec::new(),
-            used: 0,
             output: Vec::new(),
             datagrams_to: None,
         };
         client.output = self.protocol.greeting(&client);
-        self.clients.push((stream, client));
+        self.clients.push((stream, client, Vec::new()));
     }
 
     pub(crate) fn serve(&mut self, clock: &impl Fn() -> u64, cameras: &CameraParameters) {
@@ -99,16 +96,18 @@ impl<P: StreamServer> Serving<P> {
             self.welcome(stream, from.ip(), false);
         }
         let protocol = &self.protocol;
-        self.clients.retain_mut(|(stream, client)| {
-            let is_alive = read(stream, &mut client.input)
+        self.clients.retain_mut(|(stream, client, input)| {
+            let mut used = 0;
+            let is_alive = read(stream, input)
                 && loop {
-                    match protocol.receive(clock(), cameras, client) {
-                        Ok(true) => {}
-                        Ok(false) => break true,
+                    let unused = input.get(used..).unwrap_or_default();
+                    match protocol.receive(clock(), cameras, client, unused) {
+                        Ok(Some(length)) => used += length,
+                        Ok(None) => break true,
                         Err(Refused) => break false,
                     }
                 };
-            client.input.drain(..core::mem::take(&mut client.used));
+            input.drain(..used);
             is_alive && write(stream, &mut client.output)
         });
     }
@@ -123,7 +122,7 @@ impl<P: StreamServer> Serving<P> {
         let stamp_us = frame.ticks.mid_exposure / (TICKS_PER_SECOND / 1_000_000);
         let protocol = &self.protocol;
         let mut lost = 0;
-        self.clients.retain_mut(|(stream, client)| {
+        self.clients.retain_mut(|(stream, client, _)| {
             let bytes = protocol.frame(cameras, frame, stamp_us, client);
             if bytes.is_empty() {
                 return true;

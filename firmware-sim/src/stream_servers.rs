@@ -1,9 +1,6 @@
 //! The cameras' servers that are reached over TCP.
 
-use std::{
-    io,
-    net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket},
-};
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, TcpListener, TcpStream, UdpSocket};
 
 use singletrack_mocap::qualisys::packet::{self, ByteOrder};
 
@@ -140,7 +137,7 @@ fn listen(
     purpose: &'static str,
 ) -> Result<(TcpListener, SocketAddrV4), UdpError> {
     let address = SocketAddrV4::new(interface, port);
-    let open = || -> io::Result<(TcpListener, SocketAddrV4)> {
+    UdpError::or(address, purpose, || {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
         let bound = match listener.local_addr()? {
@@ -148,23 +145,13 @@ fn listen(
             SocketAddr::V6(_) => address,
         };
         Ok((listener, bound))
-    };
-    open().map_err(|source| UdpError {
-        address,
-        purpose,
-        source,
     })
 }
 
 fn bind(address: SocketAddrV4, purpose: &'static str) -> Result<UdpSocket, UdpError> {
-    let open = || -> io::Result<UdpSocket> {
+    UdpError::or(address, purpose, || {
         let socket = UdpSocket::bind(address)?;
         socket.set_nonblocking(true)?;
         Ok(socket)
-    };
-    open().map_err(|source| UdpError {
-        address,
-        purpose,
-        source,
     })
 }

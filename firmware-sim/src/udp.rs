@@ -48,6 +48,21 @@ pub struct UdpError {
     pub source: io::Error,
 }
 
+impl UdpError {
+    /// What `open` returns, or this error for its error.
+    pub(crate) fn or<T>(
+        address: SocketAddrV4,
+        purpose: &'static str,
+        open: impl FnOnce() -> io::Result<T>,
+    ) -> Result<T, Self> {
+        open().map_err(|source| Self {
+            address,
+            purpose,
+            source,
+        })
+    }
+}
+
 /// The NatNet server's sockets.
 #[derive(Debug)]
 pub(crate) struct NatNetSockets {
@@ -126,7 +141,7 @@ fn bind(
     purpose: &'static str,
 ) -> Result<(UdpSocket, SocketAddrV4), UdpError> {
     let address = SocketAddrV4::new(interface, port);
-    let open = || -> io::Result<(UdpSocket, SocketAddrV4)> {
+    UdpError::or(address, purpose, || {
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
         socket.set_nonblocking(true)?;
         if purpose == "data port" {
@@ -139,10 +154,5 @@ fn bind(
         socket.bind(&address.into())?;
         let bound = socket.local_addr()?.as_socket_ipv4().unwrap_or(address);
         Ok((socket.into(), bound))
-    };
-    open().map_err(|source| UdpError {
-        address,
-        purpose,
-        source,
     })
 }

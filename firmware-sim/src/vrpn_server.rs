@@ -62,14 +62,12 @@ impl StreamServer for VrpnServer {
         clock_us: u64,
         cameras: &CameraParameters,
         client: &mut Client<VrpnClient>,
-    ) -> Result<bool, Refused> {
-        let input = core::mem::take(&mut client.input);
-        let unused = input.get(client.used..).unwrap_or_default();
+        input: &[u8],
+    ) -> Result<Option<usize>, Refused> {
         let state = &mut client.state;
-        let used = if state.welcomed {
-            let Some((message, length)) = Message::read(unused).map_err(|_| Refused)? else {
-                client.input = input;
-                return Ok(false);
+        Ok(Some(if state.welcomed {
+            let Some((message, length)) = Message::read(input).map_err(|_| Refused)? else {
+                return Ok(None);
             };
             match message.kind {
                 TYPE_DESCRIPTION if message.described() == Some(PING) => {
@@ -96,13 +94,12 @@ impl StreamServer for VrpnServer {
             }
             length
         } else {
-            let seen = unused.len().min(COOKIE_BEGINNING.len());
-            if unused.get(..seen) != COOKIE_BEGINNING.get(..seen) {
+            let seen = input.len().min(COOKIE_BEGINNING.len());
+            if input.get(..seen) != COOKIE_BEGINNING.get(..seen) {
                 return Err(Refused);
             }
-            if unused.len() < COOKIE.len() {
-                client.input = input;
-                return Ok(false);
+            if input.len() < COOKIE.len() {
+                return Ok(None);
             }
             state.welcomed = true;
             if !client.was_called {
@@ -121,10 +118,7 @@ impl StreamServer for VrpnServer {
                 client.output.extend(said);
             }
             COOKIE.len()
-        };
-        client.used += used;
-        client.input = input;
-        Ok(true)
+        }))
     }
 
     fn frame(
@@ -140,11 +134,7 @@ impl StreamServer for VrpnServer {
         }
         for (number, (id, _)) in (0..).zip(cameras.names()) {
             // VRPN has no sign of a body that is not seen: nothing is reported.
-            let seen = frame
-                .bodies
-                .iter()
-                .find(|body| body.id == id && body.tracking_valid());
-            if let Some(body) = seen {
+            if let Some(body) = frame.tracked(id) {
                 let pose = Pose {
                     sensor: 0,
                     position_m: body.position_m.map(f64::from),

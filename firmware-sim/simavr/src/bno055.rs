@@ -95,11 +95,11 @@ pub struct Bno055 {
 
 impl Default for Bno055 {
     fn default() -> Self {
-        let mut device = Self {
+        Self {
             newest: Motion::default(),
             motion: Motion::default(),
-            speaks: 0,
-            ready: 0,
+            speaks: SILENT,
+            ready: STARTUP,
             mode: CONFIGURATION,
             next_mode: None,
             page: 0,
@@ -110,9 +110,7 @@ impl Default for Bno055 {
             health: ImuRegisters::default(),
             pointer: 0,
             addressed: false,
-        };
-        device.power_on(0);
-        device
+        }
     }
 }
 
@@ -140,17 +138,14 @@ impl Bno055 {
 
     /// Restarts without start-up time, in the configuration mode.
     pub fn restart(&mut self) {
-        self.mode = CONFIGURATION;
-        self.next_mode = None;
-        self.page = 0;
-        self.units = 0x80;
-        self.power = 0;
-        self.temperature_source = 0;
-        self.axes = [0x24, 0];
-        self.pointer = 0;
-        self.addressed = false;
-        self.speaks = 0;
-        self.ready = 0;
+        *self = Self {
+            newest: self.newest,
+            motion: self.motion,
+            health: self.health,
+            speaks: 0,
+            ready: 0,
+            ..Self::default()
+        };
     }
 
     /// Whether it acknowledges its address. If so, a transfer starts.

@@ -166,7 +166,7 @@ pub struct Figures {
 }
 
 /// Cost of an interrupt.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Interrupt {
     /// Vector number; 1 is INT0.
     pub vector: u8,

@@ -223,22 +223,23 @@ impl SimulatedBoard {
         &self.pulses
     }
 
+    fn image(&self) -> Option<&Image> {
+        match &self.machine {
+            Machine::Native(_) => None,
+            Machine::Image(image) => Some(image),
+        }
+    }
+
     /// Bytes lost by the image's receiver so far; zero for a native board.
     #[must_use]
     pub fn bytes_overrun(&self) -> u64 {
-        match &self.machine {
-            Machine::Native(_) => 0,
-            Machine::Image(image) => image.bytes_overrun(),
-        }
+        self.image().map_or(0, Image::bytes_overrun)
     }
 
     /// The error that ended the simulated processor, if any; the board is then off.
     #[must_use]
     pub fn failure(&self) -> Option<&str> {
-        match &self.machine {
-            Machine::Native(_) => None,
-            Machine::Image(image) => image.failure(),
-        }
+        self.image()?.failure()
     }
 
     /// Cost of the image so far; `None` for a native board.
@@ -254,10 +255,7 @@ impl SimulatedBoard {
     /// one, in µs; `None` for a native board.
     #[must_use]
     pub fn pulse_jitter_us(&self) -> Option<f64> {
-        match &self.machine {
-            Machine::Native(_) => None,
-            Machine::Image(image) => Some(image.jitter_us()),
-        }
+        self.image().map(Image::jitter_us)
     }
 
     /// Opens or closes the stop switch.

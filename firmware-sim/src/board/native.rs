@@ -85,14 +85,11 @@ impl Native {
     }
 
     pub(super) fn restart(&mut self, cause: ResetCause) {
-        self.board = Board::new(cause, VERSION, self.parameters.car_id);
-        self.polls = 0;
-        self.frames = 0;
-        self.next_event_us = 0;
-        self.edges = Edges::default();
-        self.inputs = Inputs::default();
-        self.hung = false;
-        self.last_poll_us = 0;
+        *self = Self {
+            board: Board::new(cause, VERSION, self.parameters.car_id),
+            imu_is_silent: self.imu_is_silent,
+            ..Self::new(self.parameters)
+        };
     }
 
     pub(super) const fn code(&self) -> &Board {

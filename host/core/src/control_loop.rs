@@ -105,9 +105,16 @@ pub struct ControlLoop<L> {
 
 impl<L: Line> ControlLoop<L> {
     /// A loop with a closed line. With `arm_when_ready` it arms once, as soon as the pilot is
-    /// ready.
+    /// ready. With a period in `aligned_ns`, in ns, it aligns the ticks with the camera frames,
+    /// see [`slide_ns`](Self::slide_ns), and begins each when its frame arrives, see
+    /// [`due_ns`](Self::due_ns).
     #[must_use]
-    pub fn new(controller: Controller, rings: Rings<L>, arm_when_ready: bool) -> Self {
+    pub fn new(
+        controller: Controller,
+        rings: Rings<L>,
+        arm_when_ready: bool,
+        aligned_ns: Option<u64>,
+    ) -> Self {
         Self {
             controller,
             rings,
@@ -117,20 +124,10 @@ impl<L: Line> ControlLoop<L> {
             arm_when_ready,
             begin_ns: None,
             ending: Ending::Running,
-            alignment: None,
+            alignment: aligned_ns.map(|period_ns| Alignment::new(period_ns.max(1))),
             slide_ns: 0,
             last_start_ns: 0,
             counters: LineCounters::default(),
-        }
-    }
-
-    /// Aligns the ticks with the camera frames, see [`slide_ns`](Self::slide_ns), and begins each
-    /// when its frame arrives, see [`due_ns`](Self::due_ns).
-    #[must_use]
-    pub fn aligned_to_cameras(self, period_ns: u64) -> Self {
-        Self {
-            alignment: Some(Alignment::new(period_ns.max(1))),
-            ..self
         }
     }
 
@@ -457,24 +454,8 @@ impl<L: Line> ControlLoop<L> {
         } else if now_ns > change.until_ns {
             Err(Refusal::Late)
         } else {
-            let Reconfiguration {
-                number,
-                pilot,
-                board,
-                steering,
-                hash,
-                ..
-            } = &*change;
-            self.controller
-                .reconfigure(
-                    Time(now_ns),
-                    *number,
-                    pilot,
-                    *board,
-                    steering.clone(),
-                    *hash,
-                )
-                .map_err(Refusal::from)
+            let changed = self.controller.reconfigure(Time(now_ns), &change);
+            changed.map_err(Refusal::from)
         };
         change.outcome = Some(outcome);
         if let Err(PushError::Full(change)) = self.rings.reconfigured.push(change) {

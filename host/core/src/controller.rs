@@ -4,21 +4,19 @@
 //! only in the source of bytes and time.
 
 use singletrack_control::{NeighbourSample, PoseSample, Position, SteeringMap, Time};
-use singletrack_link::{
-    ConfigureError, DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session,
-};
+use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
-    AttitudeSample, BoardRequest, Event, LineHealth, LinkState, Output, Pilot, PilotConfig,
-    PilotRequest, PoseMissing, Tilt, Tuning, Underway,
+    AttitudeSample, BoardRequest, Event, LineHealth, LinkState, Output, Pilot, PilotRequest,
+    PoseMissing, Tilt, Tuning, Underway,
 };
-use singletrack_protocol::Configuration;
 
 use crate::{
     line::Sent,
     link_event::pilot_event,
     neighbours::NewestSamples,
     proof::{Proof, Proofs},
+    requests::{Reconfiguration, ReconfigureError},
 };
 
 /// The largest number of events of a tick: a stall of 300 ms at 100 Hz of poses and
@@ -69,17 +67,6 @@ pub struct Tick {
     pub output: Output,
     /// Whether the command to drive or to jog was written; `None` if there was none.
     pub drive: Option<Result<Sent, DriveError>>,
-}
-
-/// Why a configuration was not applied.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum ReconfigureError {
-    /// A drive is underway.
-    #[error(transparent)]
-    Underway(#[from] Underway),
-    /// The session does not accept the board's configuration.
-    #[error("board: {0}")]
-    Board(#[from] ConfigureError),
 }
 
 /// Interval of the events with the share of damaged frames, in ticks.
@@ -211,9 +198,8 @@ impl Controller {
         self.neighbours.add(sample);
     }
 
-    /// Replaces the configuration of pilot and board; `number` is for the record, and `hash`
-    /// says whether it is proved ([`configuration_hash`](crate::configuration_hash)). The next
-    /// tick sends it to the board, which accepts no commands until it has acknowledged it.
+    /// Replaces the configuration of pilot and board. The next tick sends it to the board, which
+    /// accepts no commands until it has acknowledged it.
     ///
     /// # Errors
     ///
@@ -222,11 +208,7 @@ impl Controller {
     pub fn reconfigure(
         &mut self,
         now: Time,
-        number: u32,
-        pilot: &PilotConfig,
-        board: Configuration,
-        steering: SteeringMap,
-        hash: u64,
+        change: &Reconfiguration,
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // The new configuration would apply to an arm request that came before it.
@@ -244,15 +226,15 @@ impl Controller {
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }
-        if board != *self.session.configuration() {
-            self.session.configure(now.0, board)?;
+        if change.board != *self.session.configuration() {
+            self.session.configure(now.0, change.board)?;
             self.push(Event::Link(LinkState::Down));
         }
-        self.pilot.reconfigure(pilot)?;
-        self.steering = steering;
-        self.push(Event::Reconfigured(number));
-        if hash != self.configuration {
-            self.configuration = hash;
+        self.pilot.reconfigure(&change.pilot)?;
+        self.steering.clone_from(&change.steering);
+        self.push(Event::Reconfigured(change.number));
+        if change.hash != self.configuration {
+            self.configuration = change.hash;
             self.tell_proved();
         }
         Ok(())

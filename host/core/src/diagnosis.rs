@@ -3,7 +3,10 @@
 //! Counters show what arrives. A [`Diagnosis`] names the likely cause in one word, which is the
 //! same in status, log and documentation, and in a sentence with addresses and names.
 
-use core::{fmt, net::IpAddr};
+use core::{
+    fmt,
+    net::{IpAddr, Ipv4Addr},
+};
 
 use serde::Serialize;
 use singletrack_mocap::{
@@ -14,7 +17,7 @@ use singletrack_mocap::{
 /// What is wrong with the cameras, or that nothing is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnosis {
-    /// The cause, one of `Cause::WORDS`.
+    /// The cause, one of [`DIAGNOSES`].
     #[serde(rename = "diagnosis")]
     pub word: &'static str,
     /// The same as a sentence, with addresses, names and what to do.
@@ -72,56 +75,22 @@ enum Cause {
 }
 
 impl Cause {
-    /// The words, in the order of the checks.
-    const WORDS: [&'static str; 14] = [
-        "starting",
-        "good",
-        "no-server",
-        "other-address",
-        "unsupported-version",
-        "other-transport",
-        "no-frames",
-        "two-senders",
-        "no-such-body",
-        "ambiguous-body",
-        "body-absent",
-        "untracked",
-        "up-axis",
-        "rejected",
-    ];
-
     const fn word(self) -> &'static str {
-        let [
-            starting,
-            good,
-            no_server,
-            other_address,
-            unsupported_version,
-            other_transport,
-            no_frames,
-            two_senders,
-            no_such_body,
-            ambiguous_body,
-            body_absent,
-            untracked,
-            up_axis,
-            rejected,
-        ] = Self::WORDS;
         match self {
-            Self::Starting => starting,
-            Self::Good => good,
-            Self::NoServer => no_server,
-            Self::OtherAddress(_) => other_address,
-            Self::UnsupportedVersion => unsupported_version,
-            Self::OtherTransport => other_transport,
-            Self::NoFrames => no_frames,
-            Self::TwoSenders => two_senders,
-            Self::NoSuchBody => no_such_body,
-            Self::AmbiguousBody(_) => ambiguous_body,
-            Self::BodyAbsent => body_absent,
-            Self::Untracked => untracked,
-            Self::UpAxis => up_axis,
-            Self::Rejected(_) => rejected,
+            Self::Starting => "starting",
+            Self::Good => "good",
+            Self::NoServer => "no-server",
+            Self::OtherAddress(_) => "other-address",
+            Self::UnsupportedVersion => "unsupported-version",
+            Self::OtherTransport => "other-transport",
+            Self::NoFrames => "no-frames",
+            Self::TwoSenders => "two-senders",
+            Self::NoSuchBody => "no-such-body",
+            Self::AmbiguousBody(_) => "ambiguous-body",
+            Self::BodyAbsent => "body-absent",
+            Self::Untracked => "untracked",
+            Self::UpAxis => "up-axis",
+            Self::Rejected(_) => "rejected",
         }
     }
 
@@ -136,8 +105,23 @@ impl Cause {
     }
 }
 
-/// Every word that a diagnosis can have, for the documentation.
-pub const DIAGNOSES: [&str; 14] = Cause::WORDS;
+/// Every word that a diagnosis can have, in the order of the checks, for the documentation.
+pub const DIAGNOSES: [&str; 14] = [
+    Cause::Starting.word(),
+    Cause::Good.word(),
+    Cause::NoServer.word(),
+    Cause::OtherAddress(IpAddr::V4(Ipv4Addr::UNSPECIFIED)).word(),
+    Cause::UnsupportedVersion.word(),
+    Cause::OtherTransport.word(),
+    Cause::NoFrames.word(),
+    Cause::TwoSenders.word(),
+    Cause::NoSuchBody.word(),
+    Cause::AmbiguousBody(0).word(),
+    Cause::BodyAbsent.word(),
+    Cause::Untracked.word(),
+    Cause::UpAxis.word(),
+    Cause::Rejected(RejectReason::Jump).word(),
+];
 
 /// Reports over which the counters are compared: a second.
 const WINDOW: usize = 5;

@@ -116,8 +116,8 @@ impl<L: Line> Host<L> {
         let stamp_offset_ns = Arc::new(AtomicI64::new(
             session.config().session.timing.stamp_offset_ns,
         ));
-        let period_ns = config.control.period_ns();
         let aligns = config.control.align_to_cameras;
+        let aligned_ns = aligns.then(|| config.control.period_ns());
 
         let (serial_in, serial) = RingBuffer::new(SERIAL_EVENTS);
         let (returned, returned_out) = RingBuffer::new(LINES);
@@ -151,13 +151,10 @@ impl<L: Line> Host<L> {
                 reports,
             },
             options.arm_when_ready,
+            aligned_ns,
         );
         Ok(Self {
-            control: if aligns {
-                control.aligned_to_cameras(period_ns)
-            } else {
-                control
-            },
+            control,
             reader: SerialReader::new(serial_in, returned_out),
             receiver: CameraReceiver::new(
                 session,

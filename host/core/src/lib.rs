@@ -42,6 +42,6 @@ pub use link_event::pilot_event;
 pub use meta::record_meta;
 pub use proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use report::{LineCounters, Report, link_phase};
-pub use requests::{ControlRequest, Reconfiguration, Refusal, Requests, Stalled};
+pub use requests::{ControlRequest, Reconfiguration, ReconfigureError, Refusal, Requests, Stalled};
 pub use restart_keys::restart_keys;
 pub use virtual_host::VirtualHost;

@@ -1,7 +1,6 @@
 //! Reports of the control thread for record, log and figures.
 
-use singletrack_link::{Counters, Event, State, TimedTelemetry};
-use singletrack_protocol::Status;
+use singletrack_link::{Counters, Event, State};
 use singletrack_record::{Entry, LinkPhase, StatusRecord, TelemetryRecord};
 
 use crate::proof::Proof;
@@ -68,26 +67,18 @@ impl Report {
     /// The report of a link event that happened at `time_ns`.
     pub const fn of(time_ns: u64, event: &Event) -> Self {
         match *event {
-            Event::Telemetry(record) => Self::telemetry(&record),
-            Event::Status(status) => Self::status(time_ns, status),
+            Event::Telemetry(record) => Self::Telemetry(TelemetryRecord {
+                receive_time_ns: record.receive_time_ns,
+                board_time_host_ns: record.board_time_host_ns,
+                imu_time_host_ns: record.imu_time_host_ns,
+                telemetry: record.telemetry,
+            }),
+            Event::Status(status) => Self::Status(StatusRecord {
+                receive_time_ns: time_ns,
+                status,
+            }),
             event => Self::Link { time_ns, event },
         }
-    }
-
-    const fn telemetry(record: &TimedTelemetry) -> Self {
-        Self::Telemetry(TelemetryRecord {
-            receive_time_ns: record.receive_time_ns,
-            board_time_host_ns: record.board_time_host_ns,
-            imu_time_host_ns: record.imu_time_host_ns,
-            telemetry: record.telemetry,
-        })
-    }
-
-    const fn status(receive_time_ns: u64, status: Status) -> Self {
-        Self::Status(StatusRecord {
-            receive_time_ns,
-            status,
-        })
     }
 }
 

@@ -4,10 +4,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::Producer;
 use singletrack_control::SteeringMap;
-use singletrack_pilot::{Learned, PilotConfig, PilotRequest};
+use singletrack_link::ConfigureError;
+use singletrack_pilot::{Learned, PilotConfig, PilotRequest, Underway};
 use singletrack_protocol::Configuration;
-
-use crate::controller::ReconfigureError;
 
 /// A request to the control thread.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +43,17 @@ pub struct Reconfiguration {
     pub until_ns: u64,
     /// The outcome; `None` until the control loop has handled it.
     pub outcome: Option<Result<(), Refusal>>,
+}
+
+/// Why a configuration was not applied.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ReconfigureError {
+    /// A drive is underway.
+    #[error(transparent)]
+    Underway(#[from] Underway),
+    /// The session does not accept the board's configuration.
+    #[error("board: {0}")]
+    Board(#[from] ConfigureError),
 }
 
 /// Why the control loop refused a configuration.

@@ -129,17 +129,13 @@ impl<L: Line> SerialReader<L> {
     /// A reader whose port is closed. `returned` is the ring on which the control loop
     /// returns write halves.
     #[must_use]
-    pub const fn new(events: Producer<SerialEvent<L>>, returned: Consumer<L>) -> Self {
+    pub fn new(events: Producer<SerialEvent<L>>, returned: Consumer<L>) -> Self {
         Self {
             events,
             returned,
             phase: Phase::Closed { retry_at_ns: 0 },
             retry_ns: FIRST_RETRY_NS,
-            counters: ReaderCounters {
-                opened: 0,
-                bytes: 0,
-                bytes_dropped: 0,
-            },
+            counters: ReaderCounters::default(),
         }
     }
 

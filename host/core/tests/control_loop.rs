@@ -9,10 +9,10 @@
 
 use singletrack_control::{Setpoint, Time, Velocity};
 use singletrack_core::{
-    Config, ControlRequest, Proofs, Refusal,
+    Config, ControlRequest, Proofs, ReconfigureError, Refusal,
     config::{OuterLoopSection, ReferenceSection},
     configuration_hash,
-    controller::{Controller, ReconfigureError},
+    controller::Controller,
     line::Sent,
 };
 use singletrack_link::Session as LinkSession;

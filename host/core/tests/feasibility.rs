@@ -11,7 +11,9 @@ use core::f64::consts::PI;
 use crate::simulated_drive::SimulatedDrive;
 use clap::Parser as _;
 use singletrack_core::{
-    config::{Config, LimitsSection, OuterLoopSection, ReferenceSection, SECTIONS, Start},
+    config::{
+        Config, LimitsSection, OuterLoopSection, PathPoints, ReferenceSection, SECTIONS, Start,
+    },
     feasibility::{Finding, Judgement, Severity, Stand, judge, judge_reference},
 };
 use singletrack_pilot::Mode;
@@ -327,8 +329,8 @@ fn oval(length: f64, width: f64, speed_m_s: f64) -> ReferenceSection {
         let angle = core::f64::consts::TAU * f64::from(index) / 16.0;
         [0.5 * length * angle.cos(), 0.5 * width * angle.sin()]
     });
-    ReferenceSection::PathList {
-        points: points.collect(),
+    ReferenceSection::Path {
+        points: PathPoints::Points(points.collect()),
         closed: true,
         speed_m_s,
         lateral_acceleration_m_s2: 1.0,

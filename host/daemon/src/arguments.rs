@@ -1,6 +1,6 @@
 //! The command line of `singletrackd`, as a library for its manual page.
 
-use std::{path::PathBuf, str::FromStr};
+use std::{num::ParseFloatError, path::PathBuf};
 
 use clap::{Parser, ValueEnum};
 use singletrack_core::feasibility::Stand;
@@ -45,37 +45,29 @@ pub struct Arguments {
         long,
         value_name = "X,Y,YAW",
         requires = "check",
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = parse_stand
     )]
-    pub start: Option<StandArgument>,
+    pub start: Option<Stand>,
     /// The format of the log on stderr. `RUST_LOG` filters it; `NO_COLOR` turns colours off
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]
     pub log_format: LogFormat,
 }
 
 /// A place to stand, as an argument: X,Y,YAW in m and degrees.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StandArgument(pub Stand);
-
-impl FromStr for StandArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Vec<f64> = text
-            .split(',')
-            .map(|part| part.trim().parse())
-            .collect::<Result<_, _>>()
-            .map_err(|error| format!("{error}: write X,Y,YAW in m and degrees"))?;
-        match numbers[..] {
-            [x_m, y_m, yaw_deg] if numbers.iter().all(|number| number.is_finite()) => {
-                Ok(Self(Stand {
-                    x_m,
-                    y_m,
-                    yaw_rad: yaw_deg.to_radians(),
-                }))
-            }
-            _ => Err("write three numbers: X,Y,YAW in m and degrees".to_owned()),
-        }
+fn parse_stand(text: &str) -> Result<Stand, String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse())
+        .collect::<Result<_, _>>()
+        .map_err(|error: ParseFloatError| format!("{error}: write X,Y,YAW in m and degrees"))?;
+    match numbers[..] {
+        [x_m, y_m, yaw_deg] if numbers.iter().all(|number| number.is_finite()) => Ok(Stand {
+            x_m,
+            y_m,
+            yaw_rad: yaw_deg.to_radians(),
+        }),
+        _ => Err("write three numbers: X,Y,YAW in m and degrees".to_owned()),
     }
 }
 
@@ -101,11 +93,11 @@ mod tests {
 
     #[test]
     fn a_stand_is_three_numbers() {
-        let StandArgument(stand) = "0.5, -1,90".parse().unwrap();
+        let stand = parse_stand("0.5, -1,90").unwrap();
         assert_eq!((stand.x_m, stand.y_m), (0.5, -1.0));
         assert!((stand.yaw_rad - core::f64::consts::FRAC_PI_2).abs() < 1e-12);
         for text in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,inf"] {
-            assert!(text.parse::<StandArgument>().is_err(), "{text}");
+            assert!(parse_stand(text).is_err(), "{text}");
         }
     }
 }

@@ -88,12 +88,8 @@ fn directories(config: &Config) -> Vec<Finding> {
     .filter_map(|(key, enabled, folder, fix)| {
         let folder = folder.filter(|_| enabled)?;
         let refusal = unwritable(&folder)?;
-        Some(Finding {
-            severity: Severity::Warning,
-            key,
-            value: folder.display().to_string(),
-            fix: format!("this user can't write there ({refusal}); {fix}"),
-        })
+        let fix = format!("this user can't write there ({refusal}); {fix}");
+        Some(Finding::warning(key, folder.display(), fix))
     })
     .collect()
 }

@@ -42,7 +42,7 @@ mod system;
 mod wake;
 mod wall_watch;
 
-pub use arguments::{Arguments, LogFormat, StandArgument};
+pub use arguments::{Arguments, LogFormat};
 pub use clock::monotonic_ns;
 pub use commissioned_file::not_commissioned;
 pub use daemon::{Daemon, StartError, StartOptions, StopError};

@@ -9,9 +9,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use singletrack_core::Config;
-use singletrackd::{
-    Arguments, Daemon, StandArgument, StartOptions, not_commissioned, notify::ServiceManager,
-};
+use singletrackd::{Arguments, Daemon, StartOptions, not_commissioned, notify::ServiceManager};
 use tracing::{error, info, warn};
 
 use log::start_log;
@@ -48,8 +46,7 @@ fn main() -> ExitCode {
         }
     };
     if arguments.check {
-        let stand = arguments.start.map(|StandArgument(stand)| stand);
-        return check::run(path, &config, stand);
+        return check::run(path, &config, arguments.start);
     }
     let _log = start_log(arguments.log_format);
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");

@@ -1,13 +1,10 @@
 //! The thread of the camera receiver: waits for datagrams, polls, and logs.
 
-use std::{net::SocketAddr, thread::Thread, time::Duration};
+use std::{thread::Thread, time::Duration};
 
-use singletrack_core::{
-    cameras::{CameraReceiver, Channel, Sockets, StreamEvent},
-    config::MotionCaptureSection,
-};
+use singletrack_core::{cameras::CameraReceiver, config::MotionCaptureSection};
 use singletrack_mocap::{
-    Binding, SessionEvent, Stream,
+    Binding, SessionEvent,
     planar::{PlanarCounters, PlanarEvent},
 };
 use tracing::{info, warn};
@@ -17,36 +14,6 @@ use crate::{
     mocap_socket::MocapSockets,
     wake::{StopFlag, Woken},
 };
-
-/// The sockets, with a log of the server's reachability.
-struct LoggedSockets {
-    sockets: MocapSockets,
-    is_reachable: bool,
-}
-
-impl Sockets for LoggedSockets {
-    fn receive(&mut self, channel: Channel, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
-        self.sockets.receive(channel, buffer)
-    }
-
-    fn send(&mut self, to: SocketAddr, bytes: &[u8]) {
-        let result = self.sockets.try_send(to, bytes);
-        if let Err(error) = &result
-            && self.is_reachable
-        {
-            warn!(server = %to, %error, "can't send to motion_capture.server");
-        }
-        self.is_reachable = result.is_ok();
-    }
-
-    fn stream(&mut self, wanted: Option<Stream>, received: &mut Vec<u8>) -> StreamEvent {
-        self.sockets.stream(wanted, received)
-    }
-
-    fn write_stream(&mut self, bytes: &[u8]) {
-        self.sockets.write_stream(bytes);
-    }
-}
 
 /// Lines that the cameras may write to the log in a span of time: a server that is out of order
 /// must not fill it.
@@ -81,15 +48,11 @@ const OPENING: Duration = Duration::from_millis(5);
 /// and the number of observations that found no room in the ring to the control loop.
 pub(crate) fn run(
     mut receiver: CameraReceiver,
-    sockets: MocapSockets,
+    mut sockets: MocapSockets,
     config: &MotionCaptureSection,
     stop: &StopFlag,
     control: &Thread,
 ) -> (PlanarCounters, u64) {
-    let mut sockets = LoggedSockets {
-        sockets,
-        is_reachable: true,
-    };
     let mut budget = LogBudget::default();
     let mut passed = 0;
     loop {
@@ -103,10 +66,10 @@ pub(crate) fn run(
             control.unpark();
         }
         let mut wait = Duration::from_nanos(until_ns.saturating_sub(monotonic_ns()));
-        if sockets.sockets.is_opening() {
+        if sockets.is_opening() {
             wait = wait.min(OPENING);
         }
-        if stop.wait(&sockets.sockets.files(), wait) == Woken::Stop {
+        if stop.wait(&sockets.files(), wait) == Woken::Stop {
             receiver.close(&monotonic_ns, &mut sockets);
             return (receiver.counters(), receiver.dropped());
         }

@@ -32,6 +32,8 @@ pub struct MocapSockets {
     command: UdpSocket,
     data: Option<UdpSocket>,
     stream: MocapStream,
+    /// Whether the last datagram could be sent: the first that could not is logged.
+    is_reachable: bool,
 }
 
 impl MocapSockets {
@@ -54,6 +56,7 @@ impl MocapSockets {
             command,
             data,
             stream: MocapStream::new(datagram_port),
+            is_reachable: true,
         })
     }
 
@@ -71,10 +74,6 @@ impl MocapSockets {
     pub const fn is_opening(&self) -> bool {
         self.stream.is_opening()
     }
-
-    pub(crate) fn try_send(&self, to: SocketAddr, bytes: &[u8]) -> io::Result<()> {
-        self.command.send_to(bytes, to).map(drop)
-    }
 }
 
 impl Sockets for MocapSockets {
@@ -88,8 +87,14 @@ impl Sockets for MocapSockets {
     }
 
     fn send(&mut self, to: SocketAddr, bytes: &[u8]) {
+        let result = self.command.send_to(bytes, to);
         // The session repeats what matters.
-        let _ = self.try_send(to, bytes);
+        if let Err(error) = &result
+            && self.is_reachable
+        {
+            tracing::warn!(server = %to, %error, "can't send to motion_capture.server");
+        }
+        self.is_reachable = result.is_ok();
     }
 
     fn stream(&mut self, wanted: Option<Stream>, received: &mut Vec<u8>) -> StreamEvent {

@@ -47,13 +47,25 @@ struct Shared {
 #[derive(Debug)]
 struct Published {
     view: Configuration,
-    setpoint_timeout: Option<f64>,
-    braking_m_s2: f64,
-    estimator: EstimatorSection,
+    config: Config,
     subject: Option<Subject>,
-    tuning: TuningRule,
     /// All of it; none if a path is not UTF-8.
     toml: Option<Arc<str>>,
+}
+
+impl Published {
+    fn of(configurations: &Configurations, last_change: Option<Change>) -> Self {
+        let config = configurations.in_force();
+        Self {
+            view: Configuration {
+                number: configurations.number(),
+                last_change,
+            },
+            config: config.clone(),
+            subject: subject(config).ok(),
+            toml: config.to_toml().ok().map(Arc::from),
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -72,18 +84,7 @@ impl Reconfigurer {
         Self(Arc::new(Shared {
             requests,
             entries,
-            published: Mutex::new(Published {
-                view: Configuration {
-                    number: configurations.number(),
-                    last_change: None,
-                },
-                setpoint_timeout: setpoint_timeout(configurations.in_force()),
-                braking_m_s2: configurations.in_force().fence.braking_m_s2,
-                estimator: configurations.in_force().estimator,
-                subject: subject(configurations.in_force()).ok(),
-                tuning: configurations.in_force().tuning_rule(),
-                toml: configurations.in_force().to_toml().ok().map(Arc::from),
-            }),
+            published: Mutex::new(Published::of(&configurations, None)),
             state: Mutex::new(State {
                 configurations,
                 by: "",
@@ -123,22 +124,27 @@ impl Reconfigurer {
 
     /// How long a set-point is valid, in s; `None` if the reference in force is not external.
     pub(crate) fn setpoint_timeout(&self) -> Option<f64> {
-        self.published().setpoint_timeout
+        match self.published().config.reference {
+            ReferenceSection::External {
+                setpoint_timeout_ms,
+            } => Some(f64::from(setpoint_timeout_ms) * 1e-3),
+            _ => None,
+        }
     }
 
     /// `fence.braking_m_s2` of the configuration in force.
     pub(crate) fn braking_m_s2(&self) -> f64 {
-        self.published().braking_m_s2
+        self.published().config.fence.braking_m_s2
     }
 
     /// `[estimator]` of the configuration in force.
     pub(crate) fn estimator(&self) -> EstimatorSection {
-        self.published().estimator
+        self.published().config.estimator
     }
 
     /// The rule for requests to tune, of the configuration in force.
     pub(crate) fn tuning_rule(&self) -> TuningRule {
-        self.published().tuning
+        self.published().config.tuning_rule()
     }
 
     /// The number and the text of the configuration in force; it waits for nothing.
@@ -230,7 +236,6 @@ impl Reconfigurer {
         info!("{by}: configuration {number} is in force");
         let time_ns = monotonic_ns();
         let toml = configurations.in_force().to_toml();
-        let published_toml = toml.as_deref().ok().map(Arc::from);
         let (level, text) = match toml {
             Ok(toml) => {
                 // An error means that the collector, and with it the record, has ended.
@@ -257,31 +262,15 @@ impl Reconfigurer {
             level,
             text,
         }));
-        let subject = subject(configurations.in_force()).ok();
-        let mut published = self.published();
-        published.subject = subject;
-        published.tuning = configurations.in_force().tuning_rule();
-        published.toml = published_toml;
-        published.view.number = number;
-        published.view.last_change = Some(Change {
+        let change = Change {
             by: by.into(),
             error: None,
-        });
-        published.setpoint_timeout = setpoint_timeout(configurations.in_force());
-        published.braking_m_s2 = configurations.in_force().fence.braking_m_s2;
-        published.estimator = configurations.in_force().estimator;
+        };
+        let published = Published::of(configurations, Some(change));
+        *self.published() = published;
     }
 
     fn publish(&self, change: Change) {
         self.published().view.last_change = Some(change);
-    }
-}
-
-fn setpoint_timeout(config: &Config) -> Option<f64> {
-    match config.reference {
-        ReferenceSection::External {
-            setpoint_timeout_ms,
-        } => Some(f64::from(setpoint_timeout_ms) * 1e-3),
-        _ => None,
     }
 }

@@ -67,22 +67,16 @@ pub(crate) struct BodyReading {
 impl BodyReading {
     pub(crate) fn body(&self, body: &RigidBody) -> Body {
         let state = if body.tracking_valid() {
-            match self.pose(body) {
-                Ok(pose) => BodyState::Tracked(pose),
-                Err(invalid) => BodyState::Invalid(invalid),
-            }
+            let pose = self.read(
+                body.position_m.map(f64::from),
+                body.orientation_xyzw.map(f64::from),
+                f64::from(body.mean_error_m),
+            );
+            pose.map_or_else(BodyState::Invalid, BodyState::Tracked)
         } else {
             BodyState::Untracked
         };
         Body { id: body.id, state }
-    }
-
-    fn pose(&self, body: &RigidBody) -> Result<BodyPose, InvalidBody> {
-        self.read(
-            body.position_m.map(f64::from),
-            body.orientation_xyzw.map(f64::from),
-            f64::from(body.mean_error_m),
-        )
     }
 
     /// What a body's numbers say that a server with doubles sent.
@@ -95,10 +89,8 @@ impl BodyReading {
         if position_m.iter().any(|x| libm::fabs(*x) > FARTHEST_M) {
             return BodyState::Invalid(InvalidBody::NotFinite);
         }
-        match self.read(position_m, orientation_xyzw, mean_error_m) {
-            Ok(pose) => BodyState::Tracked(pose),
-            Err(invalid) => BodyState::Invalid(invalid),
-        }
+        self.read(position_m, orientation_xyzw, mean_error_m)
+            .map_or_else(BodyState::Invalid, BodyState::Tracked)
     }
 
     /// A pose in the server's axes.

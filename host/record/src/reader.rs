@@ -20,7 +20,7 @@ use mcap::{
 use crate::{
     Entry, Meta, RecordError, Topic, Value,
     chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
-    container::{PROFILE, part_path},
+    container::{PROFILE, failure, part_path},
     meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
     parse::{is_data_part, parse_record},
     span::{message_count, span_wall_ns},
@@ -138,11 +138,7 @@ impl Reader {
         } else {
             path
         };
-        let file = File::open(path).map_err(|source| RecordError::Io {
-            action: "open",
-            path: path.to_owned(),
-            source,
-        })?;
+        let file = File::open(path).map_err(failure("open", path))?;
         let options = LinearReaderOptions::default()
             .with_emit_chunks(true)
             .with_record_length_limit(MAX_PART_LENGTH);
@@ -329,16 +325,15 @@ impl Reader {
 
     fn read_meta(&mut self) -> Result<Meta, RecordError> {
         loop {
-            match self.step() {
-                Ok(Step::Nothing | Step::Skipped) => {}
-                Ok(Step::Cut) => {
+            match self.step()? {
+                Step::Nothing | Step::Skipped => {}
+                Step::Cut => {
                     return Err(RecordError::Empty {
                         path: self.path.clone(),
                         bytes: self.bytes,
                     });
                 }
-                Ok(Step::Message(_) | Step::End) => return Err(self.not_ours()),
-                Err(error) => return Err(error),
+                Step::Message(_) | Step::End => return Err(self.not_ours()),
             }
             let Catalogue {
                 header,
@@ -400,11 +395,8 @@ impl Reader {
             None => return Ok(Step::End),
             Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
                 let buffer = self.linear.insert(wanted.clamp(1, READ_LENGTH));
-                let length = self.file.read(buffer).map_err(|source| RecordError::Io {
-                    action: "read",
-                    path: self.path.clone(),
-                    source,
-                })?;
+                let length = self.file.read(buffer);
+                let length = length.map_err(failure("read", &self.path))?;
                 self.bytes += length as u64;
                 if length == 0 {
                     return Ok(Step::Cut);

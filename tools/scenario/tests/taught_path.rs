@@ -4,7 +4,7 @@
 
 use singletrack_commissioning::{Place, TeachOptions, taught_path};
 use singletrack_control::{Position, direction};
-use singletrack_core::config::{Config, ReferenceSection, Start};
+use singletrack_core::config::{Config, PathPoints, ReferenceSection, Start};
 use singletrack_pilot::{Mode, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -102,12 +102,14 @@ fn a_path_taught_by_pushing_is_driven_again_within_centimetres() {
             spacing_m: 0.1,
         };
         let taught = taught_path(&places, &options).unwrap();
-        config.reference = ReferenceSection::PathList {
-            points: taught
-                .points
-                .iter()
-                .map(|point| [point.x, point.y])
-                .collect(),
+        config.reference = ReferenceSection::Path {
+            points: PathPoints::Points(
+                taught
+                    .points
+                    .iter()
+                    .map(|point| [point.x, point.y])
+                    .collect(),
+            ),
             closed: false,
             speed_m_s: 0.4,
             lateral_acceleration_m_s2: 1.0,

@@ -60,7 +60,7 @@ impl Port {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Devices {
     pub(crate) uart: Uart,
     pub(crate) twi: Twi,
@@ -89,30 +89,16 @@ pub(crate) struct Devices {
 impl Devices {
     pub(crate) fn new() -> Self {
         Self {
-            uart: Uart::new(),
-            twi: Twi::new(),
-            watchdog: Watchdog::default(),
-            timer1: Timer1::new(),
-            ports: [Port::default(); 3],
-            high_since: [None; 2],
-            pulses: Vec::new(),
-            kill_output: false,
-            kill_changes: Vec::new(),
-            motor_level: false,
-            stop_input_open: false,
-            mark: None,
-            fatal: None,
-            warnings: Vec::new(),
             changed: true,
-            watchdog_reset: None,
             next: u64::MAX,
+            ..Self::default()
         }
     }
 
     /// Applies a reset of the processor; the pins float.
     pub(crate) fn reset(&mut self, now: u64) {
         self.ports = [Port::default(); 3];
-        self.timer1 = Timer1::new();
+        self.timer1 = Timer1::default();
         self.update_pins(now);
         self.update_kill_output(now);
         self.uart.reset();
@@ -298,12 +284,12 @@ impl Devices {
             TIMSK1 => self.timer1.mask(),
             TCCR1A..=OCR1BH => self.timer1.read(now, address - TCCR1A),
             WDTCSR => self.watchdog.read(now),
-            TWBR => self.twi.bit_rate(),
+            TWBR => self.twi.bit_rate,
             TWSR => self.twi.status(),
-            TWAR => self.twi.own_address()[0],
+            TWAR => self.twi.own_address[0],
             TWDR => self.twi.data(),
             TWCR => self.twi.control(),
-            TWAMR => self.twi.own_address()[1],
+            TWAMR => self.twi.own_address[1],
             UCSR0A..=UCSR0C => self.uart.control(usize::from(address - UCSR0A)),
             UBRR0L => self.uart.divider()[0],
             UBRR0H => self.uart.divider()[1],
@@ -336,12 +322,12 @@ impl Devices {
             TIMSK1 => self.timer1.set_mask(value),
             TCCR1A..=OCR1BH => self.timer1.write(now, address - TCCR1A, value),
             WDTCSR => self.watchdog.write(now, value),
-            TWBR => self.twi.set_bit_rate(value),
+            TWBR => self.twi.bit_rate = value,
             TWSR => self.twi.set_prescaler(value),
-            TWAR => self.twi.set_own_address(false, value),
+            TWAR => self.twi.own_address[0] = value,
             TWDR => self.twi.set_data(value),
             TWCR => self.twi.set_control(now, value),
-            TWAMR => self.twi.set_own_address(true, value),
+            TWAMR => self.twi.own_address[1] = value,
             UCSR0A..=UCSR0C => self.uart.set_control(usize::from(address - UCSR0A), value),
             UBRR0L => self.uart.set_divider(true, value),
             UBRR0H => self.uart.set_divider(false, value),

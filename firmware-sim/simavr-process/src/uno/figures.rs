@@ -29,7 +29,7 @@ pub(crate) struct Meter {
     main: u64,
     /// Interrupts in service with their start times.
     serving: Vec<(u8, u64)>,
-    interrupts: BTreeMap<u8, (u64, u32, u64)>,
+    interrupts: BTreeMap<u8, Interrupt>,
     disabled_since: Option<u64>,
     longest_critical_section: u64,
     open: Option<(u8, u64)>,
@@ -77,10 +77,11 @@ impl Meter {
         while self.serving.len() > span.depth {
             if let Some((vector, start)) = self.serving.pop() {
                 let cycles = span.to - start;
-                let (count, most, all) = self.interrupts.entry(vector).or_default();
-                *count += 1;
-                *most = (*most).max(narrow(cycles));
-                *all += cycles;
+                let interrupt = self.interrupts.entry(vector).or_default();
+                interrupt.vector = vector;
+                interrupt.count += 1;
+                interrupt.most_cycles = interrupt.most_cycles.max(narrow(cycles));
+                interrupt.all_cycles += cycles;
             }
         }
         if span.interrupts_enabled || !self.serving.is_empty() {
@@ -122,16 +123,7 @@ impl Meter {
             cycles_asleep: self.cycles_asleep,
             stack_bytes: stack_bytes(sram),
             longest_critical_section: narrow(self.longest_critical_section),
-            interrupts: self
-                .interrupts
-                .iter()
-                .map(|(&vector, &(count, most_cycles, all_cycles))| Interrupt {
-                    vector,
-                    count,
-                    most_cycles,
-                    all_cycles,
-                })
-                .collect(),
+            interrupts: self.interrupts.values().cloned().collect(),
             sections: self
                 .sections
                 .iter()

@@ -13,7 +13,7 @@ struct Channel {
     output: bool,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Timer1 {
     control: [u8; 3],
     mask: u8,
@@ -30,6 +30,8 @@ pub(crate) struct Timer1 {
 
 const TOV: u8 = 0x01;
 const ICF: u8 = 0x20;
+/// The vectors of capture, matches and overflow, with their flags.
+const INTERRUPTS: [(u8, u8); 4] = [(10, ICF), (11, 2), (12, 4), (13, TOV)];
 const PRESCALERS: [Option<i64>; 8] = [
     None,
     Some(1),
@@ -43,20 +45,6 @@ const PRESCALERS: [Option<i64>; 8] = [
 ];
 
 impl Timer1 {
-    pub(crate) fn new() -> Self {
-        Self {
-            control: [0; 3],
-            mask: 0,
-            flags: 0,
-            temp: 0,
-            capture: 0,
-            channels: [Channel::default(); 2],
-            count: 0,
-            zero: 0,
-            next_top: None,
-        }
-    }
-
     fn mode(&self) -> u8 {
         self.control[0] & 3 | (self.control[1] >> 1) & 0x0C
     }
@@ -190,24 +178,14 @@ impl Timer1 {
 
     /// Requests of interrupts 10 (capture), 11, 12 (matches) and 13 (overflow).
     pub(crate) fn requests(&self) -> [bool; 4] {
-        let requested = self.flags & self.mask;
-        [
-            requested & ICF != 0,
-            requested & 2 != 0,
-            requested & 4 != 0,
-            requested & TOV != 0,
-        ]
+        INTERRUPTS.map(|(_, flag)| self.flags & self.mask & flag != 0)
     }
 
     /// Notes the service of an interrupt, which clears its flag.
     pub(crate) fn served(&mut self, vector: u8) {
-        self.flags &= !match vector {
-            10 => ICF,
-            11 => 2,
-            12 => 4,
-            13 => TOV,
-            _ => 0,
-        };
+        for (_, flag) in INTERRUPTS.iter().filter(|(other, _)| *other == vector) {
+            self.flags &= !flag;
+        }
     }
 
     pub(crate) fn flags(&self) -> u8 {
@@ -323,7 +301,7 @@ mod tests {
 
     /// Fast PWM up to ICR1 = 9 with a compare value of 3, prescaler 8, from cycle 0.
     fn pwm() -> Timer1 {
-        let mut timer = Timer1::new();
+        let mut timer = Timer1::default();
         write16(&mut timer, 0, OCR1A, 3);
         timer.write(0, TCCR1A, 0x82);
         timer.write(0, TCCR1B, 0x18);
@@ -374,7 +352,7 @@ mod tests {
 
     #[test]
     fn the_count_is_read_as_a_whole() {
-        let mut timer = Timer1::new();
+        let mut timer = Timer1::default();
         timer.write(0, TCCR1B, 1);
         assert_eq!(timer.read(0x12FF, TCNT1), 0xFF);
         assert_eq!(timer.read(0x1301, TCNT1 + 1), 0x12);
@@ -388,7 +366,7 @@ mod tests {
 
     #[test]
     fn clear_on_match_repeats_every_compare_value_plus_one() {
-        let mut timer = Timer1::new();
+        let mut timer = Timer1::default();
         write16(&mut timer, 0, OCR1A, 249);
         // Never reached.
         write16(&mut timer, 0, OCR1B, 250);
@@ -404,7 +382,7 @@ mod tests {
     }
     #[test]
     fn the_top_is_writable_only_in_modes_that_use_it() {
-        let mut timer = Timer1::new();
+        let mut timer = Timer1::default();
         write16(&mut timer, 0, ICR1, 9);
         assert_eq!(timer.read(0, ICR1), 0);
         timer.write(0, TCCR1A, 0x02);

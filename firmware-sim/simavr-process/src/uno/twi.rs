@@ -42,20 +42,21 @@ pub(crate) struct Twi {
     /// Pulses that the jammed slave still needs.
     pulses_to_free: u8,
     clock_high: bool,
-    bit_rate: u8,
+    pub(crate) bit_rate: u8,
     prescaler: u8,
     control: u8,
     status: u8,
     data: u8,
-    own_address: [u8; 2],
+    /// Own address and its mask.
+    pub(crate) own_address: [u8; 2],
     /// Between a start and a stop condition of this master.
     owns_bus: bool,
     /// The action in progress and its end. `u64::MAX`: it waits for the data line.
     action: Option<(Action, u64)>,
 }
 
-impl Twi {
-    pub(crate) fn new() -> Self {
+impl Default for Twi {
+    fn default() -> Self {
         Self {
             imu: Bno055::default(),
             fault: BusFault::None,
@@ -71,14 +72,16 @@ impl Twi {
             action: None,
         }
     }
+}
 
+impl Twi {
     /// Resets the interface, but not the bus and the IMU.
     pub(crate) fn reset(&mut self) {
         *self = Self {
             imu: std::mem::take(&mut self.imu),
             fault: self.fault,
             pulses_to_free: self.pulses_to_free,
-            ..Self::new()
+            ..Self::default()
         };
     }
 
@@ -268,14 +271,6 @@ impl Twi {
         self.prescaler = value & 3;
     }
 
-    pub(crate) fn bit_rate(&self) -> u8 {
-        self.bit_rate
-    }
-
-    pub(crate) fn set_bit_rate(&mut self, value: u8) {
-        self.bit_rate = value;
-    }
-
     pub(crate) fn data(&self) -> u8 {
         self.data
     }
@@ -285,13 +280,5 @@ impl Twi {
         if self.control & TWINT != 0 {
             self.data = value;
         }
-    }
-
-    pub(crate) fn own_address(&self) -> [u8; 2] {
-        self.own_address
-    }
-
-    pub(crate) fn set_own_address(&mut self, mask: bool, value: u8) {
-        self.own_address[usize::from(mask)] = value;
     }
 }

@@ -34,8 +34,8 @@ pub(crate) struct Uart {
     pub(crate) bytes_overrun: u64,
 }
 
-impl Uart {
-    pub(crate) fn new() -> Self {
+impl Default for Uart {
+    fn default() -> Self {
         Self {
             control: [0, 0, FORMAT_8N1],
             divider: 0,
@@ -50,12 +50,14 @@ impl Uart {
             bytes_overrun: 0,
         }
     }
+}
 
+impl Uart {
     pub(crate) fn reset(&mut self) {
         *self = Self {
             transmitted: std::mem::take(&mut self.transmitted),
             bytes_overrun: self.bytes_overrun,
-            ..Self::new()
+            ..Self::default()
         };
     }
 
@@ -86,11 +88,7 @@ impl Uart {
     /// Requests of interrupts 18 (received), 19 (buffer empty) and 20 (sent).
     pub(crate) fn requests(&self) -> [bool; 3] {
         let requested = self.flags() & self.control[1];
-        [
-            requested & RXC != 0,
-            requested & UDRE != 0,
-            requested & TXC != 0,
-        ]
+        [RXC, UDRE, TXC].map(|flag| requested & flag != 0)
     }
 
     /// Notes the service of the interrupt "sent", which clears its flag.
@@ -209,7 +207,7 @@ mod tests {
     const BYTE: u64 = 10 * BIT;
 
     fn uart() -> Uart {
-        let mut uart = Uart::new();
+        let mut uart = Uart::default();
         uart.set_divider(true, 16);
         uart.set_control(0, U2X);
         uart.set_control(1, RXEN | TXEN);

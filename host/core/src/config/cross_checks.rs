@@ -142,18 +142,12 @@ pub(super) fn validate(config: &Config) -> Result<(), ConfigError> {
 
 /// Refuses a path whose speed profile goes beyond what the controller lets the car do.
 fn path_within_limits(config: &Config) -> Result<(), ConfigError> {
-    let (ReferenceSection::Path {
+    let ReferenceSection::Path {
         speed_m_s,
         lateral_acceleration_m_s2,
         acceleration_m_s2,
         ..
-    }
-    | ReferenceSection::PathList {
-        speed_m_s,
-        lateral_acceleration_m_s2,
-        acceleration_m_s2,
-        ..
-    }) = config.reference
+    } = config.reference
     else {
         return Ok(());
     };

@@ -25,7 +25,6 @@ mod outer_loop;
 mod output;
 mod reference;
 mod safety_filter;
-mod sections;
 mod serial;
 mod supervisor;
 
@@ -42,6 +41,8 @@ use singletrack_link::SessionConfig;
 use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
 use singletrack_protocol::Configuration;
 use singletrack_settings::{Declared as _, Maps as _, seconds, section};
+
+use self::{outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys};
 
 pub use actuators::ActuatorsSection;
 pub use board::{BoardSection, EscSection, ImuSection, ServoSection, SpeedSection};
@@ -63,9 +64,8 @@ pub use neighbours::NeighboursSection;
 pub use online_calibration::{OnlineCalibrationMode, OnlineCalibrationSection};
 pub use outer_loop::OuterLoopSection;
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
-pub use reference::{ReferenceSection, StepSection, WaypointSection};
+pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
 pub use safety_filter::SafetyFilterSection;
-pub use sections::SECTIONS;
 pub use serial::SerialSection;
 pub use singletrack_control::{MarkerLoss, Start};
 pub use singletrack_mocap::UpAxis;
@@ -133,6 +133,41 @@ section! {
     /// The page for a browser.
     page: PageSection = PageSection::default();
 }
+
+/// Every section, in the order of the file.
+pub const SECTIONS: &[Section] = &[
+    SerialSection::SECTION,
+    MotionCaptureSection::SECTION,
+    PoseSection::SECTION,
+    TimingSection::SECTION,
+    LawSection::SECTION,
+    OuterLoopKeys::SECTION,
+    ReferenceKeys::SECTION,
+    GovernorSection::SECTION,
+    VehicleKeys::SECTION,
+    LimitsSection::SECTION,
+    EstimatorSection::SECTION,
+    SupervisorSection::SECTION,
+    WatchSection::SECTION,
+    FenceSection::SECTION,
+    BoardSection::SECTION,
+    ServoSection::SECTION,
+    EscSection::SECTION,
+    SpeedSection::SECTION,
+    ImuSection::SECTION,
+    ActuatorsSection::SECTION,
+    CompensationSection::SECTION,
+    SafetyFilterSection::SECTION,
+    NeighboursSection::SECTION,
+    TuningSection::SECTION,
+    OnlineCalibrationSection::SECTION,
+    ControlSection::SECTION,
+    RecordSection::SECTION,
+    StateSection::SECTION,
+    SocketSection::SECTION,
+    LiveSection::SECTION,
+    PageSection::SECTION,
+];
 
 impl Config {
     /// Reads and checks a file. A relative path of waypoints starts at the file's folder.

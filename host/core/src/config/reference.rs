@@ -1,6 +1,9 @@
 //! `[reference]`: where P should be.
 
-use std::path::{Path, PathBuf};
+use std::{
+    borrow::Cow,
+    path::{Path, PathBuf},
+};
 
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
@@ -62,8 +65,9 @@ pub enum ReferenceSection {
     },
     /// See [`Path`](singletrack_control::Path).
     Path {
-        /// CSV file with the columns `x_m,y_m`; relative to the file that names it.
-        file: PathBuf,
+        /// Where it leads.
+        #[serde(flatten)]
+        points: PathPoints,
         /// Whether the path leads from its last point back to the first.
         closed: bool,
         /// Where a drive begins on a closed one.
@@ -75,27 +79,21 @@ pub enum ReferenceSection {
         /// Highest acceleration and deceleration along the path, in m/s².
         acceleration_m_s2: f64,
     },
-    /// The same, written out: what a record holds.
-    #[serde(rename = "path")]
-    PathList {
-        /// The points in m, in order.
-        points: Vec<[f64; 2]>,
-        /// As in [`Path`](Self::Path).
-        closed: bool,
-        /// As in [`Path`](Self::Path).
-        start: Start,
-        /// As in [`Path`](Self::Path).
-        speed_m_s: f64,
-        /// As in [`Path`](Self::Path).
-        lateral_acceleration_m_s2: f64,
-        /// As in [`Path`](Self::Path).
-        acceleration_m_s2: f64,
-    },
     /// See [`External`]: set-points from the control socket.
     External {
         /// The car stops when the last set-point is older.
         setpoint_timeout_ms: u32,
     },
+}
+
+/// The points of a path.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PathPoints {
+    /// CSV file with the columns `x_m,y_m`; relative to the file that names it.
+    File(PathBuf),
+    /// In m, in order: what a record holds.
+    Points(Vec<[f64; 2]>),
 }
 
 /// One velocity step.
@@ -236,26 +234,18 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
                     }
                     (false, _) => Start::Beginning,
                 };
-                let lateral_acceleration_m_s2 =
-                    keys.lateral_acceleration_m_s2.unwrap_or(PATH_LATERAL_M_S2);
-                let acceleration_m_s2 = keys.acceleration_m_s2.unwrap_or(PATH_ACCELERATION_M_S2);
-                match keys.points {
-                    Some(points) => Self::PathList {
-                        points,
-                        closed,
-                        start,
-                        speed_m_s,
-                        lateral_acceleration_m_s2,
-                        acceleration_m_s2,
+                Self::Path {
+                    points: match keys.points {
+                        Some(points) => PathPoints::Points(points),
+                        None => PathPoints::File(written.need("file", keys.file)?),
                     },
-                    None => Self::Path {
-                        file: written.need("file", keys.file)?,
-                        closed,
-                        start,
-                        speed_m_s,
-                        lateral_acceleration_m_s2,
-                        acceleration_m_s2,
-                    },
+                    closed,
+                    start,
+                    speed_m_s,
+                    lateral_acceleration_m_s2: keys
+                        .lateral_acceleration_m_s2
+                        .unwrap_or(PATH_LATERAL_M_S2),
+                    acceleration_m_s2: keys.acceleration_m_s2.unwrap_or(PATH_ACCELERATION_M_S2),
                 }
             }
             ReferenceKind::External => Self::External {
@@ -270,7 +260,12 @@ impl TryFrom<ReferenceKeys> for ReferenceSection {
 impl ReferenceSection {
     /// Finds the file of waypoints or points from `folder` if its path is relative.
     pub fn resolve(&mut self, folder: &Path) {
-        if let Self::Waypoints { file } | Self::Path { file, .. } = self {
+        if let Self::Waypoints { file }
+        | Self::Path {
+            points: PathPoints::File(file),
+            ..
+        } = self
+        {
             *file = folder.join(&*file);
         }
     }
@@ -279,7 +274,11 @@ impl ReferenceSection {
     #[must_use]
     pub fn file(&self) -> Option<&Path> {
         match self {
-            Self::Waypoints { file } | Self::Path { file, .. } => Some(file),
+            Self::Waypoints { file }
+            | Self::Path {
+                points: PathPoints::File(file),
+                ..
+            } => Some(file),
             _ => None,
         }
     }
@@ -290,8 +289,7 @@ impl ReferenceSection {
         match self {
             Self::Circle { start, .. }
             | Self::FigureOfEight { start, .. }
-            | Self::Path { start, .. }
-            | Self::PathList { start, .. } => *start,
+            | Self::Path { start, .. } => *start,
             _ => Start::Beginning,
         }
     }
@@ -300,8 +298,7 @@ impl ReferenceSection {
     pub const fn start_at(&mut self, wanted: Start) {
         if let Self::Circle { start, .. }
         | Self::FigureOfEight { start, .. }
-        | Self::Path { start, .. }
-        | Self::PathList { start, .. } = self
+        | Self::Path { start, .. } = self
         {
             *start = wanted;
         }
@@ -313,7 +310,8 @@ impl ReferenceSection {
     ///
     /// Waypoints that can't be read.
     pub fn with_points_inlined(&self) -> Result<Self, ConfigError> {
-        match self {
+        let mut inlined = self.clone();
+        match &mut inlined {
             Self::Waypoints { file } => {
                 let waypoints = waypoints_of(file)?;
                 let written_out = |waypoint: &Waypoint| WaypointSection {
@@ -321,27 +319,14 @@ impl ReferenceSection {
                     x_m: waypoint.position.x,
                     y_m: waypoint.position.y,
                 };
-                Ok(Self::WaypointList {
+                inlined = Self::WaypointList {
                     waypoints: waypoints.points().iter().map(written_out).collect(),
-                })
+                };
             }
-            Self::Path {
-                file,
-                closed,
-                start,
-                speed_m_s,
-                lateral_acceleration_m_s2,
-                acceleration_m_s2,
-            } => Ok(Self::PathList {
-                points: points_of(file)?,
-                closed: *closed,
-                start: *start,
-                speed_m_s: *speed_m_s,
-                lateral_acceleration_m_s2: *lateral_acceleration_m_s2,
-                acceleration_m_s2: *acceleration_m_s2,
-            }),
-            _ => Ok(self.clone()),
+            Self::Path { points, .. } => *points = PathPoints::Points(points.read()?.into_owned()),
+            _ => {}
         }
+        Ok(inlined)
     }
 
     /// The reference, with waypoints read from their file.
@@ -396,8 +381,7 @@ impl ReferenceSection {
                     .collect();
                 Reference::Waypoints(Waypoints::new(&waypoints)?)
             }
-            Self::Path { .. } => self.with_points_inlined()?.reference()?,
-            Self::PathList {
+            Self::Path {
                 points,
                 closed,
                 speed_m_s,
@@ -405,7 +389,11 @@ impl ReferenceSection {
                 acceleration_m_s2,
                 ..
             } => {
-                let points: Vec<_> = points.iter().map(|[x, y]| Position::new(*x, *y)).collect();
+                let points: Vec<_> = points
+                    .read()?
+                    .iter()
+                    .map(|[x, y]| Position::new(*x, *y))
+                    .collect();
                 let limits = PathSpeed {
                     speed: *speed_m_s,
                     lateral_acceleration: *lateral_acceleration_m_s2,
@@ -420,15 +408,23 @@ impl ReferenceSection {
     }
 }
 
-fn waypoints_of(file: &Path) -> Result<Waypoints, ConfigError> {
-    read_waypoints(file).map_err(|source| ConfigError::Waypoints {
-        path: file.to_owned(),
-        source,
-    })
+impl PathPoints {
+    fn read(&self) -> Result<Cow<'_, [[f64; 2]]>, ConfigError> {
+        match self {
+            Self::Points(points) => Ok(points.into()),
+            Self::File(file) => match read_points(file) {
+                Ok(points) => Ok(points.into()),
+                Err(source) => Err(ConfigError::Waypoints {
+                    path: file.to_owned(),
+                    source,
+                }),
+            },
+        }
+    }
 }
 
-fn points_of(file: &Path) -> Result<Vec<[f64; 2]>, ConfigError> {
-    read_points(file).map_err(|source| ConfigError::Waypoints {
+fn waypoints_of(file: &Path) -> Result<Waypoints, ConfigError> {
+    read_waypoints(file).map_err(|source| ConfigError::Waypoints {
         path: file.to_owned(),
         source,
     })

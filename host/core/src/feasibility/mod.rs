@@ -60,6 +60,32 @@ pub struct Finding {
     pub fix: String,
 }
 
+impl Finding {
+    /// Of a value that should be looked at.
+    pub fn warning(key: &'static str, value: impl fmt::Display, fix: impl Into<String>) -> Self {
+        Self::new(Severity::Warning, key, value, fix)
+    }
+
+    /// Of a value with which the car can't do what is asked.
+    fn impossible(key: &'static str, value: impl fmt::Display, fix: impl Into<String>) -> Self {
+        Self::new(Severity::Impossible, key, value, fix)
+    }
+
+    fn new(
+        severity: Severity,
+        key: &'static str,
+        value: impl fmt::Display,
+        fix: impl Into<String>,
+    ) -> Self {
+        Self {
+            severity,
+            key,
+            value: value.to_string(),
+            fix: fix.into(),
+        }
+    }
+}
+
 impl fmt::Display for Finding {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
@@ -152,11 +178,9 @@ pub fn judge_reference(
             let impossible = found
                 .into_iter()
                 .filter(|finding| finding.severity == Severity::Impossible);
-            judgement.findings.extend(impossible.map(|finding| Finding {
-                severity: Severity::Impossible,
-                key: extreme.key,
-                value: extreme.bounds.clone(),
-                fix: format!("with {}: {finding}; or narrow the bounds", extreme.place),
+            judgement.findings.extend(impossible.map(|finding| {
+                let fix = format!("with {}: {finding}; or narrow the bounds", extreme.place);
+                Finding::impossible(extreme.key, &extreme.bounds, fix)
             }));
         }
     }
@@ -210,35 +234,27 @@ fn judge_untuned(
 
 /// Values that were left as they are in the example file.
 fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
-    let mut warn = |key, value: String, fix: &str| {
-        findings.push(Finding {
-            severity: Severity::Warning,
-            key,
-            value,
-            fix: fix.to_owned(),
-        });
-    };
     if config.motion_capture.server == EXAMPLE_SERVER {
-        warn(
+        findings.push(Finding::warning(
             "motion_capture.server",
-            config.motion_capture.server.to_string(),
+            config.motion_capture.server,
             "this is the example's address; give that of the computer that runs the motion capture",
-        );
+        ));
     }
     if config.vehicle == VehicleParameters::paper() {
-        warn(
+        findings.push(Finding::warning(
             "vehicle",
-            "the paper's car".to_owned(),
+            "the paper's car",
             "the section is left out; give your car's mass, axles and tyres, at least its wheelbase",
-        );
+        ));
     }
     if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
-        warn(
+        findings.push(Finding::warning(
             "fence.braking_m_s2",
-            config.fence.braking_m_s2.to_string(),
+            config.fence.braking_m_s2,
             "this is the example's; let your car roll out and measure it: the fence and the watch \
              of every stop rest on it",
-        );
+        ));
     }
     let board = toml::Value::try_from(config.board).ok();
     for (key, fix) in [
@@ -264,7 +280,7 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
             .try_fold(board.as_ref(), |at, name| Some(at?.get(name)))
             .flatten();
         if is_example(key, &written.cloned()) {
-            warn(key, "the example's".to_owned(), fix);
+            findings.push(Finding::warning(key, "the example's", fix));
         }
     }
 }
@@ -318,14 +334,12 @@ fn judge_governed(
                 .iter()
                 .map(|at| [at.x, at.y])
                 .collect();
-            findings.push(Finding {
-                severity: Severity::Impossible,
-                key: "fence.corners_m",
-                value: format!("{corners:?}"),
-                fix: "the reference leads out of it, and governed it waits there for ever; widen \
-                      the fence, or give a reference that stays inside"
-                    .to_owned(),
-            });
+            findings.push(Finding::impossible(
+                "fence.corners_m",
+                format_args!("{corners:?}"),
+                "the reference leads out of it, and governed it waits there for ever; widen the \
+                 fence, or give a reference that stays inside",
+            ));
             return Some(governed);
         }
         let (severity, fix) = if ends {
@@ -343,12 +357,7 @@ fn judge_governed(
             );
             (Severity::Impossible, fix)
         };
-        findings.push(Finding {
-            severity,
-            key: "governor.enabled",
-            value: "true".to_owned(),
-            fix,
-        });
+        findings.push(Finding::new(severity, "governor.enabled", true, fix));
     }
     Some(governed)
 }
@@ -388,16 +397,12 @@ fn judge_saturation(pilot: &PilotConfig, vehicle: &VehicleParameters, findings: 
             share if share > SATURATED_WARNING => Severity::Warning,
             _ => continue,
         };
-        findings.push(Finding {
-            severity,
-            key,
-            value: value.to_string(),
-            fix: format!(
-                "the reference keeps the {what} at this limit for {:.0} % of the drive; give a \
-                 slower or wider reference",
-                100.0 * share
-            ),
-        });
+        let fix = format!(
+            "the reference keeps the {what} at this limit for {:.0} % of the drive; give a slower \
+             or wider reference",
+            100.0 * share
+        );
+        findings.push(Finding::new(severity, key, value, fix));
     }
 }
 
@@ -443,14 +448,11 @@ fn judge_fence(
         return;
     }
     if judgement.start.is_some() {
-        judgement.findings.push(Finding {
-            severity: Severity::Warning,
-            key: "fence.corners_m",
-            value: format!("less than {RESERVE_M} m from the car's path"),
-            fix: "noise and lag of a real car take it out; widen the fence or choose a smaller \
-                  reference"
-                .to_owned(),
-        });
+        judgement.findings.push(Finding::warning(
+            "fence.corners_m",
+            format_args!("less than {RESERVE_M} m from the car's path"),
+            "noise and lag of a real car take it out; widen the fence or choose a smaller reference",
+        ));
         return;
     }
     // The attempt that lasted longest explains best where the fence is too narrow.
@@ -468,18 +470,14 @@ fn elsewhere(pilot: &PilotConfig, ended: &Ended, stand: Stand, place: Stand) -> 
         Reference::Circle(_) => "",
         _ => ", or drive for a shorter time",
     };
-    Finding {
-        severity: Severity::Impossible,
-        key: "reference.start",
-        value: pilot.start.to_string(),
-        fix: format!(
-            "from here ({stand}) {}. Carry it to ({:.2}, {:.2}) m, {:.0} degrees{shorter}",
-            ended.how(),
-            place.x_m,
-            place.y_m,
-            place.yaw_rad.to_degrees()
-        ),
-    }
+    let fix = format!(
+        "from here ({stand}) {}. Carry it to ({:.2}, {:.2}) m, {:.0} degrees{shorter}",
+        ended.how(),
+        place.x_m,
+        place.y_m,
+        place.yaw_rad.to_degrees()
+    );
+    Finding::impossible("reference.start", pilot.start, fix)
 }
 
 fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
@@ -495,16 +493,13 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
         ),
         _ => ("", ", or for a shorter time"),
     };
-    Finding {
-        severity: Severity::Impossible,
-        key: "fence.corners_m",
-        value: format!("{:?}", config.fence.corners_m),
-        fix: format!(
-            "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move \
-             or shrink the reference{circle}, or drive more slowly{shorter}",
-            config.fence.margin_m(&config.vehicle)
-        ),
-    }
+    let fix = format!(
+        "{from} {how}. Widen the fence, lower fence.margin_m = {} if the car is shorter, move or \
+         shrink the reference{circle}, or drive more slowly{shorter}",
+        config.fence.margin_m(&config.vehicle)
+    );
+    let corners = format!("{:?}", config.fence.corners_m);
+    Finding::impossible("fence.corners_m", corners, fix)
 }
 
 /// The reference of a drive from there.

@@ -2,7 +2,7 @@
 
 use singletrack_control::GRAVITY;
 
-use super::{Finding, Severity};
+use super::Finding;
 use crate::config::{Config, LawKind, OuterLoopSection, SECTIONS};
 
 /// The limit of a watch or a gate over its default beyond which it sees little.
@@ -25,17 +25,18 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
     let grip = config.vehicle.friction * GRAVITY;
     let braking = config.fence.braking_m_s2;
     if braking > grip {
-        findings.push(Finding {
-            severity: Severity::Impossible,
-            key: "fence.braking_m_s2",
-            value: braking.to_string(),
-            fix: format!(
+        findings.push(Finding::impossible(
+            "fence.braking_m_s2",
+            braking,
+            format!(
                 "no car brakes harder than its tyres hold, {grip:.2} m/s2 (vehicle.friction times \
                  gravity); measure how yours brakes, or correct vehicle.friction"
             ),
-        });
+        ));
     }
-    let mut warn = warning(findings);
+    let mut warn = |key, value: String, fix: String| {
+        findings.push(Finding::warning(key, value, fix));
+    };
     let [width, depth] = extent(&config.fence.corners_m);
     if width.max(depth) > ROOM_M {
         warn(
@@ -104,18 +105,6 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
     }
     for section in ["watch", "motion_capture.pose"] {
         warn_of_wide(section, config, &mut warn);
-    }
-}
-
-/// Adds a warning.
-fn warning(findings: &mut Vec<Finding>) -> impl FnMut(&'static str, String, String) {
-    |key, value, fix| {
-        findings.push(Finding {
-            severity: Severity::Warning,
-            key,
-            value,
-            fix,
-        });
     }
 }
 

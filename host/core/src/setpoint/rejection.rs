@@ -3,54 +3,27 @@
 use core::fmt;
 
 use singletrack_control::SetpointError;
+use singletrack_words::words;
 
-/// Why a set-point has no effect, as a word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rejection {
-    /// The line is no set-point.
-    Invalid,
-    /// A value is infinite or not a number.
-    NotFinite,
-    /// A value is beyond that of any car, or a trajectory is not one.
-    OutOfRange,
-    /// It was decided later than now, or its trajectory begins too late.
-    Future,
-    /// It is older than the time-out, or its trajectory is over.
-    Old,
-    /// Its number is not above the last one of this connection.
-    Sequence,
-    /// Another connection gives the set-points.
-    OtherSource,
-    /// The reference in force is not external.
-    NotExternal,
-}
-
-impl Rejection {
-    /// Every one.
-    pub const ALL: [Self; 8] = [
-        Self::Invalid,
-        Self::NotFinite,
-        Self::OutOfRange,
-        Self::Future,
-        Self::Old,
-        Self::Sequence,
-        Self::OtherSource,
-        Self::NotExternal,
-    ];
-
-    /// The word in answers and figures.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Invalid => "invalid",
-            Self::NotFinite => "not-finite",
-            Self::OutOfRange => "out-of-range",
-            Self::Future => "future",
-            Self::Old => "old",
-            Self::Sequence => "sequence",
-            Self::OtherSource => "other-source",
-            Self::NotExternal => "not-external",
-        }
+words! {
+    /// Why a set-point has no effect, as the word in answers and figures.
+    pub enum Rejection {
+        /// The line is no set-point.
+        Invalid = "invalid",
+        /// A value is infinite or not a number.
+        NotFinite = "not-finite",
+        /// A value is beyond that of any car, or a trajectory is not one.
+        OutOfRange = "out-of-range",
+        /// It was decided later than now, or its trajectory begins too late.
+        Future = "future",
+        /// It is older than the time-out, or its trajectory is over.
+        Old = "old",
+        /// Its number is not above the last one of this connection.
+        Sequence = "sequence",
+        /// Another connection gives the set-points.
+        OtherSource = "other-source",
+        /// The reference in force is not external.
+        NotExternal = "not-external",
     }
 }
 

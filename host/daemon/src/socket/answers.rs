@@ -1,5 +1,6 @@
 //! The answers to commands that a line asks for and that hold no connection.
 
+use core::fmt::Display;
 use std::time::Duration;
 
 use singletrack_api::{Answer, Clocks};
@@ -115,21 +116,27 @@ pub(super) async fn reload(daemon: &DaemonHandle) -> Answer {
         return Answer::failure("this daemon was not started with a file");
     };
     let changing = daemon.clone();
-    match spawn_blocking(move || changing.reconfigurer.reload(&path)).await {
-        Ok(Ok(number)) => Answer {
-            configuration: Some(number),
-            ..Answer::done()
-        },
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
+    let reloaded = on_own_thread(move || changing.reconfigurer.reload(&path)).await;
+    reloaded.map_or_else(Answer::failure, |number| Answer {
+        configuration: Some(number),
+        ..Answer::done()
+    })
+}
+
+/// Does what reads files, waits for the control thread or judges on a thread of its own, where it
+/// does not delay a stop of another client.
+async fn on_own_thread<T: Send + 'static, E: Display + Send + 'static>(
+    work: impl FnOnce() -> Result<T, E> + Send + 'static,
+) -> Result<T, String> {
+    match spawn_blocking(work).await {
+        Ok(result) => result.map_err(|error| error.to_string()),
+        Err(error) => Err(error.to_string()),
     }
 }
 
 pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Answer {
     let changing = daemon.clone();
-    // It reads files, waits for the control thread and judges. On a thread of its own, it does
-    // not delay a stop of another client.
-    let changed = spawn_blocking(move || {
+    let changed = on_own_thread(move || {
         let number = changing
             .reconfigurer
             .set_reference(reference, changing.config_path.as_deref())?;
@@ -138,15 +145,11 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
         Ok::<_, ChangeError>((number, warnings))
     })
     .await;
-    match changed {
-        Ok(Ok((number, warnings))) => Answer {
-            configuration: Some(number),
-            warnings,
-            ..Answer::done()
-        },
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
-    }
+    changed.map_or_else(Answer::failure, |(number, warnings)| Answer {
+        configuration: Some(number),
+        warnings,
+        ..Answer::done()
+    })
 }
 
 /// Keeps the state of a procedure with the configuration in force.
@@ -157,7 +160,7 @@ pub(super) async fn commissioned(
 ) -> Answer {
     let noting = daemon.clone();
     // It waits for a change that is under way, and for the disk.
-    let noted = spawn_blocking(move || {
+    let noted = on_own_thread(move || {
         let (_, config) = noting.reconfigurer.in_force();
         let subject = subject(&config).map_err(|error| error.to_string())?;
         let noted = noting.commissioned.note(procedure, result, subject);
@@ -169,9 +172,5 @@ pub(super) async fn commissioned(
         })
     })
     .await;
-    match noted {
-        Ok(Ok(())) => Answer::done(),
-        Ok(Err(error)) => Answer::failure(error),
-        Err(error) => Answer::failure(error),
-    }
+    noted.map_or_else(Answer::failure, |()| Answer::done())
 }

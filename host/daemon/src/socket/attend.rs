@@ -34,55 +34,29 @@ const LEAST_RENEWAL: Duration = Duration::from_millis(20);
 /// hold gets three in that time.
 const REPORT: Duration = Duration::from_millis(200);
 
+/// A client, with its connection.
+pub(super) struct Client<'a> {
+    pub(super) read: BufReader<ReadHalf>,
+    pub(super) write: WriteHalf,
+    pub(super) daemon: &'a DaemonHandle,
+    pub(super) setpoints: SetpointStream,
+}
+
 /// Arms a drive and holds it for as long as the client renews it. Returns whether the
 /// connection is still open.
-pub(super) async fn hold(
-    read: &mut BufReader<ReadHalf>,
-    write: &mut WriteHalf,
-    daemon: &DaemonHandle,
-    setpoints: &mut SetpointStream,
-    request: Arm,
-) -> io::Result<bool> {
+pub(super) async fn hold(client: &mut Client<'_>, request: Arm) -> io::Result<bool> {
     let begun = tokio::select! {
-        begun = begin(daemon, request) => begun,
-        () = hung_up(read) => return Ok(false),
+        begun = begin(client.daemon, request) => begun,
+        () = hung_up(&mut client.read) => return Ok(false),
     };
-    let (ticket, watch) = match begun {
-        Ok(begun) => begun,
-        Err(error) => {
-            send(write, &Answer::failure(error)).await?;
-            return Ok(true);
-        }
-    };
-    let drive = Attended {
-        ticket,
-        jogs: false,
-        hold: request.hold,
-    };
-    attend(read, write, daemon, setpoints, &drive, watch).await
+    attend(client, begun, false, request.hold).await
 }
 
 /// Arms to jog, and passes pulses on for as long as the client gives them. Returns whether the
 /// connection is still open.
-pub(super) async fn jog(
-    read: &mut BufReader<ReadHalf>,
-    write: &mut WriteHalf,
-    daemon: &DaemonHandle,
-    setpoints: &mut SetpointStream,
-) -> io::Result<bool> {
-    let (ticket, watch) = match begin_jogging(daemon) {
-        Ok(begun) => begun,
-        Err(error) => {
-            send(write, &Answer::failure(error)).await?;
-            return Ok(true);
-        }
-    };
-    let drive = Attended {
-        ticket,
-        jogs: true,
-        hold: None,
-    };
-    attend(read, write, daemon, setpoints, &drive, watch).await
+pub(super) async fn jog(client: &mut Client<'_>) -> io::Result<bool> {
+    let begun = begin_jogging(client.daemon);
+    attend(client, begun, true, None).await
 }
 
 /// A drive that a connection holds.
@@ -103,32 +77,41 @@ pub(super) async fn hung_up(read: &mut BufReader<ReadHalf>) {
     }
 }
 
-/// Serves the client of a held drive until the drive has ended: true. False if the connection
-/// ended before.
+/// Serves the client of a held drive until the drive has ended, or if it has not begun: true. False
+/// if the connection ended before.
 async fn attend(
-    read: &mut BufReader<ReadHalf>,
-    write: &mut WriteHalf,
-    daemon: &DaemonHandle,
-    setpoints: &mut SetpointStream,
-    drive: &Attended,
-    watch: DriveWatch,
+    client: &mut Client<'_>,
+    begun: Result<(Ticket, DriveWatch), String>,
+    jogs: bool,
+    hold: Option<Duration>,
 ) -> io::Result<bool> {
-    let result = serve_drive(read, write, daemon, setpoints, drive, watch).await;
+    let (ticket, watch) = match begun {
+        Ok(begun) => begun,
+        Err(error) => {
+            send(&mut client.write, &Answer::failure(error)).await?;
+            return Ok(true);
+        }
+    };
+    let drive = Attended { ticket, jogs, hold };
+    let result = serve_drive(client, &drive, watch).await;
     if !matches!(result, Ok(true)) {
         // The client is gone, and the drive is not over.
-        let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
+        let _ = drive.ticket.push(client.daemon, PilotRequest::OperatorGone);
     }
     result
 }
 
 async fn serve_drive(
-    read: &mut BufReader<ReadHalf>,
-    write: &mut WriteHalf,
-    daemon: &DaemonHandle,
-    setpoints: &mut SetpointStream,
+    client: &mut Client<'_>,
     drive: &Attended,
     mut watch: DriveWatch,
 ) -> io::Result<bool> {
+    let Client {
+        read,
+        write,
+        daemon,
+        setpoints,
+    } = client;
     let mut line = Vec::new();
     let mut polls = interval(POLL);
     polls.set_missed_tick_behavior(MissedTickBehavior::Delay);

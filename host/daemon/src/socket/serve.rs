@@ -6,8 +6,8 @@ use singletrack_access::Place;
 use singletrack_api::{Answer, Clocks, Reply, SOCKET_VERSION};
 use singletrack_record::{Channel, Topic};
 use tokio::{
-    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
-    sync::broadcast::error::RecvError,
+    io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
+    sync::broadcast::{self, error::RecvError},
     task::yield_now,
     time::timeout,
 };
@@ -15,11 +15,11 @@ use tokio::{
 use super::{
     answers::{answer, clocks, commissioned, configuration, no_command, reload, set_reference},
     arm::arm,
-    attend::{hold, hung_up, jog},
+    attend::{Client, hold, hung_up, jog},
     command::{Attendance, Command, SimpleRequest},
     lines::{LONGEST_LINE, send, skip_line},
     setpoint::SetpointStream,
-    stream::{Connection, WriteHalf, limit_send_buffer},
+    stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     tune::tune,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, shared_status::WATCHERS};
@@ -64,18 +64,19 @@ pub(super) async fn refuse(
 }
 
 pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::Result<()> {
-    let Connection {
-        mut read,
-        mut write,
-    } = connection;
+    let mut client = Client {
+        read: connection.read,
+        write: connection.write,
+        daemon,
+        setpoints: SetpointStream::default(),
+    };
     let mut line = Vec::new();
-    let mut setpoints = SetpointStream::default();
     loop {
         line.clear();
         // One line, and then a line of each other client: none that sends without a pause delays the
         // stop of another one by more.
         yield_now().await;
-        let count = (&mut read)
+        let count = (&mut client.read)
             .take(LONGEST_LINE)
             .read_until(b'\n', &mut line)
             .await?;
@@ -85,9 +86,9 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
         if !line.ends_with(b"\n") && count as u64 == LONGEST_LINE {
             // The rest is read first: a client that is still writing would not read the
             // answer.
-            skip_line(&mut read).await?;
+            skip_line(&mut client.read).await?;
             let answer = Answer::failure(format!("a line is at most {LONGEST_LINE} bytes long"));
-            send(&mut write, &answer).await?;
+            send(&mut client.write, &answer).await?;
             continue;
         }
         let command = Command::parse(&line, monotonic_ns());
@@ -98,115 +99,127 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
         let place = watches.then(|| daemon.status.watch_places.try_acquire());
         if let Some(Err(_)) = place {
             let error = format!("{WATCHERS} clients watch; close one: the others may command");
-            send(&mut write, &Answer::failure(error)).await?;
+            send(&mut client.write, &Answer::failure(error)).await?;
             continue;
         }
         match command {
             Ok(Command::Watch { topics }) => {
-                let mut rest = [0];
-                // A watcher sends no more lines. Reading detects that it has disconnected, also
-                // while there are no entries.
-                return tokio::select! {
-                    result = watch(&mut write, daemon, &topics) => result,
-                    closed = read.read(&mut rest) => closed.map(drop),
-                };
+                return until_gone(&mut client.read, watch(&mut client.write, daemon, &topics))
+                    .await;
             }
             Ok(Command::Messages { channels }) => {
-                let mut rest = [0];
-                return tokio::select! {
-                    result = messages(&mut write, daemon, &channels) => result,
-                    closed = read.read(&mut rest) => closed.map(drop),
-                };
+                return until_gone(
+                    &mut client.read,
+                    messages(&mut client.write, daemon, &channels),
+                )
+                .await;
             }
             Ok(Command::WatchState) => {
-                let mut rest = [0];
-                return tokio::select! {
-                    result = watch_state(&mut write, daemon) => result,
-                    closed = read.read(&mut rest) => closed.map(drop),
-                };
+                return until_gone(&mut client.read, watch_state(&mut client.write, daemon)).await;
             }
             Ok(Command::Arm(request)) if request.attendance == Attendance::Hold => {
-                if !hold(&mut read, &mut write, daemon, &mut setpoints, request).await? {
+                if !hold(&mut client, request).await? {
                     return Ok(());
                 }
             }
             Ok(Command::ArmJog) => {
-                if !jog(&mut read, &mut write, daemon, &mut setpoints).await? {
+                if !jog(&mut client).await? {
                     return Ok(());
                 }
             }
             Ok(Command::Jog(_)) => {
                 let error = "jog gives pulses on a connection that jogs: arm first with \
                              {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
-                send(&mut write, &Answer::failure(error)).await?;
+                send(&mut client.write, &Answer::failure(error)).await?;
             }
             Ok(Command::Reload) => {
-                send(&mut write, &reload(daemon).await).await?;
+                send(&mut client.write, &reload(daemon).await).await?;
             }
             Ok(Command::Arm(request)) => {
                 // A client that has given up must not be obeyed later.
                 let armed = tokio::select! {
                     armed = arm(daemon, request) => armed,
-                    () = hung_up(&mut read) => return Ok(()),
+                    () = hung_up(&mut client.read) => return Ok(()),
                 };
                 let answer = armed.map_or_else(Answer::failure, |()| Answer::done());
-                send(&mut write, &answer).await?;
+                send(&mut client.write, &answer).await?;
             }
             Ok(Command::Hold) => {
                 let error = "hold renews a drive that this connection armed with the attendance \
                              \"hold\"; there is none";
-                send(&mut write, &Answer::failure(error)).await?;
+                send(&mut client.write, &Answer::failure(error)).await?;
             }
             Ok(Command::Simple(request)) => {
-                send(&mut write, &answer(request, daemon).await).await?;
+                send(&mut client.write, &answer(request, daemon).await).await?;
             }
-            Ok(Command::Clock) => send(&mut write, &clocks()).await?,
-            Ok(Command::Configuration) => send(&mut write, &configuration(daemon)).await?,
+            Ok(Command::Clock) => send(&mut client.write, &clocks()).await?,
+            Ok(Command::Configuration) => send(&mut client.write, &configuration(daemon)).await?,
             Ok(Command::SetReference(reference)) => {
-                send(&mut write, &set_reference(reference, daemon).await).await?;
+                send(&mut client.write, &set_reference(reference, daemon).await).await?;
             }
             Ok(Command::Tune(tuning)) => {
-                send(&mut write, &tune(tuning, daemon).await).await?;
+                send(&mut client.write, &tune(tuning, daemon).await).await?;
             }
             Ok(Command::Commissioned { procedure, result }) => {
                 let answer = commissioned(procedure, result, daemon).await;
-                send(&mut write, &answer).await?;
+                send(&mut client.write, &answer).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {
-                if let Some(answer) = setpoints.pass(daemon, &setpoint) {
-                    send(&mut write, &answer).await?;
+                if let Some(answer) = client.setpoints.pass(daemon, &setpoint) {
+                    send(&mut client.write, &answer).await?;
                 }
             }
-            Err(error) => send(&mut write, &no_command(daemon, &error)).await?,
+            Err(error) => send(&mut client.write, &no_command(daemon, &error)).await?,
         }
     }
 }
 
-/// To a watcher that is too slow.
-const fn behind(missed: u64) -> Reply {
-    Reply::Missed {
-        missed,
-        version: SOCKET_VERSION,
+/// Serves a watcher, who sends no more lines. Reading detects that it has disconnected, also while
+/// there is nothing to send.
+async fn until_gone(
+    read: &mut BufReader<ReadHalf>,
+    watching: impl Future<Output = io::Result<()>>,
+) -> io::Result<()> {
+    let mut rest = [0];
+    tokio::select! {
+        result = watching => result,
+        closed = read.read(&mut rest) => closed.map(drop),
     }
 }
 
-async fn watch(write: &mut WriteHalf, daemon: &DaemonHandle, topics: &[Topic]) -> io::Result<()> {
-    let mut entries = daemon.status.watchers.subscribe();
-    send(write, &Answer::done()).await?;
+/// Sends what `encode` makes of everything that comes. A watcher that is too slow loses the oldest.
+async fn relay<T: Clone>(
+    write: &mut WriteHalf,
+    mut feed: broadcast::Receiver<T>,
+    encode: impl Fn(T, &mut Vec<u8>),
+) -> io::Result<()> {
+    let mut bytes = Vec::new();
     loop {
-        match entries.recv().await {
-            Ok((topic, line)) => {
-                if topics.is_empty() || topics.contains(&topic) {
-                    write.write_all(line.as_bytes()).await?;
-                    write.write_all(b"\n").await?;
-                }
+        match feed.recv().await {
+            Ok(item) => {
+                bytes.clear();
+                encode(item, &mut bytes);
+                write.write_all(&bytes).await?;
             }
             Err(RecvError::Lagged(missed)) => {
-                send(write, &behind(missed)).await?;
+                let version = SOCKET_VERSION;
+                send(write, &Reply::Missed { missed, version }).await?;
             }
             Err(RecvError::Closed) => return Ok(()),
         }
     }
+}
+
+async fn watch(write: &mut WriteHalf, daemon: &DaemonHandle, topics: &[Topic]) -> io::Result<()> {
+    let entries = daemon.status.watchers.subscribe();
+    send(write, &Answer::done()).await?;
+    relay(write, entries, |(topic, line), bytes| {
+        if topics.is_empty() || topics.contains(&topic) {
+            bytes.extend_from_slice(line.as_bytes());
+            bytes.push(b'\n');
+        }
+    })
+    .await
 }
 
 /// Sends messages as ROS 2 encodes them: for each a line with its length, then its bytes.
@@ -216,7 +229,7 @@ async fn messages(
     channels: &[Channel],
 ) -> io::Result<()> {
     let feed = &daemon.status.messages;
-    let mut frames = feed.subscribe();
+    let frames = feed.subscribe();
     let begun = Answer {
         clocks: Some(Clocks {
             monotonic_ns: feed.clocks.monotonic_ns,
@@ -225,34 +238,19 @@ async fn messages(
         ..Answer::done()
     };
     send(write, &begun).await?;
-    let mut bytes = Vec::new();
-    loop {
-        match frames.recv().await {
-            Ok(frames) => {
-                bytes.clear();
-                frames.choose(channels, &mut bytes);
-                write.write_all(&bytes).await?;
-            }
-            Err(RecvError::Lagged(missed)) => {
-                send(write, &behind(missed)).await?;
-            }
-            Err(RecvError::Closed) => return Ok(()),
-        }
-    }
+    relay(write, frames, |frames, bytes| {
+        frames.choose(channels, bytes);
+    })
+    .await
 }
 
 /// Sends the state of every tick. A reader that is slow loses the oldest ones.
 async fn watch_state(write: &mut WriteHalf, daemon: &DaemonHandle) -> io::Result<()> {
     limit_send_buffer(write, STATE_BUFFER)?;
-    let mut states = daemon.status.states.subscribe();
+    let states = daemon.status.states.subscribe();
     send(write, &Answer::done()).await?;
-    loop {
-        match states.recv().await {
-            Ok(line) => write.write_all(line.as_bytes()).await?,
-            Err(RecvError::Lagged(missed)) => {
-                send(write, &behind(missed)).await?;
-            }
-            Err(RecvError::Closed) => return Ok(()),
-        }
-    }
+    relay(write, states, |line, bytes| {
+        bytes.extend_from_slice(line.as_bytes());
+    })
+    .await
 }

@@ -29,13 +29,7 @@ impl OtherBody {
             others.map(move |body| Self {
                 id: body.id,
                 capture_time_ns,
-                position_m: match body.state {
-                    BodyState::Tracked(BodyPose { position_m, .. }) => {
-                        let [x_m, y_m, _] = position_m;
-                        Some([x_m, y_m])
-                    }
-                    _ => None,
-                },
+                position_m: tracked_m(body.state).map(|[x_m, y_m, _]| [x_m, y_m]),
             })
         };
         let capture = frame.capture.map(|capture| capture.time_ns);
@@ -59,14 +53,10 @@ pub struct Neighbour {
 impl Neighbour {
     /// The neighbour of the body `id`, which was last accepted at `accepted_m`.
     pub(super) fn of(id: i32, frame: &PoseFrame<'_>, accepted_m: Option<[f64; 3]>) -> Option<Self> {
-        let tracked = |state| match state {
-            BodyState::Tracked(BodyPose { position_m, .. }) => Some(position_m),
-            _ => None,
-        };
-        let streamed_m = frame.body(id).and_then(|body| tracked(body.state));
+        let streamed_m = frame.body(id).and_then(|body| tracked_m(body.state));
         let mut nearest: Option<Self> = None;
         for body in frame.bodies().filter(|body| body.id != id) {
-            let Some(position_m) = tracked(body.state) else {
+            let Some(position_m) = tracked_m(body.state) else {
                 continue;
             };
             for place_m in [streamed_m, accepted_m].into_iter().flatten() {
@@ -80,6 +70,14 @@ impl Neighbour {
             }
         }
         nearest
+    }
+}
+
+/// The position of a tracked body, m.
+const fn tracked_m(state: BodyState) -> Option<[f64; 3]> {
+    match state {
+        BodyState::Tracked(BodyPose { position_m, .. }) => Some(position_m),
+        _ => None,
     }
 }
 

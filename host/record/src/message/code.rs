@@ -9,6 +9,7 @@ use singletrack_pilot::{
     SetpointRefusal,
 };
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
+use singletrack_words::words;
 
 use super::{
     definition::Definition,
@@ -165,36 +166,9 @@ macro_rules! codes {
     };
 }
 
-/// Declares an enumeration that only messages have: each value with its number and its
-/// word.
-macro_rules! kinds {
-    (
-        $(#[doc = $about:literal])*
-        $type:ident as $prefix:literal { $($value:ident = $code:literal $word:literal,)* }
-    ) => {
-        $(#[doc = $about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub(crate) enum $type {
-            $($value = $code,)*
-        }
-
-        impl $type {
-            const ALL: [Self; [$(Self::$value,)*].len()] = [$(Self::$value,)*];
-
-            const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$value => $word,)*
-                }
-            }
-        }
-
-        $crate::message::code::codes! { $type as $prefix, }
-    };
-}
-
-kinds! {
-    /// The state of the car in a frame of the motion capture.
-    PoseKind as "STATE" {
+words! {
+    /// The state of the car in a frame of the motion capture, which only messages have.
+    pub(crate) enum PoseKind {
         NoFrames = 1 "no-frames",
         Unbound = 2 "unbound",
         Valid = 3 "valid",
@@ -206,9 +180,9 @@ kinds! {
     }
 }
 
-kinds! {
-    /// The binding of the name of the car by the model definitions.
-    BindingKind as "BINDING" {
+words! {
+    /// The binding of the name of the car by the model definitions, which only messages have.
+    pub(crate) enum BindingKind {
         Unresolved = 1 "unresolved",
         Bound = 2 "bound",
         Missing = 3 "missing",
@@ -217,6 +191,8 @@ kinds! {
 }
 
 codes! {
+    PoseKind as "STATE",
+    BindingKind as "BINDING",
     Filtering as "FILTERING",
     Mode as "MODE",
     Reason as "REASON",
@@ -238,4 +214,4 @@ codes! {
     Level as "LEVEL",
 }
 
-pub(super) use {codes, kinds};
+pub(super) use codes;

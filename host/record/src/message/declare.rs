@@ -225,9 +225,11 @@ macro_rules! choice {
             )*
         }
     ) => {
-        $crate::message::code::kinds! {
-            $kind as $prefix { $($variant = $number $word,)* }
+        singletrack_words::words! {
+            pub(crate) enum $kind { $($variant = $number $word,)* }
         }
+
+        $crate::message::code::codes! { $kind as $prefix, }
 
         message! {
             $(#[doc = $about])*

@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use singletrack_control::{Reference, ReferencePoint};
 use singletrack_core::{
     ConfigError,
-    config::{ReferenceSection, Start, WaypointSection},
+    config::{PathPoints, ReferenceSection, Start, WaypointSection},
 };
 use singletrack_words::words;
 
@@ -149,8 +149,8 @@ impl Course {
         let ends = points.iter().zip(points.iter().cycle().skip(1));
         let length: f64 = ends.map(|(from, to)| distance(*from, *to)).sum();
         Self {
-            reference: ReferenceSection::PathList {
-                points,
+            reference: ReferenceSection::Path {
+                points: PathPoints::Points(points),
                 closed: true,
                 speed_m_s: speed,
                 lateral_acceleration_m_s2: LATERAL_M_S2,
@@ -228,8 +228,8 @@ impl Course {
         };
         let begins = speed / LANE_ACCELERATION_M_S2 + LANE_STRAIGHT_S;
         Self {
-            reference: ReferenceSection::PathList {
-                points: (0..=count as u32).map(point).collect(),
+            reference: ReferenceSection::Path {
+                points: PathPoints::Points((0..=count as u32).map(point).collect()),
                 closed: false,
                 speed_m_s: speed,
                 // More than the change needs: it is driven at full speed.

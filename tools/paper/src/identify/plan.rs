@@ -8,7 +8,7 @@ use std::{
 
 use singletrack_control::{CalibrationParameter, Start};
 use singletrack_core::{
-    config::{Config, OnlineCalibrationMode, ReferenceSection},
+    config::{Config, OnlineCalibrationMode, PathPoints, ReferenceSection},
     online_calibration::{OnlineCalibration, units},
 };
 use singletrack_pilot::{Mode, Reason};
@@ -110,8 +110,8 @@ pub fn plan(scenario: &Path) -> Result<Vec<PlannedPath>, IdentifyError> {
             yaw_rad,
         };
         let limits = &config.limits;
-        config.reference = ReferenceSection::PathList {
-            points,
+        config.reference = ReferenceSection::Path {
+            points: PathPoints::Points(points),
             closed,
             start: Start::Beginning,
             speed_m_s: limits.max_speed_m_s.min(1.0),

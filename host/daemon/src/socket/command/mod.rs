@@ -67,20 +67,13 @@ pub enum Command {
 }
 
 /// Why a line is no command: the text of the answer, which says what to write instead.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
 pub struct ParseError {
     text: String,
     /// The line is a set-point, and rejected with this word.
     pub(super) rejected: Option<Rejected>,
 }
-
-impl core::fmt::Display for ParseError {
-    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        formatter.write_str(&self.text)
-    }
-}
-
-impl core::error::Error for ParseError {}
 
 impl From<String> for ParseError {
     fn from(text: String) -> Self {
