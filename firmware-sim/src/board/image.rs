@@ -33,10 +33,52 @@ pub struct Installation {
     pub image: PathBuf,
 }
 
-/// Why there is no simulated UNO, or none that runs: in words, with the file.
+/// Errors of the simulated UNO.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{0}")]
-pub struct UnoError(pub(super) String);
+pub enum UnoError {
+    /// It has not been built.
+    #[error(
+        "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} or above it; \
+         `cargo uno` builds both, or name the folder in {VARIABLE}",
+        executable.display()
+    )]
+    Missing {
+        /// The program that searched for it.
+        executable: PathBuf,
+    },
+    /// The configured folder lacks a file.
+    #[error("{VARIABLE} names {}, where there is no {file}", folder.display())]
+    Incomplete {
+        /// The folder.
+        folder: PathBuf,
+        /// The missing file.
+        file: &'static str,
+    },
+    /// The image is invalid.
+    #[error("can't read the image {}: {reason}", image.display())]
+    Unreadable {
+        /// The image.
+        image: PathBuf,
+        /// Why it is invalid.
+        reason: String,
+    },
+    /// The image, or the program that ran it, crashed.
+    #[error("{}: {reason}", image.display())]
+    Crashed {
+        /// The image.
+        image: PathBuf,
+        /// Description of the crash.
+        reason: String,
+    },
+    /// The program can't be started.
+    #[error("can't start {}: {reason}", program.display())]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// The system's error.
+        reason: String,
+    },
+}
 
 const VARIABLE: &str = "SINGLETRACK_UNO";
 const FOLDER: &str = "uno";
@@ -58,10 +100,7 @@ impl Installation {
                 (&installation.image, IMAGE),
             ] {
                 if !path.is_file() {
-                    return Err(UnoError(format!(
-                        "{VARIABLE} names {}, where there is no {file}",
-                        folder.display()
-                    )));
+                    return Err(UnoError::Incomplete { folder, file });
                 }
             }
             return Ok(installation);
@@ -72,13 +111,7 @@ impl Installation {
             .skip(1)
             .map(|folder| Self::in_folder(&folder.join(FOLDER)))
             .find(|found| found.program.is_file() && found.image.is_file())
-            .ok_or_else(|| {
-                UnoError(format!(
-                    "no simulated UNO: no folder {FOLDER:?} with {PROGRAM} and {IMAGE} beside {} or \
-                     above it; `cargo uno` builds both, or name the folder in {VARIABLE}",
-                    executable.display()
-                ))
-            })
+            .ok_or(UnoError::Missing { executable })
     }
 
     /// Runs another image of the same folder alone, for a time in µs, and returns
@@ -90,8 +123,12 @@ impl Installation {
     pub fn measure(&self, file: &str, time_us: u64) -> Result<Figures, UnoError> {
         let image = self.image.with_file_name(file);
         let mut process = Process::start(&self.program, &image)?;
-        let crashed = |reason| UnoError(format!("{}: {reason}", image.display()));
-        let mut ask = |request| process.ask(&request).map_err(crashed);
+        let mut ask = |request| {
+            process.ask(&request).map_err(|reason| UnoError::Crashed {
+                image: image.clone(),
+                reason,
+            })
+        };
         ask(Request::Start(ResetFlags::POWER_ON))?;
         ask(Request::Run(Run {
             until: time_us * CYCLES_PER_US,
@@ -99,7 +136,10 @@ impl Installation {
         }))?;
         match ask(Request::Measure)? {
             Reply::Figures(figures) => Ok(figures),
-            reply => Err(crashed(format!("expected figures, got {reply:?}"))),
+            reply => Err(UnoError::Crashed {
+                image: image.clone(),
+                reason: format!("expected figures, got {reply:?}"),
+            }),
         }
     }
 

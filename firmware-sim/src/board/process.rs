@@ -21,8 +21,10 @@ pub(super) struct Process {
 
 impl Process {
     pub(super) fn start(program: &Path, image: &Path) -> Result<Self, UnoError> {
-        let error =
-            |reason: String| UnoError(format!("can't start {}: {reason}", program.display()));
+        let error = |reason: String| UnoError::Start {
+            program: program.to_owned(),
+            reason,
+        };
         let mut child = Command::new(program)
             .arg(image)
             .stdin(Stdio::piped())

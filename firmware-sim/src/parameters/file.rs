@@ -1,20 +1,43 @@
 //! The file of a simulation.
 
-use core::fmt::Display;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use singletrack_settings::{explain, section};
 
-use super::SimulationConfig;
+use super::{ConfigError, SimulationConfig};
 use crate::{
     board::BoardParameters, cameras::CameraParameters, car::CarParameters,
     natnet_server::NatNetParameters, truth::CarTruth, wire::WireParameters,
 };
 
-/// Why the file of a simulation is refused: in words, with the file.
+/// Errors in the file of a simulation.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct SimulationFileError(String);
+pub enum SimulationFileError {
+    /// The file can't be read.
+    #[error("can't read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The file is not a configuration.
+    #[error("{}: {message}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        message: String,
+    },
+    /// A value is invalid.
+    #[error("{}: {source}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// The value.
+        source: ConfigError,
+    },
+}
 
 section! {
     /// The file of a simulation: its configuration, and what is true of the car beside it.
@@ -45,10 +68,10 @@ impl SimulationConfig {
     ///
     /// The file can't be read, has an unknown key, or a value out of range.
     pub fn read(path: &Path) -> Result<Self, SimulationFileError> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            SimulationFileError(format!("can't read {}: {error}", path.display()))
+        let text = std::fs::read_to_string(path).map_err(|source| SimulationFileError::Read {
+            path: path.to_owned(),
+            source,
         })?;
-        let refused = |why: &dyn Display| SimulationFileError(format!("{}: {why}", path.display()));
         let SimulationFile {
             seed,
             car,
@@ -57,7 +80,10 @@ impl SimulationConfig {
             cameras,
             natnet,
             truth,
-        } = toml::from_str(&text).map_err(|error| refused(&explain(&text, &error)))?;
+        } = toml::from_str(&text).map_err(|error| SimulationFileError::Parse {
+            path: path.to_owned(),
+            message: explain(&text, &error),
+        })?;
         let mut simulation = Self {
             seed,
             car,
@@ -66,8 +92,12 @@ impl SimulationConfig {
             cameras,
             natnet,
         };
-        let applied = truth.apply(&mut simulation);
-        applied.map_err(|error| refused(&error))?;
+        truth
+            .apply(&mut simulation)
+            .map_err(|source| SimulationFileError::Value {
+                path: path.to_owned(),
+                source,
+            })?;
         Ok(simulation)
     }
 }

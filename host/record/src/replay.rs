@@ -3,7 +3,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use singletrack_pilot::{Event, Output, Pilot, PilotConfig};
+use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
 use crate::{
     Entry, TickRecord, Topic, Value, cdr,
@@ -18,11 +18,40 @@ pub struct Replay {
     next: u64,
 }
 
-/// Why a record can't be replayed beyond a tick: a tick or a configuration is missing, a tick is
-/// repeated or follows a later one, or the pilot refuses a configuration.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct ReplayError(String);
+/// Why a record can't be replayed beyond a tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ReplayError {
+    /// Ticks are missing, and with them the inputs of the pilot.
+    #[error(
+        "ticks {first} to {} are not in the record, and the outputs after them depend on their events",
+        first + count - 1
+    )]
+    Missing {
+        /// The first missing tick.
+        first: u64,
+        /// The number of missing ticks.
+        count: u64,
+    },
+    /// A tick is repeated, or follows a later one.
+    #[error("tick {found} is in the place of tick {expected}")]
+    OutOfOrder {
+        /// The index found.
+        found: u64,
+        /// The index expected.
+        expected: u64,
+    },
+    /// A configuration of the pilot is missing.
+    #[error("configuration {0} came into force, and is not in the record")]
+    Configuration(u32),
+    /// The pilot refused a configuration.
+    #[error("configuration {number} came into force, and is refused now: {reason}")]
+    Refused {
+        /// Its number.
+        number: u32,
+        /// The error of the pilot.
+        reason: Underway,
+    },
+}
 
 impl Replay {
     /// A pilot in its state before the first tick. `configuration` has number 1.
@@ -49,30 +78,21 @@ impl Replay {
     pub fn tick(&mut self, recorded: &TickRecord) -> Result<Output, ReplayError> {
         let (found, expected) = (recorded.index, self.next);
         if found > expected {
-            return Err(ReplayError(format!(
-                "ticks {expected} to {} are not in the record, and the outputs after them depend on \
-                 their events",
-                found - 1
-            )));
+            return Err(ReplayError::Missing {
+                first: expected,
+                count: found - expected,
+            });
         }
         if found < expected {
-            return Err(ReplayError(format!(
-                "tick {found} is in the place of tick {expected}"
-            )));
+            return Err(ReplayError::OutOfOrder { found, expected });
         }
         for event in &recorded.events {
             // It came into force before the pilot took any event of the tick.
             if let Event::Reconfigured(number) = *event {
-                let refused = |why: &dyn fmt::Display| {
-                    ReplayError(format!(
-                        "configuration {number} came into force, and is {why}"
-                    ))
-                };
                 let configuration = self.configurations.get(&number);
-                let configuration = configuration.ok_or_else(|| refused(&"not in the record"))?;
                 self.pilot
-                    .reconfigure(configuration)
-                    .map_err(|reason| refused(&format_args!("refused now: {reason}")))?;
+                    .reconfigure(configuration.ok_or(ReplayError::Configuration(number))?)
+                    .map_err(|reason| ReplayError::Refused { number, reason })?;
             }
         }
         self.next += 1;

@@ -1,6 +1,9 @@
 //! Reads the image's ELF file: the bytes of the flash and the end of the static data.
 
-use std::path::Path;
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
 use object::{
     LittleEndian,
@@ -25,42 +28,48 @@ pub(crate) struct Image {
     pub(crate) static_end: u16,
 }
 
-/// Why a file is not a program for the board: in words, with the file.
+/// Why a file is not a program for the board.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct ImageError(String);
+pub(crate) enum ImageError {
+    #[error("can't read {0}: {1}")]
+    Read(PathBuf, #[source] io::Error),
+    #[error("{0} is not an ELF file of 32 bits, little-endian")]
+    NotElf(PathBuf),
+    #[error("{0} is for machine {1}, not for the AVR ({EM_AVR})")]
+    NotAvr(PathBuf, u16),
+    #[error("{0} is for the processors avr{1}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)")]
+    OtherFamily(PathBuf, u32),
+    #[error("{0} is truncated or corrupted")]
+    Damaged(PathBuf),
+    #[error("{0} needs {1} bytes of flash, but there are {FLASH_BYTES}")]
+    TooLarge(PathBuf, usize),
+    #[error("{0} has no contents for the flash")]
+    Empty(PathBuf),
+}
 
 impl Image {
     pub(crate) fn read(path: &Path) -> Result<Self, ImageError> {
-        let bytes = std::fs::read(path)
-            .map_err(|error| ImageError(format!("can't read {}: {error}", path.display())))?;
+        let bytes =
+            std::fs::read(path).map_err(|error| ImageError::Read(path.to_owned(), error))?;
         Self::parse(&bytes, path)
     }
 
     fn parse(bytes: &[u8], path: &Path) -> Result<Self, ImageError> {
-        let refused = |why: &str| ImageError(format!("{} {why}", path.display()));
-        let header = Header::parse(bytes)
-            .map_err(|_| refused("is not an ELF file of 32 bits, little-endian"))?;
-        let damaged = |Damaged| refused("is truncated or corrupted");
+        let header = Header::parse(bytes).map_err(|_| ImageError::NotElf(path.to_owned()))?;
+        let damaged = |Damaged| ImageError::Damaged(path.to_owned());
         let machine = header.e_machine(LittleEndian);
         if machine != EM_AVR {
-            return Err(refused(&format!(
-                "is for machine {machine}, not for the AVR ({EM_AVR})"
-            )));
+            return Err(ImageError::NotAvr(path.to_owned(), machine));
         }
         let family = header.e_flags(LittleEndian) & EF_AVR_ARCH;
         if family != EF_AVR_ARCH_AVR5 {
-            return Err(refused(&format!(
-                "is for the processors avr{family}, not for avr{EF_AVR_ARCH_AVR5} (-mmcu=atmega328p)"
-            )));
+            return Err(ImageError::OtherFamily(path.to_owned(), family));
         }
         let mut flash = Vec::new();
         for (address, contents) in segments(header, bytes).map_err(damaged)? {
             let end = address + contents.len();
             if end > FLASH_BYTES {
-                return Err(refused(&format!(
-                    "needs {end} bytes of flash, but there are {FLASH_BYTES}"
-                )));
+                return Err(ImageError::TooLarge(path.to_owned(), end));
             }
             if flash.len() < end {
                 flash.resize(end, 0xFF);
@@ -70,7 +79,7 @@ impl Image {
             }
         }
         if flash.is_empty() {
-            return Err(refused("has no contents for the flash"));
+            return Err(ImageError::Empty(path.to_owned()));
         }
         Ok(Self {
             flash,

@@ -4,27 +4,62 @@
 //! Errors quote nothing of a file: they also reach clients of the control socket, who may not be
 //! allowed to read it.
 
-use std::path::Path;
+use std::{io, path::Path};
 
-use singletrack_control::{Position, Waypoint, Waypoints};
+use singletrack_control::{Position, ReferenceError, Waypoint, Waypoints};
 
 use super::file::read_text;
 
-/// Why a file of waypoints is refused: in words, with the line.
+/// Why a file of waypoints is refused.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct WaypointFileError(String);
+pub enum WaypointFileError {
+    /// The file can't be read.
+    #[error("{0}")]
+    File(#[from] io::Error),
+    /// The file is not CSV.
+    #[error("{0}; write one number for each column, such as 1.5,-0.5")]
+    Csv(#[from] csv::Error),
+    /// The first line does not name the columns.
+    #[error("line 1 must name the columns {columns}, and no others")]
+    Columns {
+        /// The columns that it must name, in any order.
+        columns: String,
+    },
+    /// A field is not a finite number.
+    #[error("line {line}: {column} is no finite number; write one, as 0.5")]
+    Number {
+        /// Counted from 1.
+        line: u64,
+        /// The column of the field.
+        column: &'static str,
+    },
+    /// The waypoints are not in order of time.
+    #[error(
+        "line {line}: t_s is {t_s}, not after {before_s} of the waypoint before; put the lines in order of time"
+    )]
+    Order {
+        /// Counted from 1.
+        line: u64,
+        /// The time of the waypoint.
+        t_s: f64,
+        /// The time of the waypoint before.
+        before_s: f64,
+    },
+    /// There are too few waypoints, or too many.
+    #[error("{0}; write one waypoint a line")]
+    Waypoints(#[from] ReferenceError),
+}
 
 /// The waypoints of a file.
 pub(super) fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError> {
     let mut waypoints: Vec<Waypoint> = Vec::new();
     read_rows(path, ["t_s", "x_m", "y_m"], |line, [time, x, y]| {
         if let Some(before) = waypoints.last().filter(|before| time <= before.time) {
-            return Err(WaypointFileError(format!(
-                "line {line}: t_s is {time}, not after {} of the waypoint before; put the lines in \
-                 order of time",
-                before.time
-            )));
+            return Err(WaypointFileError::Order {
+                line,
+                t_s: time,
+                before_s: before.time,
+            });
         }
         waypoints.push(Waypoint {
             time,
@@ -32,9 +67,7 @@ pub(super) fn read_waypoints(path: &Path) -> Result<Waypoints, WaypointFileError
         });
         Ok(())
     })?;
-    // Too few, or too many.
-    Waypoints::new(&waypoints)
-        .map_err(|error| WaypointFileError(format!("{error}; write one waypoint a line")))
+    Ok(Waypoints::new(&waypoints)?)
 }
 
 /// The points of a file, in m.
@@ -54,36 +87,26 @@ fn read_rows<const COLUMNS: usize>(
     columns: [&'static str; COLUMNS],
     mut take: impl FnMut(u64, [f64; COLUMNS]) -> Result<(), WaypointFileError>,
 ) -> Result<(), WaypointFileError> {
-    let no_csv = |error| {
-        WaypointFileError(format!(
-            "{error}; write one number for each column, such as 1.5,-0.5"
-        ))
-    };
-    let text = read_text(path).map_err(|error| WaypointFileError(error.to_string()))?;
+    let text = read_text(path)?;
     let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let header = reader.headers().map_err(no_csv)?;
+    let header = reader.headers()?;
     let places: Vec<usize> = columns
         .iter()
         .filter_map(|name| header.iter().position(|column| column.trim() == *name))
         .collect();
     if header.len() != COLUMNS || places.len() != COLUMNS {
-        return Err(WaypointFileError(format!(
-            "line 1 must name the columns {}, and no others",
-            columns.join(",")
-        )));
+        return Err(WaypointFileError::Columns {
+            columns: columns.join(","),
+        });
     }
     for record in reader.records() {
-        let record = record.map_err(no_csv)?;
+        let record = record?;
         let line = record.position().map_or(0, csv::Position::line);
         let mut row = [0.0; COLUMNS];
         for ((number, column), place) in row.iter_mut().zip(columns).zip(&places) {
             let value = record.get(*place).unwrap_or_default().trim();
             let finite = value.parse().ok().filter(|number: &f64| number.is_finite());
-            *number = finite.ok_or_else(|| {
-                WaypointFileError(format!(
-                    "line {line}: {column} is no finite number; write one, as 0.5"
-                ))
-            })?;
+            *number = finite.ok_or(WaypointFileError::Number { line, column })?;
         }
         take(line, row)?;
     }

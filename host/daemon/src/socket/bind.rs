@@ -17,10 +17,6 @@ use super::tcp::BoundPort;
 /// Owner and group may connect.
 const PERMISSIONS: u32 = 0o660;
 
-/// What to do where the socket can't be made.
-const ANOTHER_FOLDER: &str = "choose a socket.path in a folder that you may write to, such as one in \
-                              $XDG_RUNTIME_DIR, or set socket.enabled = false";
-
 /// Why the control socket can't be created, and what to do about it.
 #[derive(Debug, thiserror::Error)]
 pub enum SocketError {
@@ -30,9 +26,45 @@ pub enum SocketError {
     /// The path is not a socket.
     #[error("{}: this file is not a socket; remove it, or choose another socket.path", .0.display())]
     Occupied(PathBuf),
-    /// Anything else: what can't be done, why, and what to do about it.
-    #[error("{0}")]
-    Other(String),
+    /// The folder can't be created.
+    #[error(
+        "can't create {}, the folder of socket.path: {source}; choose a socket.path in a folder that you \
+         may write to, such as one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
+        path.display()
+    )]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// Another system call failed.
+    #[error(
+        "{}: can't {action}: {source}; choose a socket.path in a folder that you may write to, such as \
+         one in $XDG_RUNTIME_DIR, or set socket.enabled = false",
+        path.display()
+    )]
+    Io {
+        /// The failed action.
+        action: &'static str,
+        /// The path.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
+    /// The port can't be used.
+    #[error(
+        "socket.tcp_port is {port}: can't {action}: {source}; choose another port, or remove \
+         socket.tcp_port"
+    )]
+    Port {
+        /// The failed action.
+        action: &'static str,
+        /// The configured port.
+        port: u16,
+        /// The system's error.
+        source: io::Error,
+    },
 }
 
 /// A listening socket and its file, and the port on which it listens too, if any.
@@ -61,11 +93,10 @@ impl BoundSocket {
         let mut socket = Self::bind(&config.path)?;
         if let Some(port) = config.tcp_port {
             let bound = BoundPort::bind(port, &config.path);
-            socket.port = Some(bound.map_err(|(action, error)| {
-                SocketError::Other(format!(
-                    "socket.tcp_port is {port}: can't {action}: {error}; choose another port, or \
-                     remove socket.tcp_port"
-                ))
+            socket.port = Some(bound.map_err(|(action, source)| SocketError::Port {
+                action,
+                port,
+                source,
             })?);
         }
         Ok(socket)
@@ -75,17 +106,16 @@ impl BoundSocket {
     /// killed daemon left.
     fn bind(path: &Path) -> Result<Self, SocketError> {
         let failure = |action| {
-            move |error: io::Error| {
-                let path = path.display();
-                SocketError::Other(format!("{path}: can't {action}: {error}; {ANOTHER_FOLDER}"))
+            move |source| SocketError::Io {
+                action,
+                path: path.to_owned(),
+                source,
             }
         };
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(|error| {
-                let folder = folder.display();
-                SocketError::Other(format!(
-                    "can't create {folder}, the folder of socket.path: {error}; {ANOTHER_FOLDER}"
-                ))
+            fs::create_dir_all(folder).map_err(|source| SocketError::Folder {
+                path: folder.to_owned(),
+                source,
             })?;
         }
         match fs::symlink_metadata(path) {
