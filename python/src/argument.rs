@@ -1,5 +1,7 @@
 //! Arguments from Python, and the errors that name them.
 
+use std::time::Duration;
+
 use pyo3::{
     PyErr, PyResult,
     exceptions::{PyRuntimeError, PyValueError},
@@ -13,6 +15,11 @@ pub(crate) fn refuse(error: impl ToString) -> PyErr {
 /// A call can't be obeyed now.
 pub(crate) fn fail(error: impl ToString) -> PyErr {
     PyRuntimeError::new_err(error.to_string())
+}
+
+/// A time in s, which may not be negative.
+pub(crate) fn seconds(time: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(time).map_err(refuse)
 }
 
 /// The value of a word; another word is refused with those that are known.

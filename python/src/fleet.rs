@@ -6,11 +6,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pyo3::{exceptions::PyValueError, prelude::*, types::PyDict};
+use pyo3::{prelude::*, types::PyDict};
 use pythonize::pythonize;
 use singletrack_api::{Fleet as Cars, FleetArm, FleetDrive as Drive, Request};
 
-use crate::argument::{fail, refuse};
+use crate::argument::{fail, refuse, seconds};
 
 /// The longest wait without a look at the program's signals.
 const SIGNALS: Duration = Duration::from_millis(50);
@@ -147,8 +147,4 @@ impl FleetDrive {
     fn drive(&self) -> PyResult<MutexGuard<'_, Drive>> {
         self.0.lock().map_err(fail)
     }
-}
-
-fn seconds(time: f64) -> PyResult<Duration> {
-    Duration::try_from_secs_f64(time).map_err(|error| PyValueError::new_err(error.to_string()))
 }

@@ -140,6 +140,10 @@ fn state(row: ArrayView1<'_, f64>) -> PyResult<SingleTrackState> {
     }
 }
 
+const fn columns(state: &SingleTrackState) -> [f64; 5] {
+    [state.x, state.y, state.yaw, state.yaw_rate, state.sideslip]
+}
+
 fn write(rows: &mut Array2<f64>, index: usize, values: [f64; 5]) {
     for (cell, value) in rows.row_mut(index).iter_mut().zip(values) {
         *cell = value;
@@ -166,11 +170,8 @@ pub(crate) fn model_derivative<'py>(
         .zip(steering.as_array().to_vec());
     for ((index, row), (speed, steering)) in states.outer_iter().enumerate().zip(inputs) {
         let d = model.derivative(&state(row)?, speed, steering);
-        write(
-            &mut derivatives,
-            index,
-            [d.x, d.y, d.yaw, d.yaw_rate, d.sideslip],
-        );
+        let slope = [d.x, d.y, d.yaw, d.yaw_rate, d.sideslip];
+        write(&mut derivatives, index, slope);
     }
     Ok(PyArray2::from_owned_array(py, derivatives))
 }
@@ -199,20 +200,12 @@ pub(crate) fn model_simulate<'py>(
     let states = py.detach(|| {
         let steps = (period / 1e-3).ceil().max(1.0);
         let mut states = Array2::zeros((speed.len() + 1, 5));
-        write(
-            &mut states,
-            0,
-            [now.x, now.y, now.yaw, now.yaw_rate, now.sideslip],
-        );
+        write(&mut states, 0, columns(&now));
         for (index, (speed, steering)) in speed.iter().zip(steering).enumerate() {
             for _ in 0..steps as u32 {
                 now = model.step(&now, *speed, steering, period / steps);
             }
-            write(
-                &mut states,
-                index + 1,
-                [now.x, now.y, now.yaw, now.yaw_rate, now.sideslip],
-            );
+            write(&mut states, index + 1, columns(&now));
         }
         states
     });

@@ -4,68 +4,63 @@ use std::{collections::BTreeMap, path::PathBuf};
 
 use numpy::PyArray1;
 use pyo3::{
-    exceptions::{PyOSError, PyValueError},
+    exceptions::PyOSError,
     prelude::*,
     types::{PyDict, PyList},
 };
 use singletrack_record::{Ending, Reader, RecordError, Topic, Value};
 
-/// The values of a field in the order of the record.
-#[derive(Default)]
-struct Column(Vec<Value>);
+use crate::argument::refuse;
 
-impl Column {
-    /// As an array: of truth values, of integers, of floats with NaN for an absent value, or
-    /// a list of texts with `None`.
-    fn into_array<'py>(self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let values = self.0;
-        let any = |wanted: fn(&Value) -> bool| values.iter().any(wanted);
-        let absent = any(|value| matches!(value, Value::Absent));
-        if any(|value| matches!(value, Value::Text(_))) {
-            let list = PyList::empty(py);
-            for value in &values {
-                match value {
-                    Value::Text(text) => list.append(text.as_ref())?,
-                    _ => list.append(py.None())?,
-                }
+/// The values of a field in the order of the record, as an array: of truth values, of integers, of
+/// floats with NaN for an absent value, or a list of texts with `None`.
+fn array<'py>(py: Python<'py>, values: &[Value]) -> PyResult<Bound<'py, PyAny>> {
+    let any = |wanted: fn(&Value) -> bool| values.iter().any(wanted);
+    let absent = any(|value| matches!(value, Value::Absent));
+    if any(|value| matches!(value, Value::Text(_))) {
+        let list = PyList::empty(py);
+        for value in values {
+            match value {
+                Value::Text(text) => list.append(text.as_ref())?,
+                _ => list.append(py.None())?,
             }
-            return Ok(list.into_any());
         }
-        let all = |wanted: fn(&Value) -> bool| !absent && values.iter().all(wanted);
-        if all(|value| matches!(value, Value::Bool(_))) {
-            let bits = values.iter().map(|value| *value == Value::Bool(true));
-            return Ok(PyArray1::from_iter(py, bits).into_any());
-        }
-        if all(|value| matches!(value, Value::Unsigned(_))) {
-            let numbers = values.iter().map(|value| match value {
-                Value::Unsigned(number) => *number,
-                _ => 0,
-            });
-            return Ok(PyArray1::from_iter(py, numbers).into_any());
-        }
-        if all(|value| matches!(value, Value::Signed(_) | Value::Unsigned(_))) {
-            let numbers = values.iter().map(|value| match value {
-                Value::Signed(number) => *number,
-                Value::Unsigned(number) => i64::try_from(*number).unwrap_or(i64::MAX),
-                _ => 0,
-            });
-            return Ok(PyArray1::from_iter(py, numbers).into_any());
-        }
-        let numbers = values.iter().map(|value| match value {
-            Value::Float(number) => *number,
-            Value::Unsigned(number) => *number as f64,
-            Value::Signed(number) => *number as f64,
-            Value::Bool(bit) => f64::from(u8::from(*bit)),
-            Value::Absent | Value::Text(_) => f64::NAN,
-        });
-        Ok(PyArray1::from_iter(py, numbers).into_any())
+        return Ok(list.into_any());
     }
+    let all = |wanted: fn(&Value) -> bool| !absent && values.iter().all(wanted);
+    if all(|value| matches!(value, Value::Bool(_))) {
+        let bits = values.iter().map(|value| *value == Value::Bool(true));
+        return Ok(PyArray1::from_iter(py, bits).into_any());
+    }
+    if all(|value| matches!(value, Value::Unsigned(_))) {
+        let numbers = values.iter().map(|value| match value {
+            Value::Unsigned(number) => *number,
+            _ => 0,
+        });
+        return Ok(PyArray1::from_iter(py, numbers).into_any());
+    }
+    if all(|value| matches!(value, Value::Signed(_) | Value::Unsigned(_))) {
+        let numbers = values.iter().map(|value| match value {
+            Value::Signed(number) => *number,
+            Value::Unsigned(number) => i64::try_from(*number).unwrap_or(i64::MAX),
+            _ => 0,
+        });
+        return Ok(PyArray1::from_iter(py, numbers).into_any());
+    }
+    let numbers = values.iter().map(|value| match value {
+        Value::Float(number) => *number,
+        Value::Unsigned(number) => *number as f64,
+        Value::Signed(number) => *number as f64,
+        Value::Bool(bit) => f64::from(u8::from(*bit)),
+        Value::Absent | Value::Text(_) => f64::NAN,
+    });
+    Ok(PyArray1::from_iter(py, numbers).into_any())
 }
 
 fn error(error: RecordError) -> PyErr {
     match error {
         RecordError::Io { .. } => PyOSError::new_err(error.to_string()),
-        other => PyValueError::new_err(other.to_string()),
+        other => refuse(other),
     }
 }
 
@@ -81,14 +76,11 @@ pub(crate) fn read_record<'py>(
         None => Topic::ALL.to_vec(),
         Some(names) => names
             .iter()
-            .map(|name| name.parse())
-            .collect::<Result<_, _>>()
-            .map_err(|error: singletrack_record::UnknownTopic| {
-                PyValueError::new_err(error.to_string())
-            })?,
+            .map(|name| name.parse::<Topic>().map_err(refuse))
+            .collect::<PyResult<_>>()?,
     };
     let mut reader = Reader::open(&path).map_err(error)?.only(&topics);
-    let mut columns: BTreeMap<&'static str, Vec<Column>> = BTreeMap::new();
+    let mut columns: BTreeMap<&'static str, Vec<Vec<Value>>> = BTreeMap::new();
     let damage = py.detach(|| {
         let mut values = Vec::new();
         let mut entries = 0_u64;
@@ -102,9 +94,9 @@ pub(crate) fn read_record<'py>(
                 Ok(Some(topic)) => {
                     entries += 1;
                     let of_topic = columns.entry(topic.name()).or_default();
-                    of_topic.resize_with(values.len().max(of_topic.len()), Column::default);
+                    of_topic.resize_with(values.len().max(of_topic.len()), Vec::new);
                     for (column, value) in of_topic.iter_mut().zip(values.drain(..)) {
-                        column.0.push(value);
+                        column.push(value);
                     }
                 }
                 Ok(None) => return Ok(None),
@@ -122,7 +114,7 @@ pub(crate) fn read_record<'py>(
         let table = PyDict::new(py);
         let found = columns.remove(topic.name()).unwrap_or_default();
         for (name, column) in topic.fields().into_iter().zip(found) {
-            table.set_item(name, column.into_array(py)?)?;
+            table.set_item(name, array(py, &column)?)?;
         }
         tables.set_item(topic.name(), table)?;
     }

@@ -1,7 +1,10 @@
 //! The configuration of a simulated car, from what Python gives.
 
 use singletrack_core::config::{Config, ReferenceSection};
-use singletrack_scenario::simulated::{Drive, daemon_config, follow};
+use singletrack_scenario::{
+    simulate::merge,
+    simulated::{Drive, daemon_config, follow, start_of},
+};
 use singletrack_sim::{CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
 
@@ -46,7 +49,11 @@ impl Setup {
         if !written.is_empty() {
             let own = config.to_toml().map_err(SetupError::new)?;
             let mut table: Table = parse("configuration", &own)?;
-            merge(&mut table, written);
+            // The keys of a reference depend on its kind.
+            if written.contains_key("reference") {
+                table.insert("reference".to_owned(), Value::Table(Table::new()));
+            }
+            merge(&mut table, &written);
             let text = toml::to_string(&table).map_err(SetupError::new)?;
             config = Config::from_toml(&text).map_err(SetupError::new)?;
         }
@@ -96,12 +103,7 @@ impl Setup {
     pub(crate) fn start(&self, point: [f64; 2], yaw_rad: f64) -> StartPose {
         let law = &self.config.law;
         let ahead = law.front_axle_distance_m + law.point_distance_m;
-        let [x, y] = point;
-        StartPose {
-            x_m: x - ahead * libm::cos(yaw_rad),
-            y_m: y - ahead * libm::sin(yaw_rad),
-            yaw_rad,
-        }
+        start_of(point, ahead, yaw_rad)
     }
 }
 
@@ -117,18 +119,4 @@ pub(crate) fn reference(text: &str) -> Result<ReferenceSection, SetupError> {
 
 fn parse(what: &str, text: &str) -> Result<Table, SetupError> {
     toml::from_str(text).map_err(|error| SetupError::new(format!("{what}: {error}")))
-}
-
-fn merge(base: &mut Table, written: Table) {
-    for (key, value) in written {
-        match (base.get_mut(&key), value) {
-            // The keys of a reference depend on its kind.
-            (Some(Value::Table(base)), Value::Table(written)) if key != "reference" => {
-                merge(base, written);
-            }
-            (_, value) => {
-                base.insert(key, value);
-            }
-        }
-    }
 }

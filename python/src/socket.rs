@@ -11,15 +11,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pyo3::{
-    exceptions::{PyConnectionError, PyValueError},
-    prelude::*,
-    types::PyDict,
-};
+use pyo3::{exceptions::PyConnectionError, prelude::*, types::PyDict};
 use pythonize::{depythonize, pythonize};
 use singletrack_api::{ClientError, Connection as Client, Reply, Request};
 
-use crate::argument::{fail, refuse};
+use crate::argument::{fail, refuse, seconds};
 
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -91,9 +87,7 @@ impl Connection {
     /// The oldest line that was not taken; `None` after `wait` seconds.
     fn take<'py>(&self, py: Python<'py>, wait: f64) -> PyResult<Option<Bound<'py, PyAny>>> {
         self.check_process()?;
-        let wait = Duration::try_from_secs_f64(wait)
-            .map_err(|error| PyValueError::new_err(error.to_string()))?;
-        let begun = Instant::now();
+        let (begun, wait) = (Instant::now(), seconds(wait)?);
         loop {
             let left = wait.saturating_sub(begun.elapsed());
             let received = py.detach(|| {

@@ -2,9 +2,8 @@
 
 use numpy::{Complex64, PyArray1};
 use pyo3::{prelude::*, types::PyDict};
-use singletrack_analysis::stability::{
-    self, Belief, ClosedLoop, Criticality, Law, MarginLimits, SampledLoop,
-};
+use singletrack_analysis::stability::{self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop};
+use singletrack_paper::stability::Subject;
 
 use crate::{
     argument::{choice, refuse},
@@ -23,31 +22,20 @@ pub(crate) struct Steady {
 }
 
 impl Steady {
-    fn law(&self) -> PyResult<Law> {
-        let known = [
-            ("front-point", Law::FrontPoint),
-            ("velocity-point", Law::VelocityPoint),
-        ];
-        choice("law", &self.law, &known)
-    }
-
-    fn belief(&self) -> PyResult<Belief> {
-        let known = [
-            ("centre-of-mass", Belief::CentreOfMass),
-            ("front-axle", Belief::FrontAxle),
-        ];
-        choice("belief", &self.belief, &known)
+    fn subject(&self) -> PyResult<Subject> {
+        let laws = Law::ALL.map(|law| (law.name(), law));
+        let beliefs = Belief::ALL.map(|belief| (belief.name(), belief));
+        Ok(Subject {
+            vehicle: self.vehicle.parameters()?,
+            law: choice("law", &self.law, &laws)?,
+            belief: choice("belief", &self.belief, &beliefs)?,
+            point_distance: self.point_distance,
+        })
     }
 
     fn closed_loop(&self) -> PyResult<ClosedLoop> {
-        let closed = ClosedLoop::new(
-            self.vehicle.parameters()?,
-            self.law()?,
-            self.point_distance,
-            self.speed,
-            self.deviation,
-        );
-        Ok(closed.map_err(refuse)?.believing(self.belief()?))
+        let closed = self.subject()?.at(self.speed, self.deviation);
+        closed.map_err(refuse)
     }
 }
 
@@ -95,16 +83,9 @@ pub(crate) fn hopf_points<'py>(
     py: Python<'py>,
     steady: Steady,
 ) -> PyResult<Vec<Bound<'py, PyDict>>> {
-    let points = stability::hopf_points(
-        steady.vehicle.parameters()?,
-        steady.law()?,
-        steady.belief()?,
-        steady.point_distance,
-        steady.speed,
-    )
-    .map_err(refuse)?;
+    let points = steady.subject()?.hopf_points(steady.speed);
+    let points = points.map_err(refuse)?.into_iter();
     points
-        .into_iter()
         .map(|point| {
             let row = PyDict::new(py);
             row.set_item("speed", point.speed)?;
@@ -112,12 +93,7 @@ pub(crate) fn hopf_points<'py>(
             row.set_item("angular_frequency", point.angular_frequency)?;
             row.set_item("crossing", point.crossing)?;
             row.set_item("ends_stability", point.ends_stability())?;
-            let criticality = match point.criticality() {
-                Criticality::Supercritical => "supercritical",
-                Criticality::Subcritical => "subcritical",
-                Criticality::Degenerate => "degenerate",
-            };
-            row.set_item("criticality", criticality)?;
+            row.set_item("criticality", point.criticality().name())?;
             Ok(row)
         })
         .collect()

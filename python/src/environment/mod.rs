@@ -9,6 +9,7 @@ use numpy::{PyArray1, PyArray2, PyReadonlyArray2, ndarray::Array2};
 use pyo3::prelude::*;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use singletrack_control::Start;
+use singletrack_core::Config;
 
 use self::{
     lap::Lap,
@@ -184,8 +185,6 @@ impl Batch {
             lost_m,
             start_error,
             randomise,
-            length: setup.config.law.point_distance_m,
-            front: setup.config.law.front_axle_distance_m,
             setup,
         };
         task.check().map_err(refuse)?;
@@ -219,9 +218,9 @@ impl Batch {
     #[getter]
     fn geometry(&self) -> PyResult<(f64, f64, f64)> {
         let cars = self.cars()?;
-        let config = &cars.task.setup.config;
-        let rear = config.vehicle.rear_axle_distance_m;
-        Ok((cars.task.front, rear, cars.task.length))
+        let Config { law, vehicle, .. } = &cars.task.setup.config;
+        let rear = vehicle.rear_axle_distance_m;
+        Ok((law.front_axle_distance_m, rear, law.point_distance_m))
     }
 
     /// Places of a lap of the reference, or of its whole way: x, y.

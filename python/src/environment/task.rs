@@ -67,8 +67,6 @@ pub(super) struct Task {
     /// Largest errors of the start, in m and rad.
     pub(super) start_error: [f64; 2],
     pub(super) randomise: Vec<TruthRange>,
-    pub(super) length: f64,
-    pub(super) front: f64,
 }
 
 /// One car.
@@ -173,12 +171,13 @@ impl Task {
     }
 
     pub(super) fn point(&self, seen: &Seen) -> Position {
+        let law = &self.setup.config.law;
         front_point(
             Position::new(seen.x, seen.y),
             seen.yaw,
             seen.steering,
-            self.front,
-            self.length,
+            law.front_axle_distance_m,
+            law.point_distance_m,
         )
     }
 

@@ -59,17 +59,11 @@ pub struct ResultFile {
 /// Why a file can't be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
-    /// The system refuses to read it.
-    #[error("can't read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// The system refuses to write it.
-    #[error("can't write {}: {source}", path.display())]
-    Write {
+    /// The system refuses to read or to write it.
+    #[error("can't {what} {}: {source}", path.display())]
+    System {
+        /// What was to be done.
+        what: &'static str,
         /// The file.
         path: PathBuf,
         /// The system's error.
@@ -125,7 +119,7 @@ fn program(files: Vec<PathBuf>) -> Result<String, FileError> {
     let own = PathBuf::from("/proc/self/exe");
     let mut hasher = DefaultHasher::new();
     for path in [own].into_iter().chain(files) {
-        hasher.write(&fs::read(&path).map_err(|source| FileError::Read { path, source })?);
+        hasher.write(&fs::read(&path).map_err(system_error("read", &path))?);
     }
     Ok(format!("{:016x}", hasher.finish()))
 }
@@ -159,10 +153,7 @@ impl ResultFile {
     ///
     /// The file can't be read, is no result file, or is not complete.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let text = fs::read_to_string(path).map_err(|source| FileError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = fs::read_to_string(path).map_err(system_error("read", path))?;
         let invalid = |line: usize, reason: String| FileError::Invalid {
             path: path.to_owned(),
             line: line + 1,
@@ -231,7 +222,7 @@ impl ResultFile {
     pub(crate) fn check_writable(path: &Path) -> Result<(), FileError> {
         tempfile::tempfile_in(folder(path))
             .map(drop)
-            .map_err(write_error(path))
+            .map_err(system_error("write", path))
     }
 
     /// Writes the file, as a whole or not at all: a shard that was ended leaves no part.
@@ -250,7 +241,7 @@ impl ResultFile {
             file.persist(path)?;
             Ok(())
         };
-        written().map_err(write_error(path))
+        written().map_err(system_error("write", path))
     }
 }
 
@@ -261,7 +252,7 @@ fn folder(path: &Path) -> &Path {
     }
 }
 
-fn write_error(path: &Path) -> impl FnOnce(io::Error) -> FileError {
+fn system_error(what: &'static str, path: &Path) -> impl FnOnce(io::Error) -> FileError {
     let path = path.to_owned();
-    move |source| FileError::Write { path, source }
+    move |source| FileError::System { what, path, source }
 }

@@ -1,5 +1,6 @@
 //! Tables of numbers.
 
+use serde_json::{Map, Value, json};
 use singletrack_scenario::csv_text::csv_text;
 
 /// Columns of numbers; what is not a number is missing.
@@ -23,6 +24,16 @@ impl Table {
             header: names.join(","),
             rows: rows.iter().map(values).collect(),
         }
+    }
+
+    /// As JSON: an object for each row, with null for a number that is missing.
+    #[must_use]
+    pub fn to_json(&self) -> Vec<Map<String, Value>> {
+        let object = |row: &Vec<f64>| {
+            let names = self.header.split(',').map(str::to_owned);
+            names.zip(row.iter().map(|value| json!(value))).collect()
+        };
+        self.rows.iter().map(object).collect()
     }
 
     /// As CSV: numbers with every significant digit; an empty cell for one that is missing.

@@ -2,12 +2,12 @@
 
 use std::net::Ipv4Addr;
 
-use singletrack_control::VehicleParameters;
+use singletrack_control::{Position, VehicleParameters, direction};
 use singletrack_core::config::{
     BoardSection, Config, FenceSection, LawKind, LawSection, MotionCaptureSection,
     OuterLoopSection, ReferenceSection, SerialSection, UpAxis,
 };
-use singletrack_sim::{SimulationConfig, default_board_configuration};
+use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
@@ -78,6 +78,17 @@ pub fn daemon_config(drive: Drive) -> Config {
     config.supervisor.prove_first_metre = false;
     config.supervisor.require_calibration = false;
     config
+}
+
+/// Where G must be for a point of the car, `reach` (m) ahead of it, to stand at `point` (m).
+#[must_use]
+pub fn start_of([x, y]: [f64; 2], reach: f64, yaw_rad: f64) -> StartPose {
+    let centre = Position::new(x, y) - reach * direction(yaw_rad);
+    StartPose {
+        x_m: centre.x,
+        y_m: centre.y,
+        yaw_rad,
+    }
 }
 
 /// Makes the simulated car and its cameras as the daemon's configuration says.

@@ -2,7 +2,7 @@
 
 use contour::contour_rings;
 
-use super::{Grid, scale::Ruler, thin::Piece};
+use super::{Grid, place::between, scale::Ruler, thin::Piece};
 
 /// Stands for not a number: below every threshold.
 const BLANK: f64 = -1e300;
@@ -102,9 +102,8 @@ impl Sheet {
         match ends {
             [Some((from, low)), Some((to, high))] => {
                 let part = (threshold - low) / (high - low);
-                let between = |from: f64, to: f64| from + part * (to - from);
                 Some(Crossing {
-                    place: [between(from[0], to[0]), between(from[1], to[1])],
+                    place: between([from, to], part),
                     reached: true,
                 })
             }

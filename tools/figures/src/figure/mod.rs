@@ -22,6 +22,7 @@ mod typeset;
 mod xml;
 
 use serde::Serialize;
+use singletrack_words::words;
 
 pub use look::{Column, Look, MarkKind};
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
@@ -44,13 +45,14 @@ pub struct Figure {
     pub panels: Vec<Panel>,
 }
 
-/// How wide a figure is in a paper of two columns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Width {
-    /// One column: 85 mm.
-    Column,
-    /// The whole page: 178 mm.
-    Page,
+words! {
+    /// How wide a figure is in a paper of two columns. Its word is its class in a style sheet.
+    pub enum Width {
+        /// One column: 85 mm.
+        Column = "column",
+        /// The whole page: 178 mm.
+        Page = "page",
+    }
 }
 
 impl Width {
@@ -113,6 +115,16 @@ impl Panel {
             y,
             height_mm: 42.0,
             ..Self::default()
+        }
+    }
+
+    /// The floor, in m: where a point is that has this subscript.
+    #[must_use]
+    pub fn floor(point: &'static str) -> Self {
+        let axis = |letter| Axis::new("", Some(Symbol::new(letter, point)), "m");
+        Self {
+            equal: true,
+            ..Self::new(axis("x"), axis("y"))
         }
     }
 

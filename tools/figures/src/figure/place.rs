@@ -130,6 +130,11 @@ pub(super) fn segments(points: &[[f64; 2]]) -> impl Iterator<Item = Segment> + '
         .map(|(from, to)| [*from, *to])
 }
 
+/// The place at a part of the way from one point to another.
+pub(super) fn between([from, to]: Segment, part: f64) -> [f64; 2] {
+    [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]))
+}
+
 pub(super) fn length([from, to]: Segment) -> f64 {
     (to[0] - from[0]).hypot(to[1] - from[1])
 }
@@ -151,10 +156,7 @@ pub(super) fn interrupted(points: &[[f64; 2]], slots: &[Slot]) -> Vec<Vec<[f64; 
             .filter_map(|slot| slot.within(segment))
             .collect();
         taken.sort_by(|one, other| one[0].total_cmp(&other[0]));
-        let at = |part: f64| {
-            let [from, to] = segment;
-            [0, 1].map(|axis| from[axis] + part * (to[axis] - from[axis]))
-        };
+        let at = |part: f64| between(segment, part);
         let mut free_from = 0.0;
         for [enter, leave] in taken {
             if enter > free_from {

@@ -46,13 +46,9 @@ pub(super) fn envelope(points: &[[f64; 2]], width: f64) -> Piece {
 /// is farther than this from the line through the others (Ramer, Douglas, Peucker).
 /// Peaks stay, however short.
 pub(super) fn thin(points: &[[f64; 2]], tolerance: f64) -> Piece {
-    let mut keep = vec![false; points.len()];
-    for end in [0, points.len().saturating_sub(1)] {
-        if let Some(keep) = keep.get_mut(end) {
-            *keep = true;
-        }
-    }
-    let mut todo = vec![(0, points.len().saturating_sub(1))];
+    let end = points.len().saturating_sub(1);
+    let mut kept = vec![0, end];
+    let mut todo = vec![(0, end)];
     while let Some((first, last)) = todo.pop() {
         let (Some(from), Some(to)) = (points.get(first), points.get(last)) else {
             continue;
@@ -65,17 +61,14 @@ pub(super) fn thin(points: &[[f64; 2]], tolerance: f64) -> Piece {
         if let Some((index, distance)) = farthest
             && distance > tolerance
         {
-            if let Some(keep) = keep.get_mut(index) {
-                *keep = true;
-            }
-            todo.push((first, index));
-            todo.push((index, last));
+            kept.push(index);
+            todo.extend([(first, index), (index, last)]);
         }
     }
-    points
-        .iter()
-        .zip(keep)
-        .filter_map(|(point, keep)| keep.then_some(*point))
+    kept.sort_unstable();
+    kept.dedup();
+    let kept = kept.into_iter();
+    kept.filter_map(|index| points.get(index).copied())
         .collect()
 }
 

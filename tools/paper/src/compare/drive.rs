@@ -1,6 +1,5 @@
 //! One drive of the comparison on the simulated car.
 
-use libm::{cos, sin};
 use singletrack_control::{
     Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters, Velocity,
 };
@@ -11,10 +10,10 @@ use singletrack_core::{
 };
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use singletrack_scenario::{
-    simulated::{Drive, daemon_config, follow},
+    simulated::{Drive, daemon_config, follow, start_of},
     virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
 };
-use singletrack_sim::{LossWindow, SimulationConfig, StartPose};
+use singletrack_sim::{LossWindow, SimulationConfig};
 
 use super::{
     condition::Condition,
@@ -255,12 +254,7 @@ impl<'a> Run<'a> {
         let own = case.drives.own_point();
         let reach = own.reach(true_car);
         let errors = Counted::new(own, true_car, course.counted, table);
-        let [x, y] = course.start;
-        simulation.car.start = StartPose {
-            x_m: x - reach * cos(course.heading),
-            y_m: y - reach * sin(course.heading),
-            yaw_rad: course.heading,
-        };
+        simulation.car.start = start_of(course.start, reach, course.heading);
         follow(&config, &mut simulation);
         case.condition.falsify(&mut simulation);
         let period = config.control.period_ns() as f64 * 1e-9;

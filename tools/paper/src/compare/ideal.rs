@@ -146,18 +146,12 @@ impl<'a> Controller<'a> {
 
     /// Gives the car its speed, and its steering angle or, returned, the rate of that in rad/s.
     fn command(&mut self, car: &mut Car, time: f64) -> Result<f64, Singularity> {
-        let SingleTrackState {
-            x,
-            y,
-            yaw,
-            yaw_rate,
-            sideslip,
-        } = car.state;
-        let centre = Position::new(x, y);
+        let state = car.state;
+        let centre = Position::new(state.x, state.y);
         let motion = Motion {
-            yaw,
-            yaw_rate,
-            sideslip,
+            yaw: state.yaw,
+            yaw_rate: state.yaw_rate,
+            sideslip: state.sideslip,
         };
         match self {
             Self::Front {
@@ -171,7 +165,7 @@ impl<'a> Controller<'a> {
                 if *left == 0 {
                     *left = *steps;
                     *applied = tracking.step(&TrackingInput {
-                        point: law.point(centre, yaw, car.steering),
+                        point: law.point(centre, state.yaw, car.steering),
                         reference: &|ahead| table.reference().at(time + ahead),
                         applied: *applied,
                         period: f64::from(*steps) * STEP_S,
@@ -187,7 +181,7 @@ impl<'a> Controller<'a> {
                 tracking,
                 table,
             } => {
-                let point = law.point(centre, yaw, sideslip);
+                let point = law.point(centre, state.yaw, state.sideslip);
                 let wanted = tracking.velocity(&table.reference().at(time), &point);
                 match law.command(&motion, &wanted) {
                     Ok(command) => [car.steering, car.speed] = [command.steering, command.speed],
@@ -200,9 +194,9 @@ impl<'a> Controller<'a> {
                 let estimate = Estimate {
                     time: Time(0),
                     position: centre,
-                    yaw,
-                    yaw_rate,
-                    sideslip,
+                    yaw: state.yaw,
+                    yaw_rate: state.yaw_rate,
+                    sideslip: state.sideslip,
                     speed: car.speed,
                     pose_time: Time(0),
                 };

@@ -83,7 +83,7 @@ impl Comparison {
     #[must_use]
     pub fn is_yours(&self, unit: u64) -> bool {
         self.case(unit)
-            .is_some_and(|case| matches!(case.drives, Drives::Yours(_)))
+            .is_ok_and(|case| matches!(case.drives, Drives::Yours(_)))
     }
 
     /// The reference of a unit, and the time (s) until which its drive is counted.
@@ -92,7 +92,7 @@ impl Comparison {
     ///
     /// There is no such unit.
     pub fn path(&self, unit: u64) -> Result<(Reference, f64), CompareUnitError> {
-        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
+        let case = self.case(unit)?;
         let course = Course::new(case.path, case.speed_m_s);
         let reference = course.reference.reference();
         let reference = reference.map_err(|error| CompareUnitError::of(unit, error.into()))?;
@@ -111,27 +111,28 @@ impl Comparison {
         own: OwnPoint,
         decide: &mut Decide<'_>,
     ) -> Result<DriveResult, CompareUnitError> {
-        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
         let case = Case {
             drives: Drives::Yours(own),
-            ..case
+            ..self.case(unit)?
         };
         let result = case.drive_by(decide);
         result.map_err(|error| CompareUnitError::of(unit, error))
     }
 
     /// The row and the seed of a unit.
-    fn case(&self, unit: u64) -> Option<Case> {
+    fn case(&self, unit: u64) -> Result<Case, CompareUnitError> {
         let mut index = unit;
-        let row = self.rows().find(|row| {
+        let mut rows = self.rows();
+        let row = rows.find(|row| {
             let seeds = self.seeds_under(row.condition);
             let own = index < seeds;
             if !own {
                 index -= seeds;
             }
             own
-        })?;
-        Some(Case {
+        });
+        let row = row.ok_or(CompareUnitError::NoUnit(unit))?;
+        Ok(Case {
             drives: row.controller.drives(),
             path: row.path,
             speed_m_s: row.speed_m_s,
@@ -182,8 +183,7 @@ impl Experiment for Comparison {
     }
 
     fn run(&self, unit: u64) -> Result<DriveResult, CompareUnitError> {
-        let case = self.case(unit).ok_or(CompareUnitError::NoUnit(unit))?;
-        case.drive()
-            .map_err(|error| CompareUnitError::of(unit, error))
+        let result = self.case(unit)?.drive();
+        result.map_err(|error| CompareUnitError::of(unit, error))
     }
 }

@@ -190,38 +190,24 @@ impl Line {
     }
 
     fn of(row: Row, front_axle: bool, results: &[(u64, &DriveResult)]) -> Self {
-        let driven = || {
-            results
-                .iter()
-                .filter(|(_, result)| result.stopped.is_none())
-        };
-        let point = |result: &DriveResult| {
-            if front_axle {
-                result.front_axle
-            } else {
-                result.own
-            }
-        };
-        let rms_of = driven()
-            .filter_map(|(seed, result)| point(result).map(|errors| (*seed, errors.rms)))
-            .collect();
-        let results: Vec<&DriveResult> = results.iter().map(|(_, result)| *result).collect();
-        let results = results.as_slice();
-        let driven = || results.iter().filter(|result| result.stopped.is_none());
-        let errors = driven().filter_map(|result| point(result));
-        let errors: Vec<Errors> = errors.collect();
-        let efforts: Vec<Effort> = driven().filter_map(|result| result.effort).collect();
+        let driven = results.iter();
+        let driven = driven.filter(|(_, result)| result.stopped.is_none());
+        let own = driven.clone().filter_map(|(seed, result)| {
+            let [front, own] = [result.front_axle, result.own];
+            Some((*seed, if front_axle { front? } else { own? }))
+        });
+        let (seeds, errors): (Vec<u64>, Vec<Errors>) = own.unzip();
+        let efforts: Vec<Effort> = driven.filter_map(|(_, result)| result.effort).collect();
         let rms: Vec<f64> = errors.iter().map(|errors| errors.rms).collect();
         let [low, high] = interval(&rms).map(|end| (!rms.is_empty()).then_some(end));
         let along = mean(&errors, |errors| errors.along_rms);
-        let stopped = results
-            .iter()
-            .filter_map(|result| result.stopped.as_deref());
+        let stopped = results.iter();
+        let stopped = stopped.filter_map(|(_, result)| result.stopped.as_deref());
         Self {
             row,
             name: row.controller.name().to_owned(),
             worst_of: None,
-            rms_of,
+            rms_of: seeds.into_iter().zip(rms).collect(),
             rank: None,
             front_axle,
             seeds: results.len(),
@@ -233,7 +219,7 @@ impl Line {
                 most(&errors, |errors| errors.max),
                 along.filter(|_| !front_axle),
                 mean(&errors, |errors| errors.across_rms),
-                most(results, |result| result.tyre_use_max),
+                most(results, |(_, result)| result.tyre_use_max),
             ],
             effort: [
                 mean(&efforts, |effort| effort.steering_rate_rms),

@@ -50,15 +50,16 @@ impl Drives {
         let after = self.parts.last().map(|part| part.span.end_s + BETWEEN);
         // The first keeps its times.
         let shift = after.map_or(0.0, |after| after - from);
-        for pose in &mut drive.data.poses {
-            pose.time_s += shift;
-        }
-        for sample in &mut drive.data.inertial {
-            sample.time_s += shift;
-        }
-        for target in &mut drive.data.servo {
-            target.time_s += shift;
-        }
+        let DriveData {
+            poses,
+            inertial,
+            servo,
+        } = &mut drive.data;
+        poses.iter_mut().for_each(|pose| pose.time_s += shift);
+        inertial
+            .iter_mut()
+            .for_each(|sample| sample.time_s += shift);
+        servo.iter_mut().for_each(|target| target.time_s += shift);
         let end_s = times(&drive.data).fold(from + shift, f64::max);
         self.parts.push(Part {
             path: drive.path,

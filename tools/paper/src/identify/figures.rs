@@ -86,16 +86,12 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
     };
     let trajectory = Panel {
         height_mm: 70.0,
-        equal: true,
         curves: vec![
             path(MODEL, Look::Nominal, |point| point.position_m),
             path(MEASURED, Look::Actual, |point| point.measured_m),
         ],
         begins_row: true,
-        ..Panel::new(
-            Axis::new("", Some(Symbol::new("x", "G")), "m"),
-            Axis::new("", Some(Symbol::new("y", "G")), "m"),
-        )
+        ..Panel::floor("G")
     };
     Figure {
         title: "Inputs and trajectory".to_owned(),

@@ -5,7 +5,8 @@ use libm::{atan, atan2, cos, hypot, sin, tan};
 use nalgebra::Rotation2;
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop};
 use singletrack_control::{
-    FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, Velocity, direction,
+    FrontPointLaw, Motion, SingleTrack, SingleTrackState, SlipAngles, VehicleParameters, Velocity,
+    direction,
 };
 
 use super::{
@@ -24,8 +25,8 @@ pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
     };
     add("similitude", similitude(setup));
     let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
-    let [model, exact] =
-        [Angles::Small, Angles::Exact].map(|angles| steering_on_circle(setup, amplitude, angles));
+    let [model, exact] = [SlipAngles::Small, SlipAngles::Exact]
+        .map(|angles| steering_on_circle(setup, amplitude, angles));
     add("steering.model", Some(model));
     add("steering.exact", Some(exact));
     add("steering.off", Some(100.0 * (model / exact - 1.0)));
@@ -87,19 +88,9 @@ fn similitude(setup: &Setup) -> Option<f64> {
     Some(largest)
 }
 
-/// How the model treats sideslip and steering.
-#[derive(Clone, Copy, PartialEq)]
-enum Angles {
-    /// Equation 1: sin x = x and cos x = 1.
-    Small,
-    /// Slip angles from the velocities of the axles, and the force of the front axle across
-    /// its wheels.
-    Exact,
-}
-
 /// The steering angle with which P goes round on a circle of radius `amplitude` (m), with
 /// linear tyres, in rad.
-fn steering_on_circle(setup: &Setup, amplitude: f64, angles: Angles) -> f64 {
+fn steering_on_circle(setup: &Setup, amplitude: f64, angles: SlipAngles) -> f64 {
     let VehicleParameters {
         mass_kg: m,
         front_axle_distance_m: l_f,
@@ -113,13 +104,13 @@ fn steering_on_circle(setup: &Setup, amplitude: f64, angles: Angles) -> f64 {
     let r = TURN_RATE;
     // Sideslip and steering at a speed of G.
     let steady = |v: f64| match angles {
-        Angles::Small => {
+        SlipAngles::Small => {
             let rear = m * v * r * l_f / (wheelbase * c_r);
             let front = m * v * r * l_r / (wheelbase * c_f);
             let sideslip = l_r * r / v - rear;
             (sideslip, front + sideslip + l_f * r / v)
         }
-        Angles::Exact => {
+        SlipAngles::Exact => {
             let (mut sideslip, mut steering) = (0.0_f64, 0.0_f64);
             for _ in 0..200 {
                 let across = m * v * r * cos(sideslip);

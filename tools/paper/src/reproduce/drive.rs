@@ -1,6 +1,6 @@
 //! Drives of experiments in virtual time, on either plant.
 
-use singletrack_control::{Position, VehicleParameters, front_point};
+use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
 use singletrack_record::{Entry, Reader, RecordError, Topic};
 use singletrack_scenario::simulate::{
@@ -42,9 +42,7 @@ pub(super) struct Seen {
     pub(super) time: f64,
     /// P by the true `l_f` and the estimated pose, in m.
     pub(super) point: [f64; 2],
-    pub(super) speed: f64,
-    pub(super) sideslip: f64,
-    pub(super) yaw_rate: f64,
+    pub(super) estimate: Estimate,
     /// The commanded steering angle, in rad.
     pub(super) steering: f64,
 }
@@ -226,9 +224,7 @@ impl Experiment {
             seen.push(Seen {
                 time,
                 point: [point.x, point.y],
-                speed: estimate.speed,
-                sideslip: estimate.sideslip,
-                yaw_rate: estimate.yaw_rate,
+                estimate,
                 steering: output.actuation.steering,
             });
         }

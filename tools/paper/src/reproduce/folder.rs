@@ -37,10 +37,10 @@ struct Contents {
 }
 
 /// The files of an earlier reproduction; none in an empty folder.
-fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
+fn earlier(folder: &Path) -> Result<Vec<PathBuf>, ReproduceError> {
     let mut entries = fs::read_dir(folder).map_err(WriteError::of(folder))?;
     let Some(first) = entries.next() else {
-        return Ok(None);
+        return Ok(Vec::new());
     };
     let first = first.map_err(WriteError::of(folder))?.file_name();
     let foreign = || ReproduceError::Foreign {
@@ -59,7 +59,7 @@ fn earlier(folder: &Path) -> Result<Option<Vec<PathBuf>>, ReproduceError> {
         (Some(folder), Some(_)) => folder == Path::new(FIGURES) || folder == Path::new(DATA),
         _ => false,
     };
-    Ok(Some(contents.files.into_iter().filter(ours).collect()))
+    Ok(contents.files.into_iter().filter(ours).collect())
 }
 
 /// Writes everything in place of an earlier reproduction; returns the path of the
@@ -69,7 +69,7 @@ pub(super) fn write(folder: &Path, reproduction: &Reproduction) -> Result<PathBu
     let mut texts = texts(reproduction);
     let mut files: Vec<String> = texts.iter().map(|(name, _)| name.clone()).collect();
     files.push(CLAIMS_JSON.to_owned());
-    let earlier: Vec<PathBuf> = earlier(folder)?.unwrap_or_default();
+    let earlier = earlier(folder)?;
     let outdated = || {
         let kept = |file: &&PathBuf| files.iter().any(|name| Path::new(name) == *file);
         earlier.iter().filter(move |file| !kept(file))

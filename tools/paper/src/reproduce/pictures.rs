@@ -42,7 +42,6 @@ impl Run {
         };
         Panel {
             height_mm,
-            equal: true,
             curves: vec![
                 path("nominal", Look::Nominal, |row| row.x_ref, |row| row.y_ref),
                 path("actual", Look::Actual, |row| row.x_p, |row| row.y_p),
@@ -57,10 +56,7 @@ impl Run {
                     })
                 })
                 .collect(),
-            ..Panel::new(
-                Axis::new("", Some(Symbol::new("x", "P")), "m"),
-                Axis::new("", Some(Symbol::new("y", "P")), "m"),
-            )
+            ..Panel::floor("P")
         }
     }
 
@@ -126,7 +122,7 @@ impl Run {
         let y = Axis::new("speed", Some(Symbol::new("v", "")), "m/s");
         let reference = self.column(|row| row.speed);
         let reference = Curve::new("reference", Look::Nominal, &self.time(), reference);
-        let actual = self.curves(["actual"; 3], |row| row.speed, |seen| seen.speed);
+        let actual = self.curves(["actual"; 3], |row| row.speed, |seen| seen.estimate.speed);
         let curves = [reference].into_iter().chain(actual.into_iter().take(1));
         Figure {
             title: "Reference and actual speed".to_owned(),
@@ -170,8 +166,8 @@ impl Run {
                 .to_owned(),
             width: Width::Page,
             panels: vec![
-                panel(sideslip, |row| row.sideslip, |seen| seen.sideslip),
-                panel(yaw_rate, |row| row.yaw_rate, |seen| seen.yaw_rate),
+                panel(sideslip, |row| row.sideslip, |seen| seen.estimate.sideslip),
+                panel(yaw_rate, |row| row.yaw_rate, |seen| seen.estimate.yaw_rate),
             ],
         }
     }

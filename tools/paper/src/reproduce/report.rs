@@ -1,10 +1,7 @@
 //! `report.html`: one self-contained file.
 
 use singletrack_control::VehicleParameters;
-use singletrack_figures::{
-    figure::{Width, escaped},
-    template,
-};
+use singletrack_figures::{figure::escaped, template};
 
 use super::{
     Plate, Reproduction, Section,
@@ -180,11 +177,8 @@ fn framed(plate: &Plate) -> String {
         }
     );
     for picture in &plate.pictures {
-        let width = match picture.figure.width {
-            Width::Column => "column",
-            Width::Page => "page",
-        };
-        html += &format!("<div class=\"{width} static\">{}", picture.figure.to_svg());
+        let (width, svg) = (picture.figure.width, picture.figure.to_svg());
+        html += &format!("<div class=\"{width} static\">{svg}");
         if !picture.label.is_empty() {
             html += &format!("<p class=\"which\">{}</p>", escaped(&picture.label));
         }

@@ -239,7 +239,7 @@ fn speed_lag(run: Option<&Run>) -> String {
     for row in run.rows.iter().filter(|row| row.t > 1.0) {
         let at = run.seen.partition_point(|seen| seen.time < row.t);
         if let Some(seen) = run.seen.get(at) {
-            lag.add(seen.speed - row.speed);
+            lag.add(seen.estimate.speed - row.speed);
         }
     }
     format!(

@@ -89,30 +89,18 @@ impl LoopArgs {
     }
 }
 
-/// The speeds of a curve or a map.
-#[derive(Clone, Debug, Args)]
-pub(super) struct SpeedArgs {
-    /// Speeds of the steady motion, in m/s
-    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
-    pub(super) speeds: Grid,
-}
-
 /// The points of a map. A subcommand with other defaults changes them with `mut_arg`.
 #[derive(Clone, Debug, Args)]
 pub(super) struct PointArgs {
-    #[command(flatten)]
-    speed: SpeedArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
+    pub(super) speeds: Grid,
     /// Deviations dl of the centre of mass, in m [default: those of the paper's figures]
     #[arg(long, value_name = "A:B:STEP")]
     dl: Option<Grid>,
 }
 
 impl PointArgs {
-    /// The speeds, in m/s.
-    pub(super) fn speeds(&self) -> &Grid {
-        &self.speed.speeds
-    }
-
     /// The deviations dl, in m, or the subcommand's own.
     pub(super) fn deviations_or(&self, default: impl FnOnce() -> Grid) -> Grid {
         self.dl.clone().unwrap_or_else(default)

@@ -61,21 +61,20 @@ pub(super) fn run(args: &BasinArgs) -> Result<(), StabilityCommandError> {
     };
     let servo = (servo.lag != 0.0 || servo.dead_time != 0.0).then_some(servo);
     let mut rows = Vec::new();
-    for speed in args.speeds.values() {
-        for point_distance in args.distances.as_ref().unwrap_or(&own).values() {
-            let subject = Subject {
-                point_distance: *point_distance,
-                ..subject
-            };
-            let at = subject.at(*speed, args.dl)?;
-            let basin = at.saturating(args.saturation.saturation())?.basin(servo)?;
-            rows.push(BasinRow {
-                speed_m_s: *speed,
-                point_distance_m: *point_distance,
-                yaw_rad: basin.yaw,
-                beyond_amplitude_rad: basin.beyond,
-            });
-        }
+    let distances = args.distances.as_ref().unwrap_or(&own);
+    for (speed_m_s, point_distance) in args.speeds.with(distances) {
+        let subject = Subject {
+            point_distance,
+            ..subject
+        };
+        let at = subject.at(speed_m_s, args.dl)?;
+        let basin = at.saturating(args.saturation.saturation())?.basin(servo)?;
+        rows.push(BasinRow {
+            speed_m_s,
+            point_distance_m: point_distance,
+            yaw_rad: basin.yaw,
+            beyond_amplitude_rad: basin.beyond,
+        });
     }
     match args.format {
         DrawnFormat::Csv => print(&basin_table(&rows).to_csv())?,

@@ -11,7 +11,7 @@ use crate::table::Table;
 pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
-    let map = eigenvalue_map(&subject, args.points.speeds(), &dl)?;
+    let map = eigenvalue_map(&subject, &args.points.speeds, &dl)?;
     let points: Vec<_> = map.iter().map(document).collect();
     Ok(write(
         args.format,
@@ -42,17 +42,14 @@ pub fn eigenvalue_map(
     speeds: &Grid,
     deviations: &Grid,
 ) -> Result<Vec<EigenvalueRow>, StabilityError> {
-    let mut map = Vec::with_capacity(speeds.values().len() * deviations.values().len());
-    for speed in speeds.values() {
-        for deviation in deviations.values() {
-            map.push(EigenvalueRow {
-                speed: *speed,
-                deviation: *deviation,
-                eigenvalues: subject.at(*speed, *deviation)?.eigenvalues(),
-            });
-        }
-    }
-    Ok(map)
+    let rows = speeds.with(deviations).map(|(speed, deviation)| {
+        Ok(EigenvalueRow {
+            speed,
+            deviation,
+            eigenvalues: subject.at(speed, deviation)?.eigenvalues(),
+        })
+    });
+    rows.collect()
 }
 
 /// The numbers of a map.

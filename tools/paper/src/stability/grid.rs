@@ -29,6 +29,12 @@ impl Grid {
     pub fn values(&self) -> &[f64] {
         &self.0
     }
+
+    /// Each value with all of `other`.
+    pub(super) fn with<'a>(&'a self, other: &'a Self) -> impl Iterator<Item = (f64, f64)> + 'a {
+        let all = |one: &'a f64| other.0.iter().map(|other| (*one, *other));
+        self.0.iter().flat_map(all)
+    }
 }
 
 impl FromStr for Grid {

@@ -6,7 +6,7 @@ use singletrack_analysis::stability::{HopfPoint, StabilityError};
 use singletrack_figures::output::print;
 
 use super::{
-    arguments::{DrawnFormat, LoopArgs, SpeedArgs},
+    arguments::{DrawnFormat, LoopArgs},
     error::StabilityCommandError,
     figures::{self, Scene},
     grid::Grid,
@@ -20,8 +20,9 @@ use crate::table::Table;
 pub(super) struct HopfArgs {
     #[command(flatten)]
     subject: LoopArgs,
-    #[command(flatten)]
-    speed: SpeedArgs,
+    /// Speeds of the steady motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.1:8:0.05")]
+    speeds: Grid,
     /// How to write them
     #[arg(long, value_enum, default_value_t = DrawnFormat::Csv)]
     format: DrawnFormat,
@@ -29,7 +30,7 @@ pub(super) struct HopfArgs {
 
 pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let curve = hopf_curve(&subject, &args.speed.speeds)?;
+    let curve = hopf_curve(&subject, &args.speeds)?;
     if curve.is_empty() {
         eprintln!("singletrack: there is no Hopf point at these speeds, for any dl");
     }
@@ -41,7 +42,7 @@ pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
         }
         DrawnFormat::Svg => {
             let deviations = figures::drawn_deviations(&subject, 241);
-            let region = region(&subject, &args.speed.speeds, &deviations)?;
+            let region = region(&subject, &args.speeds, &deviations)?;
             let figure = figures::region(&Scene::new(&subject, &curve)?, &region)?;
             print(&figure.to_svg())?;
         }

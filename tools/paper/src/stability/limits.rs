@@ -1,7 +1,6 @@
 //! The limits of the loop with a servo: the first unstable speed, and the least p.
 
 use clap::Args;
-use serde::Serialize;
 use singletrack_analysis::stability::{first_unstable_speed, least_point_distance};
 
 use super::{
@@ -84,25 +83,19 @@ impl ServoArgs {
         });
         timings.collect()
     }
-}
 
-/// The first unstable speed with one p, dl and delay.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct FirstUnstableRow {
-    point_distance_m: f64,
-    dl_m: f64,
-    delay_ms: f64,
-    /// None if no searched speed is unstable.
-    first_unstable_m_s: Option<f64>,
-}
-
-/// The least p at one speed and delay.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct LeastRow {
-    speed_m_s: f64,
-    delay_ms: f64,
-    /// None if no searched p is stable.
-    least_p_m: Option<f64>,
+    /// Writes rows with the names of their columns. A limit that the search has not found is
+    /// missing.
+    fn write(
+        &self,
+        subject: &Subject,
+        header: &str,
+        rows: Vec<Vec<f64>>,
+    ) -> Result<(), StabilityCommandError> {
+        let header = header.to_owned();
+        let table = Table { header, rows };
+        Ok(write(self.format, subject, &table, &table.to_json())?)
+    }
 }
 
 pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), StabilityCommandError> {
@@ -111,27 +104,14 @@ pub(super) fn run_first_unstable(args: &FirstUnstableArgs) -> Result<(), Stabili
     for p in args.distances.values() {
         for dl in args.dl.values() {
             for timing in args.servo.timings() {
-                rows.push(FirstUnstableRow {
-                    point_distance_m: *p,
-                    dl_m: *dl,
-                    delay_ms: timing.delay_ms,
-                    first_unstable_m_s: first_unstable(&subject, timing, &[*dl], *p)?,
-                });
+                let first = first_unstable(&subject, timing, &[*dl], *p)?;
+                let first = first.unwrap_or(f64::NAN);
+                rows.push(vec![*p, *dl, timing.delay_ms, first]);
             }
         }
     }
-    let table = Table::of(
-        &rows,
-        &[
-            ("point_distance_m", |row| row.point_distance_m),
-            ("dl_m", |row| row.dl_m),
-            ("delay_ms", |row| row.delay_ms),
-            ("first_unstable_m_s", |row| {
-                row.first_unstable_m_s.unwrap_or(f64::NAN)
-            }),
-        ],
-    );
-    Ok(write(args.servo.format, &subject, &table, &rows)?)
+    let header = "point_distance_m,dl_m,delay_ms,first_unstable_m_s";
+    args.servo.write(&subject, header, rows)
 }
 
 pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
@@ -139,22 +119,12 @@ pub(super) fn run_least(args: &LeastArgs) -> Result<(), StabilityCommandError> {
     let mut rows = Vec::new();
     for speed in args.speeds.values() {
         for timing in args.servo.timings() {
-            rows.push(LeastRow {
-                speed_m_s: *speed,
-                delay_ms: timing.delay_ms,
-                least_p_m: least_p(&subject, timing, args.dl.values(), *speed)?,
-            });
+            let least = least_p(&subject, timing, args.dl.values(), *speed)?;
+            rows.push(vec![*speed, timing.delay_ms, least.unwrap_or(f64::NAN)]);
         }
     }
-    let table = Table::of(
-        &rows,
-        &[
-            ("speed_m_s", |row| row.speed_m_s),
-            ("delay_ms", |row| row.delay_ms),
-            ("least_p_m", |row| row.least_p_m.unwrap_or(f64::NAN)),
-        ],
-    );
-    Ok(write(args.servo.format, &subject, &table, &rows)?)
+    let header = "speed_m_s,delay_ms,least_p_m";
+    args.servo.write(&subject, header, rows)
 }
 
 /// The lowest speed in m/s from which the motion is unstable with one of `deviations` (m) and

@@ -11,7 +11,7 @@ use crate::table::Table;
 pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
-    let region = region(&subject, args.points.speeds(), &dl)?;
+    let region = region(&subject, &args.points.speeds, &dl)?;
     let table = Table::of(
         &region,
         &[
@@ -47,18 +47,15 @@ pub fn region(
     speeds: &Grid,
     deviations: &Grid,
 ) -> Result<Vec<RegionRow>, StabilityError> {
-    let mut rows = Vec::with_capacity(speeds.values().len() * deviations.values().len());
-    for speed in speeds.values() {
-        for deviation in deviations.values() {
-            let at = subject.at(*speed, *deviation)?;
-            let eigenvalues = at.eigenvalues();
-            rows.push(RegionRow {
-                speed_m_s: *speed,
-                dl_m: *deviation,
-                largest_re_per_s: eigenvalues.last().map_or(f64::NAN, |value| value.re),
-                stable: at.is_stable(),
-            });
-        }
-    }
-    Ok(rows)
+    let rows = speeds.with(deviations).map(|(speed_m_s, dl_m)| {
+        let at = subject.at(speed_m_s, dl_m)?;
+        let largest = at.eigenvalues().last().map(|value| value.re);
+        Ok(RegionRow {
+            speed_m_s,
+            dl_m,
+            largest_re_per_s: largest.unwrap_or(f64::NAN),
+            stable: at.is_stable(),
+        })
+    });
+    rows.collect()
 }

@@ -40,7 +40,7 @@ pub(super) fn run(args: &SampledArgs) -> Result<(), StabilityCommandError> {
     let dl = args
         .points
         .deviations_or(|| Grid::spanning(ClosedLoop::meaningful_deviations(&subject.vehicle), 21));
-    let map = shown_map(&subject, args.points.speeds(), &dl, args.timing, "points")?;
+    let map = shown_map(&subject, &args.points.speeds, &dl, args.timing, "points")?;
     Ok(write(args.format, &subject, &sampled_table(&map), &map)?)
 }
 
@@ -110,20 +110,18 @@ pub fn sampled_map(
     timing: TimingArgs,
     mut progress: impl FnMut(),
 ) -> Result<Vec<SampledRow>, StabilityCommandError> {
-    let mut rows = Vec::with_capacity(speeds.values().len() * deviations.values().len());
-    for speed in speeds.values() {
-        for deviation in deviations.values() {
-            let sampled = timing.around(subject.at(*speed, *deviation)?)?;
-            let limits = MarginLimits::default();
-            rows.push(SampledRow {
-                speed_m_s: *speed,
-                dl_m: *deviation,
-                spectral_radius: sampled.spectral_radius(),
-                delay_margin_s: sampled.delay_margin(limits),
-                longest_marker_interval_s: sampled.longest_marker_interval(limits),
-            });
-            progress();
-        }
-    }
-    Ok(rows)
+    let limits = MarginLimits::default();
+    let rows = speeds.with(deviations).map(|(speed_m_s, dl_m)| {
+        let sampled = timing.around(subject.at(speed_m_s, dl_m)?)?;
+        let row = SampledRow {
+            speed_m_s,
+            dl_m,
+            spectral_radius: sampled.spectral_radius(),
+            delay_margin_s: sampled.delay_margin(limits),
+            longest_marker_interval_s: sampled.longest_marker_interval(limits),
+        };
+        progress();
+        Ok(row)
+    });
+    rows.collect()
 }

@@ -113,21 +113,8 @@ pub struct RunOptions<'a> {
 /// stands by then.
 const AFTER_END: f64 = 5.0;
 
-/// Drives a scenario on the simulated car; time zero is its first driving tick, or the
-/// start of the run if there is none.
-///
-/// # Errors
-///
-/// The car can't drive the scenario, or does not start.
-pub(super) fn simulate(
-    scenario: &Scenario,
-    options: RunOptions<'_>,
-) -> Result<Simulation, CarError> {
-    let (daemon, simulation) = virtual_drive_config(scenario)?;
-    simulate_configured(scenario, &daemon, &simulation, options)
-}
-
-/// As a scenario, with other configurations of daemon and simulator than its own.
+/// Drives a scenario on the simulated car, with these configurations of daemon and simulator; time
+/// zero is its first driving tick, or the start of the run if there is none.
 ///
 /// # Errors
 ///

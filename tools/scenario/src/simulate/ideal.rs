@@ -3,9 +3,9 @@
 
 use singletrack_analysis::integrator::{IntegrationError, Integrator};
 use singletrack_control::{
-    FrontPointLaw, LawError, Motion, OuterLoop as _, Position, Reference, ReferencePoint,
-    SingleTrack, SingleTrackState, Singularity, TrackingInput, TrackingLoop, Velocity,
-    VelocityPointLaw, direction, front_point, velocity_point,
+    FrontPointLaw, Motion, OuterLoop as _, Position, Reference, ReferencePoint, SingleTrack,
+    SingleTrackState, Singularity, TrackingInput, TrackingLoop, Velocity, VelocityPointLaw,
+    direction, front_point, velocity_point,
 };
 use singletrack_core::config::LawKind;
 
@@ -34,12 +34,6 @@ pub enum IdealError {
         "{0}; the paper's model needs a car that moves forward, use plant kind \"car\" for one that stops"
     )]
     Integration(#[from] IntegrationError),
-}
-
-impl From<LawError> for IdealError {
-    fn from(error: LawError) -> Self {
-        Self::Scenario(error.into())
-    }
 }
 
 /// x, y, yaw, yaw rate, sideslip, steering.
@@ -129,29 +123,31 @@ struct Simulation<'a> {
 }
 
 impl<'a> Simulation<'a> {
-    fn new(scenario: &'a Scenario) -> Result<Self, IdealError> {
+    fn new(scenario: &'a Scenario) -> Result<Self, ScenarioError> {
         let model = SingleTrack::new(scenario.vehicle);
         let p = scenario.law.point_distance_m;
         let [x, y] = scenario.start.point_p_m;
         let start = Position::new(x, y);
         let yaw = scenario.start.yaw_deg.to_radians();
+        let believed = scenario.believed_vehicle.as_ref();
+        let believed = believed.unwrap_or(&scenario.vehicle);
         let (law, centre) = match scenario.law.kind {
             LawKind::FrontPoint => (
-                Law::FrontPoint(scenario.front_point_law()?),
+                Law::FrontPoint(scenario.law.front_point_law(&scenario.vehicle)?),
                 start - (scenario.vehicle.front_axle_distance_m + p) * direction(yaw),
             ),
             LawKind::VelocityPoint => (
-                Law::VelocityPoint(scenario.velocity_point_law()?),
+                Law::VelocityPoint(scenario.law.velocity_point_law(believed)?),
                 start - p * direction(yaw),
             ),
         };
-        let mut reference = scenario.reference().map_err(ScenarioError::from)?;
+        let mut reference = scenario.reference()?;
         reference.begin(scenario.reference.start(), &start, yaw);
         Ok(Self {
             scenario,
             model,
             law,
-            tracking: scenario.tracking_loop().map_err(ScenarioError::from)?,
+            tracking: scenario.tracking_loop()?,
             reference,
             start,
             initial: [centre.x, centre.y, yaw, 0.0, 0.0, 0.0],

@@ -28,7 +28,8 @@ pub(super) fn layer<T: Serialize + DeserializeOwned>(
     Ok(())
 }
 
-fn merge(base: &mut Table, written: &Table) {
+/// Replaces the keys that are written, at any depth.
+pub fn merge(base: &mut Table, written: &Table) {
     for (key, value) in written {
         match (base.get_mut(key), value) {
             (Some(Value::Table(base)), Value::Table(written)) => merge(base, written),

@@ -15,6 +15,7 @@ use std::{fmt, path::Path};
 pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_drive_config};
 pub use error::ScenarioError;
 pub use ideal::IdealError;
+pub use layer::merge;
 pub use operator::OperatorSection;
 pub use row::{HEADER, Row, trim_zeros, write_csv};
 pub use scenario::{
@@ -107,7 +108,15 @@ pub fn simulate_with(
                 estimates: Vec::new(),
             })
         }
-        PlantKind::Car => Ok(car::simulate(scenario, options)?),
+        PlantKind::Car => {
+            let (daemon, simulation) = virtual_drive_config(scenario)?;
+            Ok(simulate_configured(
+                scenario,
+                &daemon,
+                &simulation,
+                options,
+            )?)
+        }
     }
 }
 

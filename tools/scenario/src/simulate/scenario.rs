@@ -3,21 +3,18 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{
-    FrontPointLaw, LawError, Limits, Position, Reference, TrackingLoop, VehicleParameters,
-    VelocityPointLaw, direction,
-};
+use singletrack_control::{Limits, Reference, TrackingLoop, VehicleParameters};
 use singletrack_core::config::{
     Config, ConfigError, LawSection, LoopModel, OuterLoopSection, ReferenceSection,
 };
 use singletrack_settings::{Declared as _, Worded, check, explain, in_words, section};
-use singletrack_sim::{BoardKind, CarTruth, SimulationConfig, StartPose};
+use singletrack_sim::{BoardKind, CarTruth, SimulationConfig};
 use toml::{Table, Value};
 
 use super::{
     MOMENT, error::ScenarioError, layer::layer, operator::OperatorSection, tune::TuneSection,
 };
-use crate::simulated::{self, daemon_config, follow};
+use crate::simulated::{self, daemon_config, follow, start_of};
 
 /// A scenario; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -199,6 +196,31 @@ const TICKS: Worded = in_words("at most 1000000000", |ticks| ticks <= 1e9);
 /// Of a period, in ms, and of a delay, in ticks.
 const AT_MOST_1000: Worded = in_words("at most 1000", |value| value <= 1_000.0);
 
+/// What is done with each section of the daemon's configuration but `[control]`.
+macro_rules! daemon_sections {
+    ($($section:ident)+) => {
+        impl Scenario {
+            /// The first of them that is given.
+            fn given_section(&self) -> Option<&'static str> {
+                let all = [$((stringify!($section), self.$section.is_some())),+];
+                let mut given = all.into_iter().filter(|(_, is_given)| *is_given);
+                given.next().map(|(name, _)| name)
+            }
+
+            /// Replaces the keys of the daemon's configuration that are given.
+            fn layer_sections(&self, config: &mut Config) -> Result<(), ScenarioError> {
+                $(layer(stringify!($section), &mut config.$section, self.$section.as_ref())?;)+
+                Ok(())
+            }
+        }
+    };
+}
+
+daemon_sections! {
+    governor limits board estimator supervisor watch fence safety_filter motion_capture
+    actuators compensation tuning online_calibration
+}
+
 impl Scenario {
     /// Reads and checks a scenario file.
     ///
@@ -298,10 +320,8 @@ impl Scenario {
 
     /// Refuses what only the car has.
     fn validate_ideal(&self) -> Result<(), ScenarioError> {
-        let given = self.daemon_sections();
-        let given = given.iter().find(|(_, given)| given.is_some());
-        let key = match given {
-            Some(&(key, _)) => Some(key),
+        let key = match self.given_section() {
+            Some(key) => Some(key),
             None if self.truth.is_some() => Some("truth"),
             None if self.simulation.is_some() => Some("simulation"),
             None if self.operator.is_some() => Some("operator"),
@@ -327,25 +347,6 @@ impl Scenario {
         Ok(())
     }
 
-    /// The sections of the daemon's configuration, except `[control]`.
-    const fn daemon_sections(&self) -> [(&'static str, Option<&Table>); 13] {
-        [
-            ("governor", self.governor.as_ref()),
-            ("limits", self.limits.as_ref()),
-            ("board", self.board.as_ref()),
-            ("estimator", self.estimator.as_ref()),
-            ("supervisor", self.supervisor.as_ref()),
-            ("watch", self.watch.as_ref()),
-            ("fence", self.fence.as_ref()),
-            ("safety_filter", self.safety_filter.as_ref()),
-            ("motion_capture", self.motion_capture.as_ref()),
-            ("actuators", self.actuators.as_ref()),
-            ("compensation", self.compensation.as_ref()),
-            ("tuning", self.tuning.as_ref()),
-            ("online_calibration", self.online_calibration.as_ref()),
-        ]
-    }
-
     /// The daemon's configuration, not yet validated: what is believed of the car.
     pub(super) fn daemon(&self) -> Result<Config, ScenarioError> {
         let mut config = daemon_config(simulated::Drive {
@@ -358,25 +359,9 @@ impl Scenario {
         config.control.align_to_cameras = self.control.align_to_cameras;
         // A car that may differ from its configuration is not known to be as configured.
         config.supervisor.prove_first_metre = self.differs();
-        let of = &mut config;
-        layer("governor", &mut of.governor, self.governor.as_ref())?;
-        layer("limits", &mut of.limits, self.limits.as_ref())?;
-        layer("board", &mut of.board, self.board.as_ref())?;
-        layer("estimator", &mut of.estimator, self.estimator.as_ref())?;
-        layer("supervisor", &mut of.supervisor, self.supervisor.as_ref())?;
-        layer("watch", &mut of.watch, self.watch.as_ref())?;
-        layer("fence", &mut of.fence, self.fence.as_ref())?;
-        let safety_filter = self.safety_filter.as_ref();
-        layer("safety_filter", &mut of.safety_filter, safety_filter)?;
-        let cameras = self.motion_capture.as_ref();
-        layer("motion_capture", &mut of.motion_capture, cameras)?;
-        layer("actuators", &mut of.actuators, self.actuators.as_ref())?;
-        let compensation = self.compensation.as_ref();
-        layer("compensation", &mut of.compensation, compensation)?;
-        layer("tuning", &mut of.tuning, self.tuning.as_ref())?;
-        let online = self.online_calibration.as_ref();
-        layer("online_calibration", &mut of.online_calibration, online)?;
-        layer("control", &mut of.control, Some(&self.control.daemon))?;
+        self.layer_sections(&mut config)?;
+        let control = Some(&self.control.daemon);
+        layer("control", &mut config.control, control)?;
         Ok(config)
     }
 
@@ -435,29 +420,14 @@ impl Scenario {
             truth.apply(&mut simulation)?;
         }
         let yaw = self.start.yaw_deg.to_radians();
-        let [x, y] = self.start.point_p_m;
         let reach = simulation.car.vehicle.front_axle_distance_m + self.law.point_distance_m;
-        let centre = Position::new(x, y) - reach * direction(yaw);
-        simulation.car.start = StartPose {
-            x_m: centre.x,
-            y_m: centre.y,
-            yaw_rad: yaw,
-        };
+        simulation.car.start = start_of(self.start.point_p_m, reach, yaw);
         Ok(simulation)
     }
 
     /// Whether a drive that does not start, or ends, is a result rather than an error.
     pub(super) const fn expects_any_end(&self) -> bool {
         self.differs() || self.operator.is_some()
-    }
-
-    pub(crate) fn front_point_law(&self) -> Result<FrontPointLaw, LawError> {
-        self.law.front_point_law(&self.vehicle)
-    }
-
-    pub(crate) fn velocity_point_law(&self) -> Result<VelocityPointLaw, LawError> {
-        let believed = self.believed_vehicle.as_ref().unwrap_or(&self.vehicle);
-        self.law.velocity_point_law(believed)
     }
 
     /// The loop of plant kind "ideal", whose car has neither lags nor bounds.

@@ -10,7 +10,7 @@ use singletrack_sim::Truth;
 use crate::{tracking::TrackingError, virtual_drive::VirtualTick};
 
 /// What a drive came to. Ways, speeds and clearance are the car's true ones.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Summary {
     /// Whether the car drove at all.
     pub armed: bool,
@@ -122,16 +122,9 @@ pub(super) struct Tally {
     fence: Fence,
     /// The way at the last tick, and whether the car drove then.
     last: Option<(f64, bool)>,
-    armed: bool,
-    mode: Mode,
-    reason: Option<Reason>,
     reason_of_end: Option<Reason>,
-    ended_s: Option<f64>,
-    way: f64,
-    way_after: f64,
-    speed: [f64; 2],
-    speed_end: f64,
-    clearance: f64,
+    /// Its reason is that of the last tick.
+    summary: Summary,
 }
 
 impl Tally {
@@ -139,79 +132,62 @@ impl Tally {
         Ok(Self {
             fence: Fence::new(fence.corners(), 0.0)?,
             last: None,
-            armed: false,
-            mode: Mode::Disconnected,
-            reason: None,
             reason_of_end: None,
-            ended_s: None,
-            way: 0.0,
-            way_after: 0.0,
-            speed: [0.0; 2],
-            speed_end: 0.0,
-            clearance: f64::INFINITY,
+            summary: Summary {
+                mode: Mode::Disconnected.name(),
+                clearance_min_m: f64::INFINITY,
+                ..Summary::default()
+            },
         })
     }
 
     /// When the drive ended, in s of the run.
     pub(super) const fn ended_s(&self) -> Option<f64> {
-        self.ended_s
+        self.summary.ended_s
     }
 
     /// Adds a tick at a time of the run, in s.
     pub(super) fn add(&mut self, time: f64, tick: &VirtualTick) {
         let output = &tick.tick.output;
         self.add_truth(&tick.truth);
+        let summary = &mut self.summary;
         let now_drives = drives(output.mode);
         let drove = self.last.is_some_and(|(_, drove)| drove);
         if now_drives {
-            self.armed = true;
-            self.ended_s = None;
+            summary.armed = true;
+            summary.ended_s = None;
         } else if drove {
-            self.ended_s = Some(time);
+            summary.ended_s = Some(time);
             self.reason_of_end = output.reason;
         }
-        self.mode = output.mode;
-        self.reason = output.reason;
+        summary.mode = output.mode.name();
+        summary.reason = output.reason.map(Reason::name);
         self.last = Some((tick.truth.way, now_drives));
     }
 
     fn add_truth(&mut self, truth: &Truth) {
-        if let Some((way, drove)) = self.last {
-            let sum = if drove {
-                &mut self.way
-            } else {
-                &mut self.way_after
-            };
-            *sum += truth.way - way;
+        let summary = &mut self.summary;
+        match self.last {
+            None => {}
+            Some((way, true)) => summary.way_m += truth.way - way,
+            Some((way, false)) => summary.way_after_m += truth.way - way,
         }
-        let [lowest, highest] = self.speed;
-        self.speed = [lowest.min(truth.speed), highest.max(truth.speed)];
-        self.speed_end = truth.speed;
-        let centre = Position::new(truth.x, truth.y);
-        self.clearance = self.clearance.min(self.fence.clearance(&centre));
+        summary.speed_min_m_s = summary.speed_min_m_s.min(truth.speed);
+        summary.speed_max_m_s = summary.speed_max_m_s.max(truth.speed);
+        summary.speed_end_m_s = truth.speed;
+        let clearance = self.fence.clearance(&Position::new(truth.x, truth.y));
+        summary.clearance_min_m = summary.clearance_min_m.min(clearance);
     }
 
     pub(super) fn summary(&self, tracking_error: Option<TrackingError>) -> Summary {
-        let reason = match self.mode {
-            Mode::Fault => self.reason,
-            _ if self.armed => self.reason_of_end.or(self.reason),
-            _ => self.reason,
-        };
-        let [speed_min_m_s, speed_max_m_s] = self.speed;
+        let summary = self.summary.clone();
+        // Without a drive there is no reason of its end.
+        let of_end = self.reason_of_end.map(Reason::name);
+        let is_fault = summary.mode == Mode::Fault.name();
         Summary {
-            armed: self.armed,
-            mode: self.mode.name(),
-            reason: reason.map(Reason::name),
-            ended_s: self.ended_s,
-            way_m: self.way,
-            way_after_m: self.way_after,
-            speed_max_m_s,
-            speed_min_m_s,
-            speed_end_m_s: self.speed_end,
-            clearance_min_m: self.clearance,
+            reason: of_end.filter(|_| !is_fault).or(summary.reason),
             tracking_error,
-            tracking_rms_m: None,
-            calibration: Vec::new(),
+            ..summary
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::figure::{
     hatch::hatch,
     legend,
     page::TEXT_SIZE,
-    place::{Obstacles, RIM, Slot, interrupted, length, segments},
+    place::{Obstacles, RIM, Slot, between, interrupted, length, segments},
     thin::{Piece, thin},
     typeset,
 };
@@ -254,9 +254,6 @@ impl<'a> Walk<'a> {
         } else {
             0.0
         };
-        Some([
-            from[0] + part * (to[0] - from[0]),
-            from[1] + part * (to[1] - from[1]),
-        ])
+        Some(between([*from, *to], part))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::LOST;
 use crate::{
-    figure::{Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Symbol, Width},
+    figure::{Column, Curve, Figure, Look, Mark, MarkKind, Panel, Width},
     plot::drive::Drive,
 };
 
@@ -48,16 +48,12 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         width: Width::Column,
         panels: vec![Panel {
             height_mm: 90.0,
-            equal: true,
             curves,
             marks: ends
                 .into_iter()
                 .filter_map(|(name, kind, point)| point.map(|point| Mark { name, point, kind }))
                 .collect(),
-            ..Panel::new(
-                Axis::new("", Some(Symbol::new("x", "P")), "m"),
-                Axis::new("", Some(Symbol::new("y", "P")), "m"),
-            )
+            ..Panel::floor("P")
         }],
     }
 }

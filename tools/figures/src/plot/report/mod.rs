@@ -16,7 +16,7 @@ use super::{
     summary::{self, Line},
 };
 use crate::{
-    figure::{Figure, Width, escaped},
+    figure::{Figure, escaped},
     template,
 };
 
@@ -110,10 +110,7 @@ fn framed((kind, figure): &(FigureKind, Figure)) -> String {
     } else {
         ""
     };
-    let width = match figure.width {
-        Width::Column => "column",
-        Width::Page => "page",
-    };
+    let width = figure.width;
     format!(
         "<figure id=\"{}\" class=\"{width}{over_time}\">\n<h3>{}</h3>\n<div class=\"live\"></div>\n\
          <div class=\"static\">{}</div>\n<figcaption>{}</figcaption>\n</figure>\n",

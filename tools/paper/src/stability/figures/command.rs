@@ -87,7 +87,7 @@ fn figures(
     subject: &Subject,
     args: &FiguresArgs,
 ) -> Result<Vec<(String, Figure)>, StabilityCommandError> {
-    let speeds = args.points.speeds();
+    let speeds = &args.points.speeds;
     let deviations = args
         .points
         .deviations_or(|| drawn_deviations(subject, DEVIATIONS));
@@ -126,11 +126,11 @@ fn sampled_rows(
     subject: &Subject,
     args: &FiguresArgs,
 ) -> Result<Vec<SampledRow>, StabilityCommandError> {
-    let speeds = match args.points.speeds().values() {
+    let speeds = match args.points.speeds.values() {
         all @ [first, .., last] if all.len() > MOST_SAMPLED_SPEEDS => {
             Grid::spanning([*first, *last], MOST_SAMPLED_SPEEDS)
         }
-        _ => args.points.speeds().clone(),
+        _ => args.points.speeds.clone(),
     };
     let deviations = args
         .points

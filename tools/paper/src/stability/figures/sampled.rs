@@ -62,10 +62,8 @@ pub fn sampled(
          pose at every tick: the darker, the less.",
         margin_map(
             grid(|row| in_ms(row.delay_margin_s))?,
-            Steps {
-                step: 0.0,
-                limit: 1000.0 * limits.delay,
-            },
+            0.0,
+            1000.0 * limits.delay,
             "delay margin (ms)",
             "unstable without delay",
         ),
@@ -80,10 +78,8 @@ pub fn sampled(
         ),
         margin_map(
             grid(|row| in_ms(row.longest_marker_interval_s))?,
-            Steps {
-                step: period_ms,
-                limit: period_ms * f64::from(limits.marker_interval),
-            },
+            period_ms,
+            period_ms * f64::from(limits.marker_interval),
             "longest marker interval (ms)",
             "unstable with a pose at every tick",
         ),
@@ -138,19 +134,12 @@ fn figure(scene: &Scene, timing: TimingArgs, what: &str, caption: &str, map: Map
     }
 }
 
-/// Which margins there are, in ms.
-struct Steps {
-    /// The step between margins; zero for a continuous scale.
-    step: f64,
-    /// The end of the searched range.
-    limit: f64,
-}
-
 /// The resolution of delays, in ms.
 const LEAST_MARGIN: f64 = 2.0;
 
-/// A map of a margin in ms: zero is none at all.
-fn margin_map(margin: Grid, Steps { step, limit }: Steps, name: &str, none: &str) -> Map {
+/// A map of a margin in ms: zero is none at all. `step` is that from one margin to the next, zero
+/// for a continuous scale; `limit` is the end of the searched range.
+fn margin_map(margin: Grid, step: f64, limit: f64, name: &str, none: &str) -> Map {
     let mut isolines = margins(&margin, [LEAST_MARGIN.max(step), limit]);
     for isoline in &mut isolines {
         // Halfway between a step and the one before.
