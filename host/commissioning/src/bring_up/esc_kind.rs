@@ -12,12 +12,8 @@ use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble, finding::failed,
 };
 
-pub(super) const STEP: Step = Step::new(
-    "esc-kind",
-    "What a pulse below neutral does",
-    "board.esc.kind says what a pulse below neutral does.",
-    find,
-);
+pub(super) const STEP: Step = Step::new("esc-kind", "What a pulse below neutral does", find)
+    .expecting("board.esc.kind says what a pulse below neutral does.");
 
 /// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
 /// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond

@@ -14,12 +14,9 @@ use crate::{
     imu_noise::{Comparison, NoiseLevel, compare},
 };
 
-pub(super) const STEP: Step = Step::new(
-    "imu-noise",
-    "IMU: its noise with the wheels turning",
-    "The noise at every speed is at most 1.3 times what [estimator] believes.",
-    find,
-);
+pub(super) const STEP: Step =
+    Step::new("imu-noise", "IMU: its noise with the wheels turning", find)
+        .expecting("The noise at every speed is at most 1.3 times what [estimator] believes.");
 
 /// Time at rest, s.
 const REST_S: f64 = 15.0;

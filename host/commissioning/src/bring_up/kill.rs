@@ -18,12 +18,8 @@ const CUT_WITHIN_S: f64 = 6.0;
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
 
-pub(super) const STEP: Step = Step::new(
-    "kill",
-    "The kill switch of the ESC's supply",
-    "The supply of the ESC can be cut, also while its pulse drives the motor.",
-    find,
-);
+pub(super) const STEP: Step = Step::new("kill", "The kill switch of the ESC's supply", find)
+    .expecting("The supply of the ESC can be cut, also while its pulse drives the motor.");
 
 pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.configuration().board.kill_output {

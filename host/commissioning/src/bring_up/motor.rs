@@ -25,18 +25,13 @@ use crate::{
     },
 };
 
-pub(super) const DIRECTION: Step = Step::new(
-    "motor-direction",
-    "Direction of the motor",
-    "A pulse above neutral drives forward, and the motor's pulses count.",
-    direction,
-);
-pub(super) const MAP: Step = Step::new(
-    "motor-map",
-    "Deadband and speeds of the motor",
-    "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
-    map,
-);
+pub(super) const DIRECTION: Step =
+    Step::new("motor-direction", "Direction of the motor", direction)
+        .expecting("A pulse above neutral drives forward, and the motor's pulses count.");
+pub(super) const MAP: Step = Step::new("motor-map", "Deadband and speeds of the motor", map)
+    .expecting(
+        "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
+    );
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;

@@ -9,11 +9,9 @@ use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
 
 /// The step, watching for `SECONDS` in each order of switching on.
 pub(super) const fn step_with<const SECONDS: u32>() -> Step {
-    Step::new(
-        "esc-neutral",
-        "The ESC at neutral",
+    let find = |bench: &mut dyn Bench| find(bench, SECONDS.into());
+    Step::new("esc-neutral", "The ESC at neutral", find).expecting(
         "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
-        |bench| find(bench, SECONDS.into()),
     )
 }
 

@@ -6,12 +6,8 @@ use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
 /// Time for which the car must be at rest, s.
 const WATCHED_S: f64 = 2.0;
 
-pub(super) const STEP: Step = Step::new(
-    "stand",
-    "The car on its stand",
-    "All wheels are clear of the floor, the cameras see the car, and it stands still.",
-    find,
-);
+pub(super) const STEP: Step = Step::new("stand", "The car on its stand", find)
+    .expecting("All wheels are clear of the floor, the cameras see the car, and it stands still.");
 
 pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if !ask_yes(bench, &questions::ON_STAND)? {

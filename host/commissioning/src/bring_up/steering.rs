@@ -53,30 +53,16 @@ const READING_RAD: f64 = 0.0175;
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
 
-pub(super) const DIRECTION: Step = Step::new(
-    "servo-direction",
-    "Direction of the servo",
-    "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
-    direction,
-);
-pub(super) const CENTRE: Step = Step::new(
-    "servo-centre",
-    "Centre of the servo",
-    "The front wheels point straight on at board.servo.centre_us.",
-    centre,
-);
-pub(super) const STOPS: Step = Step::new(
-    "servo-stops",
-    "End stops of the servo",
-    "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
-    stops,
-);
-pub(super) const GAIN: Step = Step::new(
-    "servo-gain",
-    "Gain of the servo",
-    "The angle of the front wheels follows board.servo.gain_us_per_rad.",
-    gain,
-);
+pub(super) const DIRECTION: Step =
+    Step::new("servo-direction", "Direction of the servo", direction).expecting(
+        "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
+    );
+pub(super) const CENTRE: Step = Step::new("servo-centre", "Centre of the servo", centre)
+    .expecting("The front wheels point straight on at board.servo.centre_us.");
+pub(super) const STOPS: Step = Step::new("servo-stops", "End stops of the servo", stops)
+    .expecting("From board.servo.min_us to max_us the servo reaches no mechanical stop.");
+pub(super) const GAIN: Step = Step::new("servo-gain", "Gain of the servo", gain)
+    .expecting("The angle of the front wheels follows board.servo.gain_us_per_rad.");
 
 /// Moves the servo and leaves it there.
 fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {

@@ -19,42 +19,24 @@ use crate::{
     finding::failed,
 };
 
-pub(super) const SILENCE: Step = Step::new(
-    "stop-silence",
-    "Stop: no more jogs",
-    "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
-    silence,
-);
-pub(super) const DISARM: Step = Step::new(
-    "stop-disarm",
-    "Stop: disarm",
-    "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-    disarm,
-);
-pub(super) const SWITCH: Step = Step::new(
-    "stop-switch",
-    "Stop: the stop switch",
-    "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
-    switch,
-);
-pub(super) const RESET: Step = Step::new(
-    "stop-reset",
-    "Stop: reset of the board",
-    "A reset of the board stops the motor at once.",
-    reset,
-);
-pub(super) const UNPLUG: Step = Step::new(
-    "stop-unplug",
-    "Stop: the cable",
-    "A pulled cable stops the motor at once.",
-    unplug,
-);
-pub(super) const EMERGENCY: Step = Step::new(
-    "stop-emergency",
-    "Stop: emergency stop",
-    "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-    emergency,
-);
+pub(super) const SILENCE: Step = Step::new("stop-silence", "Stop: no more jogs", silence)
+    .expecting(
+        "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
+    );
+pub(super) const DISARM: Step = Step::new("stop-disarm", "Stop: disarm", disarm)
+    .expecting("Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.");
+pub(super) const SWITCH: Step = Step::new("stop-switch", "Stop: the stop switch", switch)
+    .expecting(
+        "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
+    );
+pub(super) const RESET: Step = Step::new("stop-reset", "Stop: reset of the board", reset)
+    .expecting("A reset of the board stops the motor at once.");
+pub(super) const UNPLUG: Step = Step::new("stop-unplug", "Stop: the cable", unplug)
+    .expecting("A pulled cable stops the motor at once.");
+pub(super) const EMERGENCY: Step = Step::new("stop-emergency", "Stop: emergency stop", emergency)
+    .expecting(
+        "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+    );
 
 /// From a request to the neutral pulse at most, s.
 const PULSE_WITHIN_S: f64 = 0.2;

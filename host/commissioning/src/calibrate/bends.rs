@@ -39,9 +39,9 @@ const STIFFNESS: f64 = 0.35;
 pub(super) const STEP: Step = Step::new(
     "bends",
     "Bends to both sides: steering, and the body on the car",
-    "the same values from every pass, near those of doctor and bring-up",
     measure,
-);
+)
+.expecting("the same values from every pass, near those of doctor and bring-up");
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;

@@ -20,9 +20,9 @@ const BY_MARKERS: [Reason; 4] = [
 pub(super) const STEP: Step = Step::new(
     "cover",
     "Markers covered while it drives: the stop without poses",
-    "it stops by itself within the way that the geofence allows for",
     measure,
 )
+.expecting("it stops by itself within the way that the geofence allows for")
 .optional();
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {

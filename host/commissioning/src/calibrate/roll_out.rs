@@ -27,9 +27,9 @@ const COUNTED: f64 = 0.8;
 pub(super) const STEP: Step = Step::new(
     "roll-out",
     "Roll-outs from rising speeds: brakes and top speed",
-    "every roll-out at least as short as fence.braking_m_s2 makes it",
     measure,
-);
+)
+.expecting("every roll-out at least as short as fence.braking_m_s2 makes it");
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;

@@ -21,13 +21,9 @@ const LOOK: [f64; 2] = [0.4, 1.3];
 /// cameras.
 const SYSTEMATIC: [f64; 2] = [0.015, 0.006];
 
-pub(super) const STEP: Step = Step::new(
-    "speed",
-    "Changes of speed: ESC and motor",
-    "the speed follows within 0.3 s, and the same at every rise",
-    measure,
-)
-.optional();
+pub(super) const STEP: Step = Step::new("speed", "Changes of speed: ESC and motor", measure)
+    .expecting("the speed follows within 0.3 s, and the same at every rise")
+    .optional();
 
 /// Speed and way after a time in s.
 fn profile(time: f64) -> [f64; 2] {

@@ -15,9 +15,10 @@ const PULSES: f64 = 0.15;
 pub(super) const STEP: Step = Step::new(
     "straight",
     "A straight metre: signs, pulses, course",
-    "it moves along its own axis within 10 degrees, and by what the motor's \
-     pulses say within 15 %",
     measure,
+)
+.expecting(
+    "it moves along its own axis within 10 degrees, and by what the motor's pulses say within 15 %",
 );
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
