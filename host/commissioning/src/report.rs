@@ -109,10 +109,8 @@ pub fn summary(findings: &[Finding]) -> String {
     ]
     .into_iter()
     .filter_map(|verdict| {
-        let count = findings
-            .iter()
-            .filter(|finding| finding.verdict == verdict)
-            .count();
+        let same = findings.iter().filter(|one| one.verdict == verdict);
+        let count = same.count();
         (count > 0).then(|| format!("{count} {}", verdict.name()))
     })
     .collect();

@@ -98,10 +98,9 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         seen.rolled_m
     );
     let Some(kind) = seen.kind() else {
-        return Ok(Finding::warning(
-            format!("{found}; no pulse below neutral had an effect"),
-            "None, if board.esc.kind is left out: no pulse below neutral is ever sent.",
-        ));
+        let found = format!("{found}; no pulse below neutral had an effect");
+        let fix = "None, if board.esc.kind is left out: no pulse below neutral is ever sent.";
+        return Ok(Finding::warning(found, fix));
     };
     let kind_key = ("board.esc.kind", kind.into());
     if kind == "forward-reverse" {
@@ -113,22 +112,17 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let finding = match bench.configuration().board.esc.kind {
         Some(_) => Finding::good(format!("\"{kind}\": {found}")),
         None => {
-            return Err(failed(
-                "board.esc.kind was not written",
-                "Write it by hand.",
-            ));
+            let found = "board.esc.kind was not written";
+            return Err(failed(found, "Write it by hand."));
         }
     };
     let number = ["car", "forward-reverse", "vesc"]
         .iter()
         .position(|name| *name == kind)
         .unwrap_or(0);
-    Ok(finding.with(vec![Parameter::new(
-        "esc-kind",
-        "",
-        Interval::around(number as f64, 0.0),
-        Some(kind_key),
-    )]))
+    let number = Interval::around(number as f64, 0.0);
+    let parameter = Parameter::new("esc-kind", "", number, Some(kind_key));
+    Ok(finding.with(vec![parameter]))
 }
 
 const fn turned(turned: bool) -> &'static str {

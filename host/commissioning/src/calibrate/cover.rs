@@ -26,11 +26,9 @@ pub(super) const STEP: Step = Step::new(
 .optional();
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let answer = bench.ask(&Question::begin(
-        "cover-markers",
-        "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
-               from above, and keep them covered until it stands.",
-    ))?;
+    let request = "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
+                   from above, and keep them covered until it stands.";
+    let answer = bench.ask(&Question::begin("cover-markers", request))?;
     if answer == Answer::Skip {
         return Ok(Finding::new(Verdict::Skipped, "not done", ""));
     }
@@ -41,11 +39,9 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     })?;
     let _ = bench.ask(&Question::begin("uncover-markers", "Uncover the markers."))?;
     let Some(reason) = drive.reason else {
-        return Ok(Finding::new(
-            Verdict::Warning,
-            format!("the car drove on for {SECONDS} s: its markers were not covered"),
-            "run this step again, and cover all markers until the car stands",
-        ));
+        let found = format!("the car drove on for {SECONDS} s: its markers were not covered");
+        let fix = "run this step again, and cover all markers until the car stands";
+        return Ok(Finding::warning(found, fix));
     };
     if !BY_MARKERS.map(Reason::name).contains(&reason) {
         return Err(stopped("stopped before its markers were covered", reason));

@@ -43,10 +43,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .filter(|&index| (begin..=end).contains(&motion.time[index]))
         .collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
-        return Err(failed(
-            "the cameras saw too little of it",
-            "check that all markers are visible, and run it again",
-        ));
+        let fix = "check that all markers are visible, and run it again";
+        return Err(failed("the cameras saw too little of it", fix));
     };
     let [along, across] = motion.displacement(body_yaw)[first..last]
         .iter()
