@@ -135,11 +135,8 @@ impl Messages {
         let mut readings = Vec::new();
         for (place, source) in wanted {
             let stamp = source.stamp.as_ref().map(resolve).transpose()?;
-            let fields = source
-                .fields
-                .iter()
-                .map(resolve)
-                .collect::<Result<_, _>>()?;
+            let fields = source.fields.iter().map(resolve);
+            let fields = fields.collect::<Result<_, _>>()?;
             readings.push(Reading {
                 source: place,
                 stamp,
@@ -220,21 +217,28 @@ impl Messages {
         Ok(())
     }
 
-    /// All messages as rows, in the order of their times, of which no two are farther apart than the
-    /// longest gap.
-    pub(super) fn into_rows(mut self, longest_gap_ns: u64) -> Result<Rows, ImportError> {
+    /// Orders all messages by their times. Fails if something that the map wants is missing, if the
+    /// times of a source go backwards, or if two messages are farther apart than the longest gap.
+    pub(super) fn sort(&mut self, longest_gap_ns: u64) -> Result<(), ImportError> {
         for source in &self.sources.sources {
             self.check(source)?;
         }
         self.entries.sort_by_key(|entry| entry.receive_ns);
         self.check_order()?;
         self.entries.sort_by_key(|entry| entry.stamp_ns);
-        self.check_gaps(longest_gap_ns)?;
-        Ok(Rows {
-            path: self.path,
-            sources: self.sources,
-            entries: self.entries,
-            values: self.values,
+        self.check_gaps(longest_gap_ns)
+    }
+
+    /// The rows that the messages are, each with its time in ns since 1970.
+    pub(super) fn rows(&self) -> impl Iterator<Item = (u64, Row<'_>)> {
+        self.entries.iter().map(|entry| {
+            let row = Row {
+                path: &self.path,
+                sources: &self.sources,
+                entry: *entry,
+                values: &self.values,
+            };
+            (entry.stamp_ns, row)
         })
     }
 
@@ -250,11 +254,9 @@ impl Messages {
                 Some(_) => "no messages on the topic",
                 None => "no topic",
             };
+            let (name, key, topics) = (&source.topic, source.key(), listed(&topics));
             let why = format!(
-                " has {what} {:?}, which {} in the map names; its topics are {}",
-                source.topic,
-                source.key(),
-                listed(&topics)
+                " has {what} {name:?}, which {key} in the map names; its topics are {topics}"
             );
             return Err(ImportError::file(&self.path, why));
         }
@@ -324,29 +326,6 @@ impl Messages {
 /// The error of a topic whose type can't be read, or has not the fields of the map.
 fn topic_error(path: &Path, topic: &str, kind: &str, why: &str) -> ImportError {
     ImportError::file(path, format!(", topic {topic:?} of type {kind}: {why}"))
-}
-
-/// The rows of a bag, in the order of their times.
-pub(super) struct Rows {
-    path: PathBuf,
-    sources: Sources,
-    entries: Vec<Entry>,
-    values: Vec<Option<f64>>,
-}
-
-impl Rows {
-    /// Each row with its time in ns since 1970.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (u64, Row<'_>)> {
-        self.entries.iter().map(|entry| {
-            let row = Row {
-                path: &self.path,
-                sources: &self.sources,
-                entry: *entry,
-                values: &self.values,
-            };
-            (entry.stamp_ns, row)
-        })
-    }
 }
 
 impl Wanted {

@@ -51,11 +51,8 @@ impl<'a> Header<'a> {
 
     /// The place of the column that `key` in the map names.
     pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
-        let mut places = self
-            .names
-            .iter()
-            .enumerate()
-            .filter(|(_, name)| *name == column);
+        let names = self.names.iter().enumerate();
+        let mut places = names.filter(|(_, name)| *name == column);
         let Some((place, _)) = places.next() else {
             let columns: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
             let columns = columns.join(", ");
