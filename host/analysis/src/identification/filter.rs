@@ -222,11 +222,8 @@ impl EventHandler<f64> for Filter<'_> {
         let estimate = self.seeded();
         let scale = self.model.get(Parameter::GyroScale);
         let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
-        let yaw_rate = self.correct(
-            Channel::YawRate,
-            expected,
-            sample.yaw_rate_rad_s - expected.re,
-        );
+        let difference = sample.yaw_rate_rad_s - expected.re;
+        let yaw_rate = self.correct(Channel::YawRate, expected, difference);
         let estimate = self.seeded();
         let expected = self
             .model

@@ -237,12 +237,9 @@ impl ClosedLoop {
     /// # Errors
     ///
     /// An invalid distance.
-    pub fn with_point_distance(self, point_distance: f64) -> Result<Self, StabilityError> {
-        Self {
-            point_distance,
-            ..self
-        }
-        .checked()
+    pub fn with_point_distance(mut self, point_distance: f64) -> Result<Self, StabilityError> {
+        self.point_distance = point_distance;
+        self.checked()
     }
 
     /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed

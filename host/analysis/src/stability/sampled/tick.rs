@@ -67,10 +67,8 @@ impl SampledLoop {
             (None, Law::VelocityPoint) => Steering::Angle,
         };
         let plant = Plant::new(&self.closed_loop.vehicle, speed, steering);
-        let delay = Delay::new(
-            self.delay + self.servo.map_or(0.0, |servo| servo.dead_time),
-            self.period,
-        );
+        let dead_time = self.servo.map_or(0.0, |servo| servo.dead_time);
+        let delay = Delay::new(self.delay + dead_time, self.period);
         let modelled_delay = self
             .prediction
             .map(|prediction| prediction.delay)
@@ -265,11 +263,8 @@ impl SampledLoop {
         measured: DMatrix<f64>,
         layout: &Layout,
     ) -> DMatrix<f64> {
-        let model = Plant::new(
-            &prediction.vehicle,
-            self.closed_loop.speed,
-            Steering::Servo(prediction.lag),
-        );
+        let servo = Steering::Servo(prediction.lag);
+        let model = Plant::new(&prediction.vehicle, self.closed_loop.speed, servo);
         let delay = Delay::new(prediction.delay, self.period);
         let mut predicted = measured;
         let mut left = prediction.horizon();
