@@ -142,10 +142,8 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
         // `-P`: the installed package, not the folder of its sources.
-        command
-            .arg("-P")
-            .args(arguments.split(' '))
-            .current_dir(&source);
+        command.arg("-P").args(arguments.split(' '));
+        command.current_dir(&source);
         command
     };
     // Not in an isolated environment, which would fetch maturin each time. With the profile of the

@@ -232,10 +232,11 @@ impl Task<'_> {
         patience: usize,
     ) -> Result<(Vec<f64>, usize), IdentificationError> {
         let prediction = self.prediction(servo, run);
+        let count = prediction.rows() + u.len();
         // Running out of evaluations is no failure: the next round continues with new gains.
         let Minimum { u, evaluations } = minimise(
             u,
-            |u| prediction.residuals_or_outside(u),
+            |u| prediction.residuals_or_outside(u, count),
             |u| prediction.jacobian(u),
             patience * (u.len() + 1),
         );

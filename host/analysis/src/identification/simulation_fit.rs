@@ -7,8 +7,6 @@
 //! output is divided by that of the last round. Its errors are correlated over seconds: all of an output
 //! within [`BLOCK`] count as one beside the prior.
 
-use nalgebra::DVector;
-
 use super::{
     data::{ServoFrames, ServoTarget, Span},
     error::IdentificationError,
@@ -246,10 +244,7 @@ impl Task<'_> {
             let rows = residuals.ok_or_else(|| self.diverged(&u))?.len();
             let minimum = minimise(
                 &u,
-                |u| {
-                    let residuals = problem.residuals(u);
-                    residuals.unwrap_or_else(|| DVector::from_element(rows, 1e4))
-                },
+                |u| problem.residuals_or_outside(u, rows),
                 |u| problem.jacobian(u),
                 2 * (u.len() + 1),
             );

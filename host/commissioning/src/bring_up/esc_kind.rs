@@ -116,10 +116,8 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             return Err(failed(found, "Write it by hand."));
         }
     };
-    let number = ["car", "forward-reverse", "vesc"]
-        .iter()
-        .position(|name| *name == kind)
-        .unwrap_or(0);
+    let mut kinds = ["car", "forward-reverse", "vesc"].into_iter();
+    let number = kinds.position(|name| name == kind).unwrap_or(0);
     let number = Interval::around(number as f64, 0.0);
     let parameter = Parameter::new("esc-kind", "", number, Some(kind_key));
     Ok(finding.with(vec![parameter]))

@@ -93,10 +93,8 @@ fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f6
             || reading.esc_us.abs_diff(board.esc.neutral_us) <= board.esc.deadband_us
             || reading.esc_us == 1_500
     };
-    let neutral = readings
-        .iter()
-        .find(is_neutral)
-        .map(|reading| reading.receive);
+    let neutral = readings.iter().find(is_neutral);
+    let neutral = neutral.map(|reading| reading.receive);
     let slower = neutral.and_then(|neutral| {
         readings
             .iter()

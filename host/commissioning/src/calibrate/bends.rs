@@ -187,10 +187,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let moved = (ahead.value - offset[0]).hypot(left.value - offset[1]);
     floor::change(bench, &values)?;
     let parameter = |name, unit, estimate: Interval, key: &str| {
-        let key = values
-            .iter()
-            .find(|(other, _)| *other == key)
-            .map(|(key, value)| (*key, value.clone()));
+        let key = values.iter().find(|(other, _)| *other == key).cloned();
         Parameter::new(name, unit, estimate, key)
     };
     let dead_time_key = "actuators.steering_dead_time_ms";

@@ -209,10 +209,8 @@ impl Figure {
             first,
             radius: radius(config),
         };
-        [1.0, -1.0]
-            .map(circle)
-            .into_iter()
-            .find(|circle| circle.fits(&fence, 1.0, room))
+        let mut circles = [1.0, -1.0].map(circle).into_iter();
+        circles.find(|circle| circle.fits(&fence, 1.0, room))
     }
 
     /// Whether there is room for so many laps, with this distance to the geofence, m.

@@ -219,10 +219,8 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let (readings, is_done) = until(bench, |readings| {
         let gyro = readings.gyro();
-        let begin = gyro
-            .iter()
-            .find(|(_, rate)| rate[2].abs() > TWIST_RAD_S)
-            .map(|(time, _)| *time);
+        let begin = gyro.iter().find(|(_, rate)| rate[2].abs() > TWIST_RAD_S);
+        let begin = begin.map(|(time, _)| *time);
         let now = gyro.last().map_or(0.0, |(time, _)| *time);
         let rate = gyro.last().map_or(0.0, |(_, rate)| rate[2]);
         let done = begin.map_or(0.0, |begin| (now - begin) / TWIST_S);

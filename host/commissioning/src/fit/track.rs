@@ -109,10 +109,8 @@ impl Track {
         let mut index = 0;
         while let Some((start, _)) = self.poses.get(index) {
             let end = start + WINDOW;
-            let length = self.poses[index..]
-                .iter()
-                .take_while(|(time, _)| *time < end)
-                .count();
+            let rest = self.poses[index..].iter();
+            let length = rest.take_while(|(time, _)| *time < end).count();
             let window = &self.poses[index..index + length];
             index += length.max(1);
             if (length as f64) < 50.0 * WINDOW {

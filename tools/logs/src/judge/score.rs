@@ -200,11 +200,8 @@ impl Inertial {
                 .filter(|(span, _)| (span.speed / f64::from(span.samples) < STANDS) == stands)
                 .collect();
             for axis in 0..2 {
-                let mean = chosen
-                    .iter()
-                    .map(|(span, _)| means(span, axis))
-                    .sum::<f64>()
-                    / chosen.len() as f64;
+                let all = chosen.iter().map(|(span, _)| means(span, axis));
+                let mean = all.sum::<f64>() / chosen.len() as f64;
                 for (span, length) in &chosen {
                     let density = (means(span, axis) - mean) * length.sqrt();
                     if stands {

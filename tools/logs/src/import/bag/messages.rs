@@ -26,13 +26,6 @@ pub(super) struct Topic<'a> {
     pub(super) definition: Option<(&'a str, &'a str)>,
 }
 
-/// The place of a topic that the map wants.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TopicId {
-    topic: usize,
-    plan: usize,
-}
-
 /// The messages that a map wants, from all files of a bag.
 pub(super) struct Messages {
     path: PathBuf,
@@ -75,8 +68,9 @@ impl Messages {
         }
     }
 
-    /// Takes the description of a topic; `None` if the map does not want it.
-    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<TopicId>, ImportError> {
+    /// Takes the description of a topic; gives the number by which [`Self::message`] knows how its
+    /// messages are read, or `None` if the map does not want it.
+    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<usize>, ImportError> {
         let kind = short(topic.kind);
         let wrong = |why: String| topic_error(&self.path, topic.name, &kind, &why);
         let known = self.topics.iter().position(|one| one.name == topic.name);
@@ -123,7 +117,7 @@ impl Messages {
         let mut plans = self.plans.iter();
         let same = |plan: &Plan| plan.topic == place && plan.definition == definition;
         if let Some(plan) = plans.position(same) {
-            return Ok(Some(TopicId { topic: place, plan }));
+            return Ok(Some(plan));
         }
         let resolve = |wanted: &Wanted| {
             let target = wanted.path.resolve(&definition, wanted.takes);
@@ -148,21 +142,20 @@ impl Messages {
             definition,
             readings,
         });
-        Ok(Some(TopicId {
-            topic: place,
-            plan: self.plans.len() - 1,
-        }))
+        Ok(Some(self.plans.len() - 1))
     }
 
     /// Takes a message.
     pub(super) fn message(
         &mut self,
-        id: TopicId,
+        plan: usize,
         receive_ns: u64,
         bytes: &[u8],
     ) -> Result<(), ImportError> {
-        let (Some(topic), Some(plan)) = (self.topics.get_mut(id.topic), self.plans.get(id.plan))
-        else {
+        let Some(plan) = self.plans.get(plan) else {
+            return Ok(());
+        };
+        let Some(topic) = self.topics.get_mut(plan.topic) else {
             return Ok(());
         };
         topic.messages += 1;
