@@ -70,12 +70,8 @@ pub(super) struct FilterRun {
 impl FilterRun {
     /// Logarithm of the likelihood up to a constant.
     pub(super) fn likelihood(&self) -> f64 {
-        let terms = self.innovations.iter().map(|innovation| {
-            let Innovation {
-                value, variance, ..
-            } = innovation;
-            variance.ln() + value * value / variance
-        });
+        let terms = self.innovations.iter();
+        let terms = terms.map(|one| one.variance.ln() + one.value * one.value / one.variance);
         -0.5 * terms.sum::<f64>()
     }
 }

@@ -199,8 +199,8 @@ impl ClosedLoop {
     }
 }
 
-/// `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r` of the equations above.
-const fn symbols(vehicle: &VehicleParameters) -> [f64; 6] {
+/// `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r` of the equations.
+pub(super) const fn symbols(vehicle: &VehicleParameters) -> [f64; 6] {
     [
         vehicle.mass_kg,
         vehicle.yaw_inertia_kg_m2,
