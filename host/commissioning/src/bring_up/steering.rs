@@ -246,11 +246,7 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let mut free = centre;
         let mut pulse = centre + sign * STOPS_FROM_US;
         loop {
-            pulse = if sign > 0 {
-                pulse.min(farthest)
-            } else {
-                pulse.max(farthest)
-            };
+            pulse = limited(servo.min_us, servo.max_us, pulse).into();
             if touches(bench, pulse)? {
                 *stop = Some(pulse);
                 break;
@@ -395,10 +391,8 @@ fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result
         limit
     };
     let limited = wanted.min(after);
-    let mut changed: Vec<(&str, toml_edit::Value)> = values
-        .iter()
-        .map(|(key, value)| (*key, (*value).into()))
-        .collect();
+    let values = values.iter().map(|(key, value)| (*key, (*value).into()));
+    let mut changed: Vec<(&str, toml_edit::Value)> = values.collect();
     // A table was that of another servo. The calibration measures it again.
     if config.actuators.steering_table.is_some() {
         let line = straight_line(centre_us, gain_us_per_rad, ends_us);

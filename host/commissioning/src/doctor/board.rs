@@ -5,7 +5,7 @@ use singletrack_protocol::{ResetCause, Status};
 
 use super::{
     finding::Checks,
-    gather::{Readings, for_time, reset_if_stopped, until},
+    gather::{Readings, for_time, reset_if_stopped, seconds, until},
     questions,
 };
 use crate::{Answer, Bench, Finding, Interrupted, Question, Trouble};
@@ -131,13 +131,9 @@ fn silent_since(readings: &Readings) -> f64 {
     let Some(now) = readings.ticks.last() else {
         return 0.0;
     };
-    let since = readings.boards.last().map_or_else(
-        || readings.ticks.first().map(|tick| tick.time),
-        |board| Some(board.receive),
-    );
-    since.map_or(0.0, |since| {
-        super::gather::seconds(since, now.time).max(0.0)
-    })
+    let heard = readings.boards.last().map(|board| board.receive);
+    let since = heard.or(readings.ticks.first().map(|tick| tick.time));
+    since.map_or(0.0, |since| seconds(since, now.time).max(0.0))
 }
 
 /// Battery, supply and stop switch.
