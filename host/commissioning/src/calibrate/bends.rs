@@ -261,10 +261,8 @@ fn pass(
 ) -> Option<(Body, Wheels)> {
     let Config { vehicle, board, .. } = believed;
     let (yaw, slip) = (believed.motion_capture.marker_yaw_rad, rear_slip(vehicle));
-    let servo = [
-        board.servo.centre_us.into(),
-        board.servo.gain_us_per_rad.into(),
-    ];
+    let servo = &board.servo;
+    let servo = [servo.centre_us.into(), servo.gain_us_per_rad.into()];
     let body = fit::body(motion, way, yaw, slip)?;
     // Once more about the yaw that was found: the fit is linear in its error.
     let body = fit::body(motion, way, body.yaw, slip)?;

@@ -105,10 +105,8 @@ fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> 
         let since = silent_since(readings);
         let is_back = silence > 0.2 && since < 0.1 && readings.links.last() != Some(&false);
         let gives_up = readings.duration() > RESET_PATIENCE_S;
-        (
-            format!("silent for {:.1} s", silence.max(since)),
-            f64::from(u8::from(is_back || gives_up)),
-        )
+        let text = format!("silent for {:.1} s", silence.max(since));
+        (text, f64::from(u8::from(is_back || gives_up)))
     })?;
     let silence = readings.longest_silence();
     let found = format!("a reset takes {silence:.1} s");
@@ -278,15 +276,9 @@ fn seen(
         let mut later = readings.health.iter().skip(1);
         was_seen = later.any(|health| property(&health.status));
         let waited = readings.duration();
-        let is_over = was_seen || waited > PLUG_PATIENCE_S;
-        (
-            format!("{what}: {:.0} s", PLUG_PATIENCE_S - waited),
-            if is_over {
-                1.0
-            } else {
-                waited / PLUG_PATIENCE_S
-            },
-        )
+        let share = (waited / PLUG_PATIENCE_S).min(1.0);
+        let text = format!("{what}: {:.0} s", PLUG_PATIENCE_S - waited);
+        (text, if was_seen { 1.0 } else { share })
     })?;
     Ok(was_seen)
 }

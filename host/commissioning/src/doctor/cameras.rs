@@ -336,10 +336,8 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let reason = readings.ticks.last().and_then(|tick| tick.preflight);
         let is_over = reason.is_none() || readings.duration() > SETTLED_S;
         let text = reason.map_or("", |reason| reason.name());
-        (
-            format!("arming check: {text}"),
-            f64::from(u8::from(is_over)),
-        )
+        let done = f64::from(u8::from(is_over));
+        (format!("arming check: {text}"), done)
     })?;
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {

@@ -80,15 +80,10 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
-            let angle = readings
-                .poses
-                .last()
-                .and_then(|_| turned(&readings.poses).last().copied())
-                .unwrap_or(0.0);
-            (
-                format!("{:+.0} degrees", angle.to_degrees()),
-                angle.abs() / ENOUGH_RAD,
-            )
+            let angles = turned(&readings.poses);
+            let angle = angles.last().copied().unwrap_or(0.0);
+            let text = format!("{:+.0} degrees", angle.to_degrees());
+            (text, angle.abs() / ENOUGH_RAD)
         })?;
         let poses = floor(&readings.poses);
         let found = turned_about(&poses).filter(|_| is_done);

@@ -138,10 +138,8 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
 
 fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {
     let average = |part: fn(&Inertial) -> f64| mean(samples.iter().map(part)).unwrap_or(0.0);
-    let (roll, pitch) = (
-        average(|sample| sample.roll),
-        average(|sample| sample.pitch),
-    );
+    let roll = average(|sample| sample.roll);
+    let pitch = average(|sample| sample.pitch);
     let [roll_deg, pitch_deg] = [roll, pitch].map(f64::to_degrees);
     let found = format!("IMU roll {roll_deg:.1}, pitch {pitch_deg:.1} degrees");
     let fix = "if the floor is level, the IMU is mounted askew or board.imu is wrong: see the next \
@@ -230,15 +228,12 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
             let (largest, last) = rotations_of(readings).map(norm).into();
             let is_back = !returns || last < BACK * largest;
             let done = largest / ENOUGH_RAD;
-            (
-                format!("{what}: {:.0} degrees", largest.to_degrees()),
-                if is_back { done } else { done.min(0.9) },
-            )
+            let text = format!("{what}: {:.0} degrees", largest.to_degrees());
+            (text, if is_back { done } else { done.min(0.9) })
         })?;
         if !is_done {
-            let found = format!("{what}: the IMU turned by {:.0} degrees only", {
-                norm(rotations_of(&readings)[0]).to_degrees()
-            });
+            let degrees = norm(rotations_of(&readings)[0]).to_degrees();
+            let found = format!("{what}: the IMU turned by {degrees:.0} degrees only");
             let fix = "repeat the motion; if it was done, the IMU does not measure it";
             checks.failed(found, "30 degrees or more", fix);
             return Ok(None);
