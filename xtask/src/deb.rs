@@ -106,13 +106,12 @@ impl Architecture {
         let stage = folder.join("debian-stage").join(&self.name);
         let version = env!("CARGO_PKG_VERSION");
         let date = changelog::newest()?.date;
-        silent(
-            Command::new("sh")
-                .args(["-ec", LAY_OUT, "sh"])
-                .args([&stage, &packages])
-                .args([&self.name, version, date.as_deref().unwrap_or("now")])
-                .current_dir(root()),
-        )?;
+        let mut lay_out = Command::new("sh");
+        lay_out
+            .args(["-ec", LAY_OUT, "sh"])
+            .args([&stage, &packages]);
+        lay_out.args([&self.name, version, date.as_deref().unwrap_or("now")]);
+        silent(lay_out.current_dir(root()))?;
         let mut contents = vec![("singletrack", &INSTALLED[..])];
         if has_node {
             contents.push((NODE.0, &[NODE]));
@@ -123,6 +122,7 @@ impl Architecture {
             let file = stage.join(package).join("libraries.txt");
             fs::write(&file, notices).map_err(|error| failure!("{}: {error}", file.display()))?;
         }
+        let profiles = if has_node { "" } else { WITHOUT_NODE };
         let emulator = self.foreign.map(|foreign| foreign.emulator().join(" "));
         silent(
             Command::new("dpkg-architecture")
@@ -130,10 +130,7 @@ impl Architecture {
                 .env("DEB_RULES_REQUIRES_ROOT", "no")
                 // There is nothing to test.
                 .env("DEB_BUILD_OPTIONS", "nocheck")
-                .env(
-                    "DEB_BUILD_PROFILES",
-                    if has_node { "" } else { WITHOUT_NODE },
-                )
+                .env("DEB_BUILD_PROFILES", profiles)
                 .env("COMPRESSION", if has_node { SMALL } else { FAST })
                 .env("SOURCE", root())
                 .env("PROGRAMS", programs)

@@ -38,12 +38,9 @@ pub(crate) fn quiet() -> Option<&'static str> {
 pub(crate) fn ensure(car_id: u16, others: &[Prerequisite]) -> Result<Image, Failure> {
     prerequisites::ensure(&[&IMAGE, others].concat())?;
     build(car_id, || {
-        check(
-            cargo()
-                .args(["build", "--package", "singletrack-simavr-process"])
-                .args(quiet())
-                .stdout(Stdio::null()),
-        )
+        let mut build = cargo();
+        build.args(["build", "--package", "singletrack-simavr-process"]);
+        check(build.args(quiet()).stdout(Stdio::null()))
     })
 }
 
@@ -53,12 +50,9 @@ pub(crate) fn build(
     build_simulator: impl FnOnce() -> Result<(), Failure>,
 ) -> Result<Image, Failure> {
     let target = target::folder()?;
-    check(
-        uno_cargo(&Compiler::find(AVR)?, "build", &target)
-            .args(quiet())
-            .env(CAR_ID, car_id.to_string())
-            .stdout(Stdio::null()),
-    )?;
+    let mut build = uno_cargo(&Compiler::find(AVR)?, "build", &target);
+    build.args(quiet()).env(CAR_ID, car_id.to_string());
+    check(build.stdout(Stdio::null()))?;
     build_simulator()?;
     let folder = target.join("uno");
     let image = Image {
@@ -69,10 +63,8 @@ pub(crate) fn build(
     let built = target.join("uno-build/avr-none/release");
     target::put(&built.join("singletrack-uno.elf"), &image.elf)?;
     target::put(&built.join("singletrack-uno-cycles.elf"), &image.cycles_elf)?;
-    target::put(
-        &target.join("debug/singletrack-simavr"),
-        &image.folder.join("singletrack-simavr"),
-    )?;
+    let simulator = target.join("debug/singletrack-simavr");
+    target::put(&simulator, &image.folder.join("singletrack-simavr"))?;
     Ok(image)
 }
 
@@ -83,11 +75,9 @@ pub(crate) fn lint() -> Result<(), Failure> {
     // RUSTFLAGS would replace the image's own flags.
     let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
     check(uno_cargo(&compiler, "build", &target).args(deny))?;
-    check(
-        uno_cargo(&compiler, "check", &target)
-            .args(deny)
-            .env("RUSTC_WORKSPACE_WRAPPER", compiler.clippy()),
-    )
+    let mut clippy = uno_cargo(&compiler, "check", &target);
+    clippy.env("RUSTC_WORKSPACE_WRAPPER", compiler.clippy());
+    check(clippy.args(deny))
 }
 
 /// The image's crate, which is not a member of the workspace.

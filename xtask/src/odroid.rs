@@ -82,11 +82,7 @@ pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
 /// Builds the daemon and other programs, and returns their folder.
 fn build(profile: &str, options: &[&str]) -> Result<PathBuf, Failure> {
     let (mut cargo, folder) = ARMHF.cargo_build(profile)?;
-    check(
-        cargo
-            .args(["--package", "singletrackd"])
-            .args(options)
-            .stdout(Stdio::null()),
-    )?;
+    cargo.args(["--package", "singletrackd"]).args(options);
+    check(cargo.stdout(Stdio::null()))?;
     Ok(folder)
 }

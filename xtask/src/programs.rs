@@ -90,11 +90,8 @@ impl Packages {
     /// Builds targets, and a test, so that dependencies have the features that tests need.
     fn build(&self, targets: &[&str]) -> Result<(), Failure> {
         let mut build = self.cargo("build");
-        check(
-            build
-                .args(["--quiet", "--test", NAMED_TESTS[0]])
-                .args(targets),
-        )
+        build.args(["--quiet", "--test", NAMED_TESTS[0]]);
+        check(build.args(targets))
     }
 
     /// A program, to be started in the workspace's root.
@@ -168,27 +165,24 @@ pub(crate) const DEMO: Runner = Runner {
 };
 
 /// `cargo explore`: every interleaving of board, link and supervisor.
-pub(crate) const EXPLORE: Runner = Runner {
-    package: "singletrack-exploration",
-    options: &[],
-    first: &[],
-};
+pub(crate) const EXPLORE: Runner = Runner::of("singletrack-exploration");
 
 /// `cargo faults`: the fault campaign.
-pub(crate) const FAULTS: Runner = Runner {
-    package: "singletrack-faults",
-    options: &[],
-    first: &[],
-};
+pub(crate) const FAULTS: Runner = Runner::of("singletrack-faults");
 
 /// `cargo onboard`: the onboarding campaign.
-pub(crate) const ONBOARD: Runner = Runner {
-    package: "singletrack-onboard",
-    options: &[],
-    first: &[],
-};
+pub(crate) const ONBOARD: Runner = Runner::of("singletrack-onboard");
 
 impl Runner {
+    /// The program of this package, as it is.
+    const fn of(package: &'static str) -> Self {
+        Self {
+            package,
+            options: &[],
+            first: &[],
+        }
+    }
+
     /// Builds the program, and the Arduino's image if the arguments ask for it, and replaces this
     /// process by the program; returns only on failure. The program starts in the current folder,
     /// from which its files are named, and has stdout for itself.
@@ -207,15 +201,11 @@ impl Runner {
             );
         }
         let is_live = arguments.iter().any(|one| one.starts_with("--live"));
+        let live = is_live.then_some(["--features", "live"]);
         cargo
             .args(["run", "--package", self.package, "--bin", self.package])
             .args(self.options)
-            .args(
-                is_live
-                    .then_some(["--features", "live"])
-                    .into_iter()
-                    .flatten(),
-            )
+            .args(live.iter().flatten())
             .args(image::quiet().filter(|_| !is_first))
             .arg("--")
             .args(self.first)

@@ -102,11 +102,8 @@ pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
     let target = target::folder()?;
     // maturin packs the file with the licences.
     let notices = source.join("NOTICES");
-    fs::write(
-        &notices,
-        libraries::notices(&[MODULE], &libraries::TARGETS)?,
-    )
-    .map_err(|error| failure!("{}: {error}", notices.display()))?;
+    let text = libraries::notices(&[MODULE], &libraries::TARGETS)?;
+    fs::write(&notices, text).map_err(|error| failure!("{}: {error}", notices.display()))?;
     let python = environment()?;
     let maturin = || Command::new(python.with_file_name("maturin"));
     let mut native = maturin();
@@ -145,10 +142,8 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
         // `-P`: the installed package, not the folder of its sources.
-        command
-            .arg("-P")
-            .args(arguments.split(' '))
-            .current_dir(&source);
+        command.arg("-P").args(arguments.split(' '));
+        command.current_dir(&source);
         command
     };
     // Not in an isolated environment, which would fetch maturin each time. With the profile of the

@@ -76,10 +76,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         check_clean()?;
     }
     python::empty(&folder()?)?;
-    let steps: Vec<Step> = STEPS
-        .into_iter()
-        .filter(|step| plan.has(step.name))
-        .collect();
+    let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
+    let steps: Vec<Step> = steps.collect();
     run_all(&steps, &Packages::Default)?;
     if !plan.without.is_empty() {
         println!("NOT A RELEASE: without {}", plan.without.join(", "));
@@ -183,11 +181,8 @@ fn book(_: &Packages) -> Result<(), Failure> {
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
     let mut tar = Command::new("tar");
     tar.arg("--directory").arg(&site);
-    silent(
-        tar.args(["--create", "--gzip", "--file"])
-            .arg(archive)
-            .arg("."),
-    )
+    tar.args(["--create", "--gzip", "--file"]).arg(archive);
+    silent(tar.arg("."))
 }
 
 fn debian(_: &Packages) -> Result<(), Failure> {
@@ -204,17 +199,10 @@ fn image(_: &Packages) -> Result<(), Failure> {
     let mut build = Command::new("podman");
     // In a container, and for root without all rights, no other isolation works.
     build.args(["build", "--quiet", "--isolation", "chroot", "--squash"]);
-    build.args([
-        "--tag",
-        &name,
-        "--file",
-        "packaging/Containerfile.simulator",
-    ]);
-    check(
-        build
-            .arg(target::folder()?.join("debian"))
-            .current_dir(root()),
-    )?;
+    build.args(["--tag", &name]);
+    build.args(["--file", "packaging/Containerfile.simulator"]);
+    build.arg(target::folder()?.join("debian"));
+    check(build.current_dir(root()))?;
     let file = format!("singletrack-sim_{VERSION}_{}.tar", ARCHITECTURES[0]);
     let file = folder()?.join(file);
     let mut save = Command::new("podman");
@@ -231,10 +219,8 @@ fn checksums(_: &Packages) -> Result<(), Failure> {
     sum.args(["-ec", "sha256sum *"]).current_dir(folder()?);
     write("SHA256SUMS", &text(&mut sum)?)?;
     let mut list = Command::new("du");
-    check(
-        list.args(["--apparent-size", "--human-readable", "--all"])
-            .arg(folder()?),
-    )
+    list.args(["--apparent-size", "--human-readable", "--all"]);
+    check(list.arg(folder()?))
 }
 
 #[cfg(test)]

@@ -43,12 +43,9 @@ pub(crate) fn check(packages: &Packages) -> Result<(), Failure> {
     }
     .ensure(&|python| {
         MESSAGES.into_iter().try_for_each(|(package, used)| {
-            silent(
-                Command::new(python)
-                    .arg(&builder)
-                    .arg(source.join(package))
-                    .args([&build, Path::new(used)]),
-            )
+            let mut make = Command::new(python);
+            make.arg(&builder).arg(source.join(package));
+            silent(make.args([&build, Path::new(used)]))
         })
     })?;
     let programs = packages.path("")?;

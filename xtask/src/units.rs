@@ -83,11 +83,9 @@ fn verify(unit: &Path) -> Result<(), Failure> {
 }
 
 fn exposure(unit: &Path) -> Result<f64, Failure> {
-    let report = text(
-        Command::new("systemd-analyze")
-            .args(["security", "--offline=yes", "--no-pager"])
-            .arg(unit),
-    )?;
+    let mut security = Command::new("systemd-analyze");
+    security.args(["security", "--offline=yes", "--no-pager"]);
+    let report = text(security.arg(unit))?;
     level(&report).ok_or_else(|| failure!("`systemd-analyze security` prints no exposure level"))
 }
 

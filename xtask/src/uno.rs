@@ -4,7 +4,7 @@ use std::{
     fs,
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
+    process::Command,
 };
 
 use crate::{
@@ -78,9 +78,8 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
                 options.flash = Some(PathBuf::from(port));
             }
             ["--flash"] | ["--flash", ""] => {
-                return Err(refused(
-                    "--flash needs the UNO's port, such as /dev/ttyACM0",
-                ));
+                let reason = "--flash needs the UNO's port, such as /dev/ttyACM0";
+                return Err(refused(reason));
             }
             ["--car-id", rest @ ..] if options.car_id.is_none() => {
                 let value = rest.concat();
@@ -147,23 +146,15 @@ fn check_port(port: &Path) -> Result<(), Failure> {
 /// Writes the image to the board's flash and verifies it.
 fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
     let hex = elf.with_extension("hex");
-    check(
-        Command::new("avr-objcopy")
-            .args(["-O", "ihex", "-R", ".eeprom"])
-            .args([elf, &hex]),
-    )?;
+    let mut convert = Command::new("avr-objcopy");
+    convert.args(["-O", "ihex", "-R", ".eeprom"]);
+    check(convert.args([elf, &hex]))?;
     let mut write = std::ffi::OsString::from("flash:w:");
     write.push(&hex);
     write.push(":i");
-    check(
-        Command::new("avrdude")
-            .args("-p atmega328p -c arduino -b 115200 -D -P".split(' '))
-            .arg(port)
-            .arg("-U")
-            .arg(write)
-            .stdin(Stdio::null()),
-    )
-    .map_err(|failure| {
+    let mut program = Command::new("avrdude");
+    program.args("-p atmega328p -c arduino -b 115200 -D -P".split(' '));
+    check(program.arg(port).arg("-U").arg(write)).map_err(|failure| {
         failure!(
             "{failure}. Does another program have {} open, the daemon perhaps? Is it an UNO with \
              its bootloader?",

@@ -64,10 +64,8 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     let result = run_all(&chosen, &selection.packages());
     if selection.steps.is_empty() && !rest.is_empty() {
         let rest: Vec<&str> = rest.iter().map(|step| step.name).collect();
-        println!(
-            "Not part of it: {}. `cargo verify --all` checks everything.",
-            rest.join(", ")
-        );
+        let rest = rest.join(", ");
+        println!("Not part of it: {rest}. `cargo verify --all` checks everything.");
     }
     result
 }
@@ -298,11 +296,9 @@ fn lint(packages: &Packages) -> Result<(), Failure> {
 /// Checks the format of the workspace and of the image, which is not a member.
 fn format() -> Result<(), Failure> {
     check(cargo().args(["fmt", "--all", "--check"]))?;
-    check(
-        cargo()
-            .current_dir(image::folder())
-            .args(["fmt", "--check"]),
-    )
+    let mut format = cargo();
+    format.current_dir(image::folder());
+    check(format.args(["fmt", "--check"]))
 }
 
 #[cfg(test)]

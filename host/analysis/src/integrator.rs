@@ -190,10 +190,9 @@ pub(crate) fn stages<D: Bounded, E, const N: usize>(
         candidate = *state;
         for (slope, weight) in slopes.iter().take(stage + 1).zip(weights) {
             let weight = step * *weight;
-            candidate
-                .iter_mut()
-                .zip(slope)
-                .for_each(|(x, slope)| *x += weight * *slope);
+            for (x, slope) in candidate.iter_mut().zip(slope) {
+                *x += weight * *slope;
+            }
         }
         let at = if *node == 1.0 {
             to

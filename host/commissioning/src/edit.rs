@@ -230,10 +230,8 @@ fn keep_owner(file: &File, old: &Metadata) -> io::Result<()> {
         && old.mode() & READABLE_BY_OTHERS == 0
     {
         // The daemon could not read it any more.
-        return Err(io::Error::new(
-            error.kind(),
-            format!("its group {} can't be kept: {error}", old.gid()),
-        ));
+        let why = format!("its group {} can't be kept: {error}", old.gid());
+        return Err(io::Error::new(error.kind(), why));
     }
     if new.uid() != old.uid() {
         let _ = fchown(file, Some(old.uid()), None);

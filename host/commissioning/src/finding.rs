@@ -124,6 +124,14 @@ pub(crate) fn failed(found: impl Into<String>, fix: impl Into<String>) -> Troubl
     }
 }
 
+/// Nothing, or a failure, which `fix` removes.
+pub(crate) fn require(is_good: bool, found: impl Into<String>, fix: &str) -> Result<(), Trouble> {
+    match is_good {
+        true => Ok(()),
+        false => Err(failed(found, fix)),
+    }
+}
+
 /// What failed because of this word of the host, with its meaning and what to do.
 pub(crate) fn stopped(what: &str, word: &str) -> Trouble {
     let why = Why::of_word("host", word);

@@ -18,6 +18,13 @@ const GYRO: &str = "estimator.gyro_noise_density_rad_s_per_sqrt_hz";
 const REST: &str = "estimator.acceleration_noise_density_m_s2_per_sqrt_hz";
 const VIBRATION: &str = "estimator.vibration_noise_density_m_s2_per_sqrt_hz_per_m_s";
 
+/// Name and unit of each parameter, and the key that takes it.
+const PARAMETERS: [(&str, &str, &str); 3] = [
+    ("gyro-noise-density", "rad/s/sqrt(Hz)", GYRO),
+    ("acceleration-noise-density", "m/s2/sqrt(Hz)", REST),
+    ("vibration-noise-density", "m/s2/sqrt(Hz)/(m/s)", VIBRATION),
+];
+
 /// The noise of the IMU while the wheels turn at one speed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NoiseLevel {
@@ -89,15 +96,10 @@ impl Belief {
 
     /// The least belief of this form that holds at each of these speeds.
     fn of(levels: &[NoiseLevel]) -> Self {
-        let gyro = levels
-            .iter()
-            .map(|level| level.yaw_rate.density.value)
-            .fold(0.0, f64::max);
-        let rest = levels
-            .iter()
-            .filter(|level| level.speed == 0.0)
-            .map(NoiseLevel::acceleration)
-            .fold(0.0, f64::max);
+        let gyro = levels.iter().map(|level| level.yaw_rate.density.value);
+        let gyro = gyro.fold(0.0, f64::max);
+        let rest = levels.iter().filter(|level| level.speed == 0.0);
+        let rest = rest.map(NoiseLevel::acceleration).fold(0.0, f64::max);
         // A line through the powers over the squared speeds, of wheels that turn.
         let turning = levels.iter().filter(|level| level.speed > 0.0);
         let line =
@@ -179,49 +181,28 @@ pub(crate) fn compare(levels: &[NoiseLevel], estimator: &EstimatorSection) -> Co
         found,
         ..Comparison::default()
     };
-    for (name, unit, key, measured, believed, is_too_small) in [
-        (
-            "gyro-noise-density",
-            "rad/s/sqrt(Hz)",
-            GYRO,
-            measured.gyro,
-            believed.gyro,
-            measured.gyro > TOO_SMALL * believed.gyro,
-        ),
-        (
-            "acceleration-noise-density",
-            "m/s2/sqrt(Hz)",
-            REST,
-            measured.rest,
-            believed.rest,
-            is_shaken,
-        ),
-        (
-            "vibration-noise-density",
-            "m/s2/sqrt(Hz)/(m/s)",
-            VIBRATION,
-            measured.vibration,
-            believed.vibration,
-            is_shaken,
-        ),
-    ] {
+    let is_gyro_noisy = measured.gyro > TOO_SMALL * believed.gyro;
+    let values = [
+        (measured.gyro, believed.gyro, is_gyro_noisy),
+        (measured.rest, believed.rest, is_shaken),
+        (measured.vibration, believed.vibration, is_shaken),
+    ];
+    let rows = PARAMETERS.into_iter().zip(values);
+    for ((name, unit, key), (measured, believed, is_too_small)) in rows {
         if key == VIBRATION && !turns {
             continue;
         }
         let proposed = rounded_up(measured);
         let is_raised = is_too_small && proposed > believed;
         if is_raised {
-            comparison.too_small.push(format!(
-                "{key} is {}, measured {proposed}",
-                digits(believed)
-            ));
+            let believed = digits(believed);
+            let text = format!("{key} is {believed}, measured {proposed}");
+            comparison.too_small.push(text);
         }
-        comparison.parameters.push(Parameter::new(
-            name,
-            unit,
-            Interval::around(measured, error * measured),
-            is_raised.then(|| (key, proposed.into())),
-        ));
+        let estimate = Interval::around(measured, error * measured);
+        let key = is_raised.then(|| (key, proposed.into()));
+        let parameter = Parameter::new(name, unit, estimate, key);
+        comparison.parameters.push(parameter);
     }
     comparison
 }

@@ -26,6 +26,16 @@ impl Interval {
         }
     }
 
+    /// An interval with these ends, in either order.
+    #[must_use]
+    pub fn between(value: f64, [one, other]: [f64; 2]) -> Self {
+        Self {
+            value,
+            low: one.min(other),
+            high: one.max(other),
+        }
+    }
+
     /// Half of its width.
     #[must_use]
     pub fn half_width(&self) -> f64 {
@@ -51,12 +61,10 @@ impl Interval {
     /// In another unit, or of the other sign.
     #[must_use]
     pub fn scaled(&self, factor: f64) -> Self {
-        let ends = [self.low * factor, self.high * factor];
-        Self {
-            value: self.value * factor,
-            low: ends[0].min(ends[1]),
-            high: ends[0].max(ends[1]),
-        }
+        Self::between(
+            self.value * factor,
+            [self.low, self.high].map(|end| end * factor),
+        )
     }
 
     /// Moved by a known distance.
@@ -104,6 +112,13 @@ impl Parameter {
             key: key.map(|(key, value)| (key.into(), value)),
         }
     }
+}
+
+/// The keys of some parameters, each with its value.
+pub(crate) fn keys(parameters: &[Parameter]) -> Vec<(&str, toml_edit::Value)> {
+    let keys = parameters.iter().filter_map(|one| one.key.as_ref());
+    keys.map(|(key, value)| (key.as_ref(), value.clone()))
+        .collect()
 }
 
 /// As two keys; as none if there is no key.

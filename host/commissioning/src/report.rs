@@ -33,16 +33,10 @@ pub struct About<'a> {
 #[must_use]
 pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     let mut page = String::new();
-    let About {
-        procedure,
-        date,
-        car_id,
-        configuration,
-        ..
-    } = about;
     let _ = writeln!(
         page,
-        "# {procedure} of car {car_id}\n\n{date}, configuration {configuration:016x}\n"
+        "# {} of car {}\n\n{}, configuration {:016x}\n",
+        about.procedure, about.car_id, about.date, about.configuration
     );
     let _ = writeln!(page, "{}\n", summary(findings));
     page.push_str("| step | verdict | found | should be |\n|---|---|---|---|\n");
@@ -109,10 +103,8 @@ pub fn summary(findings: &[Finding]) -> String {
     ]
     .into_iter()
     .filter_map(|verdict| {
-        let count = findings
-            .iter()
-            .filter(|finding| finding.verdict == verdict)
-            .count();
+        let same = findings.iter().filter(|one| one.verdict == verdict);
+        let count = same.count();
         (count > 0).then(|| format!("{count} {}", verdict.name()))
     })
     .collect();

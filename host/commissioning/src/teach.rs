@@ -8,6 +8,7 @@
 
 use nalgebra::{Matrix3, Matrix3x2, Vector3};
 use singletrack_control::{Position, Velocity, direction, wrap};
+use singletrack_statistics::RootMeanSquare;
 
 /// Where the car was at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -306,15 +307,14 @@ fn smooth(steps: &[Step], way: f64) -> (Position, Velocity) {
 }
 
 fn roughness(steps: &[Step], length: f64) -> f64 {
-    let inside = || {
-        steps
-            .iter()
-            .filter(|step| (0.0..=length).contains(&step.way))
-    };
-    let squares: f64 = inside()
-        .map(|step| (smooth(steps, step.way).0 - step.position).norm_squared())
-        .sum();
-    (squares / inside().count().max(1) as f64).sqrt()
+    let inside = steps
+        .iter()
+        .filter(|step| (0.0..=length).contains(&step.way));
+    let mut off = RootMeanSquare::default();
+    for step in inside {
+        off.add_square((smooth(steps, step.way).0 - step.position).norm_squared());
+    }
+    off.value().unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -7,10 +7,8 @@ pub struct Distribution(Vec<f64>);
 impl Distribution {
     /// The distribution of `values`, in the unit of the values.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Self {
-        let mut values: Vec<f64> = values
-            .into_iter()
-            .filter(|value| value.is_finite())
-            .collect();
+        let finite = values.into_iter().filter(|value| value.is_finite());
+        let mut values: Vec<f64> = finite.collect();
         values.sort_unstable_by(f64::total_cmp);
         Self(values)
     }

@@ -70,12 +70,8 @@ pub(super) struct FilterRun {
 impl FilterRun {
     /// Logarithm of the likelihood up to a constant.
     pub(super) fn likelihood(&self) -> f64 {
-        let terms = self.innovations.iter().map(|innovation| {
-            let Innovation {
-                value, variance, ..
-            } = innovation;
-            variance.ln() + value * value / variance
-        });
+        let terms = self.innovations.iter();
+        let terms = terms.map(|one| one.variance.ln() + one.value * one.value / one.variance);
         -0.5 * terms.sum::<f64>()
     }
 }
@@ -222,11 +218,8 @@ impl EventHandler<f64> for Filter<'_> {
         let estimate = self.seeded();
         let scale = self.model.get(Parameter::GyroScale);
         let expected = estimate.motion.yaw_rate * scale + estimate.gyro_bias;
-        let yaw_rate = self.correct(
-            Channel::YawRate,
-            expected,
-            sample.yaw_rate_rad_s - expected.re,
-        );
+        let difference = sample.yaw_rate_rad_s - expected.re;
+        let yaw_rate = self.correct(Channel::YawRate, expected, difference);
         let estimate = self.seeded();
         let expected = self
             .model

@@ -63,13 +63,10 @@ impl Task<'_> {
             None => ServoFrames::ALL.to_vec(),
         };
         let zero = vec![0.0; self.active.len()];
-        let noise = if self.settings.estimate_noise {
-            self.settings
-                .noise
-                .with_measured_sensors(self.data, self.spans)
-        } else {
-            self.settings.noise
-        };
+        let mut noise = self.settings.noise;
+        if self.settings.estimate_noise {
+            noise = noise.with_measured_sensors(self.data, self.spans);
+        }
         let sampled = noise;
         // The most likely frames. Each candidate has its own noise levels: with those of the
         // start, or of another candidate, wrong frames may have the larger likelihood.
@@ -102,14 +99,10 @@ impl Task<'_> {
             Some([first, second]) => first.0 - second.0,
             _ => f64::INFINITY,
         };
-        let (_, frames, mut u) = tried
-            .into_iter()
-            .next()
-            .ok_or(IdentificationError::Diverged {
-                vehicle: self.vehicle(),
-            })?;
+        let Some((_, frames, mut u)) = tried.into_iter().next() else {
+            return Err(self.diverged(&zero));
+        };
         let servo = frames.of(&self.data.servo);
-        let mut noise = noise;
         for round in 0..ROUNDS {
             if self.settings.estimate_noise && round < 3 {
                 let rounds = if round == 0 { 2 } else { 1 };
@@ -182,10 +175,8 @@ impl Task<'_> {
         let slopes = self.active.iter();
         let slopes =
             slopes.map(|parameter| parameter.prior().slope(self.start.get(*parameter), 0.0));
-        Ok(slopes
-            .zip(bounds)
-            .map(|(slope, bound)| slope * bound)
-            .collect())
+        let bounds = slopes.zip(bounds).map(|(slope, bound)| slope * bound);
+        Ok(bounds.collect())
     }
 
     fn prediction<'b>(&'b self, servo: &'b [ServoTarget], run: &'b FilterRun) -> Prediction<'b> {
@@ -241,10 +232,11 @@ impl Task<'_> {
         patience: usize,
     ) -> Result<(Vec<f64>, usize), IdentificationError> {
         let prediction = self.prediction(servo, run);
+        let count = prediction.rows() + u.len();
         // Running out of evaluations is no failure: the next round continues with new gains.
         let Minimum { u, evaluations } = minimise(
             u,
-            |u| prediction.residuals_or_outside(u),
+            |u| prediction.residuals_or_outside(u, count),
             |u| prediction.jacobian(u),
             patience * (u.len() + 1),
         );

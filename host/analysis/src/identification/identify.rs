@@ -321,10 +321,8 @@ fn usable(data: &DriveData, settings: &Settings) -> Result<Vec<Span>, Identifica
     plausibility::check_unit(data)?;
     let least_speed = settings.least_speed.max(1.5 * model::LEAST_SPEED);
     let stretches = data.stretches(least_speed);
-    let seconds = stretches
-        .iter()
-        .map(Span::seconds)
-        .fold(0.0, |sum, one| sum + one);
+    let lengths = stretches.iter().map(Span::seconds);
+    let seconds = lengths.fold(0.0, |sum, one| sum + one);
     if seconds >= LEAST_SECONDS {
         plausibility::check_sensors(data, &stretches)?;
         return Ok(stretches);

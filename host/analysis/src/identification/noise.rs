@@ -105,10 +105,8 @@ impl NoiseLevels {
     /// Independent of the model: the car's motion has small third differences.
     pub(super) fn with_measured_sensors(self, data: &DriveData, spans: &[Span]) -> Self {
         let within = |time: f64| spans.iter().any(|span| span.contains(time));
-        let poses = data
-            .poses
-            .windows(4)
-            .filter(|w| w.iter().all(|p| within(p.time_s)));
+        let poses = data.poses.windows(4);
+        let poses = poses.filter(|w| w.iter().all(|p| within(p.time_s)));
         let (mut position, mut yaw) = (Vec::new(), Vec::new());
         for window in poses {
             if let [a, b, c, d] = window {

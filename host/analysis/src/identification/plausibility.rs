@@ -39,11 +39,8 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
         ("acceleration to the left", |sample| sample.left_m_s2),
     ];
     for (what, value) in channels {
-        let mut values = data
-            .inertial
-            .iter()
-            .filter(|sample| within(sample.time_s))
-            .map(value);
+        let inertial = data.inertial.iter();
+        let mut values = inertial.filter(|sample| within(sample.time_s)).map(value);
         if let Some(first) = values.next()
             && values.all(|value| value.to_bits() == first.to_bits())
         {
@@ -57,10 +54,8 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
         .collect();
     let count = moved.len() as f64;
     let sum = |value: fn(f64) -> f64| {
-        moved
-            .iter()
-            .map(|(_, seen)| value(seen.sideslip))
-            .sum::<f64>()
+        let values = moved.iter().map(|(_, seen)| value(seen.sideslip));
+        values.sum::<f64>()
     };
     let (sine, cosine) = (sum(f64::sin) / count, sum(f64::cos) / count);
     if cosine < ALONG {

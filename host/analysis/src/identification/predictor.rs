@@ -5,7 +5,6 @@
 //! parameters multiply innovations, whose mean is zero; without them the minimum is at the
 //! same place, and its curvature the same up to noise.
 
-use nalgebra::DVector;
 use singletrack_control::Tyres;
 
 use super::{
@@ -17,10 +16,6 @@ use super::{
     timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 use crate::dual::Dual;
-
-/// The value of every error, in standard deviations, where the model is not defined: worse
-/// than any fit.
-const OUTSIDE: f64 = 1e4;
 
 /// The data, model and gains of a prediction.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +31,7 @@ pub(super) struct Prediction<'a> {
 
 impl Prediction<'_> {
     /// Number of predicted measurements.
-    fn rows(&self) -> usize {
+    pub(super) fn rows(&self) -> usize {
         2 * self.data.inertial.len() + 3 * self.data.poses.len()
     }
 
@@ -46,13 +41,6 @@ impl Prediction<'_> {
         inertial
             .chain(self.data.poses.iter().flat_map(|p| [p.time_s; 3]))
             .collect()
-    }
-
-    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back.
-    pub(super) fn residuals_or_outside(&self, u: &[f64]) -> DVector<f64> {
-        let count = self.rows() + u.len();
-        self.residuals(u)
-            .unwrap_or_else(|| DVector::from_element(count, OUTSIDE))
     }
 }
 

@@ -6,6 +6,10 @@ use num_dual::DualSVec64;
 use super::parameter::COUNT;
 use crate::dual::Dual;
 
+/// The value of every error, in standard deviations, where the model is not defined: worse
+/// than any fit.
+const OUTSIDE: f64 = 1e4;
+
 /// Errors that depend on the parameters.
 pub(super) trait Problem {
     /// The errors over their standard deviations. None where the model is not defined.
@@ -17,6 +21,13 @@ pub(super) trait Problem {
         errors.extend_from_slice(u);
         let finite = errors.iter().all(|error| error.is_finite());
         finite.then(|| DVector::from_vec(errors))
+    }
+
+    /// As [`Self::residuals`], for an optimiser, which takes a step out of the model back. `count` is
+    /// their number.
+    fn residuals_or_outside(&self, u: &[f64], count: usize) -> DVector<f64> {
+        self.residuals(u)
+            .unwrap_or_else(|| DVector::from_element(count, OUTSIDE))
     }
 
     /// The derivatives of [`Self::residuals`] by `u`.
@@ -47,9 +58,7 @@ pub(super) trait Problem {
         for column in 0..u.len() {
             jacobian[(errors.len() + column, column)] = 1.0;
         }
-        jacobian
-            .iter()
-            .all(|value| value.is_finite())
-            .then_some(jacobian)
+        let is_finite = jacobian.iter().all(|value| value.is_finite());
+        is_finite.then_some(jacobian)
     }
 }

@@ -73,10 +73,8 @@ impl Score {
             let count = pairs.len().max(1) as f64;
             let mean = pairs.iter().map(|[measured, _]| measured).sum::<f64>() / count;
             let spread: f64 = pairs.iter().map(|[y, _]| (y - mean) * (y - mean)).sum();
-            let squares: f64 = pairs
-                .iter()
-                .map(|[y, model]| (model - y) * (model - y))
-                .sum();
+            let errors = pairs.iter().map(|[y, model]| model - y);
+            let squares: f64 = errors.map(|error| error * error).sum();
             let absolute: f64 = pairs.iter().map(|[y, model]| (model - y).abs()).sum();
             OutputScore {
                 output,

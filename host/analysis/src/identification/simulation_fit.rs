@@ -7,8 +7,6 @@
 //! output is divided by that of the last round. Its errors are correlated over seconds: all of an output
 //! within [`BLOCK`] count as one beside the prior.
 
-use nalgebra::DVector;
-
 use super::{
     data::{ServoFrames, ServoTarget, Span},
     error::IdentificationError,
@@ -61,12 +59,8 @@ const SCALE: usize = 3;
 
 impl Problem for Simulated<'_> {
     fn errors<D: Dual>(&self, u: &[D]) -> Option<Vec<D>> {
-        Some(
-            self.placed(u)?
-                .into_iter()
-                .map(|(_, error)| error)
-                .collect(),
-        )
+        let placed = self.placed(u)?.into_iter();
+        Some(placed.map(|(_, error)| error).collect())
     }
 }
 
@@ -86,11 +80,8 @@ impl Simulated<'_> {
                 Sample::Inertial(track) => {
                     let sample = self.inputs.data.inertial.get(track.inertial)?;
                     let gyro = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
-                    push(
-                        0,
-                        time,
-                        gyro + track.estimate.gyro_bias - sample.yaw_rate_rad_s,
-                    );
+                    let expected = gyro + track.estimate.gyro_bias;
+                    push(0, time, expected - sample.yaw_rate_rad_s);
                     let left = simulated.left + model.get(Parameter::LateralBias);
                     push(2, time, left - sample.left_m_s2);
                 }
@@ -139,10 +130,8 @@ impl Task<'_> {
         let loose = NoiseLevels::loose(&self.vehicle());
         let servo = frames.of(&self.data.servo);
         let poses = &self.data.poses;
-        let sideslips: Vec<f64> = poses
-            .iter()
-            .map(|pose| sideslip(poses, pose.time_s))
-            .collect();
+        let sideslips = poses.iter().map(|pose| sideslip(poses, pose.time_s));
+        let sideslips: Vec<f64> = sideslips.collect();
         let scale = self.active.contains(&Parameter::GyroScale);
         let scale = scale
             .then(|| GyroScale::of(self.data, self.spans))
@@ -251,16 +240,11 @@ impl Task<'_> {
                 };
                 return Ok((cost, fit));
             }
-            let rows = problem
-                .residuals(&u)
-                .ok_or_else(|| self.diverged(&u))?
-                .len();
+            let residuals = problem.residuals(&u);
+            let rows = residuals.ok_or_else(|| self.diverged(&u))?.len();
             let minimum = minimise(
                 &u,
-                |u| {
-                    let residuals = problem.residuals(u);
-                    residuals.unwrap_or_else(|| DVector::from_element(rows, 1e4))
-                },
+                |u| problem.residuals_or_outside(u, rows),
                 |u| problem.jacobian(u),
                 2 * (u.len() + 1),
             );

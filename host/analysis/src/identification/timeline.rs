@@ -29,16 +29,8 @@ pub(super) const STATES: usize = 8;
 
 impl<D: Copy> StateEstimate<D> {
     pub(super) const fn of(states: [D; STATES], steering: D) -> Self {
-        let [
-            x,
-            y,
-            yaw,
-            yaw_rate,
-            sideslip,
-            speed,
-            gyro_bias,
-            forward_bias,
-        ] = states;
+        let [x, y, yaw, yaw_rate, sideslip, speed, biases @ ..] = states;
+        let [gyro_bias, forward_bias] = biases;
         Self {
             motion: Motion {
                 x,

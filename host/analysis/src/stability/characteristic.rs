@@ -199,8 +199,8 @@ impl ClosedLoop {
     }
 }
 
-/// `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r` of the equations above.
-const fn symbols(vehicle: &VehicleParameters) -> [f64; 6] {
+/// `m`, `I_z`, `l_f`, `l_r`, `C_f` and `C_r` of the equations.
+pub(super) const fn symbols(vehicle: &VehicleParameters) -> [f64; 6] {
     [
         vehicle.mass_kg,
         vehicle.yaw_inertia_kg_m2,
@@ -243,10 +243,8 @@ pub(super) fn front_point_quadratic(
 ) -> [f64; 3] {
     let [a0, a1, a2, a3] = front_point(vehicle, p, inverse_square);
     let a3 = a3.constant;
-    let [c0, c1, c2] = a1.times(Affine::new(
-        a3 * a2.constant - a1.constant,
-        a3 * a2.slope - a1.slope,
-    ));
+    let other = Affine::new(a3 * a2.constant - a1.constant, a3 * a2.slope - a1.slope);
+    let [c0, c1, c2] = a1.times(other);
     [c0 - a3 * a3 * a0.constant, c1, c2]
 }
 

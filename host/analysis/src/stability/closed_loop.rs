@@ -138,12 +138,7 @@ impl ClosedLoop {
     /// This loop, if its parameters are valid, and if its Jacobian and its characteristic
     /// polynomial are finite.
     fn checked(self) -> Result<Self, StabilityError> {
-        let Self {
-            point_distance: p,
-            speed: v,
-            deviation,
-            ..
-        } = self;
+        let (p, v, deviation) = (self.point_distance, self.speed, self.deviation);
         self.vehicle.validate()?;
         if !(p.is_finite() && p > 0.0) {
             return Err(StabilityError::PointDistance(p));
@@ -166,15 +161,11 @@ impl ClosedLoop {
         ];
         let is_finite = factors.iter().all(|factor| factor.is_finite())
             && self.characteristic_polynomial().is_finite();
-        if is_finite {
-            Ok(self)
-        } else {
-            Err(StabilityError::Extreme {
-                speed: self.speed,
-                point_distance: self.point_distance,
-                deviation: self.deviation,
-            })
-        }
+        is_finite.then_some(self).ok_or(StabilityError::Extreme {
+            speed: v,
+            point_distance: p,
+            deviation,
+        })
     }
 
     /// The car.
@@ -195,14 +186,9 @@ impl ClosedLoop {
     ///
     /// A limit that is not above zero.
     pub fn saturating(self, saturation: Saturation) -> Result<Self, StabilityError> {
-        let Saturation {
-            max_steering,
-            max_steering_rate,
-            ..
-        } = saturation;
         for (name, limit, unit) in [
-            ("angle", max_steering, "rad"),
-            ("rate", max_steering_rate, "rad/s"),
+            ("angle", saturation.max_steering, "rad"),
+            ("rate", saturation.max_steering_rate, "rad/s"),
         ] {
             // Not a number is not above zero.
             let is_valid = limit > 0.0;
@@ -237,12 +223,9 @@ impl ClosedLoop {
     /// # Errors
     ///
     /// An invalid distance.
-    pub fn with_point_distance(self, point_distance: f64) -> Result<Self, StabilityError> {
-        Self {
-            point_distance,
-            ..self
-        }
-        .checked()
+    pub fn with_point_distance(mut self, point_distance: f64) -> Result<Self, StabilityError> {
+        self.point_distance = point_distance;
+        self.checked()
     }
 
     /// The range of physically meaningful deviations, from `-l_f` to `l_r`: the assumed

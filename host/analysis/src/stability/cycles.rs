@@ -155,10 +155,8 @@ fn follow<F: VectorField<N>, const N: usize>(
             (next, turns.then(|| point.clone()))
         };
         branch.folds.extend(fold.iter().map(|fold| fold.cycle));
-        let ends: Vec<Point> = [Some(point), fold, Some(next.clone())]
-            .into_iter()
-            .flatten()
-            .collect();
+        let ends = [Some(point), fold, Some(next.clone())];
+        let ends: Vec<Point> = ends.into_iter().flatten().collect();
         for pair in ends.windows(2) {
             let [from, to] = pair else { continue };
             branch
@@ -349,10 +347,8 @@ impl<'a, F: VectorField<N>, const N: usize> Equations<'a, F, N> {
         });
         let schur = Schur::try_new(mirrored, f64::EPSILON, MOST_STEPS)?;
         let eigenvalues = schur.complex_eigenvalues();
-        let largest = eigenvalues
-            .iter()
-            .map(Complex::norm_sqr)
-            .fold(0.0, f64::max);
+        let moduli = eigenvalues.iter().map(Complex::norm_sqr);
+        let largest = moduli.fold(0.0, f64::max);
         (largest < LARGEST_MULTIPLIER).then_some(largest)
     }
 }

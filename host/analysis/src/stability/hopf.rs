@@ -228,20 +228,12 @@ fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
 
 /// The real roots of `c₀ + c₁ x + c₂ x²`, ascending, without cancellation.
 fn roots([c0, c1, c2]: [f64; 3]) -> impl Iterator<Item = f64> {
-    let mut roots = [None; 2];
-    let discriminant = c1 * c1 - 4.0 * c2 * c0;
-    if discriminant >= 0.0 {
-        let q = -0.5 * (c1 + libm::copysign(libm::sqrt(discriminant), c1));
-        roots = [c0 / q, q / c2].map(|root| root.is_finite().then_some(root));
-    }
-    let [first, second] = roots;
-    let swapped = matches!((first, second), (Some(first), Some(second)) if first > second);
-    let ascending = if swapped {
-        [second, first]
-    } else {
-        [first, second]
-    };
-    ascending.into_iter().flatten()
+    // Not a number, and neither are the roots, where they are not real.
+    let distance = libm::sqrt(c1 * c1 - 4.0 * c2 * c0);
+    let q = -0.5 * (c1 + libm::copysign(distance, c1));
+    let mut roots = [c0 / q, q / c2];
+    roots.sort_by(f64::total_cmp);
+    roots.into_iter().filter(|root| root.is_finite())
 }
 
 #[cfg(test)]

@@ -39,16 +39,13 @@ impl ClosedLoop {
         let mut eigenvalues: Eigenvalues = match schur {
             Some(schur) => {
                 let found = schur.complex_eigenvalues();
-                found
-                    .iter()
-                    .map(|root| polynomial.polished(*root))
-                    .collect()
+                let polished = found.iter().map(|root| polynomial.polished(*root));
+                polished.collect()
             }
-            None => polynomial
-                .coefficients()
-                .iter()
-                .map(|_| Complex::new(f64::NAN, f64::NAN))
-                .collect(),
+            None => {
+                let unknown = Complex::new(f64::NAN, f64::NAN);
+                polynomial.coefficients().iter().map(|_| unknown).collect()
+            }
         };
         eigenvalues.sort_unstable_by(|a, b| a.re.total_cmp(&b.re).then(a.im.total_cmp(&b.im)));
         eigenvalues

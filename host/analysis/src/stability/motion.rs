@@ -73,10 +73,9 @@ impl<'a, F: VectorField<N>, D: Bounded, const N: usize> Motion<'a, F, D, N> {
         let turning = |state: &[f64; N]| {
             let mut moving = state.map(Dual64::from);
             let slope = held(field.slope_at(state, real_deviation), stop);
-            moving
-                .iter_mut()
-                .zip(slope)
-                .for_each(|(x, slope)| x.eps = slope);
+            for (x, slope) in moving.iter_mut().zip(slope) {
+                x.eps = slope;
+            }
             field.steering(&moving, Dual64::from(real_deviation)).eps
         };
 

@@ -1,8 +1,9 @@
 //! The vector field of the closed loop, for numbers that carry their derivatives.
 
-use singletrack_control::{Axles, LateralMotion, LateralRate, VehicleParameters};
+use singletrack_control::{Axles, LateralMotion, LateralRate};
 
 use super::{
+    characteristic::symbols,
     closed_loop::{Belief, ClosedLoop},
     sampled::Servo,
 };
@@ -118,24 +119,12 @@ impl VectorField<3> for VelocityPointField<'_> {
     }
 
     fn steering<D: Dual>(&self, &[yaw, yaw_rate, sideslip]: &[D; 3], deviation: D) -> D {
-        let ClosedLoop {
-            vehicle,
-            belief,
-            point_distance: p,
-            speed,
-            saturation,
-            ..
-        } = *self.0;
-        let VehicleParameters {
-            mass_kg: m,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = vehicle;
-        let l_f = deviation + vehicle.front_axle_distance_m;
-        let l_r = match belief {
-            Belief::CentreOfMass => -deviation + vehicle.rear_axle_distance_m,
-            Belief::FrontAxle => D::from(vehicle.rear_axle_distance_m),
+        let (p, speed) = (self.0.point_distance, self.0.speed);
+        let [m, _, l_f, l_r, c_f, c_r] = symbols(&self.0.vehicle);
+        let l_f = deviation + l_f;
+        let l_r = match self.0.belief {
+            Belief::CentreOfMass => -deviation + l_r,
+            Belief::FrontAxle => D::from(l_r),
         };
         // The law of the appendix, with v_P = (speed, 0).
         let course = yaw + sideslip;
@@ -143,7 +132,7 @@ impl VectorField<3> for VelocityPointField<'_> {
         let turn_rate = -course.sin() * speed / p;
         let steering = turn_rate * v * (m / c_f) - yaw_rate / v * ((l_r * c_r - l_f * c_f) / c_f)
             + sideslip * ((c_r + c_f) / c_f);
-        clamped(steering, saturation.max_steering)
+        clamped(steering, self.0.saturation.max_steering)
     }
 }
 
@@ -193,7 +182,7 @@ mod tests {
     use nalgebra::Vector2;
     use proptest::prelude::*;
     use singletrack_control::{
-        FrontPointLaw, Motion, SingleTrack, SingleTrackState, VelocityPointLaw,
+        FrontPointLaw, Motion, SingleTrack, SingleTrackState, VehicleParameters, VelocityPointLaw,
     };
 
     use super::{super::closed_loop::Law, *};

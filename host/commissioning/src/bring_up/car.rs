@@ -5,7 +5,8 @@ use singletrack_protocol::{BoardMode, Status, StopCause};
 
 use super::place::Place;
 use crate::{
-    Attendance, Bench, BoardReading, Jog, Live, Observation, Refused, Trouble, finding::failed,
+    Attendance, Bench, BoardReading, Jog, Live, Observation, Refused, Trouble,
+    finding::{failed, require},
 };
 
 /// The longest time for which the cameras may lose a car whose wheels turn, s.
@@ -192,10 +193,8 @@ impl<'a> Car<'a> {
             match self.bench.arm(Attendance::Jog) {
                 Ok(()) => break,
                 Err(Refused(why)) if self.now()? >= until => {
-                    return Err(failed(
-                        format!("the car can't be armed: {why}"),
-                        "Correct it and run the bring-up again.",
-                    ));
+                    let found = format!("the car can't be armed: {why}");
+                    return Err(failed(found, "Correct it and run the bring-up again."));
                 }
                 Err(_) => {
                     self.watch(0.2, "arming")?;
@@ -208,12 +207,8 @@ impl<'a> Car<'a> {
         let until = self.now()?.after(ARMING_S);
         let rest = self.rest();
         while !self.jogs() {
-            if self.now()? >= until {
-                return Err(failed(
-                    "the board does not take the jog after it was armed",
-                    "See the log of the daemon.",
-                ));
-            }
+            let found = "the board does not take the jog after it was armed";
+            require(self.now()? < until, found, "See the log of the daemon.")?;
             // Refused until the board is armed.
             let _ = self.bench.jog(rest);
             self.tick()?;
@@ -224,8 +219,16 @@ impl<'a> Car<'a> {
 
     /// Whether the board is in an armed jog.
     pub(super) fn jogs(&self) -> bool {
-        self.board
-            .is_some_and(|reading| reading.mode == BoardMode::Jogging)
+        self.is_in(BoardMode::Jogging)
+    }
+
+    /// Whether the board holds an emergency stop.
+    pub(super) fn is_latched(&self) -> bool {
+        self.is_in(BoardMode::EmergencyStopped)
+    }
+
+    fn is_in(&self, mode: BoardMode) -> bool {
+        self.board.is_some_and(|reading| reading.mode == mode)
     }
 
     /// Holds these pulses for a time; returns the telemetry.
@@ -304,14 +307,11 @@ impl<'a> Car<'a> {
             return Ok(());
         };
         let _ = self.bench.emergency_stop();
-        Err(failed(
-            format!(
-                "the cameras saw the car move by {:.0} mm: emergency stop",
-                way * 1e3
-            ),
-            "Put the car on its stand so that nothing can move it, press the reset of the board, \
-             and run the bring-up again.",
-        ))
+        let way_mm = way * 1e3;
+        let found = format!("the cameras saw the car move by {way_mm:.0} mm: emergency stop");
+        let fix = "Put the car on its stand so that nothing can move it, press the reset of the \
+                   board, and run the bring-up again.";
+        Err(failed(found, fix))
     }
 
     /// Disarms a car whose wheels may turn and which the cameras do not see.
@@ -322,10 +322,9 @@ impl<'a> Car<'a> {
         };
         if unseen > UNSEEN_S {
             let _ = self.bench.disarm();
-            return Err(failed(
-                "the cameras lost the car while its wheels turned",
-                "Put the stand where the cameras see the car's markers.",
-            ));
+            let fix = "Put the stand where the cameras see the car's markers.";
+            let found = "the cameras lost the car while its wheels turned";
+            return Err(failed(found, fix));
         }
         Ok(())
     }
@@ -344,30 +343,24 @@ impl<'a> Car<'a> {
     pub(super) fn disarm(&mut self) -> Result<(), Trouble> {
         self.request_disarm()?;
         self.wait_while(3.0, Self::jogs, |_| {
-            failed(
-                "the board is still armed 3 s after the disarm request",
-                "Cut the supply of the ESC. See the log of the daemon.",
-            )
+            let fix = "Cut the supply of the ESC. See the log of the daemon.";
+            failed("the board is still armed 3 s after the disarm request", fix)
         })
     }
 
     /// Requests the end of the jog.
     pub(super) fn request_disarm(&mut self) -> Result<(), Trouble> {
         self.bench.disarm().map_err(|Refused(why)| {
-            failed(
-                format!("the disarm request was refused: {why}"),
-                "Cut the supply of the ESC.",
-            )
+            let found = format!("the disarm request was refused: {why}");
+            failed(found, "Cut the supply of the ESC.")
         })
     }
 
     /// Requests an emergency stop.
     pub(super) fn request_emergency_stop(&mut self) -> Result<(), Trouble> {
         self.bench.emergency_stop().map_err(|Refused(why)| {
-            failed(
-                format!("the emergency stop was refused: {why}"),
-                "Cut the supply of the ESC.",
-            )
+            let found = format!("the emergency stop was refused: {why}");
+            failed(found, "Cut the supply of the ESC.")
         })
     }
 
@@ -381,10 +374,8 @@ impl<'a> Car<'a> {
     /// Waits until the board sends telemetry again, 15 s at most.
     pub(super) fn wait_for_board(bench: &mut dyn Bench) -> Result<(), Trouble> {
         let lost = || {
-            failed(
-                "the board does not come back",
-                "Check the serial line with `singletrack doctor`.",
-            )
+            let found = "the board does not come back";
+            failed(found, "Check the serial line with `singletrack doctor`.")
         };
         let mut first = None;
         let mut observed = Vec::new();
@@ -411,11 +402,11 @@ impl<'a> Car<'a> {
     fn until_standing(&mut self, seconds: f64) -> Result<(), Trouble> {
         let turns = |car: &Self| car.board.is_some_and(|board| board.turns());
         self.wait_while(seconds, turns, |_| {
-            failed(
-                format!("the motor still turns {seconds} s after its pulse went to neutral"),
-                "Cut the supply of the ESC. Its neutral is another than board.esc.neutral_us, or \
-                 it is stuck.",
-            )
+            let found =
+                format!("the motor still turns {seconds} s after its pulse went to neutral");
+            let fix = "Cut the supply of the ESC. Its neutral is another than \
+                       board.esc.neutral_us, or it is stuck.";
+            failed(found, fix)
         })
     }
 
@@ -446,8 +437,6 @@ pub(super) fn armed<T>(
 }
 
 fn no_news() -> Trouble {
-    failed(
-        "the daemon sends nothing",
-        "Check that singletrackd runs: `singletrack status`.",
-    )
+    let found = "the daemon sends nothing";
+    failed(found, "Check that singletrackd runs: `singletrack status`.")
 }

@@ -12,12 +12,8 @@ use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble, finding::failed,
 };
 
-pub(super) const STEP: Step = Step::new(
-    "esc-kind",
-    "What a pulse below neutral does",
-    "board.esc.kind says what a pulse below neutral does.",
-    find,
-);
+pub(super) const STEP: Step = Step::new("esc-kind", "What a pulse below neutral does", find)
+    .expecting("board.esc.kind says what a pulse below neutral does.");
 
 /// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
 /// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
@@ -102,10 +98,9 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         seen.rolled_m
     );
     let Some(kind) = seen.kind() else {
-        return Ok(Finding::warning(
-            format!("{found}; no pulse below neutral had an effect"),
-            "None, if board.esc.kind is left out: no pulse below neutral is ever sent.",
-        ));
+        let found = format!("{found}; no pulse below neutral had an effect");
+        let fix = "None, if board.esc.kind is left out: no pulse below neutral is ever sent.";
+        return Ok(Finding::warning(found, fix));
     };
     let kind_key = ("board.esc.kind", kind.into());
     if kind == "forward-reverse" {
@@ -117,22 +112,15 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let finding = match bench.configuration().board.esc.kind {
         Some(_) => Finding::good(format!("\"{kind}\": {found}")),
         None => {
-            return Err(failed(
-                "board.esc.kind was not written",
-                "Write it by hand.",
-            ));
+            let found = "board.esc.kind was not written";
+            return Err(failed(found, "Write it by hand."));
         }
     };
-    let number = ["car", "forward-reverse", "vesc"]
-        .iter()
-        .position(|name| *name == kind)
-        .unwrap_or(0);
-    Ok(finding.with(vec![Parameter::new(
-        "esc-kind",
-        "",
-        Interval::around(number as f64, 0.0),
-        Some(kind_key),
-    )]))
+    let mut kinds = ["car", "forward-reverse", "vesc"].into_iter();
+    let number = kinds.position(|name| name == kind).unwrap_or(0);
+    let number = Interval::around(number as f64, 0.0);
+    let parameter = Parameter::new("esc-kind", "", number, Some(kind_key));
+    Ok(finding.with(vec![parameter]))
 }
 
 const fn turned(turned: bool) -> &'static str {

@@ -12,14 +12,12 @@ use crate::{
     Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
     finding::failed,
     imu_noise::{Comparison, NoiseLevel, compare},
+    parameter::keys,
 };
 
-pub(super) const STEP: Step = Step::new(
-    "imu-noise",
-    "IMU: its noise with the wheels turning",
-    "The noise at every speed is at most 1.3 times what [estimator] believes.",
-    find,
-);
+pub(super) const STEP: Step =
+    Step::new("imu-noise", "IMU: its noise with the wheels turning", find)
+        .expecting("The noise at every speed is at most 1.3 times what [estimator] believes.");
 
 /// Time at rest, s.
 const REST_S: f64 = 15.0;
@@ -46,12 +44,7 @@ fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let comparison = compare(&levels, &bench.configuration().estimator);
     bench.plot(&plot(&levels));
-    let keys: Vec<_> = comparison
-        .parameters
-        .iter()
-        .filter_map(|parameter| parameter.key.as_ref())
-        .map(|(key, value)| (key.as_ref(), value.clone()))
-        .collect();
+    let keys = keys(&comparison.parameters);
     if !keys.is_empty() {
         change(bench, &keys)?;
     }
@@ -78,13 +71,10 @@ fn level(speed: f64, runs: &[Vec<BoardReading>]) -> Result<NoiseLevel, Trouble> 
         .map(|run| run.iter().filter_map(|reading| reading.inertial).collect())
         .collect();
     NoiseLevel::of(speed, &samples).ok_or_else(|| {
-        failed(
-            format!(
-                "{} samples of the IMU at {speed:.2} m/s",
-                samples.concat().len()
-            ),
-            "Look at the IMU's wires (SDA, SCL, 5 V, ground): docs/uno.md.",
-        )
+        let count = samples.concat().len();
+        let found = format!("{count} samples of the IMU at {speed:.2} m/s");
+        let fix = "Look at the IMU's wires (SDA, SCL, 5 V, ground): docs/uno.md.";
+        failed(found, fix)
     })
 }
 
@@ -92,9 +82,9 @@ fn finding(comparison: Comparison, kill: &Finding) -> Finding {
     let mut found = comparison.found;
     let mut fixes = Vec::new();
     if !comparison.too_small.is_empty() {
+        let too_small = comparison.too_small.join(", ");
         found.push(format!(
-            "too small: {}; the measured values are in force",
-            comparison.too_small.join(", ")
+            "too small: {too_small}; the measured values are in force"
         ));
         fixes.push(
             "The floor shakes more than a stand: compare `noise` of `singletrack judge` after the \
@@ -111,14 +101,8 @@ fn finding(comparison: Comparison, kill: &Finding) -> Finding {
 
 fn plot(levels: &[NoiseLevel]) -> Plot {
     let line = |name, kind, density: fn(&NoiseLevel) -> f64| {
-        PlotLine::new(
-            name,
-            kind,
-            levels
-                .iter()
-                .map(|level| [level.speed, density(level)])
-                .collect(),
-        )
+        let points = levels.iter().map(|level| [level.speed, density(level)]);
+        PlotLine::new(name, kind, points.collect())
     };
     Plot {
         name: "imu-noise",

@@ -7,7 +7,10 @@ use super::{
     questions,
     request::{ask, ask_yes},
 };
-use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
+use crate::{
+    Bench, BoardReading, Finding, Step, Trouble,
+    finding::{failed, require},
+};
 
 /// Time for which an armed board holds neutral, s.
 const ARMED_S: f64 = 1.0;
@@ -18,12 +21,8 @@ const CUT_WITHIN_S: f64 = 6.0;
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
 
-pub(super) const STEP: Step = Step::new(
-    "kill",
-    "The kill switch of the ESC's supply",
-    "The supply of the ESC can be cut, also while its pulse drives the motor.",
-    find,
-);
+pub(super) const STEP: Step = Step::new("kill", "The kill switch of the ESC's supply", find)
+    .expecting("The supply of the ESC can be cut, also while its pulse drives the motor.");
 
 pub(super) fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     if bench.configuration().board.kill_output {
@@ -37,57 +36,38 @@ fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const WIRING: &str = "Check the wiring of the kill output (pin D7) and of its relay, which is \
                           normally open: docs/uno.md.";
     let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::ESC_DARK);
-    if !dark(bench)? {
-        return Err(failed(
-            "the ESC has its supply although the kill output is off",
-            WIRING,
-        ));
-    }
+    let found = "the ESC has its supply although the kill output is off";
+    require(dark(bench)?, found, WIRING)?;
     let power = armed(bench, |car| {
         let rest = car.rest();
         car.hold(rest, ARMED_S, "armed at neutral")?;
         Ok(car.status.is_some_and(|status| status.power_on))
     })?;
-    if !power {
-        return Err(failed(
-            "the armed board does not hold its kill output",
-            "Load the image again: `cargo uno`.",
-        ));
-    }
-    if !ask_yes(bench, &questions::ESC_WOKE)? {
-        return Err(failed("the armed board does not switch the ESC on", WIRING));
-    }
-    if !dark(bench)? {
-        return Err(failed(
-            "the ESC keeps its supply after the board was disarmed",
-            WIRING,
-        ));
-    }
-    Ok(Finding::good(
-        "the ESC is on while the board is armed, and off before and after",
-    ))
+    let found = "the armed board does not hold its kill output";
+    require(power, found, "Load the image again: `cargo uno`.")?;
+    let found = "the armed board does not switch the ESC on";
+    require(ask_yes(bench, &questions::ESC_WOKE)?, found, WIRING)?;
+    let found = "the ESC keeps its supply after the board was disarmed";
+    require(dark(bench)?, found, WIRING)?;
+    let found = "the ESC is on while the board is armed, and off before and after";
+    Ok(Finding::good(found))
 }
 
 fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     const NONE: &str = "Wire the kill output (docs/uno.md) and set board.kill_output, or put a \
                         switch that you reach at any time into the supply of the ESC.";
     if !ask_yes(bench, &questions::KILL_SWITCH)? {
-        return Ok(Finding::warning(
-            "nothing but the pulses on one wire stops the motor",
-            NONE,
-        ));
+        let found = "nothing but the pulses on one wire stops the motor";
+        return Ok(Finding::warning(found, NONE));
     }
     ask(bench, &questions::CUT_SUPPLY)?;
     let spun = armed(bench, |car| {
         car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
     })?;
     ask(bench, &questions::RESTORE_SUPPLY)?;
-    if !spun.stopped_under_drive() {
-        return Err(failed(
-            format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it"),
-            NONE,
-        ));
-    }
+    let found =
+        format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it");
+    require(spun.stopped_under_drive(), found, NONE)?;
     Ok(Finding::good(format!(
         "without its supply the motor came to rest within {:.1} s, with the pulse still driving it",
         roll_down(&spun.readings, spun.fastest())
@@ -108,10 +88,9 @@ fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
 
 /// The trouble of a motor that gave no pulse as far from neutral as the board allows.
 pub(super) fn never_turned() -> Trouble {
-    failed(
-        format!("no motor pulse up to {JOG_LIMIT_US} us beyond neutral"),
-        "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
-         swapped? Does the pulse sensor count when the wheels are turned by hand \
-         (`singletrack doctor`)?",
-    )
+    let found = format!("no motor pulse up to {JOG_LIMIT_US} us beyond neutral");
+    let fix = "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
+               swapped? Does the pulse sensor count when the wheels are turned by hand \
+               (`singletrack doctor`)?";
+    failed(found, fix)
 }

@@ -25,18 +25,13 @@ use crate::{
     },
 };
 
-pub(super) const DIRECTION: Step = Step::new(
-    "motor-direction",
-    "Direction of the motor",
-    "A pulse above neutral drives forward, and the motor's pulses count.",
-    direction,
-);
-pub(super) const MAP: Step = Step::new(
-    "motor-map",
-    "Deadband and speeds of the motor",
-    "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
-    map,
-);
+pub(super) const DIRECTION: Step =
+    Step::new("motor-direction", "Direction of the motor", direction)
+        .expecting("A pulse above neutral drives forward, and the motor's pulses count.");
+pub(super) const MAP: Step = Step::new("motor-map", "Deadband and speeds of the motor", map)
+    .expecting(
+        "The wheels stand at board.esc.neutral_us plus and minus deadband_us, and turn beyond.",
+    );
 
 /// Where the search for the first turn begins, beyond neutral, us.
 const FROM_US: u16 = 16;
@@ -184,16 +179,9 @@ fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             )
         }
         Below::Nothing => {
-            let neutral = Interval {
-                value: 0.0,
-                low: (upper.low - WIDEST_US).min(0.0),
-                high: upper.high.max(0.0),
-            };
-            let deadband = Interval {
-                value: upper.value,
-                low: 0.0,
-                high: WIDEST_US.max(upper.high),
-            };
+            let ends = [(upper.low - WIDEST_US).min(0.0), upper.high.max(0.0)];
+            let neutral = Interval::between(0.0, ends);
+            let deadband = Interval::between(upper.value, [0.0, WIDEST_US.max(upper.high)]);
             (neutral, deadband, "turns forward only")
         }
     };
@@ -205,15 +193,14 @@ fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .floor()
         .clamp(0.0, 200.0);
     if (neutral_us - 1_500.0).abs() > band {
-        return Err(failed(
-            format!(
-                "the wheels stand from {:.0} to {:.0} us: not at 1500 us, which the board gives \
-                 before it is configured",
-                neutral.value - deadband.value,
-                neutral.value + deadband.value
-            ),
-            "Calibrate the neutral of the ESC to 1500 us as its manual says.",
-        ));
+        let found = format!(
+            "the wheels stand from {:.0} to {:.0} us: not at 1500 us, which the board gives \
+             before it is configured",
+            neutral.value - deadband.value,
+            neutral.value + deadband.value
+        );
+        let fix = "Calibrate the neutral of the ESC to 1500 us as its manual says.";
+        return Err(failed(found, fix));
     }
     let feed_forward = ahead
         .feed_forward
@@ -239,12 +226,9 @@ fn map(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         ahead.scatter
     );
     let [neutral_key, deadband_key, feed_forward_key] = keys;
-    let finding = Finding::warning_if(
-        ahead.scatter > 4.0,
-        found,
-        "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
-             interference?",
-    );
+    let fix = "The speed is not steady at a steady pulse: does the drive train drag, or D2 pick up \
+               interference?";
+    let finding = Finding::warning_if(ahead.scatter > 4.0, found, fix);
     Ok(finding.with(vec![
         Parameter::new("esc-neutral", "us", neutral, Some(neutral_key)),
         Parameter::new("esc-deadband", "us", deadband, Some(deadband_key)),
@@ -273,14 +257,11 @@ fn curve(car: &mut Car<'_>, forward: bool) -> Result<Option<SpeedCurve>, Trouble
     fit_speed_curve(&levels, BREAKAWAY_US, AT_SPEED)
         .map(Some)
         .ok_or_else(|| {
-            failed(
-                format!(
-                    "{} settled speeds give no curve of speed over pulse",
-                    levels.len()
-                ),
-                "The motor turns too fast or too unsteadily within 150 us of neutral: reduce the \
-                 power in the settings of the ESC, and check the pulse sensor.",
-            )
+            let count = levels.len();
+            let found = format!("{count} settled speeds give no curve of speed over pulse");
+            let fix = "The motor turns too fast or too unsteadily within 150 us of neutral: reduce \
+                       the power in the settings of the ESC, and check the pulse sensor.";
+            failed(found, fix)
         })
 }
 

@@ -5,15 +5,16 @@ use super::{
     questions,
     request::{ask, ask_yes},
 };
-use crate::{Bench, BoardReading, Finding, Step, Trouble, finding::failed};
+use crate::{
+    Bench, BoardReading, Finding, Step, Trouble,
+    finding::{failed, require},
+};
 
 /// The step, watching for `SECONDS` in each order of switching on.
 pub(super) const fn step_with<const SECONDS: u32>() -> Step {
-    Step::new(
-        "esc-neutral",
-        "The ESC at neutral",
+    let find = |bench: &mut dyn Bench| find(bench, SECONDS.into());
+    Step::new("esc-neutral", "The ESC at neutral", find).expecting(
         "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
-        |bench| find(bench, SECONDS.into()),
     )
 }
 
@@ -43,9 +44,8 @@ fn find(bench: &mut dyn Bench, seconds: f64) -> Result<Finding, Trouble> {
         }
         "ESC on before and after the board"
     };
-    Ok(Finding::good(format!(
-        "no motor pulse in {seconds:.0} s at neutral: {orders}"
-    )))
+    let found = format!("no motor pulse in {seconds:.0} s at neutral: {orders}");
+    Ok(Finding::good(found))
 }
 
 /// Takes readings, and fails if the board refused edges of the sensor meanwhile.
@@ -58,43 +58,30 @@ fn watch(
     let readings = readings(car)?;
     if let (Some(before), Some(after)) = (before, refused(car)) {
         let noisy = after.wrapping_sub(before);
-        if noisy > REFUSED {
-            return Err(failed(
-                format!("interference on the pulse sensor's wire in {noisy} ms"),
-                "Keep the wire of D2 away from the motor's; 1 kOhm and 10 nF at the pin: \
-                 docs/uno.md.",
-            ));
-        }
+        let found = format!("interference on the pulse sensor's wire in {noisy} ms");
+        let fix = "Keep the wire of D2 away from the motor's; 1 kOhm and 10 nF at the pin: \
+                   docs/uno.md.";
+        require(noisy <= REFUSED, found, fix)?;
     }
     Ok(readings)
 }
 
 fn check(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
     let Some(last) = readings.last() else {
-        return Err(failed(
-            "the board sent no telemetry",
-            "Check the serial line with `singletrack doctor`.",
-        ));
+        let found = "the board sent no telemetry";
+        let fix = "Check the serial line with `singletrack doctor`.";
+        return Err(failed(found, fix));
     };
-    if !readings.iter().any(BoardReading::turns) {
-        return Ok(());
-    }
-    Err(failed(
-        format!(
-            "the motor turned at {} us with the ESC switched on {order}",
-            last.esc_us
-        ),
-        "Calibrate the neutral of the ESC to 1500 us as its manual says (most learn it with the \
-         throttle at rest), or write its neutral to board.esc.neutral_us.",
-    ))
+    let esc_us = last.esc_us;
+    let found = format!("the motor turned at {esc_us} us with the ESC switched on {order}");
+    let fix = "Calibrate the neutral of the ESC to 1500 us as its manual says (most learn it with \
+               the throttle at rest), or write its neutral to board.esc.neutral_us.";
+    require(!readings.iter().any(BoardReading::turns), found, fix)
 }
 
 fn still(bench: &mut dyn Bench) -> Result<(), Trouble> {
-    if ask_yes(bench, &questions::WHEELS_STILL)? {
-        return Ok(());
-    }
-    Err(failed(
-        "the wheels turned at neutral, and no motor pulse came",
-        "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.",
-    ))
+    let is_still = ask_yes(bench, &questions::WHEELS_STILL)?;
+    let found = "the wheels turned at neutral, and no motor pulse came";
+    let fix = "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.";
+    require(is_still, found, fix)
 }

@@ -9,10 +9,8 @@ pub(super) fn change(
 ) -> Result<(), Trouble> {
     bench.change(values).map_err(|Refused(why)| {
         let keys: Vec<_> = values.iter().map(|(key, _)| *key).collect();
-        failed(
-            format!("{} can't be changed: {why}", keys.join(", ")),
-            "Correct the configuration file as the message says, and run the bring-up again.",
-        )
+        let fix = "Correct the configuration file as the message says, and run the bring-up again.";
+        failed(format!("{} can't be changed: {why}", keys.join(", ")), fix)
     })
 }
 

@@ -138,10 +138,8 @@ pub(super) struct Spun {
 impl Spun {
     /// Highest speed, m/s.
     pub(super) fn fastest(&self) -> f64 {
-        let speeds = self
-            .readings
-            .iter()
-            .map(|reading| reading.motor_speed.abs());
+        let readings = self.readings.iter();
+        let speeds = readings.map(|reading| reading.motor_speed.abs());
         speeds.fold(0.0, f64::max)
     }
 
@@ -170,11 +168,8 @@ pub(super) fn beyond(neutral_us: u16, offset_us: u16, forward: bool) -> u16 {
 
 /// Mean magnitude of the speed; zero without telemetry.
 pub(super) fn mean_speed(readings: &[BoardReading]) -> f64 {
-    let sum: f64 = readings
-        .iter()
-        .map(|reading| reading.motor_speed.abs())
-        .sum();
-    sum / readings.len().max(1) as f64
+    let speeds = readings.iter().map(|reading| reading.motor_speed.abs());
+    speeds.sum::<f64>() / readings.len().max(1) as f64
 }
 
 /// The way of wheels that slow down, m. The board takes half a second to report that they

@@ -11,7 +11,7 @@ use super::{
 use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
     calibrate::steering_table::straight_line,
-    finding::failed,
+    finding::{failed, require},
     fit::steering::{Steering, fit_steering},
 };
 
@@ -53,30 +53,16 @@ const READING_RAD: f64 = 0.0175;
 /// Scale error of the readings: parallax, and the linkage's curve.
 const SCALE: f64 = 0.02;
 
-pub(super) const DIRECTION: Step = Step::new(
-    "servo-direction",
-    "Direction of the servo",
-    "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
-    direction,
-);
-pub(super) const CENTRE: Step = Step::new(
-    "servo-centre",
-    "Centre of the servo",
-    "The front wheels point straight on at board.servo.centre_us.",
-    centre,
-);
-pub(super) const STOPS: Step = Step::new(
-    "servo-stops",
-    "End stops of the servo",
-    "From board.servo.min_us to max_us the servo reaches no mechanical stop.",
-    stops,
-);
-pub(super) const GAIN: Step = Step::new(
-    "servo-gain",
-    "Gain of the servo",
-    "The angle of the front wheels follows board.servo.gain_us_per_rad.",
-    gain,
-);
+pub(super) const DIRECTION: Step =
+    Step::new("servo-direction", "Direction of the servo", direction).expecting(
+        "A longer pulse steers to the side that the sign of board.servo.gain_us_per_rad says.",
+    );
+pub(super) const CENTRE: Step = Step::new("servo-centre", "Centre of the servo", centre)
+    .expecting("The front wheels point straight on at board.servo.centre_us.");
+pub(super) const STOPS: Step = Step::new("servo-stops", "End stops of the servo", stops)
+    .expecting("From board.servo.min_us to max_us the servo reaches no mechanical stop.");
+pub(super) const GAIN: Step = Step::new("servo-gain", "Gain of the servo", gain)
+    .expecting("The angle of the front wheels follows board.servo.gain_us_per_rad.");
 
 /// Moves the servo and leaves it there.
 fn turn_to(bench: &mut dyn Bench, pulse_us: u16) -> Result<(), Trouble> {
@@ -110,14 +96,13 @@ fn swapped(car: &mut Car<'_>, jog: Jog) -> Trouble {
     let centre_us = car.bench().configuration().board.servo.centre_us;
     // The trouble below is reported, not the end of this jog.
     let _ = car.hold(jog.with_servo(centre_us), 2.0, "back to the centre");
-    failed(
-        format!(
-            "the motor turned while the servo's pulse was {} us and the ESC at neutral",
-            jog.servo_us
-        ),
-        "Servo and ESC are swapped: servo to D9, ESC to D10. Or the neutral of the ESC is not at \
-         board.esc.neutral_us.",
-    )
+    let found = format!(
+        "the motor turned while the servo's pulse was {} us and the ESC at neutral",
+        jog.servo_us
+    );
+    let fix = "Servo and ESC are swapped: servo to D9, ESC to D10. Or the neutral of the ESC is \
+               not at board.esc.neutral_us.";
+    failed(found, fix)
 }
 
 fn direction_of(side: &str) -> i32 {
@@ -147,15 +132,11 @@ fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         if seen[0] != 0 && seen[0] == seen[1] {
             break;
         }
-        if attempt == 2 {
-            let fix = "Is the servo's plug on D9, the right way round, with 5 V on it? Is its \
-                       horn tight? Answer as seen from behind the car.";
-            return Err(failed(
-                "the front wheels did not turn to one side with a longer pulse and to the other \
-                 side with a shorter one",
-                fix,
-            ));
-        }
+        let found = "the front wheels did not turn to one side with a longer pulse and to the \
+                     other side with a shorter one";
+        let fix = "Is the servo's plug on D9, the right way round, with 5 V on it? Is its horn \
+                   tight? Answer as seen from behind the car.";
+        require(attempt < 2, found, fix)?;
     }
     turn_to(bench, servo.centre_us)?;
     let sign = seen[0];
@@ -166,10 +147,8 @@ fn direction(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let gain = -i64::from(servo.gain_us_per_rad);
     change_servo(bench, &[("board.servo.gain_us_per_rad", gain)])?;
-    Ok(Finding::warning(
-        format!("{found}; board.servo.gain_us_per_rad had the other sign"),
-        "None: its sign was changed.",
-    ))
+    let found = format!("{found}; board.servo.gain_us_per_rad had the other sign");
+    Ok(Finding::warning(found, "None: its sign was changed."))
 }
 
 /// Searches the two edges of the band of pulses at which the wheels look straight.
@@ -182,12 +161,9 @@ fn find_straight(bench: &mut dyn Bench, begin: i32, from: i32) -> Result<[f64; 2
     let mut answers = 0;
     let mut look = |bench: &mut dyn Bench, pulse: i32| -> Result<i32, Trouble> {
         answers += 1;
-        if answers > CENTRE_ANSWERS {
-            return Err(failed(
-                "the answers about the front wheels contradict each other",
-                "Mark straight on with a ruler along the front wheels, and look again.",
-            ));
-        }
+        let found = "the answers about the front wheels contradict each other";
+        let fix = "Mark straight on with a ruler along the front wheels, and look again.";
+        require(answers <= CENTRE_ANSWERS, found, fix)?;
         let before = limited(servo.min_us, servo.max_us, pulse + from * 60);
         let pulse = limited(servo.min_us, servo.max_us, pulse);
         armed(bench, |car| {
@@ -240,22 +216,15 @@ fn centre(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     turn_to(bench, centre_us)?;
     let key = ("board.servo.centre_us", i64::from(centre_us));
     change_servo(bench, &[key])?;
-    let parameter = Parameter::new(
-        "servo-centre",
-        "us",
-        Interval::around(centre, half),
-        Some((key.0, key.1.into())),
-    );
+    let estimate = Interval::around(centre, half);
+    let parameter = Parameter::new("servo-centre", "us", estimate, Some((key.0, key.1.into())));
     let wide = (up[1] - up[0]).abs().max((down[1] - down[0]).abs());
     let found = format!(
         "straight on at {centre:.0} us, known to {half:.0} us; it looks straight over {wide:.0} us, and \
          from the other side {play:.0} us beside"
     );
-    let finding = Finding::warning_if(
-        play > 30.0,
-        found,
-        "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.",
-    );
+    let fix = "Reduce the play of the steering: the linkage, the servo's horn, the servo saver.";
+    let finding = Finding::warning_if(play > 30.0, found, fix);
     Ok(finding.with(vec![parameter]))
 }
 
@@ -277,11 +246,7 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let mut free = centre;
         let mut pulse = centre + sign * STOPS_FROM_US;
         loop {
-            pulse = if sign > 0 {
-                pulse.min(farthest)
-            } else {
-                pulse.max(farthest)
-            };
+            pulse = limited(servo.min_us, servo.max_us, pulse).into();
             if touches(bench, pulse)? {
                 *stop = Some(pulse);
                 break;
@@ -307,12 +272,11 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     turn_to(bench, servo.centre_us)?;
     let [(min, below), (max, above)] = limits;
-    if centre - min < STOPS_FROM_US || max - centre < STOPS_FROM_US {
-        return Err(failed(
-            format!("an end stop is within {STOPS_FROM_US} us of the centre"),
-            "Turn the servo's horn by a tooth so that the wheels stand straight at about 1500 us.",
-        ));
-    }
+    let is_free = centre - min >= STOPS_FROM_US && max - centre >= STOPS_FROM_US;
+    let found = format!("an end stop is within {STOPS_FROM_US} us of the centre");
+    let fix =
+        "Turn the servo's horn by a tooth so that the wheels stand straight at about 1500 us.";
+    require(is_free, found, fix)?;
     let keys = [
         ("board.servo.min_us", i64::from(min)),
         ("board.servo.max_us", i64::from(max)),
@@ -322,16 +286,8 @@ fn stops(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let parameter = |name, free: i32, stop: Option<i32>, key: (&'static str, i64)| {
         let free = f64::from(free);
         let stop = stop.map_or(free, f64::from);
-        Parameter::new(
-            name,
-            "us",
-            Interval {
-                value: free,
-                low: free.min(stop),
-                high: free.max(stop),
-            },
-            Some((key.0, key.1.into())),
-        )
+        let estimate = Interval::between(free, [free, stop]);
+        Parameter::new(name, "us", estimate, Some((key.0, key.1.into())))
     };
     let said = |stop: Option<i32>| match stop {
         Some(stop) => format!("stop at {stop} us"),
@@ -363,10 +319,8 @@ fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     turn_to(bench, servo.centre_us)?;
     let unread = || {
-        failed(
-            "the readings give no gain",
-            "Read the angle of the front wheels from straight on, left positive.",
-        )
+        let fix = "Read the angle of the front wheels from straight on, left positive.";
+        failed("the readings give no gain", fix)
     };
     let Steering {
         gain,
@@ -374,13 +328,12 @@ fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         scatter,
     } = fit_steering(&readings, READING_RAD, SCALE).ok_or_else(unread)?;
     if gain.value * believed < 0.0 {
-        return Err(failed(
-            format!(
-                "the readings say {:.0} us/rad, and the wheels were seen to turn the other way",
-                gain.value
-            ),
-            "Left is positive: run the bring-up again from the direction of the servo.",
-        ));
+        let found = format!(
+            "the readings say {:.0} us/rad, and the wheels were seen to turn the other way",
+            gain.value
+        );
+        let fix = "Left is positive: run the bring-up again from the direction of the servo.";
+        return Err(failed(found, fix));
     }
     let rounded = gain.value.round();
     if !(50.0..=5_000.0).contains(&rounded.abs()) {
@@ -398,11 +351,8 @@ fn gain(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         scatter.to_degrees(),
         straight.value
     );
-    let finding = Finding::warning_if(
-        scatter > 0.07,
-        found,
-        "Read the angles again: run the bring-up with --again.",
-    );
+    let fix = "Read the angles again: run the bring-up with --again.";
+    let finding = Finding::warning_if(scatter > 0.07, found, fix);
     Ok(finding.with(vec![parameter]))
 }
 
@@ -441,10 +391,8 @@ fn change_servo(bench: &mut dyn Bench, values: &[(&'static str, i64)]) -> Result
         limit
     };
     let limited = wanted.min(after);
-    let mut changed: Vec<(&str, toml_edit::Value)> = values
-        .iter()
-        .map(|(key, value)| (*key, (*value).into()))
-        .collect();
+    let values = values.iter().map(|(key, value)| (*key, (*value).into()));
+    let mut changed: Vec<(&str, toml_edit::Value)> = values.collect();
     // A table was that of another servo. The calibration measures it again.
     if config.actuators.steering_table.is_some() {
         let line = straight_line(centre_us, gain_us_per_rad, ends_us);

@@ -6,7 +6,6 @@
 //! counts, or what the operator sees.
 
 use singletrack_control::Time;
-use singletrack_protocol::BoardMode;
 
 use super::{
     car::{Car, armed},
@@ -16,45 +15,27 @@ use super::{
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Parameter, Question, Step, Trouble, Verdict,
-    finding::failed,
+    finding::{failed, require},
 };
 
-pub(super) const SILENCE: Step = Step::new(
-    "stop-silence",
-    "Stop: no more jogs",
-    "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
-    silence,
-);
-pub(super) const DISARM: Step = Step::new(
-    "stop-disarm",
-    "Stop: disarm",
-    "Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-    disarm,
-);
-pub(super) const SWITCH: Step = Step::new(
-    "stop-switch",
-    "Stop: the stop switch",
-    "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
-    switch,
-);
-pub(super) const RESET: Step = Step::new(
-    "stop-reset",
-    "Stop: reset of the board",
-    "A reset of the board stops the motor at once.",
-    reset,
-);
-pub(super) const UNPLUG: Step = Step::new(
-    "stop-unplug",
-    "Stop: the cable",
-    "A pulled cable stops the motor at once.",
-    unplug,
-);
-pub(super) const EMERGENCY: Step = Step::new(
-    "stop-emergency",
-    "Stop: emergency stop",
-    "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
-    emergency,
-);
+pub(super) const SILENCE: Step = Step::new("stop-silence", "Stop: no more jogs", silence)
+    .expecting(
+        "Without another jog the pulse is neutral within 0.45 s: the hold of 0.25 s, and 0.2 s.",
+    );
+pub(super) const DISARM: Step = Step::new("stop-disarm", "Stop: disarm", disarm)
+    .expecting("Disarming gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.");
+pub(super) const SWITCH: Step = Step::new("stop-switch", "Stop: the stop switch", switch)
+    .expecting(
+        "The stop switch latches the board's emergency stop, and the ESC obeys within 0.2 s.",
+    );
+pub(super) const RESET: Step = Step::new("stop-reset", "Stop: reset of the board", reset)
+    .expecting("A reset of the board stops the motor at once.");
+pub(super) const UNPLUG: Step = Step::new("stop-unplug", "Stop: the cable", unplug)
+    .expecting("A pulled cable stops the motor at once.");
+pub(super) const EMERGENCY: Step = Step::new("stop-emergency", "Stop: emergency stop", emergency)
+    .expecting(
+        "An emergency stop gives the neutral pulse within 0.2 s, and the ESC obeys within 0.2 s.",
+    );
 
 /// From a request to the neutral pulse at most, s.
 const PULSE_WITHIN_S: f64 = 0.2;
@@ -112,10 +93,8 @@ fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f6
             || reading.esc_us.abs_diff(board.esc.neutral_us) <= board.esc.deadband_us
             || reading.esc_us == 1_500
     };
-    let neutral = readings
-        .iter()
-        .find(is_neutral)
-        .map(|reading| reading.receive);
+    let neutral = readings.iter().find(is_neutral);
+    let neutral = neutral.map(|reading| reading.receive);
     let slower = neutral.and_then(|neutral| {
         readings
             .iter()
@@ -134,19 +113,16 @@ fn evaluate(car: &mut Car<'_>, readings: &[BoardReading], begin: Time, speed: f6
 impl Stop {
     fn finding(&self, name: &'static str, within_s: f64) -> Result<Finding, Trouble> {
         let Some(pulse_s) = self.pulse_s else {
-            return Err(failed(
-                "the pulse did not go to neutral",
-                "Cut the supply of the ESC. See the log of the daemon.",
-            ));
+            let fix = "Cut the supply of the ESC. See the log of the daemon.";
+            return Err(failed("the pulse did not go to neutral", fix));
         };
         let Some(slower_s) = self.slower_s else {
-            return Err(failed(
-                format!(
-                    "the wheels kept {:.2} m/s for {WATCHED_S:.0} s after the pulse was neutral",
-                    self.speed
-                ),
-                "Cut the supply of the ESC: it does not obey neutral.",
-            ));
+            let found = format!(
+                "the wheels kept {:.2} m/s for {WATCHED_S:.0} s after the pulse was neutral",
+                self.speed
+            );
+            let fix = "Cut the supply of the ESC: it does not obey neutral.";
+            return Err(failed(found, fix));
         };
         let found = format!(
             "neutral pulse after {:.0} ms; the wheels slow down {:.0} ms later, from {:.2} m/s",
@@ -154,21 +130,12 @@ impl Stop {
             slower_s * 1e3,
             self.speed
         );
-        if pulse_s > within_s {
-            return Err(failed(
-                found,
-                "The daemon or the line is late: see docs/troubleshooting.md.",
-            ));
-        }
-        if slower_s > ESC_WITHIN_S + self.blind_s {
-            return Err(failed(found, ESC_HOLDS));
-        }
-        let ms = |seconds: f64| Interval {
-            value: seconds * 1e3,
-            low: ((seconds - RECORD_S) * 1e3).max(0.0),
-            high: (seconds + RECORD_S) * 1e3,
-        };
-        Ok(Finding::good(found).with(vec![Parameter::new(name, "ms", ms(pulse_s), None)]))
+        let fix = "The daemon or the line is late: see docs/troubleshooting.md.";
+        require(pulse_s <= within_s, &found, fix)?;
+        require(slower_s <= ESC_WITHIN_S + self.blind_s, &found, ESC_HOLDS)?;
+        let ends = [pulse_s - RECORD_S, pulse_s + RECORD_S].map(|end| (end * 1e3).max(0.0));
+        let estimate = Interval::between(pulse_s * 1e3, ends);
+        Ok(Finding::good(found).with(vec![Parameter::new(name, "ms", estimate, None)]))
     }
 }
 
@@ -199,12 +166,9 @@ fn switch(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     car.arm()?;
     let spun = spin_for_hand(&mut car, "press the stop switch")?;
     let first = car.board;
-    if !first.is_some_and(|reading| reading.mode == BoardMode::EmergencyStopped) {
-        return Err(failed(
-            format!("the board did not notice a stop switch within {HAND_S:.0} s"),
-            "Check the switch and its wire (D4 to ground, normally closed): docs/uno.md.",
-        ));
-    }
+    let found = format!("the board did not notice a stop switch within {HAND_S:.0} s");
+    let fix = "Check the switch and its wire (D4 to ground, normally closed): docs/uno.md.";
+    require(car.is_latched(), found, fix)?;
     let mut readings: Vec<BoardReading> = first.into_iter().collect();
     // The time counts from the record with the mode: the hand gives no time stamp.
     let noticed = match first {
@@ -230,16 +194,10 @@ fn unlatched(bench: &mut dyn Bench) -> Result<(), Trouble> {
     const PATIENCE_S: f64 = 15.0;
     let mut car = Car::look(bench)?;
     let begin = car.now()?;
-    while car
-        .board
-        .is_none_or(|reading| reading.mode == BoardMode::EmergencyStopped)
-    {
-        if car.now()?.seconds_since(begin) > PATIENCE_S {
-            return Err(failed(
-                "the board is still latched",
-                "Press the reset button of the board, and run this step again.",
-            ));
-        }
+    while car.board.is_none() || car.is_latched() {
+        let waited_s = car.now()?.seconds_since(begin);
+        let fix = "Press the reset button of the board, and run this step again.";
+        require(waited_s <= PATIENCE_S, "the board is still latched", fix)?;
         car.watch(0.1, "the board starts")?;
     }
     Ok(())
@@ -251,17 +209,10 @@ fn by_request(bench: &mut dyn Bench) -> Result<Stop, Trouble> {
     let speed = turn(&mut car)?;
     car.request_emergency_stop()?;
     let stop = watch(&mut car, speed)?;
-    let latched = car
-        .board
-        .is_some_and(|reading| reading.mode == BoardMode::EmergencyStopped);
-    if latched {
-        Ok(stop)
-    } else {
-        Err(failed(
-            "the board is not latched after an emergency stop",
-            "Cut the supply of the ESC. See the log of the daemon.",
-        ))
-    }
+    let found = "the board is not latched after an emergency stop";
+    let fix = "Cut the supply of the ESC. See the log of the daemon.";
+    require(car.is_latched(), found, fix)?;
+    Ok(stop)
 }
 
 /// Turns the motor until a hand stops it.
@@ -288,12 +239,8 @@ fn unheard(
     let mut car = Car::look(bench)?;
     car.arm()?;
     let spun = spin_for_hand(&mut car, "now, by hand")?;
-    if spun.ended.is_none() {
-        return Err(failed(
-            format!("the board went on for {HAND_S:.0} s: nothing was done by hand"),
-            "Run the bring-up again.",
-        ));
-    }
+    let found = format!("the board went on for {HAND_S:.0} s: nothing was done by hand");
+    require(spun.ended.is_some(), found, "Run the bring-up again.")?;
     // The operator watches the wheels.
     car.watch(2.0, "stopping")?;
     let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS);

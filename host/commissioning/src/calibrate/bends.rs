@@ -39,9 +39,9 @@ const STIFFNESS: f64 = 0.35;
 pub(super) const STEP: Step = Step::new(
     "bends",
     "Bends to both sides: steering, and the body on the car",
-    "the same values from every pass, near those of doctor and bring-up",
     measure,
-);
+)
+.expecting("the same values from every pass, near those of doctor and bring-up");
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
@@ -95,10 +95,9 @@ fn rear_slip(vehicle: &VehicleParameters) -> f64 {
 
 fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
-        failed(
-            "the drive does not determine the car: too few poses, or too little steering",
-            "check that all markers are visible everywhere, and run this step again",
-        )
+        let found = "the drive does not determine the car: too few poses, or too little steering";
+        let fix = "check that all markers are visible everywhere, and run this step again";
+        failed(found, fix)
     };
     let believed = bench.configuration().clone();
     let vehicle = &believed.vehicle;
@@ -134,17 +133,11 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let lag = interval(&|(_, steering)| 1e3 * steering.lag, 1e3 * ALIKE[0])?;
     let dead = interval(&|(_, steering)| 1e3 * steering.delay, 1e3 * ALIKE[1])?;
     let excess = [0, 1].map(|side| {
-        let sum: f64 = passes
-            .iter()
-            .map(|(_, steering)| steering.excess[side])
-            .sum();
-        100.0 * sum / passes.len() as f64
+        let excesses = passes.iter().map(|(_, steering)| steering.excess[side]);
+        100.0 * excesses.sum::<f64>() / passes.len() as f64
     });
-    let play = passes
-        .iter()
-        .map(|(_, steering)| steering.play_us)
-        .sum::<f64>()
-        / passes.len() as f64;
+    let play = fit::mean(passes.iter().map(|(_, steering)| steering.play_us));
+    let play = play.ok_or_else(undetermined)?;
 
     let config = bench.configuration();
     let servo = &config.board.servo;
@@ -161,25 +154,18 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
             (centre.value, room / gain.value.abs())
         }
     };
+    let gain_us_per_rad = gain.value.round() as i64;
+    let yaw_rad = round(wrap(yaw.value), 5);
+    let offset_m = [ahead.value, left.value].map(|value| round(value, 5));
+    let offset_m = toml_edit::Value::from_iter(offset_m);
+    let dead_time_ms = round(dead.value.max(0.0), 1);
     let mut values: Vec<(&'static str, toml_edit::Value)> = vec![
         ("board.servo.centre_us", (straight_us.round() as i64).into()),
-        (
-            "board.servo.gain_us_per_rad",
-            (gain.value.round() as i64).into(),
-        ),
-        (
-            "motion_capture.marker_yaw_rad",
-            round(wrap(yaw.value), 5).into(),
-        ),
-        (
-            "motion_capture.marker_offset_m",
-            toml_edit::Value::from_iter([ahead.value, left.value].map(|value| round(value, 5))),
-        ),
+        ("board.servo.gain_us_per_rad", gain_us_per_rad.into()),
+        ("motion_capture.marker_yaw_rad", yaw_rad.into()),
+        ("motion_capture.marker_offset_m", offset_m),
         ("actuators.steering_lag_ms", round(lag.value, 1).into()),
-        (
-            "actuators.steering_dead_time_ms",
-            round(dead.value.max(0.0), 1).into(),
-        ),
+        ("actuators.steering_dead_time_ms", dead_time_ms.into()),
     ];
     let reach = (1_000.0 * reach).floor() / 1_000.0 - 0.001;
     if config.limits.max_steering_rad > reach {
@@ -201,16 +187,10 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
     let moved = (ahead.value - offset[0]).hypot(left.value - offset[1]);
     floor::change(bench, &values)?;
     let parameter = |name, unit, estimate: Interval, key: &str| {
-        Parameter::new(
-            name,
-            unit,
-            estimate,
-            values
-                .iter()
-                .find(|(other, _)| *other == key)
-                .map(|(key, value)| (*key, value.clone())),
-        )
+        let key = values.iter().find(|(other, _)| *other == key).cloned();
+        Parameter::new(name, unit, estimate, key)
     };
+    let dead_time_key = "actuators.steering_dead_time_ms";
     let mut parameters = vec![
         parameter("servo-centre", "us", centre, "board.servo.centre_us"),
         parameter("servo-gain", "us/rad", gain, "board.servo.gain_us_per_rad"),
@@ -218,12 +198,7 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         parameter("body-forward", "m", ahead, "motion_capture.marker_offset_m"),
         parameter("body-left", "m", left, "motion_capture.marker_offset_m"),
         parameter("servo-lag", "ms", lag, "actuators.steering_lag_ms"),
-        parameter(
-            "servo-dead-time",
-            "ms",
-            dead,
-            "actuators.steering_dead_time_ms",
-        ),
+        parameter("servo-dead-time", "ms", dead, dead_time_key),
     ];
     if let Some(bent) = &bent {
         let key = "actuators.steering_table";
@@ -254,15 +229,9 @@ fn plot(
     (body, steering): &(Body, Wheels),
 ) {
     const SHOWN: f64 = 6.0;
-    bench.plot(&Plot::of_places(
-        "bends",
-        "The body on both circles",
-        vec![PlotLine::new(
-            "body",
-            PlotKind::Measured,
-            motion.position.clone(),
-        )],
-    ));
+    let places = PlotLine::new("body", PlotKind::Measured, motion.position.clone());
+    let title = "The body on both circles";
+    bench.plot(&Plot::of_places("bends", title, vec![places]));
     let speed = motion.rear_speed(body.yaw, body.left, 2);
     let rates = fit::yaw_rates(motion, pulses, &speed, vehicle, steering);
     let middle = rates.get(rates.len() / 2).map_or(0.0, |[time, ..]| *time);
@@ -274,15 +243,13 @@ fn plot(
             .collect::<Vec<_>>()
     };
     let (measured, fitted) = (shown(1), shown(2));
-    bench.plot(&Plot::over_time(
-        "steering",
-        "The yaw rate, measured and by the servo's pulses",
-        ("yaw rate", "rad/s"),
-        vec![
-            PlotLine::new("measured", PlotKind::Measured, measured),
-            PlotLine::new("fitted", PlotKind::Fitted, fitted),
-        ],
-    ));
+    let title = "The yaw rate, measured and by the servo's pulses";
+    let axis = ("yaw rate", "rad/s");
+    let lines = vec![
+        PlotLine::new("measured", PlotKind::Measured, measured),
+        PlotLine::new("fitted", PlotKind::Fitted, fitted),
+    ];
+    bench.plot(&Plot::over_time("steering", title, axis, lines));
 }
 
 /// One pass.
@@ -294,10 +261,8 @@ fn pass(
 ) -> Option<(Body, Wheels)> {
     let Config { vehicle, board, .. } = believed;
     let (yaw, slip) = (believed.motion_capture.marker_yaw_rad, rear_slip(vehicle));
-    let servo = [
-        board.servo.centre_us.into(),
-        board.servo.gain_us_per_rad.into(),
-    ];
+    let servo = &board.servo;
+    let servo = [servo.centre_us.into(), servo.gain_us_per_rad.into()];
     let body = fit::body(motion, way, yaw, slip)?;
     // Once more about the yaw that was found: the fit is linear in its error.
     let body = fit::body(motion, way, body.yaw, slip)?;

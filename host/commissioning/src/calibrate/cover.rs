@@ -2,7 +2,7 @@
 
 use singletrack_pilot::Reason;
 
-use super::floor::{self, Drive, Figure, SLOW};
+use super::floor::{self, Figure, SLOW};
 use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict, finding::stopped};
 
 /// How long the operator has to cover the markers, s.
@@ -20,17 +20,15 @@ const BY_MARKERS: [Reason; 4] = [
 pub(super) const STEP: Step = Step::new(
     "cover",
     "Markers covered while it drives: the stop without poses",
-    "it stops by itself within the way that the geofence allows for",
     measure,
 )
+.expecting("it stops by itself within the way that the geofence allows for")
 .optional();
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    let answer = bench.ask(&Question::begin(
-        "cover-markers",
-        "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
-               from above, and keep them covered until it stands.",
-    ))?;
+    let request = "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
+                   from above, and keep them covered until it stands.";
+    let answer = bench.ask(&Question::begin("cover-markers", request))?;
     if answer == Answer::Skip {
         return Ok(Finding::new(Verdict::Skipped, "not done", ""));
     }
@@ -41,11 +39,9 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     })?;
     let _ = bench.ask(&Question::begin("uncover-markers", "Uncover the markers."))?;
     let Some(reason) = drive.reason else {
-        return Ok(Finding::new(
-            Verdict::Warning,
-            format!("the car drove on for {SECONDS} s: its markers were not covered"),
-            "run this step again, and cover all markers until the car stands",
-        ));
+        let found = format!("the car drove on for {SECONDS} s: its markers were not covered");
+        let fix = "run this step again, and cover all markers until the car stands";
+        return Ok(Finding::warning(found, fix));
     };
     if !BY_MARKERS.map(Reason::name).contains(&reason) {
         return Err(stopped("stopped before its markers were covered", reason));
@@ -55,17 +51,12 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let allowed = supervisor.blind_distance_m.max(supervisor.hold_distance_m)
         + SLOW * SLOW / (2.0 * config.fence.braking_m_s2)
         + 0.1;
-    let lost = drive.last_pose_ns;
-    let way = blind_way(&mut drive, lost);
+    // By the motor's pulses, from the last pose on.
+    let lost = drive.track.seconds(drive.last_pose_ns);
+    let driven = drive.track.way();
+    let way = driven.at(f64::INFINITY) - driven.at(lost);
     let found =
         format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m");
     let fix = "run the step roll-out again: the car stops later than fence.braking_m_s2 says";
     Ok(Finding::check(way <= allowed, found, fix))
-}
-
-/// The way by the motor's pulses from the last pose on, m.
-fn blind_way(drive: &mut Drive, lost_ns: u64) -> f64 {
-    let lost = drive.track.seconds(lost_ns);
-    let way = drive.track.way();
-    way.at(f64::INFINITY) - way.at(lost)
 }

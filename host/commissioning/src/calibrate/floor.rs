@@ -7,7 +7,7 @@ use singletrack_protocol::BoardMode;
 
 use crate::{
     Answer, Attendance, Bench, Interrupted, Live, Observation, Question, TickReading, Trouble,
-    finding::{failed, stopped},
+    finding::{failed, require, stopped},
     fit::Track,
 };
 
@@ -67,10 +67,8 @@ pub(super) fn change(
     values: &[(&str, toml_edit::Value)],
 ) -> Result<(), Trouble> {
     bench.change(values).map_err(|refused| {
-        failed(
-            format!("the values are refused: {refused}"),
-            "correct the key that the message names, and run this step again",
-        )
+        let fix = "correct the key that the message names, and run this step again";
+        failed(format!("the values are refused: {refused}"), fix)
     })
 }
 
@@ -119,10 +117,8 @@ pub(super) fn ready(bench: &mut dyn Bench) -> Result<TickReading, Trouble> {
             }
         }
     }
-    Err(stopped(
-        "the car is not ready to be armed",
-        reason.map_or("no reason", singletrack_pilot::Reason::name),
-    ))
+    let word = reason.map_or("no reason", singletrack_pilot::Reason::name);
+    Err(stopped("the car is not ready to be armed", word))
 }
 
 /// Waits for a car on the floor that can be armed for a drive of at most this speed, m/s, and gives
@@ -135,19 +131,12 @@ pub(super) fn begin(bench: &mut dyn Bench, speed: f64) -> Result<TickReading, Tr
 
 /// Asks the operator to put the car on the floor.
 pub(super) fn place(bench: &mut dyn Bench) -> Result<(), Trouble> {
-    let answer = bench.ask(&Question::begin(
-        "place-on-floor",
-        "Put the car on the floor in the middle of the geofence, looking along its longer \
-               side. Keep everybody out of the geofence. The car drives by itself while you hold \
-               the key, and stops when you let it go.",
-    ))?;
-    match answer {
-        Answer::Skip => Err(failed(
-            "the car is not on the floor",
-            "run this step again when there is room",
-        )),
-        _ => Ok(()),
-    }
+    let request = "Put the car on the floor in the middle of the geofence, looking along its longer \
+                   side. Keep everybody out of the geofence. The car drives by itself while you \
+                   hold the key, and stops when you let it go.";
+    let answer = bench.ask(&Question::begin("place-on-floor", request))?;
+    let fix = "run this step again when there is room";
+    require(answer != Answer::Skip, "the car is not on the floor", fix)
 }
 
 /// Two circles that touch where P is: the way is to the left first.
@@ -166,10 +155,9 @@ impl Figure {
     pub(super) fn find(bench: &dyn Bench, stands: &TickReading) -> Result<Self, Trouble> {
         let config = bench.configuration();
         let no_room = || {
-            failed(
-                "the geofence has no room for two circles that touch each other",
-                "widen fence.corners_m: the car needs about 3 by 5 m of free floor",
-            )
+            let found = "the geofence has no room for two circles that touch each other";
+            let fix = "widen fence.corners_m: the car needs about 3 by 5 m of free floor";
+            failed(found, fix)
         };
         let fence = config.fence.fence(&config.vehicle).map_err(|_| no_room())?;
         let (Some(point), Some((_, yaw))) = (stands.point, stands.pose) else {
@@ -221,10 +209,8 @@ impl Figure {
             first,
             radius: radius(config),
         };
-        [1.0, -1.0]
-            .map(circle)
-            .into_iter()
-            .find(|circle| circle.fits(&fence, 1.0, room))
+        let mut circles = [1.0, -1.0].map(circle).into_iter();
+        circles.find(|circle| circle.fits(&fence, 1.0, room))
     }
 
     /// Whether there is room for so many laps, with this distance to the geofence, m.

@@ -27,9 +27,9 @@ const COUNTED: f64 = 0.8;
 pub(super) const STEP: Step = Step::new(
     "roll-out",
     "Roll-outs from rising speeds: brakes and top speed",
-    "every roll-out at least as short as fence.braking_m_s2 makes it",
     measure,
-);
+)
+.expecting("every roll-out at least as short as fence.braking_m_s2 makes it");
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     floor::place(bench)?;
@@ -49,10 +49,9 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
             })?;
             let Some(braking) = braking else {
                 if passed == 0.0 {
-                    return Err(failed(
-                        "there is no room for a circle where the car stands",
-                        "put it in the middle of the geofence, or widen fence.corners_m",
-                    ));
+                    let fix = "put it in the middle of the geofence, or widen fence.corners_m";
+                    let found = "there is no room for a circle where the car stands";
+                    return Err(failed(found, fix));
                 }
                 floor::limit_speed(bench, passed)?;
                 break 'rising;
@@ -75,11 +74,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         lines: vec![PlotLine::new("rear axle", PlotKind::Measured, ways)],
     });
     let mean = |speed: f64| {
-        let of: Vec<f64> = stops
-            .iter()
-            .filter(|(other, _)| *other == speed)
-            .map(|(_, braking)| *braking)
-            .collect();
+        let stops = stops.iter().filter(|(other, _)| *other == speed);
+        let of: Vec<f64> = stops.map(|(_, braking)| *braking).collect();
         Some((fit::mean(&of)?, of))
     };
     let weakest = SPEEDS
@@ -111,10 +107,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 
 /// What the geofence may count on: the weakest roll-out, less 20 %.
 fn counted(bench: &dyn Bench, stops: &[(f64, f64)]) -> f64 {
-    let weakest = stops
-        .iter()
-        .map(|(_, braking)| *braking)
-        .fold(f64::INFINITY, f64::min);
+    let brakings = stops.iter().map(|(_, braking)| *braking);
+    let weakest = brakings.fold(f64::INFINITY, f64::min);
     let most = bench.configuration().control.stop_deceleration_m_s2;
     ((100.0 * COUNTED * weakest).floor() / 100.0).clamp(0.05, most)
 }
@@ -164,10 +158,8 @@ fn rolled(
     fit::roll_out(&motion.time[first..], &way[first..])
         .map(Some)
         .ok_or_else(|| {
-            failed(
-                format!("the car did not roll out from {speed:.1} m/s"),
-                "check that the floor is level and that the markers are visible everywhere, and \
-                 run this step again",
-            )
+            let fix = "check that the floor is level and that the markers are visible everywhere, \
+                       and run this step again";
+            failed(format!("the car did not roll out from {speed:.1} m/s"), fix)
         })
 }

@@ -2,7 +2,7 @@
 
 use super::floor::{self, Figure, SLOW, round};
 use crate::{
-    Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
+    Bench, Finding, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
     finding::failed,
     fit::{self, DriveTrain, Motion},
 };
@@ -21,13 +21,9 @@ const LOOK: [f64; 2] = [0.4, 1.3];
 /// cameras.
 const SYSTEMATIC: [f64; 2] = [0.015, 0.006];
 
-pub(super) const STEP: Step = Step::new(
-    "speed",
-    "Changes of speed: ESC and motor",
-    "the speed follows within 0.3 s, and the same at every rise",
-    measure,
-)
-.optional();
+pub(super) const STEP: Step = Step::new("speed", "Changes of speed: ESC and motor", measure)
+    .expecting("the speed follows within 0.3 s, and the same at every rise")
+    .optional();
 
 /// Speed and way after a time in s.
 fn profile(time: f64) -> [f64; 2] {
@@ -97,14 +93,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .filter_map(|index| {
             let rise = starts[2 * index + 1];
             let range = within(rise - LOOK[0], rise + LOOK[1]);
-            fit::drive_train(
-                &motion.time[range.clone()],
-                &way[range],
-                &pulses,
-                [LOW, SLOW],
-                about,
-                rolling,
-            )
+            let time = &motion.time[range.clone()];
+            fit::drive_train(time, &way[range], &pulses, [LOW, SLOW], about, rolling)
         })
         .filter(|rise| rise.lag < 0.5 && rise.delay < 0.18)
         .collect();
@@ -136,6 +126,8 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
         // The next one is another line.
         points.push([f64::NAN; 2]);
     }
+    let mean = |[time, speed, count]: [f64; 3]| [time / count, speed / count];
+    let means = sums.into_iter().map(mean).collect();
     bench.plot(&Plot {
         name: "speed",
         title: "Rises of the speed",
@@ -144,24 +136,16 @@ fn plot(bench: &mut dyn Bench, motion: &Motion, way: &[f64], starts: &[f64]) {
         equal: false,
         lines: vec![
             PlotLine::new("rear axle", PlotKind::Measured, points),
-            PlotLine::new(
-                "mean",
-                PlotKind::Fitted,
-                sums.into_iter()
-                    .map(|[time, speed, count]| [time / count, speed / count])
-                    .collect(),
-            ),
+            PlotLine::new("mean", PlotKind::Fitted, means),
         ],
     });
 }
 
 fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result<Finding, Trouble> {
     let undetermined = || {
-        failed(
-            "the changes of speed do not determine motor and ESC",
-            "charge the battery, check that the markers are visible everywhere, and run this step \
-             again",
-        )
+        let fix = "charge the battery, check that the markers are visible everywhere, and run this \
+                   step again";
+        failed("the changes of speed do not determine motor and ESC", fix)
     };
     if rises.len() < RISES / 2 {
         return Err(undetermined());
@@ -179,18 +163,13 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     let roll = fit::mean_interval(rolls, 0.05);
     // Less than the car needs: the proportional term would overshoot.
     let feed_forward = (0.8 * gain.value).round() as i64;
-    let values: Vec<(&'static str, toml_edit::Value)> = vec![
+    let dead_time_ms = round(dead.value.max(0.0), 1);
+    let keys: [(&'static str, toml_edit::Value); 3] = [
         ("board.speed.feed_forward_us_per_m_s", feed_forward.into()),
         ("actuators.speed_lag_ms", round(lag.value, 1).into()),
-        (
-            "actuators.speed_dead_time_ms",
-            round(dead.value.max(0.0), 1).into(),
-        ),
+        ("actuators.speed_dead_time_ms", dead_time_ms.into()),
     ];
-    floor::change(bench, &values)?;
-    let parameter = |name, unit, estimate: Interval, index: usize| {
-        Parameter::new(name, unit, estimate, values.get(index).cloned())
-    };
+    floor::change(bench, &keys)?;
     let is_slow = lag.value + dead.value > 300.0;
     let found = format!(
         "{} rises of the speed; the wheels begin to turn at {:.0} us{}",
@@ -203,10 +182,11 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
     );
     let fix = "the motor follows slowly: lower the speeds of your references, or change the ESC's \
                settings";
+    let [gain_key, lag_key, dead_key] = keys.map(Some);
     Ok(Finding::warning_if(is_slow, found, fix).with(vec![
-        parameter("feed-forward", "us/(m/s)", gain, 0),
-        parameter("motor-lag", "ms", lag, 1),
-        parameter("motor-dead-time", "ms", dead, 2),
+        Parameter::new("feed-forward", "us/(m/s)", gain, gain_key),
+        Parameter::new("motor-lag", "ms", lag, lag_key),
+        Parameter::new("motor-dead-time", "ms", dead, dead_key),
     ]))
 }
 

@@ -15,9 +15,10 @@ const PULSES: f64 = 0.15;
 pub(super) const STEP: Step = Step::new(
     "straight",
     "A straight metre: signs, pulses, course",
-    "it moves along its own axis within 10 degrees, and by what the motor's \
-     pulses say within 15 %",
     measure,
+)
+.expecting(
+    "it moves along its own axis within 10 degrees, and by what the motor's pulses say within 15 %",
 );
 
 fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
@@ -42,10 +43,8 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         .filter(|&index| (begin..=end).contains(&motion.time[index]))
         .collect();
     let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
-        return Err(failed(
-            "the cameras saw too little of it",
-            "check that all markers are visible, and run it again",
-        ));
+        let fix = "check that all markers are visible, and run it again";
+        return Err(failed("the cameras saw too little of it", fix));
     };
     let [along, across] = motion.displacement(body_yaw)[first..last]
         .iter()

@@ -5,7 +5,7 @@ use singletrack_protocol::{ResetCause, Status};
 
 use super::{
     finding::Checks,
-    gather::{Readings, for_time, reset_if_stopped, until},
+    gather::{Readings, for_time, reset_if_stopped, seconds, until},
     questions,
 };
 use crate::{Answer, Bench, Finding, Interrupted, Question, Trouble};
@@ -30,28 +30,19 @@ pub(super) fn image(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let readings = for_time(bench, 1.5, "board")?;
     if let Some(reason) = refusal(&readings) {
         let (found, fix) = reason;
-        checks.failed(
-            found,
-            "the board's image and configuration are accepted",
-            fix,
-        );
+        let expected = "the board's image and configuration are accepted";
+        checks.failed(found, expected, fix);
         return checks.finding(bench);
     }
     let Some(status) = readings.status() else {
-        checks.failed(
-            "the board is silent",
-            "telemetry 100 times a second",
-            "connect the board, look at serial.port, and flash the image: cargo uno",
-        );
+        let fix = "connect the board, look at serial.port, and flash the image: cargo uno";
+        checks.failed("the board is silent", "telemetry 100 times a second", fix);
         return checks.finding(bench);
     };
     let rate = readings.boards.len() as f64 / readings.duration().max(0.1);
-    checks.check(
-        rate > 80.0,
-        format!("telemetry {rate:.0} times a second"),
-        "100",
-        "look for a noisy or slow line: serial.baud, cable, hub",
-    );
+    let found = format!("telemetry {rate:.0} times a second");
+    let fix = "look for a noisy or slow line: serial.baud, cable, hub";
+    checks.check(rate > 80.0, found, "100", fix);
     check_line(&readings, &mut checks);
     check_reset_cause(status.reset_cause, &mut checks);
     reset(bench, &mut checks)?;
@@ -77,12 +68,9 @@ fn refusal(readings: &Readings) -> Option<(&'static str, &'static str)> {
 fn check_line(readings: &Readings, checks: &mut Checks) {
     let damaged = readings.risen(|status| status.frames_damaged);
     let overrun = readings.risen(|status| status.bytes_overrun);
-    checks.check(
-        damaged <= 1 && overrun == 0,
-        format!("{damaged} frames damaged, {overrun} bytes lost"),
-        "none",
-        "use a short USB cable, away from the motor's wires",
-    );
+    let found = format!("{damaged} frames damaged, {overrun} bytes lost");
+    let fix = "use a short USB cable, away from the motor's wires";
+    checks.check(damaged <= 1 && overrun == 0, found, "none", fix);
 }
 
 fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
@@ -117,27 +105,19 @@ fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> 
         let since = silent_since(readings);
         let is_back = silence > 0.2 && since < 0.1 && readings.links.last() != Some(&false);
         let gives_up = readings.duration() > RESET_PATIENCE_S;
-        (
-            format!("silent for {:.1} s", silence.max(since)),
-            f64::from(u8::from(is_back || gives_up)),
-        )
+        let text = format!("silent for {:.1} s", silence.max(since));
+        (text, f64::from(u8::from(is_back || gives_up)))
     })?;
     let silence = readings.longest_silence();
     let found = format!("a reset takes {silence:.1} s");
     let expected = format!("at most {SLOW_RESET_S} s");
     if silence < 0.2 || !is_done || readings.duration() > RESET_PATIENCE_S {
-        checks.failed(
-            "no reset was seen",
-            expected,
-            "press the button of the board itself; if it was pressed, the board does not start \
-             again: flash the image",
-        );
+        let fix = "press the button of the board itself; if it was pressed, the board does not \
+                   start again: flash the image";
+        checks.failed("no reset was seen", expected, fix);
     } else if silence > SLOW_RESET_S {
-        checks.warning(
-            found,
-            expected,
-            "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md",
-        );
+        let fix = "the bootloader waits: the ESC has no pulses meanwhile; see docs/uno.md";
+        checks.warning(found, expected, fix);
     } else {
         checks.good(found, expected);
     }
@@ -149,13 +129,9 @@ fn silent_since(readings: &Readings) -> f64 {
     let Some(now) = readings.ticks.last() else {
         return 0.0;
     };
-    let since = readings.boards.last().map_or_else(
-        || readings.ticks.first().map(|tick| tick.time),
-        |board| Some(board.receive),
-    );
-    since.map_or(0.0, |since| {
-        super::gather::seconds(since, now.time).max(0.0)
-    })
+    let heard = readings.boards.last().map(|board| board.receive);
+    let since = heard.or(readings.ticks.first().map(|tick| tick.time));
+    since.map_or(0.0, |since| seconds(since, now.time).max(0.0))
 }
 
 /// Battery, supply and stop switch.
@@ -169,30 +145,22 @@ pub(super) fn power(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let has_switch = config.board.stop_input;
     let readings = for_time(bench, 1.0, "supply")?;
     let Some(status) = readings.status() else {
-        checks.failed(
-            "the board is silent",
-            "a status five times a second",
-            "see step board",
-        );
+        let found = "the board is silent";
+        checks.failed(found, "a status five times a second", "see step board");
         return checks.finding(bench);
     };
     if wanted > 0.0 {
         battery(bench, &status, [minimum, wanted], &mut checks)?;
     } else {
-        checks.warning(
-            "the battery is not watched",
-            "a voltage divider on A0",
-            "wire it as in docs/uno.md and set supervisor.arm_battery_v",
-        );
+        let fix = "wire it as in docs/uno.md and set supervisor.arm_battery_v";
+        checks.warning("the battery is not watched", "a voltage divider on A0", fix);
     }
     if has_switch {
         stop_switch(bench, &mut checks)?;
     } else {
-        checks.warning(
-            "no stop switch is configured",
-            "a normally-closed switch",
-            "wire one as in docs/uno.md and set board.stop_input = true",
-        );
+        let found = "no stop switch is configured";
+        let fix = "wire one as in docs/uno.md and set board.stop_input = true";
+        checks.warning(found, "a normally-closed switch", fix);
     }
     supply(bench, &mut checks)?;
     checks.finding(bench)
@@ -206,28 +174,22 @@ fn battery(
 ) -> Result<(), Interrupted> {
     let volts = f64::from(status.battery_mv) * 1e-3;
     if status.battery_open {
-        checks.failed(
-            "nothing is connected to A0",
-            "the battery's divider",
-            "wire it as in docs/uno.md",
-        );
+        let found = "nothing is connected to A0";
+        checks.failed(found, "the battery's divider", "wire it as in docs/uno.md");
         return Ok(());
     }
-    checks.check(
-        volts >= wanted,
-        format!("battery {volts:.2} V"),
-        format!("at least {wanted:.1} V to arm"),
-        "charge the battery, or set supervisor.arm_battery_v for its cells",
-    );
+    let is_good = volts >= wanted;
+    let expected = format!("at least {wanted:.1} V to arm");
+    let fix = "charge the battery, or set supervisor.arm_battery_v for its cells";
+    checks.check(is_good, format!("battery {volts:.2} V"), expected, fix);
     match bench.ask(&questions::VOLTMETER)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
-            checks.check(
-                share <= VOLTAGE_SHARE,
-                format!("the voltmeter shows {meter:.2} V"),
-                format!("the same within {:.0} %", 100.0 * VOLTAGE_SHARE),
-                "look at the two resistors of the divider: they must be equal, see docs/uno.md",
-            );
+            let found = format!("the voltmeter shows {meter:.2} V");
+            let expected = format!("the same within {:.0} %", 100.0 * VOLTAGE_SHARE);
+            let fix = "look at the two resistors of the divider: they must be equal, see \
+                       docs/uno.md";
+            checks.check(share <= VOLTAGE_SHARE, found, expected, fix);
         }
         _ => checks.skipped("voltmeter"),
     }
@@ -238,24 +200,17 @@ fn battery(
     let is_gone =
         |status: &Status| status.battery_open || f64::from(status.battery_mv) * 1e-3 < minimum;
     let noticed = seen(bench, "battery", is_gone)?;
-    checks.check(
-        noticed,
-        if noticed {
-            "an unplugged battery is noticed"
-        } else {
-            "an unplugged battery is not noticed"
-        },
-        "noticed",
-        "A0 is fed from somewhere else: wire the divider to the battery's plug",
-    );
+    let found = if noticed {
+        "an unplugged battery is noticed"
+    } else {
+        "an unplugged battery is not noticed"
+    };
+    let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
+    checks.check(noticed, found, "noticed", fix);
     if bench.ask(&questions::PLUG_BATTERY)? != Answer::Skip {
         let is_back = seen(bench, "battery", |status| !is_gone(status))?;
-        checks.check(
-            is_back,
-            "battery plugged in",
-            "plugged in",
-            "plug it in again",
-        );
+        let found = "battery plugged in";
+        checks.check(is_back, found, "plugged in", "plug it in again");
     }
     Ok(())
 }
@@ -273,23 +228,16 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
         let was_seen = seen(bench, "stop switch", |status| {
             status.stop_input_open == is_open
         })?;
-        checks.check(
-            was_seen,
-            format!(
-                "stop switch {word}: {}",
-                if was_seen { "seen" } else { "not seen" }
-            ),
-            "seen",
-            "wire the switch as in docs/uno.md: normally closed, between its pin and ground",
-        );
+        let how = if was_seen { "seen" } else { "not seen" };
+        let found = format!("stop switch {word}: {how}");
+        let fix = "wire the switch as in docs/uno.md: normally closed, between its pin and ground";
+        checks.check(was_seen, found, "seen", fix);
     }
     // An open switch stops the board until its reset.
     if !reset_if_stopped(bench)? {
-        checks.failed(
-            "the board is stopped by the switch",
-            "reset after the check",
-            "press the reset button of the board",
-        );
+        let found = "the board is stopped by the switch";
+        let expected = "reset after the check";
+        checks.failed(found, expected, "press the reset button of the board");
     }
     Ok(())
 }
@@ -300,12 +248,9 @@ fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted>
         return Ok(());
     }
     let readings = for_time(bench, 5.0, "supply")?;
-    let lowest = readings
-        .health
-        .iter()
-        .map(|health| health.status.supply_mv)
-        .min()
-        .unwrap_or(0);
+    let health = readings.health.iter();
+    let lowest = health.map(|health| health.status.supply_mv).min();
+    let lowest = lowest.unwrap_or(0);
     let found = format!("supply at least {:.2} V", f64::from(lowest) * 1e-3);
     let expected = format!("{:.1} V", f64::from(LOW_SUPPLY_MV) * 1e-3);
     let fix = "feed the servo from the ESC's BEC or from a supply of its own, not from the board";
@@ -328,21 +273,12 @@ fn seen(
     let mut was_seen = false;
     until(bench, |readings| {
         // The first ones may have been on their way before the answer.
-        was_seen = readings
-            .health
-            .iter()
-            .skip(1)
-            .any(|health| property(&health.status));
+        let mut later = readings.health.iter().skip(1);
+        was_seen = later.any(|health| property(&health.status));
         let waited = readings.duration();
-        let is_over = was_seen || waited > PLUG_PATIENCE_S;
-        (
-            format!("{what}: {:.0} s", PLUG_PATIENCE_S - waited),
-            if is_over {
-                1.0
-            } else {
-                waited / PLUG_PATIENCE_S
-            },
-        )
+        let share = (waited / PLUG_PATIENCE_S).min(1.0);
+        let text = format!("{what}: {:.0} s", PLUG_PATIENCE_S - waited);
+        (text, if was_seen { 1.0 } else { share })
     })?;
     Ok(was_seen)
 }

@@ -33,15 +33,10 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
     let readings = for_time(bench, 5.0, "cameras")?;
     if readings.poses.len() < 50 {
-        checks.failed(
-            format!(
-                "{} poses in 5 s; frames without one: {}",
-                readings.poses.len(),
-                states(&readings)
-            ),
-            "100 poses a second",
-            no_pose(bench.configuration(), &readings),
-        );
+        let (count, states) = (readings.poses.len(), states(&readings));
+        let found = format!("{count} poses in 5 s; frames without one: {states}");
+        let expected = "100 poses a second";
+        checks.failed(found, expected, no_pose(bench.configuration(), &readings));
         return checks.finding(bench);
     }
     check_stream(bench, &readings, &mut checks);
@@ -53,18 +48,14 @@ pub(super) fn body(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let round = |value: f64| (value * 100.0).round() / 100.0;
         let band = [round(height - BAND_M), round(height + BAND_M)];
         let (low, high) = (band[0], band[1]);
-        checks.good(
-            format!("height {height:.3} m: band {low} to {high} m"),
-            "the same whenever the car is on the floor",
-        );
+        let found = format!("height {height:.3} m: band {low} to {high} m");
+        checks.good(found, "the same whenever the car is on the floor");
         let key = "motion_capture.pose.height_m";
         let values = [(key, toml_edit::Value::from_iter(band))];
         if let Err(refused) = put_in_force(bench, &values)? {
-            checks.failed(
-                format!("the band is not in force: {refused}"),
-                "in force",
-                "correct what the daemon refuses, and run this step again",
-            );
+            let found = format!("the band is not in force: {refused}");
+            let fix = "correct what the daemon refuses, and run this step again";
+            checks.failed(found, "in force", fix);
         }
     }
     checks.finding(bench)
@@ -117,43 +108,30 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
     if rate >= 80.0 && missing < 0.02 {
         checks.good(found, "100, below 2 %");
     } else if rate >= 45.0 {
-        checks.warning(
-            found,
-            "100, below 2 %",
-            "set the cameras to 100 Hz, and look for markers that are hidden at times",
-        );
+        let fix = "set the cameras to 100 Hz, and look for markers that are hidden at times";
+        checks.warning(found, "100, below 2 %", fix);
     } else {
         checks.failed(found, "100, below 2 %", "set the cameras to 100 Hz");
     }
-    let uncertainty = readings
-        .poses
-        .iter()
-        .map(|pose| pose.uncertainty)
-        .fold(0.0, f64::max);
-    let limit = config.watch.max_capture_uncertainty_ms * 1e-3;
-    checks.check(
-        uncertainty < limit,
-        format!("mid-exposure known to {:.2} ms", 1e3 * uncertainty),
-        format!("below {:.0} ms", 1e3 * limit),
-        "use a server of NatNet 3.0 or later on a wired network",
-    );
     let poses = readings.poses.iter();
+    let uncertainty = poses.clone().map(|pose| pose.uncertainty);
+    let uncertainty = uncertainty.fold(0.0, f64::max);
+    let limit = config.watch.max_capture_uncertainty_ms * 1e-3;
+    let is_good = uncertainty < limit;
+    let found = format!("mid-exposure known to {:.2} ms", 1e3 * uncertainty);
+    let fix = "use a server of NatNet 3.0 or later on a wired network";
+    checks.check(is_good, found, format!("below {:.0} ms", 1e3 * limit), fix);
     let error = mean(poses.clone().map(|pose| pose.mean_error)).unwrap_or(0.0);
     let noise = |axis: usize| {
         let values = poses.clone().map(|pose| pose.position[axis]);
         standard_deviation(values).unwrap_or(0.0)
     };
-    let found = format!(
-        "marker error {:.2} mm, noise {:.2} mm",
-        1e3 * error,
-        1e3 * noise(0).max(noise(1))
-    );
-    checks.prefer(
-        error < config.motion_capture.pose.max_mean_error_m / 2.0,
-        found,
-        "half of motion_capture.pose.max_mean_error_m",
-        "calibrate the cameras, and define the body again with the markers as they are now",
-    );
+    let (error_mm, noise_mm) = (1e3 * error, 1e3 * noise(0).max(noise(1)));
+    let found = format!("marker error {error_mm:.2} mm, noise {noise_mm:.2} mm");
+    let is_good = error < config.motion_capture.pose.max_mean_error_m / 2.0;
+    let expected = "half of motion_capture.pose.max_mean_error_m";
+    let fix = "calibrate the cameras, and define the body again with the markers as they are now";
+    checks.prefer(is_good, found, expected, fix);
 }
 
 /// A push forward: body and wheels move together.
@@ -174,55 +152,42 @@ fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrup
     let found = format!("pushed: body {moved:.2} m, wheels {rolled:.2} m");
     let expected = "0.5 m, both";
     if moved < LEAST_M && rolled > LEAST_M {
-        checks.failed(
-            format!("{found}: the body is not on this car"),
-            expected,
-            format!(
-                "motion_capture.rigid_body = {:?} is another body: compare with the server's list",
-                bench.configuration().motion_capture.rigid_body
-            ),
+        let found = format!("{found}: the body is not on this car");
+        let fix = format!(
+            "motion_capture.rigid_body = {:?} is another body: compare with the server's list",
+            bench.configuration().motion_capture.rigid_body
         );
+        checks.failed(found, expected, fix);
         return Ok(());
     }
     if moved < LEAST_M || !is_done {
-        checks.failed(
-            found,
-            expected,
-            "push the car as asked, and run this step again",
-        );
+        let fix = "push the car as asked, and run this step again";
+        checks.failed(found, expected, fix);
         return Ok(());
     }
     if rolled < LEAST_M {
-        checks.failed(
-            format!("{found}: no motor pulses"),
-            expected,
-            "look at the motor's sensor and its wire to D2, see docs/uno.md; the wheels must not \
-             slide",
-        );
+        let fix = "look at the motor's sensor and its wire to D2, see docs/uno.md; the wheels must \
+                   not slide";
+        checks.failed(format!("{found}: no motor pulses"), expected, fix);
     } else {
         checks.good(found, expected);
     }
     let heights = heights(&readings);
     let climb = heights.iter().copied().fold(f64::MIN, f64::max)
         - heights.iter().copied().fold(f64::MAX, f64::min);
-    checks.check(
-        climb < CLIMB_M,
-        format!("its height changed by {:.0} mm", 1e3 * climb),
-        format!("below {:.0} mm on a level floor", 1e3 * CLIMB_M),
-        "motion_capture.up_axis is not the server's, or the ground plane is tilted: set it again",
-    );
+    let found = format!("its height changed by {:.0} mm", 1e3 * climb);
+    let expected = format!("below {:.0} mm on a level floor", 1e3 * CLIMB_M);
+    let fix = "motion_capture.up_axis is not the server's, or the ground plane is tilted: set it \
+               again";
+    checks.check(climb < CLIMB_M, found, expected, fix);
     if let Some(angle) = heading(&readings) {
-        let found = format!(
-            "it moved at {:.0} degrees to its x axis",
-            angle.to_degrees()
-        );
+        let degrees = angle.to_degrees();
+        let found = format!("it moved at {degrees:.0} degrees to its x axis");
         if angle.abs() < 0.5 {
             checks.good(found, "about 0");
         } else {
-            checks.good(
-                format!("{found}; step geometry measures it"),
-                "about 0, or any: it is measured",
-            );
+            let found = format!("{found}; step geometry measures it");
+            checks.good(found, "about 0, or any: it is measured");
         }
     }
     Ok(())
@@ -254,10 +219,8 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     }
     let (readings, is_done) = until(bench, |readings| {
         let gyro = readings.gyro();
-        let begin = gyro
-            .iter()
-            .find(|(_, rate)| rate[2].abs() > TWIST_RAD_S)
-            .map(|(time, _)| *time);
+        let begin = gyro.iter().find(|(_, rate)| rate[2].abs() > TWIST_RAD_S);
+        let begin = begin.map(|(time, _)| *time);
         let now = gyro.last().map_or(0.0, |(time, _)| *time);
         let rate = gyro.last().map_or(0.0, |(_, rate)| rate[2]);
         let done = begin.map_or(0.0, |begin| (now - begin) / TWIST_S);
@@ -295,18 +258,14 @@ pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     bench.plot(&plot(&angles, &velocities));
     let scale = delay.scale.value;
     if scale < 0.0 {
-        checks.failed(
-            "gyro and cameras turn in opposite directions",
-            "the same",
-            "the cameras' world is mirrored, or motion_capture.up_axis points down: set it again",
-        );
+        let found = "gyro and cameras turn in opposite directions";
+        let fix = "the cameras' world is mirrored, or motion_capture.up_axis points down: set it \
+                   again";
+        checks.failed(found, "the same", fix);
     } else {
-        checks.check(
-            (scale - 1.0).abs() < 0.1,
-            format!("the cameras turn {scale:.3} times as far as the gyro"),
-            "0.9 to 1.1",
-            "the IMU is mounted askew, or the body is not on this car",
-        );
+        let found = format!("the cameras turn {scale:.3} times as far as the gyro");
+        let fix = "the IMU is mounted askew, or the body is not on this car";
+        checks.check((scale - 1.0).abs() < 0.1, found, "0.9 to 1.1", fix);
     }
     if !checks.has_failed() {
         judge_delay(bench, &mut checks, delay.late.scaled(1e3));
@@ -328,20 +287,14 @@ fn plot(angles: &[(f64, f64)], velocities: &[(f64, f64)]) -> Plot {
             is_shown(time).then_some([time, rate])
         })
         .collect();
-    let gyro = velocities
-        .iter()
-        .filter(|(time, _)| is_shown(*time))
-        .map(|(time, rate)| [*time, *rate])
-        .collect();
-    Plot::over_time(
-        "latency",
-        "A twist by hand, seen by gyro and cameras",
-        ("yaw rate", "rad/s"),
-        vec![
-            PlotLine::new("cameras", PlotKind::Measured, cameras),
-            PlotLine::new("gyro", PlotKind::Other, gyro),
-        ],
-    )
+    let gyro = velocities.iter().filter(|(time, _)| is_shown(*time));
+    let gyro = gyro.map(|(time, rate)| [*time, *rate]).collect();
+    let title = "A twist by hand, seen by gyro and cameras";
+    let lines = vec![
+        PlotLine::new("cameras", PlotKind::Measured, cameras),
+        PlotLine::new("gyro", PlotKind::Other, gyro),
+    ];
+    Plot::over_time("latency", title, ("yaw rate", "rad/s"), lines)
 }
 
 /// `late` is in ms, beyond the offset that is in force.
@@ -350,12 +303,8 @@ fn judge_delay(bench: &dyn Bench, checks: &mut Checks, late: crate::Interval) {
     // Rounded to a tenth; an offset that is already in force is not written again.
     let value = (whole.value * 10.0).round() / 10.0;
     let key = "motion_capture.timing.stamp_offset_ms";
-    checks.measured(Parameter::new(
-        "camera-latency",
-        "ms",
-        whole,
-        Some((key, value.into())),
-    ));
+    let key = Some((key, value.into()));
+    checks.measured(Parameter::new("camera-latency", "ms", whole, key));
     let found = format!(
         "the cameras' stamps are {:.1} ms {}",
         late.value.abs(),
@@ -387,10 +336,8 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         let reason = readings.ticks.last().and_then(|tick| tick.preflight);
         let is_over = reason.is_none() || readings.duration() > SETTLED_S;
         let text = reason.map_or("", |reason| reason.name());
-        (
-            format!("arming check: {text}"),
-            f64::from(u8::from(is_over)),
-        )
+        let done = f64::from(u8::from(is_over));
+        (format!("arming check: {text}"), done)
     })?;
     let tick = readings.ticks.last();
     match tick.and_then(|tick| tick.preflight) {
@@ -402,11 +349,8 @@ pub(super) fn drive(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         ),
         Some(reason) => {
             let why = Why::of_word("host", reason.name());
-            checks.warning(
-                format!("arming would be refused: {}", why.text),
-                "no refusal",
-                why.advice.unwrap_or_default(),
-            );
+            let found = format!("arming would be refused: {}", why.text);
+            checks.warning(found, "no refusal", why.advice.unwrap_or_default());
         }
     }
     let stand = tick

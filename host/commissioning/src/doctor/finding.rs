@@ -1,7 +1,7 @@
 //! Combines the checks of a step into one finding.
 
 use super::gather::reset_if_stopped;
-use crate::{Bench, Finding, Interrupted, Parameter, Refused, Trouble, Verdict};
+use crate::{Bench, Finding, Interrupted, Parameter, Refused, Trouble, Verdict, parameter::keys};
 
 /// The checks of a step.
 #[derive(Debug, Default)]
@@ -77,11 +77,9 @@ impl Checks {
 
     /// The board has latched, because it mistook wheels that a hand rolled for a running motor.
     pub(super) fn latched(&mut self) {
-        self.warning(
-            "the board stopped: it mistook the rolled wheels for a running motor",
-            "at most 1 m or 3 s of rolling without a pause",
-            "press the reset button of the board",
-        );
+        let found = "the board stopped: it mistook the rolled wheels for a running motor";
+        let expected = "at most 1 m or 3 s of rolling without a pause";
+        self.warning(found, expected, "press the reset button of the board");
     }
 
     pub(super) fn measured(&mut self, parameter: Parameter) {
@@ -124,21 +122,14 @@ impl Checks {
     ///
     /// The operator interrupts, or the daemon is gone.
     pub(super) fn finding(mut self, bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-        let values: Vec<(&str, toml_edit::Value)> = self
-            .parameters
-            .iter()
-            .filter_map(|parameter| parameter.key.as_ref())
-            .map(|(key, value)| (key.as_ref(), value.clone()))
-            .collect();
+        let values = keys(&self.parameters);
         if !values.is_empty()
             && !self.has_failed()
             && let Err(refused) = put_in_force(bench, &values)?
         {
-            self.failed(
-                format!("the measured values are not in force: {refused}"),
-                "in force",
-                "correct the value that the daemon refuses, and run this step again",
-            );
+            let found = format!("the measured values are not in force: {refused}");
+            let fix = "correct the value that the daemon refuses, and run this step again";
+            self.failed(found, "in force", fix);
         }
         if self.has_failed() {
             // A value that is not in force must not count as written.

@@ -67,11 +67,8 @@ impl Readings {
             .rev()
             .take_while(|inertial| is_recent(inertial.time))
             .any(|inertial| norm(inertial.angular_velocity) > STILL_RAD_S);
-        let mut recent = self
-            .poses
-            .iter()
-            .rev()
-            .take_while(|pose| is_recent(pose.capture));
+        let newest_first = self.poses.iter().rev();
+        let mut recent = newest_first.take_while(|pose| is_recent(pose.capture));
         let moves = recent.next().is_some_and(|last| {
             recent.any(|pose| {
                 distance(pose.position, last.position) > STILL_M

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
     PlotLine, PoseReading, Trouble,
-    fit::{FloorPose, mean, mean_interval, rolled, turned_about},
+    fit::{FloorPose, Rolled, mean, mean_interval, rolled, turned_about},
 };
 
 /// Turns to each side, and rolls.
@@ -54,10 +54,10 @@ pub(super) fn geometry(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let Some(passes) = rolls(bench, [along.value, across.value], &mut checks)? else {
         return checks.finding(bench);
     };
-    let first = passes.first().map_or(0.0, |pass| -pass.direction);
+    let first = passes.first().map_or(0.0, |pass| -pass.rolled.direction);
     let yaws = passes
         .iter()
-        .map(|pass| unwrap_near(-pass.direction, first));
+        .map(|pass| unwrap_near(-pass.rolled.direction, first));
     if let Some(yaw) = mean_interval(yaws, TOE_RAD) {
         place(bench, [along, across], yaw, &mut checks);
     }
@@ -80,29 +80,18 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
             return Ok(None);
         }
         let (readings, is_done) = motion(bench, |readings| {
-            let angle = readings
-                .poses
-                .last()
-                .and_then(|_| turned(&readings.poses).last().copied())
-                .unwrap_or(0.0);
-            (
-                format!("{:+.0} degrees", angle.to_degrees()),
-                angle.abs() / ENOUGH_RAD,
-            )
+            let angles = turned(&readings.poses);
+            let angle = angles.last().copied().unwrap_or(0.0);
+            let text = format!("{:+.0} degrees", angle.to_degrees());
+            (text, angle.abs() / ENOUGH_RAD)
         })?;
         let poses = floor(&readings.poses);
         let found = turned_about(&poses).filter(|_| is_done);
         let Some((origin, _)) = found.filter(|(_, wander)| *wander < HELD_M) else {
-            checks.failed(
-                match found {
-                    Some((_, wander)) => {
-                        format!("the rear axle wandered by {:.0} mm", 1e3 * wander)
-                    }
-                    None => "the car was not turned".to_owned(),
-                },
-                "a whole turn about the middle of the rear axle",
-                "turn it as asked, and run this step again",
-            );
+            let wandered = |(_, by)| format!("the rear axle wandered by {:.0} mm", 1e3 * by);
+            let found = found.map_or_else(|| "the car was not turned".to_owned(), wandered);
+            let expected = "a whole turn about the middle of the rear axle";
+            checks.failed(found, expected, "turn it as asked, and run this step again");
             return Ok(None);
         };
         origins.push(origin);
@@ -113,23 +102,19 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
         }
     }
     let [body, axle] = paths;
-    bench.plot(&Plot::of_places(
-        "turns",
-        "Turns about the rear axle",
-        vec![
-            PlotLine::new("body", PlotKind::Measured, body),
-            PlotLine::new("rear axle", PlotKind::Fitted, axle),
-        ],
-    ));
+    let lines = vec![
+        PlotLine::new("body", PlotKind::Measured, body),
+        PlotLine::new("rear axle", PlotKind::Fitted, axle),
+    ];
+    let title = "Turns about the rear axle";
+    bench.plot(&Plot::of_places("turns", title, lines));
     Ok(Some(origins))
 }
 
 /// A pass of the car over the floor.
 struct Pass {
-    /// Of the rear axle, from the body's x axis, in rad.
-    direction: f64,
-    way: f64,
-    turn: f64,
+    /// Of the rear axle.
+    rolled: Rolled,
     /// Way by the cameras over way by the pulses, where the car was fast.
     ratio: Option<f64>,
     /// Seconds of the board's clock in a second.
@@ -154,18 +139,13 @@ fn rolls(
             (format!("{way:.2} m"), way / ENOUGH_M)
         })?;
         let Some(found) = rolled(&floor(&readings.poses), origin).filter(|_| is_done) else {
-            checks.failed(
-                "the car was not rolled",
-                "2 m, or 1.5 m at least",
-                "roll it as asked, and run this step again",
-            );
+            let fix = "roll it as asked, and run this step again";
+            checks.failed("the car was not rolled", "2 m, or 1.5 m at least", fix);
             return Ok(None);
         };
         is_latched |= readings.is_latched();
         passes.push(Pass {
-            direction: found.direction,
-            way: found.way,
-            turn: found.turn,
+            rolled: found,
             ratio: ratio(&readings, origin, believed)
                 .and_then(|share| ratio(&readings, origin, share * believed)),
             clock: clock(&readings.boards),
@@ -174,15 +154,11 @@ fn rolls(
     if is_latched {
         checks.latched();
     }
-    let way = mean(passes.iter().map(|pass| pass.way)).unwrap_or(0.0);
-    let turn = passes
-        .iter()
-        .map(|pass| pass.turn.abs())
-        .fold(0.0, f64::max);
-    let found = format!(
-        "{ROLLS} rolls of {way:.2} m, turned by {:.0} degrees at most",
-        turn.to_degrees()
-    );
+    let way = mean(passes.iter().map(|pass| pass.rolled.way)).unwrap_or(0.0);
+    let turns = passes.iter().map(|pass| pass.rolled.turn.abs());
+    let turn = turns.fold(0.0, f64::max);
+    let degrees = turn.to_degrees();
+    let found = format!("{ROLLS} rolls of {way:.2} m, turned by {degrees:.0} degrees at most");
     let fix = "put the front wheels straight, and repeat";
     checks.prefer(turn < STRAIGHT_RAD, found, "below 34 degrees", fix);
     Ok(Some(passes))
@@ -207,51 +183,35 @@ fn place(bench: &dyn Bench, origin: [Interval; 2], yaw: Interval, checks: &mut C
     let left_lever = cos * along.value - sin * across.value;
     let forward = turned((cos, along), (-sin, across), forward_lever).shifted(-rear);
     let left = turned((sin, along), (cos, across), left_lever);
-    checks.good(
-        format!(
-            "the body's pivot is {:.0} mm in front of the centre of mass and {:.0} mm to its \
-             left, turned by {:.1} degrees",
-            1e3 * forward.value,
-            1e3 * left.value,
-            yaw.value.to_degrees()
-        ),
-        "where its markers are",
+    let found = format!(
+        "the body's pivot is {:.0} mm in front of the centre of mass and {:.0} mm to its \
+         left, turned by {:.1} degrees",
+        1e3 * forward.value,
+        1e3 * left.value,
+        yaw.value.to_degrees()
     );
+    checks.good(found, "where its markers are");
     let round = |value: f64, digits: f64| (value * digits).round() / digits;
     let offset = [round(forward.value, 1e4), round(left.value, 1e4)];
     let is_possible = offset.iter().all(|part| part.abs() < 1.0);
-    checks.check(
-        is_possible,
-        if is_possible {
-            ""
-        } else {
-            "the pivot is more than 1 m away"
-        },
-        "",
-        "define the body's pivot on the car, in the cameras' program",
-    );
+    let found = if is_possible {
+        ""
+    } else {
+        "the pivot is more than 1 m away"
+    };
+    let fix = "define the body's pivot on the car, in the cameras' program";
+    checks.check(is_possible, found, "", fix);
     let yaw = Interval {
         value: wrap(yaw.value),
         ..yaw.shifted(wrap(yaw.value) - yaw.value)
     };
-    checks.measured(Parameter::new(
-        "body-yaw",
-        "rad",
-        yaw,
-        Some((
-            "motion_capture.marker_yaw_rad",
-            round(yaw.value, 1e4).into(),
-        )),
-    ));
-    checks.measured(Parameter::new(
-        "body-forward",
-        "m",
-        forward, // One key takes both values.
-        Some((
-            "motion_capture.marker_offset_m",
-            toml_edit::Value::from_iter(offset),
-        )),
-    ));
+    let rounded = round(yaw.value, 1e4);
+    let key = Some(("motion_capture.marker_yaw_rad", rounded.into()));
+    checks.measured(Parameter::new("body-yaw", "rad", yaw, key));
+    // One key takes both values.
+    let offset = toml_edit::Value::from_iter(offset);
+    let key = Some(("motion_capture.marker_offset_m", offset));
+    checks.measured(Parameter::new("body-forward", "m", forward, key));
     checks.measured(Parameter::new("body-left", "m", left, None));
 }
 
@@ -269,37 +229,26 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
     // The board divides by its own seconds: with this distance its speed is right.
     let clock = mean(passes.iter().map(|pass| pass.clock)).unwrap_or(1.0);
     let written = (distance.value * clock).round();
-    checks.good(
-        format!(
-            "{:.0} um in a pulse, {written:.0} by the board's clock, which is {:+.2} % fast; \
-             configured were {believed:.0}",
-            distance.value,
-            100.0 * (clock - 1.0)
-        ),
-        "as measured",
+    let found = format!(
+        "{:.0} um in a pulse, {written:.0} by the board's clock, which is {:+.2} % fast; \
+         configured were {believed:.0}",
+        distance.value,
+        100.0 * (clock - 1.0)
     );
+    checks.good(found, "as measured");
     let share = ratio.half_width() / ratio.value;
     if share > 0.05 {
-        checks.warning(
-            format!("it is known to {:.0} % only", 100.0 * share),
-            "5 %",
-            "roll the car for the whole two metres, at an even speed",
-        );
+        let found = format!("it is known to {:.0} % only", 100.0 * share);
+        let fix = "roll the car for the whole two metres, at an even speed";
+        checks.warning(found, "5 %", fix);
     }
     // Outside of what the board can count.
     if !(100.0..=30_000.0).contains(&distance.value) {
-        checks.failed(
-            format!("a pulse every {:.2} mm", 1e-3 * distance.value),
-            "0.1 to 30 mm",
-            fix,
-        );
+        let found = format!("a pulse every {:.2} mm", 1e-3 * distance.value);
+        checks.failed(found, "0.1 to 30 mm", fix);
     }
-    checks.measured(Parameter::new(
-        "pulse-distance",
-        "um",
-        distance,
-        Some(("board.speed.pulse_distance_um", (written as i64).into())),
-    ));
+    let key = Some(("board.speed.pulse_distance_um", (written as i64).into()));
+    checks.measured(Parameter::new("pulse-distance", "um", distance, key));
 }
 
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car

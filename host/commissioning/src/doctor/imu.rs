@@ -40,32 +40,20 @@ pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     check_registers(&readings, &mut checks);
     let samples: Vec<Inertial> = readings.inertial().collect();
     let rate = samples.len() as f64 / readings.duration().max(1.0);
-    checks.check(
-        rate > 80.0,
-        format!("{rate:.0} samples a second"),
-        "100",
-        "look at the IMU's wires (SDA, SCL, 5 V, ground), see docs/uno.md",
-    );
+    let is_good = rate > 80.0;
+    let fix = "look at the IMU's wires (SDA, SCL, 5 V, ground), see docs/uno.md";
+    checks.check(is_good, format!("{rate:.0} samples a second"), "100", fix);
     if samples.len() > 10 * BLOCKS {
         check_gyro(bench, &samples, &mut checks);
         check_tilt(bench, &samples, &readings, &mut checks);
         check_noise(bench, samples, &mut checks);
     }
     check_wheels(&readings, &mut checks);
-    bench.plot(&Plot::over_time(
-        "rest",
-        "The gyro at rest",
-        ("yaw rate", "rad/s"),
-        vec![PlotLine::new(
-            "gyro",
-            PlotKind::Measured,
-            readings
-                .gyro()
-                .iter()
-                .map(|(time, rate)| [*time, rate[2]])
-                .collect(),
-        )],
-    ));
+    let gyro = readings.gyro().into_iter();
+    let gyro = gyro.map(|(time, rate)| [time, rate[2]]).collect();
+    let lines = vec![PlotLine::new("gyro", PlotKind::Measured, gyro)];
+    let axis = ("yaw rate", "rad/s");
+    bench.plot(&Plot::over_time("rest", "The gyro at rest", axis, lines));
     checks.finding(bench)
 }
 
@@ -78,38 +66,31 @@ fn check_registers(readings: &Readings, checks: &mut Checks) {
     let errors = readings.risen(|status| status.imu_errors);
     // Accelerometer, gyro and controller; the magnetometer is not used. Zero: not read yet.
     let has_passed = matches!(status.imu_self_test & 0b1101, 0 | 0b1101);
-    checks.check(
-        status.imu_status != 1 && status.imu_error == 0 && has_passed,
-        format!(
-            "IMU status {}, error {}, self-test {:04b}",
-            status.imu_status, status.imu_error, status.imu_self_test
-        ),
-        "status 5, error 0, self-test 1111",
-        "switch the board off and on; if it stays, replace the IMU",
+    let is_good = status.imu_status != 1 && status.imu_error == 0 && has_passed;
+    let found = format!(
+        "IMU status {}, error {}, self-test {:04b}",
+        status.imu_status, status.imu_error, status.imu_self_test
     );
+    let fix = "switch the board off and on; if it stays, replace the IMU";
+    checks.check(is_good, found, "status 5, error 0, self-test 1111", fix);
     if gyro < 3 {
-        checks.warning(
-            format!("calibration: system {system}, gyro {gyro}, accelerometer {accelerometer}"),
-            "gyro 3",
-            "leave the car at rest for some seconds after each start",
-        );
+        let found =
+            format!("calibration: system {system}, gyro {gyro}, accelerometer {accelerometer}");
+        let fix = "leave the car at rest for some seconds after each start";
+        checks.warning(found, "gyro 3", fix);
     } else {
         checks.good(format!("gyro calibrated ({gyro} of 3)"), "3");
     }
     if errors > 0 {
-        checks.warning(
-            format!("{errors} errors on the bus to the IMU"),
-            "none",
-            "shorten its wires, and keep them away from the motor's",
-        );
+        let found = format!("{errors} errors on the bus to the IMU");
+        let fix = "shorten its wires, and keep them away from the motor's";
+        checks.warning(found, "none", fix);
     }
 }
 
 fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
-    let rates: Vec<f64> = samples
-        .iter()
-        .map(|sample| sample.angular_velocity[2])
-        .collect();
+    let rates = samples.iter().map(|sample| sample.angular_velocity[2]);
+    let rates: Vec<f64> = rates.collect();
     let means = block_means(&rates, BLOCKS);
     let Some(noise) = standard_deviation(&rates) else {
         return;
@@ -120,27 +101,18 @@ fn check_gyro(bench: &dyn Bench, samples: &[Inertial], checks: &mut Checks) {
         return;
     };
     let limit = bench.configuration().watch.max_gyro_bias_rad_s;
-    checks.check(
-        bias.value.abs() < limit / 4.0,
-        format!("gyro bias {:.4} rad/s", bias.value),
-        format!("below {:.3}", limit / 4.0),
-        "leave the car at rest while the IMU starts: it calibrates its gyro then",
-    );
-    checks.check(
-        noise < 0.02,
-        format!("noise {noise:.4} rad/s"),
-        "below 0.02",
-        "fix the IMU to the chassis, and the car to a floor that does not shake",
-    );
+    let is_good = bias.value.abs() < limit / 4.0;
+    let found = format!("gyro bias {:.4} rad/s", bias.value);
+    let fix = "leave the car at rest while the IMU starts: it calibrates its gyro then";
+    checks.check(is_good, found, format!("below {:.3}", limit / 4.0), fix);
+    let found = format!("noise {noise:.4} rad/s");
+    let fix = "fix the IMU to the chassis, and the car to a floor that does not shake";
+    checks.check(noise < 0.02, found, "below 0.02", fix);
     checks.measured(Parameter::new("gyro-bias", "rad/s", bias, None));
     // The noise is white: the standard deviation's own error is 1 / sqrt(2 n).
     let spread = 1.96 * noise / (2.0 * rates.len() as f64).sqrt();
-    checks.measured(Parameter::new(
-        "gyro-noise",
-        "rad/s",
-        Interval::around(noise, spread).widened(0.3 * HALF_STEP),
-        None,
-    ));
+    let estimate = Interval::around(noise, spread).widened(0.3 * HALF_STEP);
+    checks.measured(Parameter::new("gyro-noise", "rad/s", estimate, None));
 }
 
 /// The noise at rest, against what the estimator believes. It is larger while the wheels turn:
@@ -156,11 +128,8 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
         checks.good(found, expected);
     } else {
         let too_small = comparison.too_small.join(", ");
-        checks.warning(
-            format!("{found}; too small: {too_small}: raised"),
-            expected,
-            "",
-        );
+        let found = format!("{found}; too small: {too_small}: raised");
+        checks.warning(found, expected, "");
     }
     for parameter in comparison.parameters {
         checks.measured(parameter);
@@ -169,20 +138,13 @@ fn check_noise(bench: &dyn Bench, samples: Vec<Inertial>, checks: &mut Checks) {
 
 fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, checks: &mut Checks) {
     let average = |part: fn(&Inertial) -> f64| mean(samples.iter().map(part)).unwrap_or(0.0);
-    let (roll, pitch) = (
-        average(|sample| sample.roll),
-        average(|sample| sample.pitch),
-    );
-    checks.check(
-        roll.hypot(pitch) < MAX_TILT,
-        format!(
-            "IMU roll {:.1}, pitch {:.1} degrees",
-            roll.to_degrees(),
-            pitch.to_degrees()
-        ),
-        "below 5",
-        "if the floor is level, the IMU is mounted askew or board.imu is wrong: see the next step",
-    );
+    let roll = average(|sample| sample.roll);
+    let pitch = average(|sample| sample.pitch);
+    let [roll_deg, pitch_deg] = [roll, pitch].map(f64::to_degrees);
+    let found = format!("IMU roll {roll_deg:.1}, pitch {pitch_deg:.1} degrees");
+    let fix = "if the floor is level, the IMU is mounted askew or board.imu is wrong: see the next \
+               step";
+    checks.check(roll.hypot(pitch) < MAX_TILT, found, "below 5", fix);
     if readings.poses.is_empty() {
         return;
     }
@@ -191,28 +153,23 @@ fn check_tilt(bench: &dyn Bench, samples: &[Inertial], readings: &Readings, chec
         |part: fn(&crate::PoseReading) -> f64| mean(readings.poses.iter().map(part)).unwrap_or(0.0);
     let difference = (roll - body(|pose| pose.roll)).hypot(pitch - body(|pose| pose.pitch));
     // The next steps show which of them is wrong.
-    checks.prefer(
-        difference < limit,
-        format!("{:.1} degrees from the cameras", difference.to_degrees()),
-        format!("below {:.1}", limit.to_degrees()),
-        "define the rigid body in the cameras' program with the car level",
-    );
+    let found = format!("{:.1} degrees from the cameras", difference.to_degrees());
+    let expected = format!("below {:.1}", limit.to_degrees());
+    let fix = "define the rigid body in the cameras' program with the car level";
+    checks.prefer(difference < limit, found, expected, fix);
 }
 
 /// Wheels at rest must give no pulses.
 fn check_wheels(readings: &Readings, checks: &mut Checks) {
     let moving = readings.boards.iter().filter(|board| board.turns()).count();
     let refused = readings.risen(|status| status.edges_refused);
-    checks.check(
-        moving == 0 && refused == 0,
-        if moving == 0 && refused == 0 {
-            "no motor pulses at rest".to_owned()
-        } else {
-            format!("motor pulses at rest: {moving} readings, {refused} refused edges")
-        },
-        "none",
-        "the wire to D2 picks up noise: 1 kOhm and 10 nF at the pin, see docs/uno.md",
-    );
+    let found = if moving == 0 && refused == 0 {
+        "no motor pulses at rest".to_owned()
+    } else {
+        format!("motor pulses at rest: {moving} readings, {refused} refused edges")
+    };
+    let fix = "the wire to D2 picks up noise: 1 kOhm and 10 nF at the pin, see docs/uno.md";
+    checks.check(moving == 0 && refused == 0, found, "none", fix);
 }
 
 /// The axes by three motions. Wrong ones are corrected in the configuration, and tried again.
@@ -233,17 +190,11 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     ]
     .map(|(key, axis)| (key, toml_edit::Value::from(axis.name())));
     let fix = "correct board.imu in the configuration, and run this step again";
-    let text = format!(
-        "axes are {}, configured were {}",
-        words(found),
-        words(before)
-    );
+    let [measured, configured] = [found, before].map(words);
+    let text = format!("axes are {measured}, configured were {configured}");
     if let Err(refused) = put_in_force(bench, &values)? {
-        checks.failed(
-            format!("{text}; not changed: {refused}"),
-            "as configured",
-            fix,
-        );
+        let found = format!("{text}; not changed: {refused}");
+        checks.failed(found, "as configured", fix);
         return checks.finding(bench);
     }
     // The board restarts the IMU with the new axes.
@@ -252,11 +203,8 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         if again == found {
             checks.warning(format!("{text}: corrected"), "as configured", "");
         } else {
-            checks.failed(
-                format!("{text}; after the correction they are {}", words(again)),
-                "as configured",
-                fix,
-            );
+            let found = format!("{text}; after the correction they are {}", words(again));
+            checks.failed(found, "as configured", fix);
         }
     }
     checks.finding(bench)
@@ -280,19 +228,14 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
             let (largest, last) = rotations_of(readings).map(norm).into();
             let is_back = !returns || last < BACK * largest;
             let done = largest / ENOUGH_RAD;
-            (
-                format!("{what}: {:.0} degrees", largest.to_degrees()),
-                if is_back { done } else { done.min(0.9) },
-            )
+            let text = format!("{what}: {:.0} degrees", largest.to_degrees());
+            (text, if is_back { done } else { done.min(0.9) })
         })?;
         if !is_done {
-            checks.failed(
-                format!("{what}: the IMU turned by {:.0} degrees only", {
-                    norm(rotations_of(&readings)[0]).to_degrees()
-                }),
-                "30 degrees or more",
-                "repeat the motion; if it was done, the IMU does not measure it",
-            );
+            let degrees = norm(rotations_of(&readings)[0]).to_degrees();
+            let found = format!("{what}: the IMU turned by {degrees:.0} degrees only");
+            let fix = "repeat the motion; if it was done, the IMU does not measure it";
+            checks.failed(found, "30 degrees or more", fix);
             return Ok(None);
         }
         [*rotation, _] = rotations_of(&readings);
@@ -303,11 +246,10 @@ fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes
     let measured = [roll, nose_up.map(|part| -part), turn].map(|vector| on_chip(axes, vector));
     let found = nearest(measured);
     if found.is_none() {
-        checks.failed(
-            "the three motions are not about the axes of the IMU",
-            "each within 35 degrees of one",
-            "mount the IMU along the axes of the car, and repeat the motions one axis at a time",
-        );
+        let found = "the three motions are not about the axes of the IMU";
+        let fix = "mount the IMU along the axes of the car, and repeat the motions one axis at a \
+                   time";
+        checks.failed(found, "each within 35 degrees of one", fix);
     }
     Ok(found)
 }

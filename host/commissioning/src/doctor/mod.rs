@@ -16,49 +16,33 @@ use crate::Step;
 
 /// The steps, in their order.
 pub const STEPS: [Step; 8] = [
-    Step::new("board", "Board: image, line, reset", "", board::image),
-    Step::new(
-        "power",
-        "Power: battery, stop switch, 5 V",
-        "",
-        board::power,
-    )
-    .optional(),
-    Step::new("imu-axes", "IMU: its axes, by hand", "", imu::axes),
+    Step::new("board", "Board: image, line, reset", board::image),
+    Step::new("power", "Power: battery, stop switch, 5 V", board::power).optional(),
+    Step::new("imu-axes", "IMU: its axes, by hand", imu::axes),
     Step::new(
         "rest",
         "A minute at rest: IMU, bias, noise, pulses",
-        "",
         imu::rest,
     )
     .optional(),
     Step::new(
         "cameras",
         "Cameras: stream, body, height, and a push",
-        "",
         cameras::body,
     ),
     Step::new(
         "latency",
         "Latency: gyro against cameras, by a twist",
-        "",
         cameras::latency,
     )
     .optional(),
     Step::new(
         "geometry",
         "Geometry: the body on the car, and the distance of a pulse",
-        "",
         geometry::geometry,
     )
     .optional(),
-    Step::new(
-        "drive",
-        "Reference, geofence and real time",
-        "",
-        cameras::drive,
-    )
-    .optional(),
+    Step::new("drive", "Reference, geofence and real time", cameras::drive).optional(),
 ];
 
 /// The steps of `doctor --stand`, in which the wheels turn on a stand. They use jogs and the

@@ -69,14 +69,9 @@ pub(crate) fn drive_train(
                 .collect()
         },
     )?;
+    let bent: f64 = speeds.map(|v| 1.0 - USUAL_BEND * v).iter().product();
     Some(DriveTrain {
-        us_per_m_s: speeds
-            .map(|v| 1.0 - USUAL_BEND * v)
-            .iter()
-            .product::<f64>()
-            .recip()
-            * 1_000.0
-            / gain,
+        us_per_m_s: bent.recip() * 1_000.0 / gain,
         edge_us,
         lag,
         delay,

@@ -21,7 +21,7 @@ pub(crate) mod steering;
 mod track;
 mod wheels;
 
-pub(crate) use body::{FloorPose, rolled, turned_about};
+pub(crate) use body::{FloorPose, Rolled, rolled, turned_about};
 pub(crate) use body_in_bends::{Body, body};
 pub(crate) use delay::stamp_delay;
 pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};

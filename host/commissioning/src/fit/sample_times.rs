@@ -47,10 +47,8 @@ pub(crate) fn sample_times(readings: &[Reading]) -> SampleTimes {
     } else {
         (vec![0.0; times.len()], 0.0)
     };
-    let measured = times
-        .iter()
-        .zip(waits)
-        .map(|(time, wait)| time - wait - SENSOR);
+    let readings = times.iter().zip(waits);
+    let measured = readings.map(|(time, wait)| time - wait - SENSOR);
     SampleTimes {
         times: measured.collect(),
         systematic: SENSOR.hypot(unknown),

@@ -75,11 +75,8 @@ pub(crate) fn block_means(values: &[f64], count: usize) -> Vec<f64> {
     let Some(length) = values.len().checked_div(count).filter(|length| *length > 0) else {
         return Vec::new();
     };
-    values
-        .chunks_exact(length)
-        .take(count)
-        .filter_map(mean)
-        .collect()
+    let blocks = values.chunks_exact(length).take(count);
+    blocks.filter_map(mean).collect()
 }
 
 /// The intervals of estimates from several passes or blocks, by leaving out one after the

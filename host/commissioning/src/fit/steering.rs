@@ -48,11 +48,7 @@ pub(crate) fn fit_steering(
     let zero = line.middle[0] - line.middle[1] / slope;
     let at_zero = believed * (1.0 / count + (zero - line.middle[0]).powi(2) / line.spread).sqrt();
     Some(Steering {
-        gain: Interval {
-            value: 1.0 / slope,
-            low: ends[0].min(ends[1]),
-            high: ends[0].max(ends[1]),
-        },
+        gain: Interval::between(1.0 / slope, ends),
         straight: Interval::around(zero, t * at_zero / slope.abs()),
         scatter,
     })

@@ -109,10 +109,8 @@ impl Track {
         let mut index = 0;
         while let Some((start, _)) = self.poses.get(index) {
             let end = start + WINDOW;
-            let length = self.poses[index..]
-                .iter()
-                .take_while(|(time, _)| *time < end)
-                .count();
+            let rest = self.poses[index..].iter();
+            let length = rest.take_while(|(time, _)| *time < end).count();
             let window = &self.poses[index..index + length];
             index += length.max(1);
             if (length as f64) < 50.0 * WINDOW {
@@ -138,12 +136,8 @@ impl Track {
         let turned = self.rate().integral();
         let time: Vec<f64> = self.poses.iter().map(|(time, _)| time - latency).collect();
         let gyro: Vec<f64> = time.iter().map(|time| turned.at(*time)).collect();
-        let lead: Vec<f64> = self
-            .poses
-            .iter()
-            .zip(&gyro)
-            .map(|((_, (_, yaw)), gyro)| yaw - gyro)
-            .collect();
+        let pairs = self.poses.iter().zip(&gyro);
+        let lead: Vec<f64> = pairs.map(|((_, (_, yaw)), gyro)| yaw - gyro).collect();
         let yaw: Vec<f64> = (0..lead.len())
             .map(|index| {
                 let around = SMOOTHED.min(index).min(lead.len() - 1 - index);
@@ -152,12 +146,9 @@ impl Track {
             })
             .collect();
         let yaw_rate = slopes(&time, &yaw, 1);
+        let positions = self.poses.iter().map(|(_, (position, _))| *position);
         Motion {
-            position: self
-                .poses
-                .iter()
-                .map(|(_, (position, _))| *position)
-                .collect(),
+            position: positions.collect(),
             time,
             yaw,
             yaw_rate,

@@ -24,11 +24,10 @@ impl<'a> Columns<'a> {
     pub(super) fn find(header: &mut impl Header, map: &'a Map) -> Result<Self, ImportError> {
         Ok(Self {
             poses: Poses::find(header, &map.pose)?,
-            imu: map
-                .imu
-                .as_ref()
-                .map(|imu| inertial(header, imu))
-                .transpose()?,
+            imu: match &map.imu {
+                None => None,
+                Some(imu) => Some(inertial(header, imu)?),
+            },
             motor: motor(header, &map.motor)?,
             driving: match &map.driving {
                 None => None,
@@ -46,12 +45,8 @@ impl<'a> Columns<'a> {
             speed_command: match &map.speed_command {
                 None => None,
                 Some(section) => {
-                    let column = Column::find(
-                        header,
-                        "speed_command.speed",
-                        section.messages(),
-                        &section.speed,
-                    )?;
+                    let key = "speed_command.speed";
+                    let column = Column::find(header, key, section.messages(), &section.speed)?;
                     Some(Sensor::new([column], None, nanoseconds(section.delay_s)))
                 }
             },
@@ -94,10 +89,10 @@ impl<'a> Columns<'a> {
             speed_command: self.speed_command.map(held),
             driving: self.driving.map(|driving| driving.changes),
             tick_ns: u64::from(map.tick_ms) * 1_000_000,
-            phase_ns: map
-                .pose
-                .exposures_hz
-                .map_or(0, |_| u64::from(map.tick_ms) * 200_000),
+            phase_ns: match map.pose.exposures_hz {
+                None => 0,
+                Some(_) => u64::from(map.tick_ms) * 200_000,
+            },
         }
     }
 }
@@ -118,11 +113,8 @@ fn inertial(header: &mut impl Header, section: &ImuSection) -> Result<Sensor<3>,
 fn motor(header: &mut impl Header, section: &MotorSection) -> Result<Sensor<1>, ImportError> {
     let messages = section.messages();
     let column = Column::find(header, "motor.speed", messages, &section.speed)?;
-    let changes = header.find_if(
-        "motor.new_when_changes",
-        messages,
-        &section.new_when_changes,
-    )?;
+    let key = "motor.new_when_changes";
+    let changes = header.find_if(key, messages, &section.new_when_changes)?;
     Ok(Sensor::new([column], changes, nanoseconds(section.delay_s)))
 }
 
@@ -138,11 +130,8 @@ impl Driving {
             return Ok(());
         }
         let is_driving = row.flag(self.place)?;
-        if self
-            .changes
-            .last()
-            .is_none_or(|(_, last)| *last != is_driving)
-        {
+        let last = self.changes.last();
+        if last.is_none_or(|(_, last)| *last != is_driving) {
             self.changes.push((time_ns, is_driving));
         }
         Ok(())

@@ -67,30 +67,10 @@ impl<const N: usize> Series<N> {
         let last = self.samples.last().map_or(0, |sample| sample.time_ns);
         let number =
             |time_ns: u64| (u128::from(time_ns) * u128::from(rate)) / u128::from(SECOND_NS);
-        // The interval of the point before the next one: the points are in the order of time.
-        let mut after = 0;
         let mut resampled = Vec::new();
         for point in number(first)..=number(last) {
             let time_ns = (point * u128::from(SECOND_NS) / u128::from(rate)) as u64;
-            while self
-                .samples
-                .get(after)
-                .is_some_and(|one| one.time_ns <= time_ns)
-            {
-                after += 1;
-            }
-            let Some(before) = after
-                .checked_sub(1)
-                .and_then(|place| self.samples.get(place))
-            else {
-                continue;
-            };
-            let values = if before.time_ns == time_ns {
-                Some(before.values)
-            } else {
-                let next = self.samples.get(after);
-                next.and_then(|next| between(before, next, time_ns, interpolation))
-            };
+            let values = self.at(time_ns);
             resampled.extend(values.map(|values| Sample { time_ns, values }));
         }
         resampled

@@ -54,8 +54,8 @@ impl Column {
         quantity: &Quantity<D>,
     ) -> Result<Self, ImportError> {
         Ok(Self {
-            place: header.find(key, messages, quantity.column())?,
-            conversion: quantity.conversion(),
+            place: header.find(key, messages, &quantity.column)?,
+            conversion: quantity.conversion,
         })
     }
 

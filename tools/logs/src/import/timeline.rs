@@ -103,16 +103,12 @@ impl<'a> Timeline<'a> {
     pub(super) fn summary(&self) -> Summary {
         let Log { poses, .. } = self.log;
         let is_valid = |pose: &&Observation| matches!(pose.state, PoseState::Valid(_));
+        let valid = poses.iter().filter(is_valid);
         let count = |state| poses.iter().filter(|pose| pose.state == state).count() as u64;
         let inertial = self.log.inertial.as_ref();
         Summary {
             duration_ns: self.log.end_ns - FIRST_ROW_NS,
-            poses: Summary::arrivals(
-                poses
-                    .iter()
-                    .filter(is_valid)
-                    .map(|pose| pose.receive_time_ns),
-            ),
+            poses: Summary::arrivals(valid.map(|pose| pose.receive_time_ns)),
             rejected: count(PoseState::Rejected(RejectReason::NotFinite)),
             untracked: count(PoseState::Untracked),
             inertial: inertial.map(|series| Summary::arrivals(series.times_ns())),

@@ -127,10 +127,7 @@ fn distribution(run: &Run) -> Panel {
     };
     let shown = |share: f64| if share < least { f64::NAN } else { share };
     let share = values.iter().map(|value| shown(larger(*value))).collect();
-    let stated = values
-        .iter()
-        .map(|value| shown(chi_square_3(*value)))
-        .collect();
+    let stated = values.iter().map(|value| shown(chi_square_3(*value)));
     let logarithmic = |quantity| Axis {
         scale: Scale::Log,
         ..Axis::new(quantity, None, "")
@@ -140,7 +137,7 @@ fn distribution(run: &Run) -> Panel {
         height_mm: 40.0,
         curves: vec![
             Curve::new("poses", Look::Actual, &values, share),
-            Curve::new("as stated", Look::Other, &values, stated),
+            Curve::new("as stated", Look::Other, &values, stated.collect()),
         ],
         ..Panel::new(logarithmic("NIS"), logarithmic("share of larger ones"))
     }

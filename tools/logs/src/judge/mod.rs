@@ -185,11 +185,15 @@ fn recorded(record: &Path) -> Result<Config, JudgeError> {
     })
 }
 
+/// A value as its text says it, or a dash.
+fn or_dash(value: Option<f64>, text: impl Fn(f64) -> String) -> String {
+    value.map_or_else(|| "-".to_owned(), text)
+}
+
 /// The verdict for a person.
 fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
     let mut text = String::new();
-    let number =
-        |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.4}"));
+    let number = |value| or_dash(value, |value| format!("{value:.4}"));
     // Writing to a string does not fail.
     let _ = writeln!(
         text,
@@ -230,9 +234,10 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
         number(verdict.yaw_rate_rms_rad_s),
         number(verdict.sideslip_rms_rad),
         number(verdict.true_sideslip_rms_rad),
-        verdict
-            .sideslip_within_95
-            .map_or_else(|| "-".to_owned(), |share| format!("{:.1} %", 100.0 * share)),
+        or_dash(verdict.sideslip_within_95, |share| format!(
+            "{:.1} %",
+            100.0 * share
+        )),
         verdict.speed_max_m_s,
         verdict.gyro_scale,
     );
@@ -241,9 +246,7 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
             text,
             "  {:<23} {:>12} {:>11.6} {}",
             noise.sensor,
-            noise
-                .measured
-                .map_or_else(|| "-".to_owned(), |value| format!("{value:.6}")),
+            or_dash(noise.measured, |value| format!("{value:.6}")),
             noise.configured,
             noise.unit
         );

@@ -100,6 +100,10 @@ pub(super) fn noise(
         }
     }
     let inertial = Inertial::of(seen, samples, config);
+    let moving = inertial.configured.value();
+    let moving = moving.unwrap_or(config.acceleration_noise_density);
+    let motor = inertial.motor_configured.value();
+    let motor = motor.unwrap_or(config.motor_speed_noise);
     let number = |sensor, unit, measured, configured| Noise {
         sensor,
         unit,
@@ -124,10 +128,7 @@ pub(super) fn noise(
             "accelerometer_moving",
             "m/s2/sqrt(Hz)",
             inertial.moving.value(),
-            inertial
-                .configured
-                .value()
-                .unwrap_or(config.acceleration_noise_density),
+            moving,
         ),
         number(
             "gyro",
@@ -135,15 +136,7 @@ pub(super) fn noise(
             inertial.gyro.value(),
             config.gyro_noise_density,
         ),
-        number(
-            "motor_speed",
-            "m/s",
-            inertial.motor.value(),
-            inertial
-                .motor_configured
-                .value()
-                .unwrap_or(config.motor_speed_noise),
-        ),
+        number("motor_speed", "m/s", inertial.motor.value(), motor),
     ]
 }
 
@@ -207,11 +200,8 @@ impl Inertial {
                 .filter(|(span, _)| (span.speed / f64::from(span.samples) < STANDS) == stands)
                 .collect();
             for axis in 0..2 {
-                let mean = chosen
-                    .iter()
-                    .map(|(span, _)| means(span, axis))
-                    .sum::<f64>()
-                    / chosen.len() as f64;
+                let all = chosen.iter().map(|(span, _)| means(span, axis));
+                let mean = all.sum::<f64>() / chosen.len() as f64;
                 for (span, length) in &chosen {
                     let density = (means(span, axis) - mean) * length.sqrt();
                     if stands {

@@ -56,17 +56,13 @@ impl Verdict {
     pub(super) fn of(log: &Log, run: &Run, config: &EstimatorConfig) -> Self {
         let begin = log.ticks.first().map(|tick| tick.time).unwrap_or_default();
         let at = |seen: &Seen| seen.time.seconds_since(begin);
-        let of_car = run
-            .poses
-            .iter()
-            .filter(|judged| score::counts(judged.seen.kind));
+        let poses = run.poses.iter();
+        let of_car = poses.filter(|judged| score::counts(judged.seen.kind));
         let rejected = of_car
             .clone()
             .filter(|judged| judged.gated || judged.verdict == Some(PoseVerdict::Implausible));
-        let innovations: Vec<f64> = of_car
-            .filter(|judged| judged.settled)
-            .filter_map(|judged| judged.innovation)
-            .collect();
+        let settled = of_car.filter(|judged| judged.settled);
+        let innovations: Vec<f64> = settled.filter_map(|judged| judged.innovation).collect();
         let ghosts = truth::ghosts_of(run.poses.iter().map(|judged| judged.seen));
         let mut adopted = 0;
         let mut was_adopted = false;
@@ -78,6 +74,7 @@ impl Verdict {
         }
         let errors = Errors::of(&run.compared);
         let seen: Vec<Seen> = run.poses.iter().map(|judged| judged.seen).collect();
+        let flips = seen.iter().filter(|seen| seen.kind == Kind::Flip);
         Self {
             duration_s: log.duration(),
             poses: run.poses.len(),
@@ -87,11 +84,7 @@ impl Verdict {
                 .iter()
                 .map(|ghost| ghost.map(|time| time.seconds_since(begin)))
                 .collect(),
-            flips_s: seen
-                .iter()
-                .filter(|seen| seen.kind == Kind::Flip)
-                .map(at)
-                .collect(),
+            flips_s: flips.map(at).collect(),
             asked_s: run.asked.clone(),
             nis_mean: (!innovations.is_empty())
                 .then(|| innovations.iter().sum::<f64>() / innovations.len() as f64),

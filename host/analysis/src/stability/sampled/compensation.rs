@@ -8,6 +8,7 @@ use super::{
     delay::Delay,
     plant::{POSITION, SIDESLIP, YAW, YAW_RATE},
 };
+use crate::stability::characteristic::symbols;
 
 /// The longest step of the pilot's prediction, in s.
 const LONGEST_STEP: f64 = 0.005;
@@ -50,15 +51,7 @@ struct Response {
 impl Response {
     /// As `Predictor` of the control crate has it, for small angles.
     fn of(vehicle: &VehicleParameters, speed: f64) -> Self {
-        let VehicleParameters {
-            mass_kg: m,
-            yaw_inertia_kg_m2: inertia,
-            front_axle_distance_m: l_f,
-            rear_axle_distance_m: l_r,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = *vehicle;
+        let [m, inertia, l_f, l_r, c_f, c_r] = symbols(vehicle);
         let (wheelbase, square) = (vehicle.wheelbase_m(), speed * speed);
         let understeer = m / wheelbase * (l_r / c_f - l_f / c_r);
         let length = (wheelbase + understeer * square).max(0.5 * wheelbase);

@@ -135,31 +135,25 @@ impl SampledLoop {
 
     /// The same loop with a pose at every `interval`-th tick only; in between it is held.
     #[must_use]
-    pub fn with_marker_interval(self, interval: u32) -> Self {
-        Self {
-            marker_interval: interval.max(1),
-            ..self
-        }
+    pub fn with_marker_interval(mut self, interval: u32) -> Self {
+        self.marker_interval = interval.max(1);
+        self
     }
 
     /// The same loop with an estimator that predicts the pose for `ticks` ticks after the one that
     /// saw it, before it holds it (`estimator.prediction_horizon_ms`).
     #[must_use]
-    pub fn with_predicted_pose(self, ticks: u32) -> Self {
-        Self {
-            predicted_pose: ticks,
-            ..self
-        }
+    pub fn with_predicted_pose(mut self, ticks: u32) -> Self {
+        self.predicted_pose = ticks;
+        self
     }
 
     /// The same loop with a servo that takes the command of every `ticks`-th tick only, and keeps it
     /// until the next one: a servo pulse every 20 ms.
     #[must_use]
-    pub fn with_servo_frame(self, ticks: u32) -> Self {
-        Self {
-            servo_frame: ticks.max(1),
-            ..self
-        }
+    pub fn with_servo_frame(mut self, ticks: u32) -> Self {
+        self.servo_frame = ticks.max(1);
+        self
     }
 
     /// The same loop with measurements that are old at the tick. An exact [`Prediction`] is one
@@ -179,18 +173,16 @@ impl SampledLoop {
     /// # Errors
     ///
     /// A lag that is not above zero, or a dead time below zero or above a thousand periods.
-    pub fn with_compensation(self, compensation: Compensation) -> Result<Self, SamplingError> {
+    pub fn with_compensation(mut self, compensation: Compensation) -> Result<Self, SamplingError> {
         compensation.servo.validate()?;
         let dead_time = compensation.servo.dead_time;
         let is_valid = dead_time <= MOST_TICKS * self.period;
         let rule = "at most 1000 control periods";
         SamplingError::unless(is_valid, "the modelled dead time in s", dead_time, rule)?;
         let applies = self.servo.is_some() && self.closed_loop.law == Law::FrontPoint;
-        Ok(Self {
-            compensation: applies.then_some(compensation),
-            prediction: None,
-            ..self
-        })
+        self.compensation = applies.then_some(compensation);
+        self.prediction = None;
+        Ok(self)
     }
 
     /// The same loop with a steering servo, whose dead time adds to the delay.
@@ -198,12 +190,10 @@ impl SampledLoop {
     /// # Errors
     ///
     /// A lag that is not above zero, or a negative dead time.
-    pub fn with_servo(self, servo: Servo) -> Result<Self, SamplingError> {
+    pub fn with_servo(mut self, servo: Servo) -> Result<Self, SamplingError> {
         servo.validate()?;
-        Ok(Self {
-            servo: Some(servo),
-            ..self
-        })
+        self.servo = Some(servo);
+        Ok(self)
     }
 
     /// The same loop with a controller that predicts. It needs a servo, and has no effect
@@ -212,13 +202,11 @@ impl SampledLoop {
     /// # Errors
     ///
     /// A lag that is not above zero, or a negative delay.
-    pub fn with_prediction(self, prediction: Prediction) -> Result<Self, SamplingError> {
+    pub fn with_prediction(mut self, prediction: Prediction) -> Result<Self, SamplingError> {
         prediction.validate()?;
-        Ok(Self {
-            prediction: self.servo.map(|_| prediction),
-            compensation: None,
-            ..self
-        })
+        self.prediction = self.servo.map(|_| prediction);
+        self.compensation = None;
+        Ok(self)
     }
 
     /// A prediction by the true car, servo and delay.
@@ -234,11 +222,9 @@ impl SampledLoop {
 
     /// The same timing around another steady motion.
     #[must_use]
-    pub const fn around(self, closed_loop: ClosedLoop) -> Self {
-        Self {
-            closed_loop,
-            ..self
-        }
+    pub const fn around(mut self, closed_loop: ClosedLoop) -> Self {
+        self.closed_loop = closed_loop;
+        self
     }
 
     /// Whether the motion is stable.
@@ -253,14 +239,12 @@ impl SampledLoop {
     /// # Errors
     ///
     /// A gain that is negative or not finite.
-    pub fn with_position_gain(self, position_gain: f64) -> Result<Self, SamplingError> {
+    pub fn with_position_gain(mut self, position_gain: f64) -> Result<Self, SamplingError> {
         let is_valid = position_gain.is_finite() && position_gain >= 0.0;
         let rule = "finite and not negative";
         SamplingError::unless(is_valid, "the position gain in 1/s", position_gain, rule)?;
-        Ok(Self {
-            position_gain,
-            ..self
-        })
+        self.position_gain = position_gain;
+        Ok(self)
     }
 
     /// The spectral radius per tick: the factor by which disturbances grow or decay per tick in

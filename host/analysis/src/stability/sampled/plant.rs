@@ -83,12 +83,8 @@ impl Plant {
         bordered
             .view_mut((0, states), (states, 1))
             .copy_from(&self.input);
-        (bordered * time)
-            .exp()
-            .view((0, states), (states, 1))
-            .into_owned()
-            .column(0)
-            .into_owned()
+        let integral = (bordered * time).exp();
+        integral.column(states).rows(0, states).into_owned()
     }
 }
 

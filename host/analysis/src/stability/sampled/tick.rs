@@ -1,7 +1,6 @@
 //! The linear map of one tick.
 
 use nalgebra::{DMatrix, DVector};
-use singletrack_control::VehicleParameters;
 
 use super::{
     SampledLoop,
@@ -10,7 +9,10 @@ use super::{
     plant::{POSITION, Plant, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
     servo::Prediction,
 };
-use crate::stability::closed_loop::{Belief, ClosedLoop, Law};
+use crate::stability::{
+    characteristic::symbols,
+    closed_loop::{Belief, Law},
+};
 
 /// Where the state of the loop has what. The states of the plant are first.
 struct Layout {
@@ -67,10 +69,8 @@ impl SampledLoop {
             (None, Law::VelocityPoint) => Steering::Angle,
         };
         let plant = Plant::new(&self.closed_loop.vehicle, speed, steering);
-        let delay = Delay::new(
-            self.delay + self.servo.map_or(0.0, |servo| servo.dead_time),
-            self.period,
-        );
+        let dead_time = self.servo.map_or(0.0, |servo| servo.dead_time);
+        let delay = Delay::new(self.delay + dead_time, self.period);
         let modelled_delay = self
             .prediction
             .map(|prediction| prediction.delay)
@@ -265,11 +265,8 @@ impl SampledLoop {
         measured: DMatrix<f64>,
         layout: &Layout,
     ) -> DMatrix<f64> {
-        let model = Plant::new(
-            &prediction.vehicle,
-            self.closed_loop.speed,
-            Steering::Servo(prediction.lag),
-        );
+        let servo = Steering::Servo(prediction.lag);
+        let model = Plant::new(&prediction.vehicle, self.closed_loop.speed, servo);
         let delay = Delay::new(prediction.delay, self.period);
         let mut predicted = measured;
         let mut left = prediction.horizon();
@@ -294,24 +291,13 @@ impl SampledLoop {
     /// The linearised law: the command as a linear combination of position, yaw, yaw rate,
     /// sideslip and steering.
     fn gains(&self) -> DVector<f64> {
-        let ClosedLoop {
-            vehicle,
-            law,
-            belief,
-            point_distance: p,
-            speed: v,
-            deviation,
-            ..
-        } = self.closed_loop;
-        let VehicleParameters {
-            mass_kg: m,
-            front_cornering_stiffness_n_rad: c_f,
-            rear_cornering_stiffness_n_rad: c_r,
-            ..
-        } = vehicle;
-        let l_f = vehicle.front_axle_distance_m + deviation;
+        let closed_loop = &self.closed_loop;
+        let (p, v) = (closed_loop.point_distance, closed_loop.speed);
+        let deviation = closed_loop.deviation;
+        let [m, _, l_f, l_r, c_f, c_r] = symbols(&closed_loop.vehicle);
+        let l_f = l_f + deviation;
         let gain = self.position_gain;
-        DVector::from_vec(match law {
+        DVector::from_vec(match closed_loop.law {
             // u = (v_Py - v (yaw + sideslip) - l_f r) / p - r, with
             // v_Py = -gain (y + l_f yaw + p (yaw + steering)).
             Law::FrontPoint => vec![
@@ -324,9 +310,9 @@ impl SampledLoop {
             // turn rate = (v_Py - v (yaw + sideslip)) / p, with
             // v_Py = -gain (y + p (yaw + sideslip)).
             Law::VelocityPoint => {
-                let l_r = match belief {
-                    Belief::CentreOfMass => vehicle.rear_axle_distance_m - deviation,
-                    Belief::FrontAxle => vehicle.rear_axle_distance_m,
+                let l_r = match closed_loop.belief {
+                    Belief::CentreOfMass => l_r - deviation,
+                    Belief::FrontAxle => l_r,
                 };
                 let turning = m * v / c_f;
                 let course = -turning * (gain + v / p);

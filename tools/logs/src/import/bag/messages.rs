@@ -26,13 +26,6 @@ pub(super) struct Topic<'a> {
     pub(super) definition: Option<(&'a str, &'a str)>,
 }
 
-/// The place of a topic that the map wants.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TopicId {
-    topic: usize,
-    plan: usize,
-}
-
 /// The messages that a map wants, from all files of a bag.
 pub(super) struct Messages {
     path: PathBuf,
@@ -75,8 +68,9 @@ impl Messages {
         }
     }
 
-    /// Takes the description of a topic; `None` if the map does not want it.
-    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<TopicId>, ImportError> {
+    /// Takes the description of a topic; gives the number by which [`Self::message`] knows how its
+    /// messages are read, or `None` if the map does not want it.
+    pub(super) fn topic(&mut self, topic: &Topic<'_>) -> Result<Option<usize>, ImportError> {
         let kind = short(topic.kind);
         let wrong = |why: String| topic_error(&self.path, topic.name, &kind, &why);
         let known = self.topics.iter().position(|one| one.name == topic.name);
@@ -123,7 +117,7 @@ impl Messages {
         let mut plans = self.plans.iter();
         let same = |plan: &Plan| plan.topic == place && plan.definition == definition;
         if let Some(plan) = plans.position(same) {
-            return Ok(Some(TopicId { topic: place, plan }));
+            return Ok(Some(plan));
         }
         let resolve = |wanted: &Wanted| {
             let target = wanted.path.resolve(&definition, wanted.takes);
@@ -135,11 +129,8 @@ impl Messages {
         let mut readings = Vec::new();
         for (place, source) in wanted {
             let stamp = source.stamp.as_ref().map(resolve).transpose()?;
-            let fields = source
-                .fields
-                .iter()
-                .map(resolve)
-                .collect::<Result<_, _>>()?;
+            let fields = source.fields.iter().map(resolve);
+            let fields = fields.collect::<Result<_, _>>()?;
             readings.push(Reading {
                 source: place,
                 stamp,
@@ -151,21 +142,20 @@ impl Messages {
             definition,
             readings,
         });
-        Ok(Some(TopicId {
-            topic: place,
-            plan: self.plans.len() - 1,
-        }))
+        Ok(Some(self.plans.len() - 1))
     }
 
     /// Takes a message.
     pub(super) fn message(
         &mut self,
-        id: TopicId,
+        plan: usize,
         receive_ns: u64,
         bytes: &[u8],
     ) -> Result<(), ImportError> {
-        let (Some(topic), Some(plan)) = (self.topics.get_mut(id.topic), self.plans.get(id.plan))
-        else {
+        let Some(plan) = self.plans.get(plan) else {
+            return Ok(());
+        };
+        let Some(topic) = self.topics.get_mut(plan.topic) else {
             return Ok(());
         };
         topic.messages += 1;
@@ -220,21 +210,28 @@ impl Messages {
         Ok(())
     }
 
-    /// All messages as rows, in the order of their times, of which no two are farther apart than the
-    /// longest gap.
-    pub(super) fn into_rows(mut self, longest_gap_ns: u64) -> Result<Rows, ImportError> {
+    /// Orders all messages by their times. Fails if something that the map wants is missing, if the
+    /// times of a source go backwards, or if two messages are farther apart than the longest gap.
+    pub(super) fn sort(&mut self, longest_gap_ns: u64) -> Result<(), ImportError> {
         for source in &self.sources.sources {
             self.check(source)?;
         }
         self.entries.sort_by_key(|entry| entry.receive_ns);
         self.check_order()?;
         self.entries.sort_by_key(|entry| entry.stamp_ns);
-        self.check_gaps(longest_gap_ns)?;
-        Ok(Rows {
-            path: self.path,
-            sources: self.sources,
-            entries: self.entries,
-            values: self.values,
+        self.check_gaps(longest_gap_ns)
+    }
+
+    /// The rows that the messages are, each with its time in ns since 1970.
+    pub(super) fn rows(&self) -> impl Iterator<Item = (u64, Row<'_>)> {
+        self.entries.iter().map(|entry| {
+            let row = Row {
+                path: &self.path,
+                sources: &self.sources,
+                entry: *entry,
+                values: &self.values,
+            };
+            (entry.stamp_ns, row)
         })
     }
 
@@ -250,11 +247,9 @@ impl Messages {
                 Some(_) => "no messages on the topic",
                 None => "no topic",
             };
+            let (name, key, topics) = (&source.topic, source.key(), listed(&topics));
             let why = format!(
-                " has {what} {:?}, which {} in the map names; its topics are {}",
-                source.topic,
-                source.key(),
-                listed(&topics)
+                " has {what} {name:?}, which {key} in the map names; its topics are {topics}"
             );
             return Err(ImportError::file(&self.path, why));
         }
@@ -324,29 +319,6 @@ impl Messages {
 /// The error of a topic whose type can't be read, or has not the fields of the map.
 fn topic_error(path: &Path, topic: &str, kind: &str, why: &str) -> ImportError {
     ImportError::file(path, format!(", topic {topic:?} of type {kind}: {why}"))
-}
-
-/// The rows of a bag, in the order of their times.
-pub(super) struct Rows {
-    path: PathBuf,
-    sources: Sources,
-    entries: Vec<Entry>,
-    values: Vec<Option<f64>>,
-}
-
-impl Rows {
-    /// Each row with its time in ns since 1970.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (u64, Row<'_>)> {
-        self.entries.iter().map(|entry| {
-            let row = Row {
-                path: &self.path,
-                sources: &self.sources,
-                entry: *entry,
-                values: &self.values,
-            };
-            (entry.stamp_ns, row)
-        })
-    }
 }
 
 impl Wanted {

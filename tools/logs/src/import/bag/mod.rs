@@ -43,9 +43,9 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
             }
         }
     }
-    let rows = messages.into_rows(nanoseconds(map.time.longest_gap_s))?;
+    messages.sort(nanoseconds(map.time.longest_gap_s))?;
     let mut span = None;
-    for (time_ns, row) in rows.iter() {
+    for (time_ns, row) in messages.rows() {
         let (first_ns, _) = *span.get_or_insert((time_ns, time_ns));
         span = Some((first_ns, time_ns));
         columns.take(&row, FIRST_ROW_NS.saturating_add(time_ns - first_ns))?;

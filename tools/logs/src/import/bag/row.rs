@@ -60,10 +60,8 @@ pub(super) struct Row<'a> {
 
 impl Row<'_> {
     fn value(&self, place: Place) -> Option<f64> {
-        self.values
-            .get(self.entry.values + place.index)
-            .copied()
-            .flatten()
+        let value = self.values.get(self.entry.values + place.index);
+        value.copied().flatten()
     }
 }
 

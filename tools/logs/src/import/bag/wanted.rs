@@ -66,11 +66,8 @@ impl Wanted {
 
 impl Sources {
     /// The place of the source of a section.
-    fn source(
-        &mut self,
-        section: &'static str,
-        messages: Messages<'_>,
-    ) -> Result<usize, ImportError> {
+    fn source(&mut self, messages: Messages<'_>) -> Result<usize, ImportError> {
+        let section = messages.section;
         let mut known = self.sources.iter();
         if let Some(place) = known.position(|source| source.section == section) {
             return Ok(place);
@@ -78,11 +75,10 @@ impl Sources {
         let topic = messages.topic().to_owned();
         let stamp = match messages.stamp() {
             Stamp::Receive => None,
-            Stamp::Field(field) => Some(Wanted::new(
-                format!("{section}.stamp"),
-                field,
-                Takes::Stamp,
-            )?),
+            Stamp::Field(field) => {
+                let key = format!("{section}.stamp");
+                Some(Wanted::new(key, field, Takes::Stamp)?)
+            }
         };
         self.sources.push(Source {
             section,
@@ -101,13 +97,12 @@ impl Header for Sources {
         messages: Messages<'_>,
         field: &str,
     ) -> Result<Place, ImportError> {
-        let section = key.split('.').next().unwrap_or(key);
         let takes = match key {
             "pose.yaw" => Takes::Yaw,
             _ => Takes::Number,
         };
         let wanted = Wanted::new(key.to_owned(), field, takes)?;
-        let place = self.source(section, messages)?;
+        let place = self.source(messages)?;
         let mut index = 0;
         if let Some(source) = self.sources.get_mut(place) {
             index = source.fields.len();

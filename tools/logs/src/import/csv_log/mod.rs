@@ -25,13 +25,13 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
         .trim(Trim::All)
         .from_path(path)
         .map_err(failure)?;
-    let names = reader.headers().map_err(failure)?.clone();
+    let names = &reader.headers().map_err(failure)?.clone();
     if names.is_empty() {
         let why = " is empty: it needs a line with the names of the columns, and a line for each \
                    sample";
         return Err(ImportError::file(path, why));
     }
-    let mut header = Header::new(path, &names);
+    let mut header = Header { path, names };
     let mut columns = Columns::find(&mut header, map)?;
     let mut clock = Clock::find(&header, &map.time)?;
     let mut cells = StringRecord::new();

@@ -40,22 +40,15 @@ pub(super) fn line(path: &Path, position: Option<&Position>) -> u64 {
 
 /// The columns of a file.
 pub(super) struct Header<'a> {
-    path: &'a Path,
-    names: &'a StringRecord,
+    pub(super) path: &'a Path,
+    pub(super) names: &'a StringRecord,
 }
 
 impl<'a> Header<'a> {
-    pub(super) const fn new(path: &'a Path, names: &'a StringRecord) -> Self {
-        Self { path, names }
-    }
-
     /// The place of the column that `key` in the map names.
     pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
-        let mut places = self
-            .names
-            .iter()
-            .enumerate()
-            .filter(|(_, name)| *name == column);
+        let names = self.names.iter().enumerate();
+        let mut places = names.filter(|(_, name)| *name == column);
         let Some((place, _)) = places.next() else {
             let columns: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
             let columns = columns.join(", ");

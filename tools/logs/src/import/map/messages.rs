@@ -2,12 +2,11 @@
 
 use super::invalid;
 
-/// The key of a topic, and that of its time.
-pub(super) type MessageKeys = [&'static str; 2];
-
 /// The messages of a section; without a topic if the map is one for CSV files.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::import) struct Messages<'a> {
+    /// The section, such as `pose`.
+    pub(in crate::import) section: &'static str,
     topic: Option<&'a str>,
     stamp: Option<&'a str>,
 }
@@ -22,8 +21,13 @@ pub(in crate::import) enum Stamp<'a> {
 }
 
 impl<'a> Messages<'a> {
-    pub(super) fn new(topic: &'a Option<String>, stamp: &'a Option<String>) -> Self {
+    pub(super) fn new(
+        section: &'static str,
+        topic: &'a Option<String>,
+        stamp: &'a Option<String>,
+    ) -> Self {
         Self {
+            section,
             topic: topic.as_deref(),
             stamp: stamp.as_deref(),
         }
@@ -42,19 +46,17 @@ impl<'a> Messages<'a> {
         }
     }
 
-    pub(super) fn check(
-        self,
-        [topic_key, stamp_key]: MessageKeys,
-        is_bag: bool,
-    ) -> Result<(), String> {
+    pub(super) fn check(self, is_bag: bool) -> Result<(), String> {
+        let [topic_key, stamp_key] =
+            ["topic", "stamp"].map(|key| format!("{}.{key}", self.section));
         let csv = "remove it: a CSV file has no topics";
         match (self.topic, self.stamp) {
             (None, _) if is_bag => {
                 let fix = "name the topic whose messages have the fields of this section";
-                Err(invalid(topic_key, "missing", fix))
+                Err(invalid(&topic_key, "missing", fix))
             }
-            (Some(topic), _) if !is_bag => Err(invalid(topic_key, format!("{topic:?}"), csv)),
-            (_, Some(stamp)) if !is_bag => Err(invalid(stamp_key, format!("{stamp:?}"), csv)),
+            (Some(topic), _) if !is_bag => Err(invalid(&topic_key, format!("{topic:?}"), csv)),
+            (_, Some(stamp)) if !is_bag => Err(invalid(&stamp_key, format!("{stamp:?}"), csv)),
             _ => Ok(()),
         }
     }

@@ -17,7 +17,6 @@ pub use steering::SteeringSection;
 pub use time::{TimeSection, TimeUnit};
 
 use super::{error::ImportError, samples::Interpolation};
-use messages::MessageKeys;
 
 /// The longest delay, s. A time of the record is never before its zero.
 const LONGEST_DELAY_S: f64 = 0.9;
@@ -226,34 +225,17 @@ impl Map {
         } else {
             self.time.check_rows()
         };
-        let mut checked = time;
-        for (keys, messages) in self.all_messages() {
-            checked = checked.and_then(|()| messages.check(keys, is_bag));
-        }
-        checked.map_err(|why| ImportError::file(path, format!(": {why}")))
-    }
-
-    /// The messages of every section that has some, with its keys for them.
-    fn all_messages(&self) -> impl Iterator<Item = (MessageKeys, Messages<'_>)> {
-        let imu = self.imu.as_ref().map(ImuSection::messages);
-        let driving = self.driving.as_ref().map(DrivingSection::messages);
-        let speed_command = self.speed_command.as_ref().map(CommandSection::messages);
-        [
-            (["pose.topic", "pose.stamp"], Some(self.pose.messages())),
-            (["imu.topic", "imu.stamp"], imu),
-            (["motor.topic", "motor.stamp"], Some(self.motor.messages())),
-            (["driving.topic", "driving.stamp"], driving),
-            (
-                ["steering.topic", "steering.stamp"],
-                Some(self.steering.messages()),
-            ),
-            (
-                ["speed_command.topic", "speed_command.stamp"],
-                speed_command,
-            ),
-        ]
-        .into_iter()
-        .filter_map(|(keys, messages)| Some((keys, messages?)))
+        let all = [
+            Some(self.pose.messages()),
+            self.imu.as_ref().map(ImuSection::messages),
+            Some(self.motor.messages()),
+            self.driving.as_ref().map(DrivingSection::messages),
+            Some(self.steering.messages()),
+            self.speed_command.as_ref().map(CommandSection::messages),
+        ];
+        let mut all = all.into_iter().flatten();
+        time.and_then(|()| all.try_for_each(|messages| messages.check(is_bag)))
+            .map_err(|why| ImportError::file(path, format!(": {why}")))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -261,18 +243,15 @@ impl Map {
         let is_good = delimiter.is_ascii() && !matches!(delimiter, '"' | '\r' | '\n');
         let fix = "use an ASCII character such as \",\", \";\" or \"\\t\"";
         require(is_good, "delimiter", format_args!("{delimiter:?}"), fix)?;
-        require(
-            (1..=1_000).contains(&tick_ms),
-            "tick_ms",
-            tick_ms,
-            "use 1 to 1000",
-        )?;
+        let is_good = (1..=1_000).contains(&tick_ms);
+        require(is_good, "tick_ms", tick_ms, "use 1 to 1000")?;
         self.time.check()?;
         self.pose.check()?;
         if let Some(imu) = &self.imu {
-            imu.check()?;
+            check_sensor("imu", imu.delay_s, imu.interpolate_hz, imu.longest_gap_s)?;
         }
-        self.motor.check()?;
+        let (rate_hz, gap_s) = (self.motor.interpolate_hz, self.motor.longest_gap_s);
+        check_sensor("motor", self.motor.delay_s, rate_hz, gap_s)?;
         self.steering.check()?;
         match &self.speed_command {
             Some(command) => check_delay("speed_command.delay_s", command.delay_s),
@@ -295,55 +274,33 @@ impl PoseSection {
 }
 
 impl ImuSection {
-    fn check(&self) -> Result<(), String> {
-        check_delay("imu.delay_s", self.delay_s)?;
-        check_interpolation(
-            ["imu.interpolate_hz", "imu.longest_gap_s"],
-            self.interpolate_hz,
-            self.longest_gap_s,
-        )
-    }
-
     pub(super) fn interpolation(&self) -> Option<Interpolation> {
         interpolation(self.interpolate_hz, self.longest_gap_s)
     }
 }
 
 impl MotorSection {
-    fn check(&self) -> Result<(), String> {
-        check_delay("motor.delay_s", self.delay_s)?;
-        check_interpolation(
-            ["motor.interpolate_hz", "motor.longest_gap_s"],
-            self.interpolate_hz,
-            self.longest_gap_s,
-        )
-    }
-
     pub(super) fn interpolation(&self) -> Option<Interpolation> {
         interpolation(self.interpolate_hz, self.longest_gap_s)
     }
 }
 
 macro_rules! with_messages {
-    ($($section:ident),*) => {
+    ($($section:ident $name:literal),*) => {
         $(
             impl $section {
                 pub(super) fn messages(&self) -> Messages<'_> {
-                    Messages::new(&self.topic, &self.stamp)
+                    Messages::new($name, &self.topic, &self.stamp)
                 }
             }
         )*
     };
 }
 
-with_messages!(
-    PoseSection,
-    ImuSection,
-    MotorSection,
-    DrivingSection,
-    SteeringSection,
-    CommandSection
-);
+with_messages! {
+    PoseSection "pose", ImuSection "imu", MotorSection "motor", DrivingSection "driving",
+    SteeringSection "steering", CommandSection "speed_command"
+}
 
 fn interpolation(rate_hz: Option<u32>, longest_gap_s: Option<f64>) -> Option<Interpolation> {
     rate_hz.map(|rate_hz| Interpolation {
@@ -383,22 +340,28 @@ fn check_delay(key: &str, value: f64) -> Result<(), String> {
     require((0.0..=LONGEST_DELAY_S).contains(&value), key, value, &fix)
 }
 
-fn check_interpolation(
-    [rate_key, gap_key]: [&str; 2],
+/// Checks what the sections of both sensors of the board have.
+fn check_sensor(
+    section: &str,
+    delay_s: f64,
     rate_hz: Option<u32>,
     longest_gap_s: Option<f64>,
 ) -> Result<(), String> {
+    check_delay(&format!("{section}.delay_s"), delay_s)?;
+    let [rate_key, gap_key] =
+        ["interpolate_hz", "longest_gap_s"].map(|key| format!("{section}.{key}"));
     let rate = rate_hz.unwrap_or(1);
-    require((1..=1_000).contains(&rate), rate_key, rate, "use 1 to 1000")?;
+    let is_good = (1..=1_000).contains(&rate);
+    require(is_good, &rate_key, rate, "use 1 to 1000")?;
     match longest_gap_s {
         Some(gap_s) if rate_hz.is_none() => {
             let fix = format!(
                 "leave it out, or add {rate_key}: only samples that are \
                                interpolated have a longest gap"
             );
-            Err(invalid(gap_key, gap_s, &fix))
+            Err(invalid(&gap_key, gap_s, &fix))
         }
-        Some(gap_s) => check_positive(gap_key, gap_s),
+        Some(gap_s) => check_positive(&gap_key, gap_s),
         None => Ok(()),
     }
 }

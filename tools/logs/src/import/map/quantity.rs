@@ -15,8 +15,8 @@ use serde::{
 /// A negative scale turns the sign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity<D> {
-    column: String,
-    conversion: Conversion,
+    pub(in crate::import) column: String,
+    pub(in crate::import) conversion: Conversion,
     dimension: PhantomData<D>,
 }
 
@@ -69,24 +69,6 @@ dimensions! {
     AngularVelocity: "rad/s" = 1.0, "mrad/s" = 1e-3, "deg/s" = PI / 180.0;
     /// An acceleration.
     Acceleration: "m/s2" = 1.0, "mm/s2" = 1e-3, "g" = 9.80665;
-}
-
-impl<D> Quantity<D> {
-    /// The name of the column.
-    #[must_use]
-    pub fn column(&self) -> &str {
-        &self.column
-    }
-
-    /// The number of the log in SI units.
-    #[must_use]
-    pub fn si(&self, number: f64) -> f64 {
-        self.conversion.si(number)
-    }
-
-    pub(in crate::import) const fn conversion(&self) -> Conversion {
-        self.conversion
-    }
 }
 
 /// A quantity as a table.

@@ -89,11 +89,8 @@ fn check_table(table: &[[f64; 2]]) -> Result<(), String> {
         None => Ok(()),
         Some(([before, _], [after, _])) => {
             let value = format!("a table with {after} after {before}");
-            Err(invalid(
-                KEY,
-                value,
-                "put the pairs in the order of the commands",
-            ))
+            let fix = "put the pairs in the order of the commands";
+            Err(invalid(KEY, value, fix))
         }
     }
 }
