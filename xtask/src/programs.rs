@@ -160,7 +160,7 @@ pub(crate) struct Runner {
 /// `cargo demo`: only what it runs is built. With the option `--live`, also what that serves.
 pub(crate) const DEMO: Runner = Runner {
     package: "singletrack",
-    options: &["--no-default-features", "--features", "demo,page"],
+    options: &["--no-default-features", "--features", "demo"],
     first: &["demo"],
 };
 

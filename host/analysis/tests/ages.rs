@@ -9,6 +9,7 @@ use singletrack_control::{
     ActuatorModel, Estimate, FrontPointLaw, Motion, Position, Predictor, Time, VehicleParameters,
     Velocity,
 };
+use singletrack_statistics::Random;
 
 const STEP: f64 = 0.000_25;
 const STEPS_PER_TICK: usize = 40;
@@ -32,35 +33,18 @@ struct Point {
     compensation: Option<usize>,
 }
 
-/// As Numerical Recipes has it: a fixed sequence.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, end: usize) -> usize {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % end
-    }
-
-    fn between(&mut self, from: f64, to: f64) -> f64 {
-        from + (to - from) * self.below(1_000_000) as f64 * 1e-6
-    }
-
-    fn point(&mut self, number: u32) -> Point {
-        Point {
-            p: self.between(0.05, 0.5),
-            speed: self.between(0.5, 6.0),
-            lag: self.between(0.01, 0.08),
-            delay: self.below(140),
-            yaw_rate_age: self.below(120),
-            sideslip_age: self.below(2) * self.below(60),
-            interval: 1 + number % 25,
-            predicted: self.below(4) as u32,
-            frame: 1 + self.below(3),
-            compensation: (self.below(2) == 1).then(|| self.below(140)),
-        }
+fn point(random: &mut Random, number: u32) -> Point {
+    Point {
+        p: random.between(0.05, 0.5),
+        speed: random.between(0.5, 6.0),
+        lag: random.between(0.01, 0.08),
+        delay: random.below(140),
+        yaw_rate_age: random.below(120),
+        sideslip_age: random.below(2) * random.below(60),
+        interval: 1 + number % 25,
+        predicted: random.below(4) as u32,
+        frame: 1 + random.below(3),
+        compensation: (random.below(2) == 1).then(|| random.below(140)),
     }
 }
 
@@ -215,10 +199,10 @@ fn simulated_growth(point: &Point) -> (f64, usize) {
 
 #[test]
 fn the_spectral_radius_equals_the_growth_at_a_hundred_random_points() {
-    let mut random = Random(20_261_127);
+    let mut random = Random::new(20_261_127);
     let (mut compensated, mut unstable) = (0, 0);
     for number in 0..100 {
-        let point = random.point(number);
+        let point = point(&mut random, number);
         let by_matrix = libm::log(model(&point).spectral_radius());
         let (by_simulation, ticks) = simulated_growth(&point);
         let tolerance = 1e-3 + 2.0 / ticks as f64;

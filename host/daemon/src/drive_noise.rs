@@ -110,17 +110,8 @@ mod tests {
     /// at 0.5 Hz of 3 m/s² and 1.5 rad/s.
     fn drive(acceleration: f64, turn: f64) -> DriveNoise {
         let mut noise = DriveNoise::default();
-        let mut seed = 1_u64;
-        let mut random = || {
-            // The sum of uniform numbers is nearly normal.
-            let sum: f64 = (0..12)
-                .map(|_| {
-                    seed = seed.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(1);
-                    (seed >> 11) as f64 / (1_u64 << 53) as f64
-                })
-                .sum();
-            sum - 6.0
-        };
+        let mut random = singletrack_statistics::Random::new(1);
+        let mut random = || random.normal(1.0);
         for index in 0..1_000_u64 {
             let motion = (TAU * 0.005 * index as f64).sin();
             let sample = Sample {

@@ -44,12 +44,7 @@ pub mod tune;
 #[cfg(any(feature = "live", feature = "page"))]
 pub mod viewers;
 
-#[cfg(any(
-    feature = "demo",
-    feature = "live",
-    feature = "operator",
-    feature = "page"
-))]
+#[cfg(any(feature = "live", feature = "operator", feature = "page"))]
 mod interrupt;
 #[cfg(any(feature = "demo", feature = "operator"))]
 mod progress;

@@ -10,6 +10,7 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{EscKind, MotorSensorFault, SimulationConfig};
+use singletrack_statistics::Random;
 
 const NEUTRAL_US: u16 = 1_500;
 const STRAIGHT_US: u16 = 1_500;
@@ -298,25 +299,6 @@ fn the_configuration_is_not_replaced_while_jogging() {
     assert!(drive.reconfigure(config()).is_err());
 }
 
-/// Numbers for a random hand.
-struct Random(u64);
-
-impl Random {
-    /// From 0 to `below` - 1.
-    const fn below(&mut self, below: u64) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) % below
-    }
-
-    /// True in one of `count` cases.
-    const fn one_of(&mut self, count: u64) -> bool {
-        self.below(count) == 0
-    }
-}
-
 /// A random hand on a random car, while things go wrong.
 struct Hand {
     random: Random,
@@ -340,7 +322,7 @@ struct Hand {
 
 impl Hand {
     fn new(seed: u64) -> Self {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         for _ in 0..10 {
             random.below(2);
         }
@@ -348,12 +330,11 @@ impl Hand {
         let mut simulation = simulation();
         simulation.seed = seed;
         let motor = &mut simulation.car.motor;
-        motor.kind =
-            [EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc][random.below(3) as usize];
+        motor.kind = [EscKind::Car, EscKind::ForwardReverse, EscKind::Vesc][random.below(3)];
         motor.deadband_us = 5 + random.below(60) as u16;
         motor.gain_m_s_per_us *= 0.5 + 0.25 * random.below(10) as f64;
         config.board.stop_input = true;
-        config.board.kill_output = random.one_of(2);
+        config.board.kill_output = random.below(2) == 0;
         motor.kill_relay = config.board.kill_output;
         Self {
             random,
@@ -373,19 +354,19 @@ impl Hand {
     /// A tick: the hand, what goes wrong, and what must hold.
     fn tick(&mut self) {
         let now_us = self.drive.world().now_us();
-        if matches!(self.drive.mode(), Mode::Idle | Mode::Ready) && self.random.one_of(20) {
+        if matches!(self.drive.mode(), Mode::Idle | Mode::Ready) && self.random.below(20) == 0 {
             self.drive.request(PilotRequest::ArmJog).unwrap();
         }
         if now_us >= self.until_us {
             let servo_us = self.random.below(3_000) as u16;
             let offset_us = self.random.below(500) as u16;
-            let ms = 50 + self.random.below(3_000);
+            let ms = 50 + self.random.below(3_000) as u64;
             self.until_us = now_us + 1_000 * ms;
             self.gives = Some(pulses(servo_us, 1_250 + offset_us));
-            if self.random.one_of(6) {
+            if self.random.below(6) == 0 {
                 self.gives = None;
                 self.until_us = now_us + 1_000 * (ms / 5);
-            } else if self.random.one_of(20) {
+            } else if self.random.below(20) == 0 {
                 // Until the board ends it.
                 self.until_us = now_us + 15_000_000;
             }
@@ -394,7 +375,7 @@ impl Hand {
             self.drive.send_jog(jog);
             self.given_us = Some(now_us);
         }
-        if self.random.one_of(400) {
+        if self.random.below(400) == 0 {
             self.go_wrong(now_us);
         }
         if let Some(pulled_us) = self.pulled_us
@@ -403,7 +384,7 @@ impl Hand {
             self.pulled_us = None;
             self.drive.world_mut().set_wire_connected(true);
         }
-        if self.drive.mode() == Mode::Fault && self.random.one_of(100) {
+        if self.drive.mode() == Mode::Fault && self.random.below(100) == 0 {
             let world = self.drive.world_mut();
             world.board_mut().set_stop_input_open(false);
             world.press_reset();

@@ -92,19 +92,20 @@ mod tests {
     use core::f64::consts::PI;
 
     use super::*;
-    use crate::fit::{mean_interval, tests::Noise};
+    use crate::fit::mean_interval;
+    use singletrack_statistics::Random;
 
     const ORIGIN: [f64; 2] = [0.21, -0.03];
 
     /// The body of a car whose rear axle is here; the body sits at `ORIGIN` along its own axes,
     /// and is turned by `body_yaw` on the car.
-    fn body(noise: &mut Noise, rear: [f64; 2], yaw: f64, body_yaw: f64) -> FloorPose {
+    fn body(noise: &mut Random, rear: [f64; 2], yaw: f64, body_yaw: f64) -> FloorPose {
         let turned = yaw + body_yaw;
         let (sin, cos) = turned.sin_cos();
         FloorPose {
-            x: rear[0] + cos * ORIGIN[0] - sin * ORIGIN[1] + 0.000_2 * noise.normal(),
-            y: rear[1] + sin * ORIGIN[0] + cos * ORIGIN[1] + 0.000_2 * noise.normal(),
-            yaw: turned + 0.001_7 * noise.normal(),
+            x: rear[0] + cos * ORIGIN[0] - sin * ORIGIN[1] + 0.000_2 * noise.normal(1.0),
+            y: rear[1] + sin * ORIGIN[0] + cos * ORIGIN[1] + 0.000_2 * noise.normal(1.0),
+            yaw: turned + 0.001_7 * noise.normal(1.0),
         }
     }
 
@@ -113,11 +114,11 @@ mod tests {
         let mut held = [0; 2];
         let cars = 300;
         for car in 0..cars {
-            let mut noise = Noise::new(car);
+            let mut noise = Random::new(car);
             let mut found = [const { Vec::new() }; 2];
             for pass in 0..4 {
                 let sign = if pass % 2 == 0 { 1.0 } else { -1.0 };
-                let wander = 0.003 * noise.normal();
+                let wander = 0.003 * noise.normal(1.0);
                 let phase = 2.0 * PI * noise.uniform();
                 let poses: Vec<_> = (0..800)
                     .map(|index| {
@@ -145,7 +146,7 @@ mod tests {
     #[test]
     fn a_curve_gives_the_yaw_of_the_body_and_the_way_of_the_rear_axle() {
         for (body_yaw, curvature) in [(0.0, 0.0), (0.1, 0.2), (-2.5, -0.3), (PI - 0.05, 0.1)] {
-            let mut noise = Noise::new(5);
+            let mut noise = Random::new(5);
             let poses: Vec<_> = (0..600)
                 .map(|index| {
                     let way = 2.0 * f64::from(index) / 599.0;

@@ -125,27 +125,27 @@ mod tests {
     use core::f64::consts::TAU;
 
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     /// A twist by hand, seen by a gyro and by cameras whose stamps are too late.
     fn twist(seed: u64, late: f64, sign: f64) -> Option<Delay> {
-        let mut noise = Noise::new(seed);
+        let mut noise = Random::new(seed);
         let period = 0.9 + 0.4 * noise.uniform();
         let yaw = |time: f64| 0.5 * (TAU * time / period).sin() + 0.2 * (0.7 * time).sin();
         let rate = |time: f64| (yaw(time + 1e-4) - yaw(time - 1e-4)) / 2e-4;
-        let bias = 0.01 * noise.normal();
+        let bias = 0.01 * noise.normal(1.0);
         let velocities: Vec<_> = (0..1_200)
             .map(|index| {
                 let time = 0.01 * f64::from(index) + 0.003;
                 // Rounded to the steps of the protocol.
-                let read = rate(time) + bias + 0.003 * noise.normal();
+                let read = rate(time) + bias + 0.003 * noise.normal(1.0);
                 (time, sign * (read * 1e3).round() / 1e3)
             })
             .collect();
         let angles: Vec<_> = (0..1_200)
             .map(|index| {
                 let time = 0.01 * f64::from(index);
-                (time, yaw(time - late) + 0.001_7 * noise.normal())
+                (time, yaw(time - late) + 0.001_7 * noise.normal(1.0))
             })
             .collect();
         stamp_delay(&angles, &velocities, 0.0)
@@ -156,7 +156,7 @@ mod tests {
         let mut held = 0;
         let trials = 200;
         for seed in 0..trials {
-            let late = 0.06 * (Noise::new(seed + 7_000).uniform() - 0.5);
+            let late = 0.06 * (Random::new(seed + 7_000).uniform() - 0.5);
             let delay = twist(seed, late, 1.0).unwrap();
             assert!(
                 (delay.late.value - late).abs() < 0.002,

@@ -161,11 +161,11 @@ pub(crate) fn deceleration(time: &[f64], way: &[f64]) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     /// A rise of the speed by a motor with a bent map: its pulses, and the way by the cameras.
     fn rise(seed: u64, truth: &DriveTrain, bend: f64) -> (Frames, Vec<f64>, Vec<f64>) {
-        let mut noise = Noise::new(seed);
+        let mut noise = Random::new(seed);
         let phase = 0.02 * noise.uniform();
         let slope = truth.us_per_m_s * (1.0 - 0.15 * bend) * (1.0 - 0.3 * bend);
         let pulse = |speed: f64| truth.edge_us + slope * speed / (1.0 - bend * speed);
@@ -195,7 +195,7 @@ mod tests {
             position += step * speed;
             if index % 100 == 0 && now > 0.1 && now < 1.8 {
                 time.push(now + step);
-                way.push(position + 0.000_2 * noise.normal());
+                way.push(position + 0.000_2 * noise.normal(1.0));
             }
         }
         (pulses, time, way)
@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn a_roll_out_decelerates_by_the_square_of_its_speed_over_twice_its_way() {
-        let mut noise = Noise::new(5);
+        let mut noise = Random::new(5);
         for (speed, rolling, viscous) in [
             (0.3, 0.4, 0.3),
             (0.3, 2.0, 0.5),
@@ -215,7 +215,7 @@ mod tests {
             for index in 0..60_000 {
                 if index % 100 == 0 {
                     time.push(1e-4 * f64::from(index));
-                    way.push(position + 0.000_2 * noise.normal());
+                    way.push(position + 0.000_2 * noise.normal(1.0));
                 }
                 if index > 2_345 {
                     now = f64::max(now - 1e-4 * (rolling + viscous * now), 0.0);

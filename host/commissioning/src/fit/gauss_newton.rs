@@ -63,17 +63,17 @@ pub(crate) fn gauss_newton<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     #[test]
     fn an_exponential_is_found_from_far_and_stays_within_its_bounds() {
-        let mut noise = Noise::new(5);
+        let mut noise = Random::new(5);
         let data: Vec<(f64, f64)> = (0..400)
             .map(|index| {
                 let time = 0.01 * f64::from(index);
                 (
                     time,
-                    2.0 * (1.0 - (-time / 0.7).exp()) + 0.01 * noise.normal(),
+                    2.0 * (1.0 - (-time / 0.7).exp()) + 0.01 * noise.normal(1.0),
                 )
             })
             .collect();

@@ -58,7 +58,7 @@ pub(super) fn inverted<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Option<SM
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     #[test]
     fn a_line_is_found_with_the_errors_of_the_book() {
@@ -76,13 +76,13 @@ mod tests {
 
     #[test]
     fn four_parameters_are_found_through_noise() {
-        let mut noise = Noise::new(3);
+        let mut noise = Random::new(3);
         let truth = [0.3, -1.2, 0.05, 4.0];
         let equations: Vec<_> = (0..4_000)
             .map(|_| {
-                let row: [f64; 4] = std::array::from_fn(|_| noise.normal());
+                let row: [f64; 4] = std::array::from_fn(|_| noise.normal(1.0));
                 let value: f64 = row.iter().zip(truth).map(|(a, b)| a * b).sum();
-                (row, value + 0.1 * noise.normal())
+                (row, value + 0.1 * noise.normal(1.0))
             })
             .collect();
         let fit = least_squares(equations.iter().copied()).unwrap();

@@ -35,31 +35,3 @@ pub(crate) use statistics::{
 };
 pub(crate) use track::{Motion, Signal, Track};
 pub(crate) use wheels::{Wheels, wheel_angles, wheels, yaw_rates};
-
-#[cfg(test)]
-pub(crate) mod tests {
-    /// Reproducible noise.
-    pub(crate) struct Noise(u64);
-
-    impl Noise {
-        pub(crate) fn new(seed: u64) -> Self {
-            Self(seed)
-        }
-
-        /// Uniform from 0 to 1 (`SplitMix64`).
-        pub(crate) fn uniform(&mut self) -> f64 {
-            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut bits = self.0;
-            bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            bits ^= bits >> 31;
-            (bits >> 11) as f64 / (1_u64 << 53) as f64
-        }
-
-        /// Normal, with mean 0 and standard deviation 1.
-        pub(crate) fn normal(&mut self) -> f64 {
-            let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-            radius * (core::f64::consts::TAU * self.uniform()).cos()
-        }
-    }
-}

@@ -74,12 +74,12 @@ fn windows(run: &[[f64; 2]], period: f64) -> Vec<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     fn white(seed: u64, samples: u32, period: f64, deviation: f64) -> Vec<[f64; 2]> {
-        let mut noise = Noise::new(seed);
+        let mut noise = Random::new(seed);
         (0..samples)
-            .map(|i| [f64::from(i) * period, 3.0 + deviation * noise.normal()])
+            .map(|i| [f64::from(i) * period, 3.0 + deviation * noise.normal(1.0)])
             .collect()
     }
 

@@ -102,7 +102,7 @@ pub(crate) fn fit_speed_curve(
 #[cfg(test)]
 mod tests {
     use super::fit_speed_curve;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     fn speed(gain: f64, saturation: f64, beyond: f64) -> f64 {
         gain * beyond / (1.0 + beyond / saturation)
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn the_interval_holds_edge_and_feed_forward_in_19_of_20_sets() {
-        let mut noise = Noise::new(2);
+        let mut noise = Random::new(2);
         let mut held = [0; 2];
         for _ in 0..500 {
             let gain = 0.006 + 0.01 * noise.uniform();
@@ -121,7 +121,7 @@ mod tests {
             while speed(gain, saturation, pulse - edge) < 0.75 {
                 for _ in 0..2 {
                     let settled = speed(gain, saturation, pulse - edge);
-                    readings.push([pulse, settled + 0.004 * noise.normal()]);
+                    readings.push([pulse, settled + 0.004 * noise.normal(1.0)]);
                 }
                 pulse += 9.0;
             }

@@ -112,7 +112,7 @@ pub(crate) fn jackknife<T, const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     /// How many of `trials` intervals hold the truth, in percent.
     fn coverage(trials: u64, mut interval: impl FnMut(u64) -> (Interval, f64)) -> f64 {
@@ -151,8 +151,8 @@ mod tests {
     fn nine_of_ten_intervals_of_few_passes_hold_the_mean_and_not_all_do() {
         for count in [2, 3, 5, 20] {
             let held = coverage(2_000, |trial| {
-                let mut noise = Noise::new(trial);
-                let values: Vec<f64> = (0..count).map(|_| 7.0 + 0.3 * noise.normal()).collect();
+                let mut noise = Random::new(trial);
+                let values: Vec<f64> = (0..count).map(|_| 7.0 + 0.3 * noise.normal(1.0)).collect();
                 (mean_interval(&values, 0.0).unwrap(), 7.0)
             });
             assert!((93.0..97.0).contains(&held), "{count} passes: {held} %");
@@ -173,12 +173,12 @@ mod tests {
     #[test]
     fn means_of_long_blocks_are_honest_about_correlated_noise() {
         let readings = |trial| {
-            let mut noise = Noise::new(trial);
+            let mut noise = Random::new(trial);
             let mut wander = 0.0;
             (0..6_000)
                 .map(|_| {
                     // Correlated over 50 readings.
-                    wander = 0.98 * wander + 0.02 * noise.normal();
+                    wander = 0.98 * wander + 0.02 * noise.normal(1.0);
                     wander
                 })
                 .collect::<Vec<f64>>()

@@ -57,21 +57,21 @@ pub(crate) fn fit_steering(
 #[cfg(test)]
 mod tests {
     use super::fit_steering;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     #[test]
     fn the_interval_holds_the_gain_in_19_of_20_sets_of_readings() {
-        let mut noise = Noise::new(1);
+        let mut noise = Random::new(1);
         let mut held = [0; 2];
         for _ in 0..1_000 {
-            let gain = (600.0 + 500.0 * noise.uniform()) * (1.0_f64).copysign(noise.normal());
+            let gain = (600.0 + 500.0 * noise.uniform()) * (1.0_f64).copysign(noise.normal(1.0));
             let centre = 1_450.0 + 100.0 * noise.uniform();
-            let scale = 1.0 + 0.01 * noise.normal();
+            let scale = 1.0 + 0.01 * noise.normal(1.0);
             let readings: Vec<_> = (0..12)
                 .map(|index| {
                     let pulse = 1_200.0 + 50.0 * f64::from(index);
                     let angle = scale * (pulse - centre) / gain;
-                    [pulse, angle + 0.0175 * noise.normal()]
+                    [pulse, angle + 0.0175 * noise.normal(1.0)]
                 })
                 .collect();
             let fit = fit_steering(&readings, 0.01, 0.02).unwrap();

@@ -252,7 +252,7 @@ fn step(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fit::tests::Noise;
+    use singletrack_statistics::Random;
 
     const CAR: VehicleParameters = VehicleParameters {
         mass_kg: 1.9,
@@ -278,7 +278,7 @@ mod tests {
         truth: &Wheels,
         turned_by: &dyn Fn(f64) -> f64,
     ) -> (Motion, Frames, Vec<f64>) {
-        let mut noise = Noise::new(seed);
+        let mut noise = Random::new(seed);
         let phase = 0.02 * noise.uniform();
         let command = 0.01 * noise.uniform();
         let wanted = |time: f64| {
@@ -328,7 +328,7 @@ mod tests {
                 motion.time.push(now + step);
                 motion.position.push([0.0; 2]);
                 // White noise of the gyro's rate.
-                yaw += 1e-4 * noise.normal();
+                yaw += 1e-4 * noise.normal(1.0);
                 motion.yaw.push(yaw);
                 motion.yaw_rate.push(state[0]);
             }

@@ -9,7 +9,8 @@ use singletrack_core::Config;
 use singletrack_pilot::Mode;
 use singletrack_protocol::{BoardMode, RefusalReason, ResetCause, Status, StopCause};
 
-use crate::truth::{Kind, Random, Truth};
+use crate::truth::{Kind, Truth, numbers};
+use singletrack_statistics::Random;
 
 /// What a hand is about to do to a turning motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,7 +89,7 @@ impl MockCar {
         }
         let text = edit.text().to_owned();
         Self {
-            random: Random::new(seed),
+            random: numbers(seed),
             config: Config::from_toml(&text).unwrap(),
             text,
             asked: Vec::new(),

@@ -12,7 +12,7 @@ use singletrack_commissioning::{
     Finding, Interrupted, Journal, Parameter, Step, Verdict, bring_up, run,
 };
 use singletrack_core::Config;
-use truth::{Kind, Random, Truth};
+use truth::{Kind, Truth, numbers};
 
 /// Keeps the findings in memory.
 #[derive(Default)]
@@ -38,14 +38,14 @@ fn bring_up_car(car: &mut MockCar) -> Vec<Finding> {
 }
 
 fn random_car(seed: u64) -> MockCar {
-    MockCar::new(Truth::random(&mut Random::new(seed)), seed)
+    MockCar::new(Truth::random(&mut numbers(seed)), seed)
 }
 
 fn usual() -> Truth {
     Truth {
         kill_output: false,
         kind: Kind::Car,
-        ..Truth::random(&mut Random::new(7))
+        ..Truth::random(&mut numbers(7))
     }
 }
 
@@ -140,7 +140,7 @@ fn a_car_on_the_floor_is_stopped_within_centimetres() {
         let truth = Truth {
             on_stand: false,
             kill_output: false,
-            ..Truth::random(&mut Random::new(seed))
+            ..Truth::random(&mut numbers(seed))
         };
         let mut car = MockCar::new(truth, seed);
         let findings = bring_up_car(&mut car);
@@ -185,7 +185,7 @@ fn swapped_wires_are_found_by_the_motor_that_turns_with_the_servo() {
         let truth = Truth {
             swapped: true,
             kill_output: true,
-            ..Truth::random(&mut Random::new(seed))
+            ..Truth::random(&mut numbers(seed))
         };
         let mut car = MockCar::new(truth, seed);
         let findings = bring_up_car(&mut car);

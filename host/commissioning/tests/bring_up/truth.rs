@@ -1,22 +1,10 @@
 //! What is true of a small car, and what chance makes it.
 
-/// Uniform random numbers (`SplitMix64`).
-#[derive(Clone, Debug)]
-pub(crate) struct Random(u64);
+use singletrack_statistics::Random;
 
-impl Random {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ 0x5EED)
-    }
-
-    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut bits = self.0;
-        bits = (bits ^ (bits >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        let unit = ((bits ^ (bits >> 31)) >> 11) as f64 / (1_u64 << 53) as f64;
-        low + (high - low) * unit
-    }
+/// The random numbers of a car.
+pub(crate) fn numbers(seed: u64) -> Random {
+    Random::new(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ 0x5EED)
 }
 
 /// What a pulse below neutral does.

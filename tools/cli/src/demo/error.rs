@@ -39,7 +39,6 @@ pub enum DemoError {
     #[error("the daemon: {0}")]
     Stop(#[from] StopError),
     /// The page can't be served.
-    #[cfg(feature = "page")]
     #[error(transparent)]
     Page(#[from] singletrack_viewers::page::PageError),
     /// The live view can't be served.

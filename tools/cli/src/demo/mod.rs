@@ -11,7 +11,6 @@ mod progress;
 mod real_time;
 mod report;
 mod settings;
-#[cfg(any(feature = "live", feature = "page"))]
 mod viewers;
 mod virtual_time;
 
@@ -33,18 +32,12 @@ pub use error::DemoError;
 /// Why the car did not drive to the end; the record and the figures so far are
 /// written all the same.
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
-    let lacks_live = args.live.is_some() && !cfg!(feature = "live");
-    let lacks_page = args.watch.is_some() && !cfg!(feature = "page");
-    for (option, feature, lacks) in [
-        ("--live", "live", lacks_live),
-        ("--watch", "page", lacks_page),
-    ] {
-        if lacks {
-            return Err(DemoError::Other(format!(
-                "{option} needs the feature `{feature}`, without which this program was built: \
-                 `cargo demo {option}` builds it with it"
-            )));
-        }
+    if args.live.is_some() && !cfg!(feature = "live") {
+        return Err(DemoError::Other(
+            "--live needs the feature `live`, without which this program was built: `cargo demo \
+             --live` builds it with it"
+                .to_owned(),
+        ));
     }
     let interrupt = Interrupt::listen()
         .map_err(|error| DemoError::Other(format!("can't listen for signals: {error}")))?;

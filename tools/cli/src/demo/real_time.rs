@@ -44,11 +44,9 @@ pub(super) fn run(
     write(&args.out.join(CONFIGURATION), &config.to_toml()?)?;
     write(&args.out.join(SIMULATION), &toml::to_string(&simulation)?)?;
 
-    #[cfg(any(feature = "live", feature = "page"))]
     let socket = config.socket.path.clone();
     let options = settings::options(args.out.join(RECORD), args.seed);
     let daemon = Daemon::start(config, options)?;
-    #[cfg(any(feature = "live", feature = "page"))]
     let _viewers = super::viewers::Viewers::start(args, &socket, &[])?;
     let start_ns = start(&daemon, &simulator, progress, interrupt)?;
     let ended = drive(

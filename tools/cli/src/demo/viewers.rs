@@ -4,11 +4,9 @@ use std::path::{Path, PathBuf};
 
 #[cfg(feature = "live")]
 use singletrack_core::config::LiveSection;
-#[cfg(feature = "page")]
 use singletrack_core::config::PageSection;
 #[cfg(feature = "live")]
 use singletrack_viewers::live::Live;
-#[cfg(feature = "page")]
 use singletrack_viewers::page::{OtherCar, Page};
 
 use super::{arguments::DemoArgs, error::DemoError};
@@ -16,7 +14,6 @@ use super::{arguments::DemoArgs, error::DemoError};
 /// The servers that the options ask for. They end when this value is dropped.
 #[derive(Default)]
 pub(super) struct Viewers {
-    #[cfg(feature = "page")]
     _page: Option<Page>,
     #[cfg(feature = "live")]
     _live: Option<Live>,
@@ -31,7 +28,6 @@ impl Viewers {
         others: &[PathBuf],
     ) -> Result<Self, DemoError> {
         let mut viewers = Self::default();
-        #[cfg(feature = "page")]
         if let Some(port) = args.watch {
             let section = PageSection {
                 port,

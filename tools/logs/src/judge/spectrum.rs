@@ -62,6 +62,8 @@ pub(super) fn density(samples: &[(Time, f64)]) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
+    use singletrack_statistics::Random;
+
     use super::*;
 
     fn signal(every_ms: u64, value: impl Fn(f64) -> f64) -> Vec<(Time, f64)> {
@@ -80,15 +82,8 @@ mod tests {
             (100, (1.0_f64 / 15.0).sqrt()),
             (10, (1.0_f64 / 150.0).sqrt()),
         ] {
-            let state = core::cell::Cell::new(1_u64);
-            let noise = signal(every_ms, |_| {
-                let next = state
-                    .get()
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                state.set(next);
-                (next >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-            });
+            let random = core::cell::RefCell::new(Random::new(1));
+            let noise = signal(every_ms, |_| random.borrow_mut().between(-1.0, 1.0));
             let found = density(&noise);
             assert_eq!(found.len(), SEGMENT / 2 - 1);
             let mean =

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use singletrack_statistics::Distribution;
+use singletrack_statistics::{Distribution, Random};
 
 use super::{
     condition::{Condition, WORST},
@@ -262,26 +262,16 @@ const SAMPLES: usize = 2_000;
 /// The interval of 95 % of a mean, by resampling. Equal numbers of values are resampled in
 /// the same way, so that differences of rows with the same seeds are those of pairs.
 pub(super) fn interval(values: &[f64]) -> [f64; 2] {
-    let mut random: u64 = 1;
-    let count = values.len() as u64;
+    let mut random = Random::new(1);
     let means = (0..SAMPLES).map(|_| {
         let drawn = values.iter().map(|_| {
-            let place = split_mix(&mut random) % count;
-            values.get(place as usize).copied().unwrap_or(f64::NAN)
+            let place = random.below(values.len());
+            values.get(place).copied().unwrap_or(f64::NAN)
         });
         drawn.sum::<f64>() / values.len() as f64
     });
     let means = Distribution::of(means);
     [0.025, 0.975].map(|part| means.quantile(part).unwrap_or(f64::NAN))
-}
-
-/// Steele, Lea and Flood (2014).
-const fn split_mix(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// With every digit, for programs. A field is empty if no drive came to the end.

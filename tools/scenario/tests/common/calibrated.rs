@@ -10,6 +10,7 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_sim::{LossPattern, WIDE_US, crooked_steering};
+use singletrack_statistics::Random;
 
 /// A car and its course.
 pub(crate) struct CalibratedCar {
@@ -52,7 +53,7 @@ const START_TICKS: u64 = 1_500;
 impl CalibratedCar {
     /// The car of this seed.
     pub(crate) fn random(seed: u64) -> Self {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let course = course(&mut random);
         let loss = loss(&mut random, &course);
         let (car, mut kinds) = car(&mut random, course.speed);
@@ -336,7 +337,7 @@ fn loss(random: &mut Random, course: &Course) -> Option<LossPattern> {
 fn car(random: &mut Random, speed: f64) -> (String, Vec<String>) {
     let mut pulses_um = vec![1_000_u16, 3_000, 3_000, 6_000, 12_000, 25_000, 30_000];
     pulses_um.retain(|&pulse_um| f64::from(pulse_um) * 1e-6 < LONGEST_PULSE_S * speed);
-    let pulse_um = pulses_um[random.below(pulses_um.len() as u64)];
+    let pulse_um = pulses_um[random.below(pulses_um.len())];
     let rolling = random.between(0.4, 2.0);
     // What is believed, what is true, and whether a pulse below neutral brakes. A car whose
     // kind is left out is driven as one that has no brake.
@@ -443,25 +444,4 @@ fn crooked_car(random: &mut Random, text: &str) -> String {
         "[truth.servo]\n",
         &format!("[truth.servo]\ntable = {own:?}\n"),
     ) + &format!("[limits]\nmax_steering_rad = 0.35\n[actuators]\nsteering_table = {known:?}\n")
-}
-
-/// `SplitMix64`.
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.next() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn below(&mut self, count: u64) -> usize {
-        (self.next() % count) as usize
-    }
 }
