@@ -32,7 +32,7 @@ fn drives(file: &str, seeds: u64, duration: f64) -> (OnlineCalibration, Vec<Onli
 
 #[test]
 fn estimates_scatter_as_the_bound_says() {
-    const SEEDS: u64 = 8;
+    const SEEDS: u64 = 40;
     let (free, noisy) = drives("eight-6x3.toml", SEEDS, 90.0);
     for (index, parameter) in Parameter::ALL.into_iter().enumerate() {
         let estimates = noisy.iter().map(|it| it.estimates()[index].value);
@@ -42,7 +42,7 @@ fn estimates_scatter_as_the_bound_says() {
         let bounds = noisy.iter().map(|it| it.bounds(&free)[index].unwrap());
         let bound = bounds.sum::<f64>() / SEEDS as f64;
         println!("{parameter}: scatter {scatter:.2e}, bound {bound:.2e}");
-        // A factor of two, and what the scatter of so few seeds is uncertain by.
+        // A factor of two, and what the scatter of these seeds is uncertain by.
         assert!((0.4..2.5).contains(&(scatter / bound)), "{parameter}");
     }
 }
