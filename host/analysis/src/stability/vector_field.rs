@@ -242,10 +242,16 @@ mod tests {
             let command = law.command(&motion, steering, &wanted).unwrap();
             let slope = model.derivative(&car, command.speed, steering);
             let field = closed_loop(Law::FrontPoint, speed, deviation);
-            assert_same(
-                &FrontPointField(&field).slope([yaw, yaw_rate, sideslip, steering]),
-                &[slope.yaw, slope.yaw_rate, slope.sideslip, command.steering_rate],
-            );
+            let ours = FrontPointField(&field).slope([yaw, yaw_rate, sideslip, steering]);
+            if command.speed > 0.0 {
+                assert_same(
+                    &ours,
+                    &[slope.yaw, slope.yaw_rate, slope.sideslip, command.steering_rate],
+                );
+            } else {
+                // A slow car that turns fast, with its wheels turned far: P wants it backward.
+                assert!(ours[1].is_nan() && ours[2].is_nan(), "{ours:?}");
+            }
 
             let law = VelocityPointLaw::new(
                 vehicle.with_centre_of_mass_at(vehicle.front_axle_distance_m + deviation), 0.35,
