@@ -157,16 +157,7 @@ fn a_car_with_the_right_of_way_waits_for_less() {
 
 #[test]
 fn the_reference_of_an_unproved_car_that_waits_for_another_never_goes_back() {
-    let [mut one, mut other] = ["car1", "car2"].map(|name| car(name, [0.0, 0.0], 0.9));
-    one.config.neighbours.expected = vec!["car2".to_owned()];
-    other.config.neighbours.expected = vec!["car1".to_owned()];
-    if let ReferenceSection::Circle {
-        angular_velocity_rad_s: velocity,
-        ..
-    } = &mut other.config.reference
-    {
-        *velocity = -*velocity;
-    }
+    let [mut one, mut other] = against_each_other();
     // Against it on the same circle, so near that the first metre ends before it.
     other.start = StartPose {
         x_m: 0.2,
@@ -195,8 +186,8 @@ fn the_reference_of_an_unproved_car_that_waits_for_another_never_goes_back() {
     assert!(waited > 100, "{waited}");
 }
 
-/// The least distance between two cars that meet on one circle, at 0.9 m/s each.
-fn meet(change: impl Fn(&mut NeighboursSection)) -> f64 {
+/// Two cars that drive one circle in opposite directions, at 0.9 m/s each.
+fn against_each_other() -> [FleetCar; 2] {
     let [mut one, mut other] = ["car1", "car2"].map(|name| car(name, [0.0, 0.0], 0.9));
     one.config.neighbours.expected = vec!["car2".to_owned()];
     other.config.neighbours.expected = vec!["car1".to_owned()];
@@ -207,6 +198,12 @@ fn meet(change: impl Fn(&mut NeighboursSection)) -> f64 {
     {
         *velocity = -*velocity;
     }
+    [one, other]
+}
+
+/// The least distance between two cars that meet on one circle, at 0.9 m/s each.
+fn meet(change: impl Fn(&mut NeighboursSection)) -> f64 {
+    let [mut one, mut other] = against_each_other();
     other.start = StartPose {
         x_m: -1.0,
         y_m: -0.5,
