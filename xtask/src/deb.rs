@@ -12,7 +12,7 @@ use crate::{
     libraries,
     prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
     process::{Failure, check, failure, silent, text},
-    programs::{INSTALLED, NODE, Packages, installed, options, release_build},
+    programs::{INSTALLED, NODE, Packages, options, release_build},
     target,
     toolchain::{AARCH64, ARMHF, Target},
     workspace::root,
@@ -86,7 +86,7 @@ impl Architecture {
             let mut cargo;
             (cargo, folder) = match self.foreign {
                 None => release_build()?,
-                Some(foreign) => foreign.cargo_build("release")?,
+                Some(foreign) => foreign.cargo("build", "release")?,
             };
             check(cargo.args(options(programs)).stdout(Stdio::null()))?;
         }
@@ -182,12 +182,12 @@ fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
     }
 }
 
-/// Packs the programs of the release build for this machine, and checks the package. Without the
-/// Arduino's part, the package has no image.
+/// Packs the tested programs for this machine, and checks the package. Without the Arduino's part, the
+/// package has no image.
 pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let image = packages.has(Part::Uno).then(|| packages.image());
     let image = image.transpose()?;
-    Architecture::find(None)?.pack(&installed()?, image.as_ref(), false)?;
+    Architecture::find(None)?.pack(&packages.path("")?, image.as_ref(), false)?;
     Ok(())
 }
 

@@ -10,6 +10,7 @@ mod gates;
 mod image;
 mod libraries;
 mod odroid;
+mod once;
 mod packages;
 mod prerequisites;
 mod process;
@@ -25,13 +26,19 @@ mod units;
 mod uno;
 mod verify;
 mod workspace;
+mod yardstick;
 
 use std::process::ExitCode;
+
+use process::{Failure, NOT_VALID};
 
 const COMMANDS: &str =
     "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify";
 
 fn main() -> ExitCode {
+    if let Some(code) = once::called(std::env::args()) {
+        return code;
+    }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let Some((command, arguments)) = arguments.split_first() else {
         eprintln!("usage: {COMMANDS}, each with --help");
@@ -55,7 +62,10 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
             eprintln!("\n{command}: {failure}");
-            ExitCode::FAILURE
+            match failure {
+                Failure::Failed(_) => ExitCode::FAILURE,
+                Failure::NotValid(_) => NOT_VALID.into(),
+            }
         }
     }
 }

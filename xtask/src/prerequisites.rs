@@ -202,7 +202,7 @@ pub(crate) fn ensure(required: &[Prerequisite]) -> Result<(), Failure> {
 
 /// A Python that creates environments.
 pub(crate) fn python() -> Result<PathBuf, Failure> {
-    let python = answer(&mut shell("find_python")).map_err(Failure)?;
+    let python = answer(&mut shell("find_python")).map_err(Failure::Failed)?;
     Ok(python.into())
 }
 
@@ -227,7 +227,7 @@ fn ensure_by(required: &[Prerequisite], run: Run<'_>) -> Result<(), Failure> {
     if short.is_empty() {
         return Ok(());
     }
-    Err(Failure(message(&short, installed.err())))
+    Err(Failure::Failed(message(&short, installed.err())))
 }
 
 /// Prints what was found, and returns the prerequisites that are not met with the reasons.

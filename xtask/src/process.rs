@@ -8,18 +8,28 @@ use std::{
 
 /// Failure of a command of the project.
 #[derive(Debug)]
-pub(crate) struct Failure(pub(crate) String);
+pub(crate) enum Failure {
+    /// A check failed, or could not be made.
+    Failed(String),
+    /// Checks in real time were no checks, because the machine was busy.
+    NotValid(String),
+}
+
+/// The exit status of [`Failure::NotValid`], by which programs that check in real time report it, too:
+/// `EX_TEMPFAIL` of `sysexits.h`.
+pub(crate) const NOT_VALID: u8 = 75;
 
 impl fmt::Display for Failure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(&self.0)
+        let (Self::Failed(text) | Self::NotValid(text)) = self;
+        formatter.write_str(text)
     }
 }
 
 /// A [`Failure`] with a message, as of `format!`.
 macro_rules! failure {
     ($($message:tt)*) => {
-        $crate::process::Failure(format!($($message)*))
+        $crate::process::Failure::Failed(format!($($message)*))
     };
 }
 pub(crate) use failure;
@@ -62,7 +72,11 @@ fn succeed(command: &Command, output: &Output, text: &str) -> Result<(), Failure
     if output.status.success() {
         return Ok(());
     }
-    Err(failure!("{}: {}{text}", text_of(command), output.status))
+    let text = format!("{}: {}{text}", text_of(command), output.status);
+    Err(match output.status.code() {
+        Some(code) if code == i32::from(NOT_VALID) => Failure::NotValid(text),
+        _ => Failure::Failed(text),
+    })
 }
 
 /// A command as text, without its environment.
@@ -89,6 +103,14 @@ mod tests {
             check(&mut command).unwrap_err().to_string(),
             "sh -c exit 3: exit status: 3"
         );
+    }
+
+    #[test]
+    fn a_check_on_a_busy_machine_is_not_valid() {
+        let end =
+            |status: u8| check(Command::new("/bin/sh").args(["-c", &format!("exit {status}")]));
+        assert!(matches!(end(NOT_VALID), Err(Failure::NotValid(_))));
+        assert!(matches!(end(1), Err(Failure::Failed(_))));
     }
 
     #[test]

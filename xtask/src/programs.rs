@@ -2,13 +2,13 @@
 //!
 //! A package built alone has dependencies with other features than in the workspace, which are then
 //! compiled again. All checks therefore name the same packages and targets, and cargo builds nothing
-//! twice. They use the profile `dev`, in which what computes is optimised; `--release` is what is
-//! installed, and built once.
+//! twice. They use the profile `dev`, in which what computes is optimised.
 
 use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use crate::{
     image::{self, Image},
+    once,
     prerequisites::Part,
     process::{Failure, check, failure, output},
     target,
@@ -55,30 +55,41 @@ impl Packages {
         }
     }
 
-    /// Cargo, with the options that name the packages.
-    pub(crate) fn cargo(&self, command: &str) -> Command {
+    /// Cargo, with the options that name the packages. What it compiles is linted and documented, too.
+    pub(crate) fn cargo(&self, command: &str) -> Result<Command, Failure> {
         let mut cargo = cargo();
-        cargo.arg(command);
-        if *self != Self::Default {
-            cargo.arg("--workspace");
-            for (part, package) in OF_PARTS {
-                // The Python package has tests of its own, and is built by its installer.
-                let is_built_apart = part == Part::Python && ["build", "test"].contains(&command);
-                if !self.has(part) || is_built_apart {
-                    cargo.args(["--exclude", package]);
-                }
-            }
+        once::wrap(&mut cargo)?;
+        cargo.arg(command).args(self.options());
+        Ok(cargo)
+    }
+
+    /// Cargo's options that name the packages.
+    fn options(&self) -> Vec<&'static str> {
+        if *self == Self::Default {
+            return Vec::new();
         }
-        cargo
+        let left_out = OF_PARTS.into_iter().filter(|(part, _)| !self.has(*part));
+        let left_out = left_out.flat_map(|(_, package)| ["--exclude", package]);
+        ["--workspace"].into_iter().chain(left_out).collect()
+    }
+
+    /// Compiles everything that is checked.
+    pub(crate) fn compile(&self) -> Result<(), Failure> {
+        let mut compile = self.cargo("test")?;
+        compile.args(["--no-run", "--all-targets"]);
+        for name in NAMED_TESTS {
+            compile.args(["--test", name]);
+        }
+        check(&mut compile)
     }
 
     /// The tests, or those of one of [`NAMED_TESTS`].
-    pub(crate) fn tests(&self, named: Option<&str>) -> Command {
-        let mut tests = self.cargo("test");
+    pub(crate) fn tests(&self, named: Option<&str>) -> Result<Command, Failure> {
+        let mut tests = self.cargo("test")?;
         if let Some(name) = named {
             tests.args(["--test", name, "--"]);
         }
-        tests
+        Ok(tests)
     }
 
     /// Builds all programs and returns the path of one.
@@ -89,7 +100,7 @@ impl Packages {
 
     /// Builds targets, and a test, so that dependencies have the features that tests need.
     fn build(&self, targets: &[&str]) -> Result<(), Failure> {
-        let mut build = self.cargo("build");
+        let mut build = self.cargo("build")?;
         build.args(["--quiet", "--test", NAMED_TESTS[0]]);
         check(build.args(targets))
     }
@@ -99,6 +110,12 @@ impl Packages {
         let mut command = Command::new(self.path(name)?);
         command.current_dir(root());
         Ok(command)
+    }
+
+    /// Builds all libraries and returns the folder of those that other languages load.
+    pub(crate) fn libraries(&self) -> Result<PathBuf, Failure> {
+        self.build(&["--lib"])?;
+        Ok(target::folder()?.join("debug"))
     }
 
     /// A command that simulates a scenario, by the build of the tests.
@@ -126,13 +143,6 @@ impl Packages {
         }
         check(command)
     }
-}
-
-/// Builds the programs as they are installed, and returns their folder.
-pub(crate) fn installed() -> Result<PathBuf, Failure> {
-    let (mut build, folder) = release_build()?;
-    check(build.args(options(&INSTALLED)))?;
-    Ok(folder)
 }
 
 /// `cargo build` for this machine as for an installation, and the folder of the programs.
@@ -234,6 +244,17 @@ fn needs_image(arguments: &[String]) -> bool {
         })
 }
 
+/// Cargo's options for a program that simulates a scenario, and nothing else.
+pub(crate) const TRAJECTORY: [&str; 7] = [
+    "--package",
+    "singletrack-scenario",
+    "--example",
+    "trajectory",
+    "--no-default-features",
+    "--features",
+    "singletrack-scenario/files",
+];
+
 /// One scenario per plant.
 const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle.toml",
@@ -306,17 +327,12 @@ mod tests {
 
     #[test]
     fn a_part_that_is_left_out_leaves_out_its_package() {
-        let words = |packages: Packages| {
-            let cargo = packages.cargo("test");
-            let words = cargo
-                .get_args()
-                .map(|word| word.to_string_lossy().into_owned());
-            words.collect::<Vec<_>>().join(" ")
-        };
-        assert_eq!(words(Packages::Default), "test");
+        assert_eq!(Packages::Default.options().join(" "), "");
         assert_eq!(
-            words(Packages::AllWithout(vec![Part::Ros, Part::Slurm])),
-            "test --workspace --exclude singletrack-python --exclude singletrack-ros"
+            Packages::AllWithout(vec![Part::Ros, Part::Slurm])
+                .options()
+                .join(" "),
+            "--workspace --exclude singletrack-ros"
         );
     }
 

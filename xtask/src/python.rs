@@ -4,7 +4,6 @@ use std::{
     fs, io,
     path::{Path, PathBuf},
     process::{Command, Stdio},
-    thread,
 };
 
 use crate::{
@@ -134,39 +133,38 @@ pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
         .env("PYTHONPATH", installed))
 }
 
-/// Installs the package into an environment of its own, as its users do, and runs its tests, with
-/// the examples and notebooks, and the type checker.
+/// Runs the tests of the package, with the examples and notebooks, and the type checker. The package
+/// has the native module of the tested build, and its metadata by its installer; `cargo release`
+/// installs a wheel.
 pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let source = root().join("python");
     let python = environment()?;
+    let folder = target::folder()?.join("python-package");
+    empty(&folder)?;
+    let mut lay_out = Command::new("cp");
+    lay_out.args(["-r", "singletrack"]).arg(&folder);
+    run(lay_out.current_dir(&source))?;
+    target::put(
+        &packages.libraries()?.join("lib_native.so"),
+        &folder.join("singletrack/_native.abi3.so"),
+    )?;
+    let mut metadata = Command::new(python.with_file_name("maturin"));
+    metadata.args(["pep517", "write-dist-info", "--metadata-directory"]);
+    silent(metadata.arg(&folder).current_dir(&source))?;
     let in_source = |arguments: &str| {
         let mut command = Command::new(&python);
-        // `-P`: the installed package, not the folder of its sources.
+        // `-P`: the package, not the folder of its sources.
         command.arg("-P").args(arguments.split(' '));
-        command.current_dir(&source);
+        command.current_dir(&source).env("PYTHONPATH", &folder);
         command
     };
-    // Not in an isolated environment, which would fetch maturin each time. With the profile of the
-    // tests, whose dependencies are there.
-    let mut install = pip(&python);
-    install
-        .args(["--no-build-isolation", "--no-deps", "--force-reinstall"])
-        .arg(&source)
-        .env("MATURIN_PEP517_ARGS", "--profile dev --locked")
-        .env("PATH", path_with(&python)?);
-    // The types are those of the sources: they need no build.
-    thread::scope(|scope| {
-        let types = scope.spawn(|| run(&mut in_source("-m mypy singletrack examples tests")));
-        silent(&mut install)?;
-        types
-            .join()
-            .unwrap_or_else(|_| Err(failure!("the check of the types panicked")))
-    })?;
     // Two at a time: those in real time wait more than they calculate.
     let mut tests = in_source("-m pytest --quiet -n 2 -p no:cacheprovider");
     tests
         .env("SINGLETRACKD", packages.path("singletrackd")?)
         .env("SINGLETRACK_SIM", packages.path("singletrack-sim")?);
+    // The types are those of the sources: they need no build.
+    run(&mut in_source("-m mypy singletrack examples tests"))?;
     packages.check_with_image(&mut tests)
 }
 
@@ -175,7 +173,7 @@ fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
     let programs = python.parent().map(Path::to_path_buf);
     let path = std::env::var_os("PATH").unwrap_or_default();
     std::env::join_paths(programs.into_iter().chain(std::env::split_paths(&path)))
-        .map_err(|error| Failure(error.to_string()))
+        .map_err(|error| failure!("PATH: {error}"))
 }
 
 /// Two readers from the Python package index open a record and compare its contents, and clients

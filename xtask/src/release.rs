@@ -10,7 +10,7 @@ use crate::{
     changelog, deb, libraries, packages,
     prerequisites::{self, GIT, PODMAN},
     process::{Failure, check, failure, silent, text},
-    programs::{INSTALLED, NODE, Packages},
+    programs::{INSTALLED, NODE, Packages, release_build},
     python,
     step::{
         Scope::{All, Always},
@@ -24,12 +24,12 @@ const USAGE: &str = "\
 usage: cargo release [--tag TAG] [--without STEP[,STEP...]]
 
 Make the files of a release in target/release-VERSION/: notes, licences, crates, book, Debian
-packages, container image, wheels and checksums. Needs Debian 12 on x86-64, and installs missing
+packages, container image, wheels and checksums; and drive with them. Needs Debian 12 on x86-64, and installs missing
 packages. Publishes nothing.
 
   --tag TAG       make the release of this tag, such as v0.1.0: the version, the changelog and a
                   clean checkout are required, and all steps
-  --without STEP  leave out crates, book, debian, image or wheels
+  --without STEP  leave out crates, book, debian, drive, image or wheels
   -h, --help      print this help
 ";
 
@@ -44,14 +44,15 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 
 /// What is made, in order. The image is made of a Debian package.
 #[rustfmt::skip]
-const STEPS: [Step; 7] = [
-    row("notes", 5, Always, "release notes, and the licences of all libraries", notes),
-    row("crates", 40, All, "the packages of crates.io, in their order", crates),
-    row("book", 120, All, "the site", book),
-    row("debian", 2700, All, "the Debian packages", debian),
-    row("image", 30, All, "the container image of the simulator", image),
-    row("wheels", 1000, All, "the Python package", wheels),
-    row("checksums", 5, Always, "SHA256SUMS", checksums),
+const STEPS: [Step; 8] = [
+    row("notes", 0.03, Always, "release notes, and the licences of all libraries", notes),
+    row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
+    row("book", 0.63, All, "the site", book),
+    row("debian", 14.2, All, "the Debian packages", debian),
+    row("drive", 3.0, All, "the packaged daemon drives a simulated board", drive),
+    row("image", 0.16, All, "the container image of the simulator", image),
+    row("wheels", 5.3, All, "the Python package", wheels),
+    row("checksums", 0.03, Always, "SHA256SUMS", checksums),
 ];
 
 /// What a command line asks for.
@@ -194,6 +195,14 @@ fn debian(_: &Packages) -> Result<(), Failure> {
     Ok(())
 }
 
+/// The daemon of this machine's package, in the suite that else has that of the tests.
+fn drive(_: &Packages) -> Result<(), Failure> {
+    let (_, programs) = release_build()?;
+    let mut suite = Packages::Default.tests(Some("hil"))?;
+    suite.arg("--daemon").arg(programs.join("singletrackd"));
+    check(suite.arg("drive"))
+}
+
 fn image(_: &Packages) -> Result<(), Failure> {
     let name = format!("singletrack-sim:{VERSION}");
     let mut build = Command::new("podman");
@@ -242,7 +251,7 @@ mod tests {
         assert_eq!(made("").len(), STEPS.len());
         assert_eq!(
             made("--without image,wheels --without=book"),
-            ["notes", "crates", "debian", "checksums"]
+            ["notes", "crates", "debian", "drive", "checksums"]
         );
     }
 

@@ -62,7 +62,7 @@ impl Compiler {
     /// The first that works: the one that `SINGLETRACK_RUSTC` names, a nightly of rustup with
     /// `rust-src`, Debian's. The script is one such as [`AVR`].
     pub(crate) fn find(probe: &str) -> Result<Self, Failure> {
-        let found = answer(&mut shell(probe)).map_err(Failure)?;
+        let found = answer(&mut shell(probe)).map_err(Failure::Failed)?;
         let mut paths = found.lines().skip(1).map(PathBuf::from);
         Ok(Self {
             rustc: paths.next().unwrap_or_default(),
@@ -134,22 +134,27 @@ impl Target {
         command
     }
 
-    /// `cargo build` for this processor, and the folder of the programs of a profile.
-    pub(crate) fn cargo_build(&self, profile: &str) -> Result<(Command, PathBuf), Failure> {
+    /// A command of cargo for this processor, and the folder of the programs of a profile.
+    pub(crate) fn cargo(
+        &self,
+        command: &str,
+        profile: &str,
+    ) -> Result<(Command, PathBuf), Failure> {
         let mut cargo = Compiler::find(self.probe)?.cargo(root());
-        let folder = self.build(&mut cargo, profile)?;
+        cargo.arg(command);
+        let folder = self.set_up(&mut cargo, profile)?;
         Ok((cargo, folder))
     }
 
     /// Lets maturin build for this processor.
     pub(crate) fn maturin_build(&self, maturin: &mut Command) -> Result<(), Failure> {
         Compiler::find(self.probe)?.set_up(maturin);
-        self.build(maturin, "release").map(drop)
+        self.set_up(maturin.arg("build"), "release").map(drop)
     }
 
     /// Adds the arguments of a build by cargo, or by maturin, which has the same. The standard
     /// library is built from its sources. Returns the folder of the programs.
-    fn build(&self, command: &mut Command, profile: &str) -> Result<PathBuf, Failure> {
+    fn set_up(&self, command: &mut Command, profile: &str) -> Result<PathBuf, Failure> {
         let folder = target::folder()?.join("odroid");
         let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);
@@ -160,7 +165,7 @@ impl Target {
             )
             // zstd is C.
             .env(format!("CC_{triple}"), &gcc)
-            .args(["build", "--locked", "--profile", profile])
+            .args(["--locked", "--profile", profile])
             .args(["-Zbuild-std=std,panic_unwind", "--target", self.triple])
             .arg("--target-dir")
             .arg(&folder);

@@ -112,7 +112,7 @@ pub(crate) fn check_image(
     if wrong.is_empty() {
         Ok(())
     } else {
-        Err(Failure(wrong.join("; ")))
+        Err(Failure::Failed(wrong.join("; ")))
     }
 }
 

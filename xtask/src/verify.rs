@@ -6,7 +6,7 @@ use crate::{
     deb, image, odroid, packages,
     prerequisites::{self, Part},
     process::{Failure, check, failure},
-    programs::{NAMED_TESTS, Packages, compare, installed},
+    programs::{Packages, TRAJECTORY, compare, release_build},
     python, ros,
     step::{
         Scope::{All, Always, Of},
@@ -155,98 +155,98 @@ fn parse(arguments: &[String]) -> Result<Selection, Failure> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 29] = [
+const STEPS: [Step; 28] = [
     // Static checks.
-    row(PREREQUISITES, 10, Always, "the machine has what the steps need", |packages| {
+    row(PREREQUISITES, 0.1, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
         prerequisites::ensure(&prerequisites::of_parts(&parts.collect::<Vec<_>>()))
     }),
-    row("format", 5, Always, "the code is formatted", |_| format()),
-    row("lints", 370, Always, "no warning from compiler or clippy", lint),
-    row("documentation", 85, Always, "the documentation builds without a warning", |packages| {
-        let mut doc = packages.cargo("doc");
-        check(doc.arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
-    }),
-    row("lints-uno", 65, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
-    row("packages", 100, All, "packages build alone, and those for others can be packed",
+    row("format", 0.02, Always, "the code is formatted", |_| format()),
+    row("compile", 3.0, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
+    row("lints-uno", 0.35, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
+    row("packages", 0.4, All, "packages build alone, and those for others can be packed",
         |_| packages::check_alone().and_then(|()| packages::check_published())),
-    row("units", 5, Of(Part::Units),
+    row("units", 0.02, Of(Part::Units),
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| units::check()),
     // Checks of the programs in virtual time.
-    row("tests", 1295, Always, "unit, property and virtual-time tests",
-        |packages| packages.check_with_image(&mut packages.tests(None))),
-    row("faults", 70, Always, "random faults in virtual time violate no invariant",
+    row("tests", 1.2, Always, "unit, property and virtual-time tests, examples of the documentation",
+        |packages| {
+        let mut tests = packages.tests(None)?;
+        if *packages == Packages::Default {
+            tests.args(["--", "--skip", "thorough::"]);
+        }
+        packages.check_with_image(&mut tests)
+    }),
+    row("faults", 0.4, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
-    row("tutorial", 5, Always, "the commands of the tutorial are accepted and run",
-        |packages| check(packages.tests(Some("book")).arg("tutorial"))),
-    row("real-logs", 5, Always,
+    row("tutorial", 0.02, Always, "the commands of the tutorial are accepted and run",
+        |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
+    row("real-logs", 0.02, Always,
         "the logs of a real car: what would have stopped it, and the errors of the estimate",
         real_logs),
-    row("uno", 10, Of(Part::Uno),
+    row("uno", 0.05, Of(Part::Uno),
         "the Arduino's image has no miscompiled code and stays within its budgets", |packages| {
         let mut figures = packages.program("uno-figures")?;
         uno::check_image(&packages.image()?, 0, &mut figures)
     }),
-    row("tests-uno", 65, Of(Part::Uno),
+    row("tests-uno", 0.35, Of(Part::Uno),
         "the tests and random faults of the Arduino's image, in its simulator", |packages| {
-        packages.check_with_image(&mut packages.tests(Some("uno")))?;
+        packages.check_with_image(&mut packages.tests(Some("uno"))?)?;
         let mut faults = packages.program("singletrack-faults")?;
         packages.check_with_image(faults.args(["--count", "8", "--board", "uno"]))
     }),
-    row("exploration", 35, All, "no interleaving of board, link and supervisor violates a claim",
+    row("exploration", 0.2, All, "no interleaving of board, link and supervisor violates a claim",
         |packages| check(packages.program("singletrack-exploration")?.args(["--states", "9000"]))),
-    row("onboard", 50, All,
+    row("onboard", 0.25, All,
         "cars of all kinds come from the parts to the circle, led by the three procedures",
         |packages| check(packages.program("singletrack-onboard")?.args(["--count", "3"]))),
-    row("readers", 35, Of(Part::Readers),
+    row("readers", 0.2, Of(Part::Readers),
         "independent readers agree on the contents of a record and of a repaired one",
         python::check_readers),
-    row("slurm", 15, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
+    row("slurm", 0.1, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
         |packages| {
         let mut job_array = Command::new(root().join("tests/slurm/job-array.sh"));
         // A Slurm that is installed does not count.
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
-    row("book", 100, All, "the commands of all pages are accepted by their programs, and most are run",
-        |packages| check(&mut packages.tests(Some("book")))),
-    row("release", 585, All,
-        "the programs build as they are installed, and simulate the bits of the tested ones",
-        compare_release),
-    row("debian", 30, Of(Part::Debian),
+    row("book", 0.5, All, "the commands of all pages are accepted by their programs, and most are run",
+        |packages| check(&mut packages.tests(Some("book"))?)),
+    row("release", 0.8, All, "a release build simulates the bits of the tested one", compare_release),
+    row("debian", 0.15, Of(Part::Debian),
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
-    row("odroid", 565, Of(Part::Odroid),
-        "the daemon builds for the Odroid, and the same bits are simulated there", odroid::verify),
-    row("python", 270, Of(Part::Python),
-        "the Python package installs, and drives the simulator and the daemon on both boards",
+    row("odroid", 1.6, Of(Part::Odroid),
+        "the daemon compiles for the Odroid, and the same bits are simulated there", odroid::verify),
+    row("python", 0.5, Of(Part::Python),
+        "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 125, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.6, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
-    row("hil-uno", 75, Of(Part::Uno), "the same against the Arduino's image",
+    row("hil-uno", 0.4, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
-    row("two-computers", 10, All,
+    row("two-computers", 0.05, All,
         "the cars of two computers start together, and stop when their network is cut",
         |packages| two_computers(packages, &[])),
-    row("zenoh", 5, Of(Part::Zenoh), "the same by way of a zenoh router, which is killed as well",
+    row("zenoh", 0.05, Of(Part::Zenoh), "the same by way of a zenoh router, which is killed as well",
         |packages| two_computers(packages, &["--zenoh"])),
-    row("octave", 10, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
+    row("octave", 0.05, Of(Part::Octave), "the example for MATLAB drives the car over TCP, in Octave",
         |packages| check(suite(packages, "native")?.args(["--octave", "in_octave"]))),
-    row("browser", 15, Of(Part::Browser),
+    row("browser", 0.1, Of(Part::Browser),
         "the page shows a drive in Chromium, at a desk and on a telephone",
         |packages| check(suite(packages, "native")?.args(["--browser", "in_a_browser"]))),
-    row("ros", 60, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
+    row("ros", 0.3, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
 ];
 
-/// The programs as they are installed simulate the same bits as those of the tests.
+/// Optimised as the installed programs are, the same bits are simulated. The programs themselves are
+/// built by `cargo deb` and `cargo release`.
 fn compare_release(packages: &Packages) -> Result<(), Failure> {
-    let program = installed()?.join("singletrack");
+    let (mut build, folder) = release_build()?;
+    check(build.args(TRAJECTORY))?;
     let simulate = || {
-        let mut simulate = Command::new(&program);
-        simulate
-            .current_dir(root())
-            .args(["simulate", "--format", "csv"]);
+        let mut simulate = Command::new(folder.join("examples/trajectory"));
+        simulate.current_dir(root());
         simulate
     };
     compare(
@@ -255,14 +255,10 @@ fn compare_release(packages: &Packages) -> Result<(), Failure> {
     )
 }
 
-/// The hardware-in-the-loop suite; its own arguments follow. Its daemon is the one that is installed,
-/// if that was to be built.
+/// The hardware-in-the-loop suite with the tested daemon; its own arguments follow.
 fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
-    let daemon = match packages {
-        Packages::Default => packages.path("singletrackd")?,
-        Packages::AllWithout(_) => installed()?.join("singletrackd"),
-    };
-    let mut suite = packages.tests(Some("hil"));
+    let daemon = packages.path("singletrackd")?;
+    let mut suite = packages.tests(Some("hil"))?;
     suite.args(["--board", board, "--daemon"]).arg(daemon);
     Ok(suite)
 }
@@ -275,22 +271,12 @@ fn two_computers(packages: &Packages, options: &[&str]) -> Result<(), Failure> {
 /// No log of a real car is part of the project: they are judged where there are some.
 fn real_logs(packages: &Packages) -> Result<(), Failure> {
     match std::env::var_os("REAL_LOGS") {
-        Some(_) => check(packages.tests(Some("real_logs")).arg("--nocapture")),
+        Some(_) => check(packages.tests(Some("real_logs"))?.arg("--nocapture")),
         None => {
             println!("not run: REAL_LOGS names no folder with logs of a real car");
             Ok(())
         }
     }
-}
-
-/// All targets, and the tests that run only when they are named.
-fn lint(packages: &Packages) -> Result<(), Failure> {
-    let mut clippy = packages.cargo("clippy");
-    clippy.arg("--all-targets");
-    for name in NAMED_TESTS {
-        clippy.args(["--test", name]);
-    }
-    check(clippy.args(["--", "-D", "warnings"]))
 }
 
 /// Checks the format of the workspace and of the image, which is not a member.
@@ -363,17 +349,17 @@ mod tests {
             assert!(chosen("--all").contains(&step.name), "{}", step.name);
         }
         assert_eq!(parsed("").unwrap().packages(), Packages::Default);
-        assert_eq!(parsed("lints hil").unwrap().packages(), Packages::Default);
+        assert_eq!(parsed("compile hil").unwrap().packages(), Packages::Default);
         assert!(prerequisites::of_parts(&[]).len() < 4);
     }
 
     #[test]
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
-        let all: u32 = STEPS.iter().map(|step| step.budget_s).sum();
-        assert!(all <= 68 * 60, "{all}");
+        let all: f64 = STEPS.iter().map(|step| step.budget).sum();
+        assert!(all <= 12.0, "{all}");
         let always = STEPS.iter().filter(|step| step.scope == Always);
-        let always: u32 = always.map(|step| step.budget_s).sum();
-        assert!(always <= 33 * 60, "{always}");
+        let always: f64 = always.map(|step| step.budget).sum();
+        assert!(always <= 4.5, "{always}");
     }
 
     #[test]
@@ -398,7 +384,7 @@ mod tests {
             assert_eq!(packages.has(part), part == Part::Uno, "{}", part.name());
         }
         assert_eq!(chosen("hil-uno"), [PREREQUISITES, "hil-uno"]);
-        assert!(parsed("--all lints").unwrap().packages().has(Part::Uno));
+        assert!(parsed("--all compile").unwrap().packages().has(Part::Uno));
     }
 
     #[test]

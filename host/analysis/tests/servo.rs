@@ -361,33 +361,6 @@ fn with_wrong(p: f64, wrong: Wrong) -> Option<f64> {
 }
 
 #[test]
-fn a_prediction_by_models_that_are_a_fifth_wrong_still_helps() {
-    let kinds: [(&str, Wrong); 5] = [
-        ("lag", |prediction, factor| prediction.lag *= factor),
-        ("delay", |prediction, factor| prediction.delay *= factor),
-        ("C_f", |prediction, factor| {
-            prediction.vehicle.front_cornering_stiffness_n_rad *= factor;
-        }),
-        ("C_r", |prediction, factor| {
-            prediction.vehicle.rear_cornering_stiffness_n_rad *= factor;
-        }),
-        ("I_z", |prediction, factor| {
-            prediction.vehicle.yaw_inertia_kg_m2 *= factor;
-        }),
-    ];
-    for p in [0.03, 0.05, 0.1, 0.2, 0.35] {
-        let plain = first_unstable_speed(&on_the_car(p, 1.0, 1.0), &[0.0], SPEEDS)
-            .unwrap()
-            .unwrap();
-        for (name, wrong) in kinds {
-            let speed = with_wrong(p, wrong);
-            println!("{p} m, {name}: {speed:.2?} instead of {plain:.2}");
-            assert!(speed.is_none_or(|speed| speed > 1.5 * plain), "{p} {name}");
-        }
-    }
-}
-
-#[test]
 fn the_least_p_grows_with_the_speed_and_the_delay() {
     let distances = [0.01, 2.0];
     let least = |speed: f64, delay: f64| {
@@ -422,4 +395,36 @@ fn an_invalid_servo_is_rejected_by_name() {
         ..SERVO
     };
     assert!(error(negative).contains("dead time of the servo"));
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn a_prediction_by_models_that_are_a_fifth_wrong_still_helps() {
+        let kinds: [(&str, Wrong); 5] = [
+            ("lag", |prediction, factor| prediction.lag *= factor),
+            ("delay", |prediction, factor| prediction.delay *= factor),
+            ("C_f", |prediction, factor| {
+                prediction.vehicle.front_cornering_stiffness_n_rad *= factor;
+            }),
+            ("C_r", |prediction, factor| {
+                prediction.vehicle.rear_cornering_stiffness_n_rad *= factor;
+            }),
+            ("I_z", |prediction, factor| {
+                prediction.vehicle.yaw_inertia_kg_m2 *= factor;
+            }),
+        ];
+        for p in [0.03, 0.05, 0.1, 0.2, 0.35] {
+            let plain = first_unstable_speed(&on_the_car(p, 1.0, 1.0), &[0.0], SPEEDS)
+                .unwrap()
+                .unwrap();
+            for (name, wrong) in kinds {
+                let speed = with_wrong(p, wrong);
+                println!("{p} m, {name}: {speed:.2?} instead of {plain:.2}");
+                assert!(speed.is_none_or(|speed| speed > 1.5 * plain), "{p} {name}");
+            }
+        }
+    }
 }

@@ -15,9 +15,9 @@
 //! Board and car are simulated in this process, behind a pseudo-terminal, and the
 //! cameras behind UDP on the loopback interface. Four tests run in parallel,
 //! because each mostly waits; tests that load the machine run alone. A test that
-//! fails while its rig (simulator or pseudo-terminal) was late is repeated, because
-//! it has no valid result: do not compile at the same time. The suite prints the
-//! lateness of the rigs.
+//! fails while its rig (simulator or pseudo-terminal) was late, or the processors
+//! were busy, is repeated alone, because it has no valid result. If none of four
+//! runs has one, the suite names the test and ends with status 75.
 //!
 //! # Against a physical UNO
 //!
@@ -50,6 +50,7 @@ pub mod daemon;
 mod failure;
 mod measured;
 pub mod newcomer;
+mod processors;
 pub mod program;
 pub mod rig;
 pub mod settings;
@@ -59,4 +60,5 @@ pub mod wait;
 
 pub use failure::{Failure, Outcome};
 pub use measured::{Measurements, percentile};
+pub use processors::Processors;
 pub use trace::{Pulses, Trace};

@@ -211,94 +211,6 @@ fn csv_log(seconds: f64, phase: f64) -> String {
 }
 
 #[test]
-fn the_log_of_another_program_identifies_its_car_and_is_validated_on_another() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        fs::write(&path, text).unwrap();
-        path
-    };
-    let map = write(
-        "map.toml",
-        "[time]\ncolumn = \"t\"\nunit = \"s\"\nunix = false\n\
-         [pose]\nx = \"x\"\ny = \"y\"\nyaw = \"yaw\"\n\
-         [imu]\nforward_acceleration = \"ax\"\nleft_acceleration = \"ay\"\nyaw_rate = \"w\"\n\
-         new_when_changes = \"clock\"\n\
-         [motor]\nspeed = \"v\"\nnew_when_changes = \"clock\"\n\
-         [steering]\ncolumn = \"steer\"\nradians_per_unit = 1.0\n",
-    );
-    let record = |name: &str, log: &str| {
-        let csv = write(&format!("{name}.csv"), log);
-        let path = folder.path().join(format!("{name}.mcap"));
-        let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
-            .arg("import")
-            .args([&csv, Path::new("--map"), &map, Path::new("--out"), &path])
-            .output()
-            .unwrap();
-        stdout(&output);
-        path
-    };
-    let [first, second, other] = [("first", 0.0), ("second", 1.0), ("other", 2.0)]
-        .map(|(name, phase)| record(name, &csv_log(16.0, phase)));
-    let text = refused(&first, &[]);
-    assert!(
-        text.contains("was imported") && text.contains("--config"),
-        "{text}"
-    );
-    let text = refused(&first, &["--validate", first.to_str().unwrap()]);
-    assert!(text.contains("is given twice"), "{text}");
-    let config = in_repository("tools/real/dart.toml");
-    let truth = Config::read(&config).unwrap().vehicle;
-    let start = VehicleParameters {
-        front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
-        rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
-        ..truth
-    };
-    let start = write(
-        "start.toml",
-        &format!("[vehicle]\n{}", toml::to_string(&start).unwrap()),
-    );
-    let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
-        .arg("identify")
-        .args([&first, &second, Path::new("--config"), &config])
-        .args([
-            Path::new("--vehicle"),
-            &start,
-            Path::new("--validate"),
-            &other,
-        ])
-        .args(["--format", "json"])
-        .output()
-        .unwrap();
-    let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
-    assert!(
-        said(&output).contains("no telemetry of a board"),
-        "{}",
-        said(&output)
-    );
-    for (name, truth) in [
-        ("c_f", truth.front_cornering_stiffness_n_rad),
-        ("c_r", truth.rear_cornering_stiffness_n_rad),
-        ("gyro_scale", 1.02),
-    ] {
-        let value = found["parameters"][name]["value"].as_f64().unwrap();
-        assert!((value / truth - 1.0).abs() < 0.03, "{name}: {value}");
-    }
-    let logs = found["logs"].as_array().unwrap();
-    let roles: Vec<_> = logs
-        .iter()
-        .map(|log| log["role"].as_str().unwrap())
-        .collect();
-    assert_eq!(roles, ["identification", "identification", "validation"]);
-    for log in logs {
-        for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
-            let fit = log[output].as_f64().unwrap();
-            assert!(fit > 85.0, "{output}: {log}");
-        }
-    }
-}
-
-#[test]
 fn the_table_is_for_a_person_and_warns_of_a_short_drive() {
     let folder = tempfile::tempdir().unwrap();
     let output = identify(&weaving(folder.path(), 8.0), &["--parameters", "c_r"]);
@@ -321,41 +233,6 @@ fn the_table_is_for_a_person_and_warns_of_a_short_drive() {
         "{}",
         said(&output)
     );
-}
-
-#[test]
-fn the_estimates_are_within_the_targets_and_near_what_is_possible() {
-    let study = run_study(
-        &StudyPlan {
-            first_seed: 1,
-            count: 1,
-            ..StudyPlan::default()
-        },
-        |_| {},
-    )
-    .unwrap();
-    for (summary, within) in study.summaries().iter().zip([0.1, 0.03, 0.1]) {
-        let name = summary.parameter;
-        assert!(
-            summary.worst_relative_error < within / 10.0,
-            "{name}: {summary:?}"
-        );
-        assert!(
-            summary.deviation < 4.0 * summary.bound,
-            "{name}: {summary:?}"
-        );
-        // No deviation below 0.15 % of the value is stated.
-        let least = summary.bound.hypot(1.5e-3 * summary.truth);
-        let stated = summary.stated_deviation / least;
-        assert!((0.9..2.0).contains(&stated), "{name}: {summary:?}");
-    }
-    let nmpe = study.nmpe();
-    assert!(nmpe.iter().all(|nmpe| *nmpe < 0.35), "{nmpe:?}");
-    for result in &study.seeds {
-        assert!(result.warnings.is_empty(), "{result:?}");
-        let slowest = result.estimate(Parameter::ServoLag).unwrap();
-        assert!((slowest.value - 0.04).abs() < 1e-3, "{slowest:?}");
-    }
 }
 
 #[test]
@@ -486,4 +363,132 @@ fn a_damaged_record_is_used_as_far_as_it_goes() {
         "{}",
         said(&output)
     );
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn the_estimates_are_within_the_targets_and_near_what_is_possible() {
+        let study = run_study(
+            &StudyPlan {
+                first_seed: 1,
+                count: 1,
+                ..StudyPlan::default()
+            },
+            |_| {},
+        )
+        .unwrap();
+        for (summary, within) in study.summaries().iter().zip([0.1, 0.03, 0.1]) {
+            let name = summary.parameter;
+            assert!(
+                summary.worst_relative_error < within / 10.0,
+                "{name}: {summary:?}"
+            );
+            assert!(
+                summary.deviation < 4.0 * summary.bound,
+                "{name}: {summary:?}"
+            );
+            // No deviation below 0.15 % of the value is stated.
+            let least = summary.bound.hypot(1.5e-3 * summary.truth);
+            let stated = summary.stated_deviation / least;
+            assert!((0.9..2.0).contains(&stated), "{name}: {summary:?}");
+        }
+        let nmpe = study.nmpe();
+        assert!(nmpe.iter().all(|nmpe| *nmpe < 0.35), "{nmpe:?}");
+        for result in &study.seeds {
+            assert!(result.warnings.is_empty(), "{result:?}");
+            let slowest = result.estimate(Parameter::ServoLag).unwrap();
+            assert!((slowest.value - 0.04).abs() < 1e-3, "{slowest:?}");
+        }
+    }
+
+    #[test]
+    fn the_log_of_another_program_identifies_its_car_and_is_validated_on_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).unwrap();
+            path
+        };
+        let map = write(
+            "map.toml",
+            "[time]\ncolumn = \"t\"\nunit = \"s\"\nunix = false\n\
+             [pose]\nx = \"x\"\ny = \"y\"\nyaw = \"yaw\"\n\
+             [imu]\nforward_acceleration = \"ax\"\nleft_acceleration = \"ay\"\nyaw_rate = \"w\"\n\
+             new_when_changes = \"clock\"\n\
+             [motor]\nspeed = \"v\"\nnew_when_changes = \"clock\"\n\
+             [steering]\ncolumn = \"steer\"\nradians_per_unit = 1.0\n",
+        );
+        let record = |name: &str, log: &str| {
+            let csv = write(&format!("{name}.csv"), log);
+            let path = folder.path().join(format!("{name}.mcap"));
+            let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+                .arg("import")
+                .args([&csv, Path::new("--map"), &map, Path::new("--out"), &path])
+                .output()
+                .unwrap();
+            stdout(&output);
+            path
+        };
+        let [first, second, other] = [("first", 0.0), ("second", 1.0), ("other", 2.0)]
+            .map(|(name, phase)| record(name, &csv_log(16.0, phase)));
+        let text = refused(&first, &[]);
+        assert!(
+            text.contains("was imported") && text.contains("--config"),
+            "{text}"
+        );
+        let text = refused(&first, &["--validate", first.to_str().unwrap()]);
+        assert!(text.contains("is given twice"), "{text}");
+        let config = in_repository("tools/real/dart.toml");
+        let truth = Config::read(&config).unwrap().vehicle;
+        let start = VehicleParameters {
+            front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
+            rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
+            ..truth
+        };
+        let start = write(
+            "start.toml",
+            &format!("[vehicle]\n{}", toml::to_string(&start).unwrap()),
+        );
+        let output = Command::new(env!("CARGO_BIN_EXE_singletrack"))
+            .arg("identify")
+            .args([&first, &second, Path::new("--config"), &config])
+            .args([
+                Path::new("--vehicle"),
+                &start,
+                Path::new("--validate"),
+                &other,
+            ])
+            .args(["--format", "json"])
+            .output()
+            .unwrap();
+        let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
+        assert!(
+            said(&output).contains("no telemetry of a board"),
+            "{}",
+            said(&output)
+        );
+        for (name, truth) in [
+            ("c_f", truth.front_cornering_stiffness_n_rad),
+            ("c_r", truth.rear_cornering_stiffness_n_rad),
+            ("gyro_scale", 1.02),
+        ] {
+            let value = found["parameters"][name]["value"].as_f64().unwrap();
+            assert!((value / truth - 1.0).abs() < 0.03, "{name}: {value}");
+        }
+        let logs = found["logs"].as_array().unwrap();
+        let roles: Vec<_> = logs
+            .iter()
+            .map(|log| log["role"].as_str().unwrap())
+            .collect();
+        assert_eq!(roles, ["identification", "identification", "validation"]);
+        for log in logs {
+            for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
+                let fit = log[output].as_f64().unwrap();
+                assert!(fit > 85.0, "{output}: {log}");
+            }
+        }
+    }
 }

@@ -64,20 +64,6 @@ impl Reproduced {
 }
 
 #[test]
-fn every_claim_comes_out_as_expected_and_the_command_succeeds() {
-    let run = Reproduced::get();
-    let error = String::from_utf8_lossy(&run.output.stderr);
-    let table = String::from_utf8_lossy(&run.output.stdout);
-    assert!(run.output.status.success(), "{error}\n{table}");
-    assert!(error.is_empty(), "{error}");
-    assert!(table.contains("all as expected"), "{table}");
-    assert!(
-        table.trim_end().ends_with("report.html"),
-        "the report is named last"
-    );
-}
-
-#[test]
 fn the_papers_slips_differ_and_say_what_is_so_instead() {
     let run = Reproduced::get();
     for (id, measured, tolerance) in [
@@ -295,34 +281,6 @@ fn shipped(name: &str) -> PathBuf {
 }
 
 #[test]
-fn for_another_car_everything_is_computed_and_the_papers_numbers_are_not_compared() {
-    let folder = tempfile::tempdir().unwrap();
-    let vehicle = shipped("bmw-320i.toml");
-    let output = reproduce(folder.path(), &["--vehicle", vehicle.to_str().unwrap()]);
-    let error = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{error}");
-    let text = fs::read_to_string(folder.path().join("claims.json")).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let claim = |id: &str| {
-        let mut claims = json["claims"].as_array().unwrap().iter();
-        claims.find(|claim| claim["id"] == id).unwrap()
-    };
-    let wheelbase = 2.5789;
-    assert_eq!(claim("appendix-threshold")["verdict"], "not-comparable");
-    // Ten times as large, and the same law.
-    let amplitude = claim("circle-amplitude");
-    assert_eq!(amplitude["verdict"], "differs");
-    let value = amplitude["measured"][0]["value"].as_f64().unwrap();
-    assert!(
-        (value / wheelbase * 0.26 - 0.894_427).abs() < 1e-4,
-        "{value}"
-    );
-    assert_eq!(claim("steps-integrators")["verdict"], "agrees");
-    let report = fs::read_to_string(folder.path().join("report.html")).unwrap();
-    assert!(report.contains("bmw-320i.toml") && report.contains("not driven"));
-}
-
-#[test]
 fn a_car_that_is_none_is_refused_by_name_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
@@ -347,17 +305,64 @@ fn a_car_that_is_none_is_refused_by_name_before_anything_is_written() {
     assert!(!out.exists());
 }
 
-#[test]
-fn a_reproduction_replaces_an_earlier_one_and_nothing_else() {
-    let folder = tempfile::tempdir().unwrap();
-    let vehicle = shipped("bmw-320i.toml");
-    let options = ["--vehicle", vehicle.to_str().unwrap()];
-    assert!(reproduce(folder.path(), &options).status.success());
-    let notes = folder.path().join("notes.txt");
-    fs::write(&notes, "mine").unwrap();
-    let old = folder.path().join("figures/circle-trajectory-ideal.svg");
-    fs::write(&old, "an old picture").unwrap();
-    assert!(reproduce(folder.path(), &options).status.success());
-    assert_eq!(fs::read_to_string(notes).unwrap(), "mine");
-    assert!(fs::read_to_string(old).unwrap().starts_with("<svg"));
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn every_claim_comes_out_as_expected_and_the_command_succeeds() {
+        let run = Reproduced::get();
+        let error = String::from_utf8_lossy(&run.output.stderr);
+        let table = String::from_utf8_lossy(&run.output.stdout);
+        assert!(run.output.status.success(), "{error}\n{table}");
+        assert!(error.is_empty(), "{error}");
+        assert!(table.contains("all as expected"), "{table}");
+        assert!(
+            table.trim_end().ends_with("report.html"),
+            "the report is named last"
+        );
+    }
+
+    #[test]
+    fn a_reproduction_replaces_an_earlier_one_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let vehicle = shipped("bmw-320i.toml");
+        let options = ["--vehicle", vehicle.to_str().unwrap()];
+        assert!(reproduce(folder.path(), &options).status.success());
+        let notes = folder.path().join("notes.txt");
+        fs::write(&notes, "mine").unwrap();
+        let old = folder.path().join("figures/circle-trajectory-ideal.svg");
+        fs::write(&old, "an old picture").unwrap();
+        assert!(reproduce(folder.path(), &options).status.success());
+        assert_eq!(fs::read_to_string(notes).unwrap(), "mine");
+        assert!(fs::read_to_string(old).unwrap().starts_with("<svg"));
+    }
+
+    #[test]
+    fn for_another_car_everything_is_computed_and_the_papers_numbers_are_not_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let vehicle = shipped("bmw-320i.toml");
+        let output = reproduce(folder.path(), &["--vehicle", vehicle.to_str().unwrap()]);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{error}");
+        let text = fs::read_to_string(folder.path().join("claims.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let claim = |id: &str| {
+            let mut claims = json["claims"].as_array().unwrap().iter();
+            claims.find(|claim| claim["id"] == id).unwrap()
+        };
+        let wheelbase = 2.5789;
+        assert_eq!(claim("appendix-threshold")["verdict"], "not-comparable");
+        // Ten times as large, and the same law.
+        let amplitude = claim("circle-amplitude");
+        assert_eq!(amplitude["verdict"], "differs");
+        let value = amplitude["measured"][0]["value"].as_f64().unwrap();
+        assert!(
+            (value / wheelbase * 0.26 - 0.894_427).abs() < 1e-4,
+            "{value}"
+        );
+        assert_eq!(claim("steps-integrators")["verdict"], "agrees");
+        let report = fs::read_to_string(folder.path().join("report.html")).unwrap();
+        assert!(report.contains("bmw-320i.toml") && report.contains("not driven"));
+    }
 }

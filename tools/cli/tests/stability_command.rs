@@ -91,105 +91,6 @@ fn json_says_of_which_car_it_is_and_all_that_is_known_of_a_point() {
     assert!(points[1]["dre_ddl_per_s_m"].as_f64().unwrap() < 0.0);
 }
 
-#[test]
-fn cycles_come_in_the_order_of_their_branch_with_its_folds_as_a_note() {
-    let output = stability(&[
-        "cycles",
-        "--law",
-        "front-point",
-        "--speed",
-        "3.4",
-        "--dl",
-        "-0.28:-0.26:0.01",
-        "--format",
-        "csv",
-    ]);
-    let table = String::from_utf8(output.stdout).unwrap();
-    let mut lines = table.lines();
-    assert_eq!(
-        lines.next(),
-        Some("dl_m,amplitude_rad,period_s,multiplier,stable")
-    );
-    let rows: Vec<Vec<f64>> = lines
-        .map(|line| {
-            line.split(',')
-                .map(|field| field.parse().unwrap())
-                .collect()
-        })
-        .collect();
-    let deviations: Vec<f64> = rows.iter().map(|row| row[0]).collect();
-    assert_eq!(deviations, [-0.28, -0.27, -0.27]);
-    for row in &rows {
-        assert!(row[1] > 0.9 && row[3] > 1.0 && row[4] == 0.0, "{row:?}");
-    }
-    let note = String::from_utf8(output.stderr).unwrap();
-    assert!(
-        note.contains("branch from dl = -0.438905 m, fold at dl = -0.269149 m"),
-        "{note}"
-    );
-    let document = printed_document(&[
-        "cycles",
-        "--law",
-        "velocity-point",
-        "--speed",
-        "2",
-        "--dl",
-        "0.1",
-        "--tyres",
-        "saturating",
-        "--max-steering",
-        "0.2",
-    ]);
-    let cycle = &document["points"][0];
-    assert_eq!(
-        (&cycle["amplitude_rad"], &cycle["stable"]),
-        (&0.2.into(), &true.into())
-    );
-}
-
-#[test]
-fn the_basin_comes_over_speed_and_p_and_narrows_with_the_speed() {
-    let basin = rows(
-        &[
-            "basin",
-            "--law",
-            "front-point",
-            "--speeds",
-            "2.5:3:0.5",
-            "--distances",
-            "0.3:0.4:0.1",
-            "--tyres",
-            "saturating",
-            "--max-steering",
-            "0.45",
-            "--steering-lag-ms",
-            "40",
-            "--steering-dead-time-ms",
-            "20",
-        ],
-        "speed_m_s,point_distance_m,yaw_rad,beyond_amplitude_rad",
-    );
-    let points: Vec<_> = basin.iter().map(|row| (row[0], row[1])).collect();
-    assert_eq!(points, [(2.5, 0.3), (2.5, 0.4), (3.0, 0.3), (3.0, 0.4)]);
-    assert!(
-        basin[0][2] < basin[1][2],
-        "a larger p is the lower gain: {basin:?}"
-    );
-    assert!(
-        basin[3][2] < basin[1][2] && basin[2][2] < basin[0][2],
-        "{basin:?}"
-    );
-    let refused = stability(&[
-        "basin",
-        "--law",
-        "velocity-point",
-        "--steering-lag-ms",
-        "40",
-    ]);
-    let error = String::from_utf8(refused.stderr).unwrap();
-    assert!(error.contains("front-point law"), "{error}");
-}
-
 /// The JSON of a command that also writes a note.
 fn printed_document(arguments: &[&str]) -> serde_json::Value {
     let output = stability(&[arguments, &["--format", "json"]].concat());
@@ -338,49 +239,6 @@ fn the_sampled_loop_leaves_a_field_empty_where_no_limit_was_found() {
 }
 
 #[test]
-fn a_servo_bounds_the_speed_and_p_and_a_prediction_lifts_the_bound() {
-    let law = ["--law", "front-point"];
-    let first = |options: &[&str]| {
-        let arguments = [&["first-unstable-speed"], &law[..], options].concat();
-        rows(
-            &arguments,
-            "point_distance_m,dl_m,delay_ms,first_unstable_m_s",
-        )
-    };
-    let speeds = first(&["--distances", "0.05:0.35:0.3"]);
-    assert!((speeds[0][3] - 1.11).abs() < 0.02, "{speeds:?}");
-    assert!((speeds[1][3] - 3.12).abs() < 0.02, "{speeds:?}");
-    let fresh = first(&["--distances", "0.35", "--yaw-rate-age-ms", "0"]);
-    assert!(fresh[0][3] > 1.2 * speeds[1][3], "{fresh:?}");
-    let compensated = first(&["--distances", "0.35", "--compensate"]);
-    assert!(compensated[0][3] > 2.0 * speeds[1][3], "{compensated:?}");
-    let slower = first(&["--distances", "0.35", "--delays-ms", "7:27:20"]);
-    assert_eq!(slower.len(), 2);
-    assert!(slower[1][3] < 0.8 * slower[0][3], "{slower:?}");
-    let arguments = [
-        &["first-unstable-speed"],
-        &law[..],
-        &["--distances", "0.35", "--predict"],
-    ]
-    .concat();
-    let predicted = printed(&arguments);
-    assert!(predicted.ends_with("\n0.35,0,7,\n"), "{predicted}");
-
-    let least = rows(
-        &[&["least-p"], &law[..], &["--speeds", "1:3:1"]].concat(),
-        "speed_m_s,delay_ms,least_p_m",
-    );
-    for (row, expected) in least.iter().zip([0.042, 0.151, 0.328]) {
-        assert!((row[2] - expected).abs() < 1e-3, "{least:?}");
-    }
-    let summary = printed(&["summary"]);
-    assert!(
-        summary.contains("stable with dl = 0: up to 3.12 m/s, NOT beyond"),
-        "{summary}"
-    );
-}
-
-#[test]
 fn poses_that_are_seldom_lower_the_speed_and_lengthen_p() {
     let limit = |command: &str, header: &str, more: [&str; 2]| {
         let arguments = [command, "--law", "front-point", "--steering-lag-ms", "40"];
@@ -400,29 +258,6 @@ fn poses_that_are_seldom_lower_the_speed_and_lengthen_p() {
     let header = "speed_m_s,delay_ms,least_p_m";
     let [often, seldom] = limit("least-p", header, ["--speeds", "3:3:1"]);
     assert!(seldom > 1.2 * often, "{seldom} and {often} m");
-}
-
-#[test]
-fn the_summary_says_what_the_paper_claims_and_for_which_car_it_does_not_hold() {
-    let paper = printed(&["summary"]);
-    assert!(
-        paper.contains("stability ends at dl = -0.142728 m"),
-        "{paper}"
-    );
-    assert!(
-        paper.contains("stable over the whole meaningful range at every speed"),
-        "{paper}"
-    );
-    assert!(
-        paper.contains("0.1 m/s: Hopf at dl = 0.000136 m, "),
-        "{paper}"
-    );
-    let file = vehicle("f1tenth.toml");
-    let other = printed(&["summary", "--vehicle", file.to_str().unwrap()]);
-    assert!(
-        other.contains("meaningful range up to 12.338 m/s, NOT beyond"),
-        "{other}"
-    );
 }
 
 #[test]
@@ -518,4 +353,174 @@ fn a_reader_that_has_seen_enough_is_no_error() {
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success());
     assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn the_summary_says_what_the_paper_claims_and_for_which_car_it_does_not_hold() {
+        let paper = printed(&["summary"]);
+        assert!(
+            paper.contains("stability ends at dl = -0.142728 m"),
+            "{paper}"
+        );
+        assert!(
+            paper.contains("stable over the whole meaningful range at every speed"),
+            "{paper}"
+        );
+        assert!(
+            paper.contains("0.1 m/s: Hopf at dl = 0.000136 m, "),
+            "{paper}"
+        );
+        let file = vehicle("f1tenth.toml");
+        let other = printed(&["summary", "--vehicle", file.to_str().unwrap()]);
+        assert!(
+            other.contains("meaningful range up to 12.338 m/s, NOT beyond"),
+            "{other}"
+        );
+    }
+
+    #[test]
+    fn cycles_come_in_the_order_of_their_branch_with_its_folds_as_a_note() {
+        let output = stability(&[
+            "cycles",
+            "--law",
+            "front-point",
+            "--speed",
+            "3.4",
+            "--dl",
+            "-0.28:-0.26:0.01",
+            "--format",
+            "csv",
+        ]);
+        let table = String::from_utf8(output.stdout).unwrap();
+        let mut lines = table.lines();
+        assert_eq!(
+            lines.next(),
+            Some("dl_m,amplitude_rad,period_s,multiplier,stable")
+        );
+        let rows: Vec<Vec<f64>> = lines
+            .map(|line| {
+                line.split(',')
+                    .map(|field| field.parse().unwrap())
+                    .collect()
+            })
+            .collect();
+        let deviations: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+        assert_eq!(deviations, [-0.28, -0.27, -0.27]);
+        for row in &rows {
+            assert!(row[1] > 0.9 && row[3] > 1.0 && row[4] == 0.0, "{row:?}");
+        }
+        let note = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            note.contains("branch from dl = -0.438905 m, fold at dl = -0.269149 m"),
+            "{note}"
+        );
+        let document = printed_document(&[
+            "cycles",
+            "--law",
+            "velocity-point",
+            "--speed",
+            "2",
+            "--dl",
+            "0.1",
+            "--tyres",
+            "saturating",
+            "--max-steering",
+            "0.2",
+        ]);
+        let cycle = &document["points"][0];
+        assert_eq!(
+            (&cycle["amplitude_rad"], &cycle["stable"]),
+            (&0.2.into(), &true.into())
+        );
+    }
+
+    #[test]
+    fn the_basin_comes_over_speed_and_p_and_narrows_with_the_speed() {
+        let basin = rows(
+            &[
+                "basin",
+                "--law",
+                "front-point",
+                "--speeds",
+                "2.5:3:0.5",
+                "--distances",
+                "0.3:0.4:0.1",
+                "--tyres",
+                "saturating",
+                "--max-steering",
+                "0.45",
+                "--steering-lag-ms",
+                "40",
+                "--steering-dead-time-ms",
+                "20",
+            ],
+            "speed_m_s,point_distance_m,yaw_rad,beyond_amplitude_rad",
+        );
+        let points: Vec<_> = basin.iter().map(|row| (row[0], row[1])).collect();
+        assert_eq!(points, [(2.5, 0.3), (2.5, 0.4), (3.0, 0.3), (3.0, 0.4)]);
+        assert!(
+            basin[0][2] < basin[1][2],
+            "a larger p is the lower gain: {basin:?}"
+        );
+        assert!(
+            basin[3][2] < basin[1][2] && basin[2][2] < basin[0][2],
+            "{basin:?}"
+        );
+        let refused = stability(&[
+            "basin",
+            "--law",
+            "velocity-point",
+            "--steering-lag-ms",
+            "40",
+        ]);
+        let error = String::from_utf8(refused.stderr).unwrap();
+        assert!(error.contains("front-point law"), "{error}");
+    }
+
+    #[test]
+    fn a_servo_bounds_the_speed_and_p_and_a_prediction_lifts_the_bound() {
+        let law = ["--law", "front-point"];
+        let first = |options: &[&str]| {
+            let arguments = [&["first-unstable-speed"], &law[..], options].concat();
+            rows(
+                &arguments,
+                "point_distance_m,dl_m,delay_ms,first_unstable_m_s",
+            )
+        };
+        let speeds = first(&["--distances", "0.05:0.35:0.3"]);
+        assert!((speeds[0][3] - 1.11).abs() < 0.02, "{speeds:?}");
+        assert!((speeds[1][3] - 3.12).abs() < 0.02, "{speeds:?}");
+        let fresh = first(&["--distances", "0.35", "--yaw-rate-age-ms", "0"]);
+        assert!(fresh[0][3] > 1.2 * speeds[1][3], "{fresh:?}");
+        let compensated = first(&["--distances", "0.35", "--compensate"]);
+        assert!(compensated[0][3] > 2.0 * speeds[1][3], "{compensated:?}");
+        let slower = first(&["--distances", "0.35", "--delays-ms", "7:27:20"]);
+        assert_eq!(slower.len(), 2);
+        assert!(slower[1][3] < 0.8 * slower[0][3], "{slower:?}");
+        let arguments = [
+            &["first-unstable-speed"],
+            &law[..],
+            &["--distances", "0.35", "--predict"],
+        ]
+        .concat();
+        let predicted = printed(&arguments);
+        assert!(predicted.ends_with("\n0.35,0,7,\n"), "{predicted}");
+
+        let least = rows(
+            &[&["least-p"], &law[..], &["--speeds", "1:3:1"]].concat(),
+            "speed_m_s,delay_ms,least_p_m",
+        );
+        for (row, expected) in least.iter().zip([0.042, 0.151, 0.328]) {
+            assert!((row[2] - expected).abs() < 1e-3, "{least:?}");
+        }
+        let summary = printed(&["summary"]);
+        assert!(
+            summary.contains("stable with dl = 0: up to 3.12 m/s, NOT beyond"),
+            "{summary}"
+        );
+    }
 }

@@ -56,26 +56,6 @@ fn drawn(folder: &Path, arguments: &[&str]) -> Vec<String> {
 }
 
 #[test]
-fn there_is_a_figure_for_every_eigenvalue_and_three_of_the_sampled_loop() {
-    for (law, count) in [("front-point", 4), ("velocity-point", 3)] {
-        let folder = tempfile::tempdir().unwrap();
-        // Few points: the sampled loop takes its time.
-        let few = ["--speeds", "1:4:1", "--dl", "-0.1:0.1:0.05", "--law", law];
-        let mut expected = vec!["region.svg".to_owned(), "eigenvalues.svg".to_owned()];
-        expected.extend((1..=count).map(|number| format!("eigenvalue-{number}.svg")));
-        expected.extend(
-            [
-                "spectral-radius.svg",
-                "delay-margin.svg",
-                "marker-interval.svg",
-            ]
-            .map(str::to_owned),
-        );
-        assert_eq!(drawn(folder.path(), &few), expected);
-    }
-}
-
-#[test]
 fn the_regions_are_those_of_the_table() {
     for (law, range) in [
         ("front-point", "-0.7:0.2:0.0125"),
@@ -190,5 +170,30 @@ fn a_folder_that_cannot_be_made_and_a_map_without_area_are_refused() {
         let output = stability(&[&law[..], &[out.to_str().unwrap()], more].concat());
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success() && said.contains(words), "{said}");
+    }
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn there_is_a_figure_for_every_eigenvalue_and_three_of_the_sampled_loop() {
+        for (law, count) in [("front-point", 4), ("velocity-point", 3)] {
+            let folder = tempfile::tempdir().unwrap();
+            // Few points: the sampled loop takes its time.
+            let few = ["--speeds", "1:4:1", "--dl", "-0.1:0.1:0.05", "--law", law];
+            let mut expected = vec!["region.svg".to_owned(), "eigenvalues.svg".to_owned()];
+            expected.extend((1..=count).map(|number| format!("eigenvalue-{number}.svg")));
+            expected.extend(
+                [
+                    "spectral-radius.svg",
+                    "delay-margin.svg",
+                    "marker-interval.svg",
+                ]
+                .map(str::to_owned),
+            );
+            assert_eq!(drawn(folder.path(), &few), expected);
+        }
     }
 }

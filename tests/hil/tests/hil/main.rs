@@ -30,7 +30,7 @@ use std::{
 use clap::Parser;
 use libtest_mimic::{Arguments, Completion, Failed, Trial};
 use singletrack_hil::{
-    Failure, Measurements, Outcome,
+    Failure, Measurements, Outcome, Processors,
     bench::{Bench, Equipment},
     program,
     rig::{ModestSession, Need},
@@ -118,6 +118,13 @@ static MACHINE: RwLock<()> = RwLock::new(());
 /// Largest lateness of any rig.
 static LATEST: Mutex<Duration> = Mutex::new(Duration::ZERO);
 
+/// Tests without a valid result.
+static NOT_VALID: Mutex<Vec<&str>> = Mutex::new(Vec::new());
+
+/// The exit status if nothing has failed but some tests have no valid result: `EX_TEMPFAIL` of
+/// `sysexits.h`.
+const STATUS_NOT_VALID: u8 = 75;
+
 /// Maximum number of runs of a test without a valid result.
 const ATTEMPTS: u64 = 4;
 
@@ -127,6 +134,11 @@ const PAUSE: Duration = Duration::from_secs(3);
 /// Lateness of the rig above which a failure is not valid: the time to live of a
 /// command is 95 ms; the simulator must not use up half of that.
 const TOLERATED_LATENESS: Duration = Duration::from_millis(40);
+
+/// Share of the processors' time that was free below which a failure is not valid. The rigs are not
+/// late then, which have priority, but the daemon, its clients and the tests are. Of a test that loads
+/// the machine itself, the rig's lateness alone counts.
+const LEAST_FREE: f64 = 0.1;
 
 fn main() -> ExitCode {
     let options = Options::parse();
@@ -204,33 +216,38 @@ fn main() -> ExitCode {
             "largest lateness of a rig: {latest:.1?}; tests are valid up to {TOLERATED_LATENESS:?}"
         );
     }
-    conclusion.exit_code()
-}
-
-/// Runs a scenario in parallel with others, or alone.
-fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
-    if scenario.alone {
-        let _alone = MACHINE.write().unwrap_or_else(PoisonError::into_inner);
-        run_until_valid(scenario, equipment)
-    } else {
-        let _beside = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
-        run_until_valid(scenario, equipment)
+    let not_valid = NOT_VALID.lock().unwrap_or_else(PoisonError::into_inner);
+    if not_valid.is_empty() || conclusion.num_failed > not_valid.len() as u64 {
+        return conclusion.exit_code();
     }
+    println!(
+        "not valid on this machine now: {}\nnothing else has failed. Other programs took the time of \
+         the processors: end them, and run these again (exit status {STATUS_NOT_VALID})",
+        not_valid.join(", ")
+    );
+    STATUS_NOT_VALID.into()
 }
 
-/// Runs a scenario, repeatedly if its result is not valid.
-fn run_until_valid(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
+/// Runs a scenario in parallel with others, or alone; repeatedly, and then alone, if its result is not
+/// valid.
+fn run(scenario: &Scenario, equipment: &Equipment) -> Result<Completion, Failed> {
     let needs = scenario.needs.iter();
     if let Some(lack) = needs.clone().find_map(|&need| equipment.lacks(need)) {
         return Ok(Completion::ignored_with(lack));
     }
     let mut attempt = 1;
     loop {
+        let is_alone = scenario.alone || attempt > 1;
+        let _alone = is_alone.then(|| MACHINE.write().unwrap_or_else(PoisonError::into_inner));
+        let _beside = (!is_alone).then(|| MACHINE.read().unwrap_or_else(PoisonError::into_inner));
         let mut bench = Bench::new(scenario.name, equipment, attempt)?;
         if let Some(lack) = needs.clone().find_map(|&need| bench.lacks(need)) {
             return Ok(Completion::ignored_with(lack));
         }
+        let processors = Processors::now();
         let result = (scenario.run)(&mut bench);
+        let free = processors.and_then(Processors::free_until_now);
+        let free = free.filter(|_| !scenario.alone);
         let lateness = bench.rig().lateness().unwrap_or_default();
         {
             let mut latest = LATEST.lock().unwrap_or_else(PoisonError::into_inner);
@@ -239,20 +256,28 @@ fn run_until_valid(scenario: &Scenario, equipment: &Equipment) -> Result<Complet
         let Err(failure) = result else {
             return Ok(Completion::Completed);
         };
-        let void = matches!(failure, Failure::Void(_)) || lateness > TOLERATED_LATENESS;
+        let load = format!(
+            "rig late by {lateness:.0?}, {:.0} % of the processors free",
+            100.0 * free.unwrap_or(f64::NAN)
+        );
+        let void = matches!(failure, Failure::Void(_))
+            || lateness > TOLERATED_LATENESS
+            || free.is_some_and(|free| free < LEAST_FREE);
         if !void || attempt == ATTEMPTS {
+            if void {
+                let mut not_valid = NOT_VALID.lock().unwrap_or_else(PoisonError::into_inner);
+                not_valid.push(scenario.name);
+            }
             let log = bench.last_log();
             let folder = bench.keep().display();
+            let verdict = if void { "not valid: " } else { "" };
             return Err(format!(
-                "{failure}\n(largest lateness of the rig: {lateness:.0?}; logs and records are kept in {folder})\n\
+                "{verdict}{failure}\n({load}; logs and records are kept in {folder})\n\
                  end of the daemon's log:\n{log}"
             )
             .into());
         }
-        eprintln!(
-            "{}: repeated, because the rig was late by {lateness:.0?}: {failure}",
-            scenario.name
-        );
+        eprintln!("{}: repeated ({load}): {failure}", scenario.name);
         equipment.measurements.forget(scenario.name);
         // The load of the machine may end soon.
         std::thread::sleep(PAUSE);

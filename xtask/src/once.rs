@@ -1,0 +1,197 @@
+//! Each crate is compiled once, and clippy and rustdoc look at it with the arguments of the compiler.
+//!
+//! `cargo clippy` and `cargo doc` would each read all dependencies again, and then every crate of the
+//! workspace. Here cargo calls a copy of this program in place of the compiler, which compiles a crate,
+//! lints it and, unless it is a test, documents it. Cargo takes a crate as compiled only if all succeed.
+//!
+//! What is tested is the compiler's own output: clippy's driver does not optimise as the compiler does.
+//!
+//! A library's unit tests compile the whole library again and run little of it: they are not optimised.
+
+use std::{
+    env, fs,
+    hash::{DefaultHasher, Hash, Hasher},
+    path::{Path, PathBuf},
+    process::{Command, ExitCode},
+};
+
+use crate::{
+    process::{Failure, failure, text},
+    target,
+    workspace::root,
+};
+
+/// The name of the copy of this program.
+const COMPILER: &str = "compile-lint-document";
+
+/// Clippy's variable for its arguments, each of which ends with the separator. Its warnings contain
+/// those of the compiler.
+const CLIPPY_ARGUMENTS: (&str, &str) = (
+    "CLIPPY_ARGS",
+    "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__",
+);
+
+/// Lets cargo call the copy for the crates of the workspace. Its folder is named by what its verdict
+/// depends on: cargo compiles a crate again if the path of its compiler differs.
+pub(crate) fn wrap(cargo: &mut Command) -> Result<(), Failure> {
+    let settings = root().join("clippy.toml");
+    let settings =
+        fs::read(&settings).map_err(|error| failure!("{}: {error}", settings.display()))?;
+    let mut hasher = DefaultHasher::new();
+    (include_str!("once.rs"), settings).hash(&mut hasher);
+    text(Command::new("clippy-driver").arg("--version"))?.hash(&mut hasher);
+    let folder = target::folder()?.join("once");
+    let copy = folder
+        .join(format!("{:016x}", hasher.finish()))
+        .join(COMPILER);
+    // One that is there does the same, and may be running.
+    if !copy.is_file() {
+        let program = env::current_exe().map_err(|error| failure!("this program: {error}"))?;
+        target::put(&program, &copy)?;
+    }
+    cargo.env("RUSTC_WORKSPACE_WRAPPER", copy);
+    Ok(())
+}
+
+/// Acts in place of the compiler, if this program is called by that name.
+pub(crate) fn called(mut arguments: impl Iterator<Item = String>) -> Option<ExitCode> {
+    let name = PathBuf::from(arguments.next()?);
+    if name.file_name()? != COMPILER {
+        return None;
+    }
+    let results = name.with_file_name("results");
+    Some(match compile(&arguments.collect::<Vec<_>>(), &results) {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(failure) => {
+            eprintln!("error: {failure}");
+            ExitCode::FAILURE
+        }
+    })
+}
+
+/// Compiles a crate, lints and documents it, up to the first that fails.
+fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
+    let Some((compiler, arguments)) = arguments.split_first() else {
+        return Err(failure!("cargo names no compiler"));
+    };
+    let mut commands = vec![Command::new(compiler)];
+    commands[0].args(arguments);
+    if is_unit_tests(arguments) {
+        commands[0].args(["-C", "opt-level=0"]);
+    }
+    let is_a_crate = arguments.iter().any(|argument| argument.ends_with(".rs"));
+    if is_a_crate {
+        let mut clippy = Command::new(beside(compiler, "clippy-driver"));
+        clippy.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
+        commands.push(clippy);
+        commands[1].args(kept(arguments)).arg("--emit=metadata");
+    }
+    if is_a_crate && is_documented(arguments) {
+        let mut rustdoc = Command::new(beside(compiler, "rustdoc"));
+        rustdoc.args(["-D", "warnings"]);
+        commands.push(rustdoc);
+        commands[2].args(kept(arguments));
+    }
+    for looks in &mut commands[1..] {
+        looks.arg("--out-dir").arg(results);
+    }
+    for command in &mut commands {
+        let status = command.status();
+        let status = status.map_err(|error| {
+            failure!(
+                "{} does not start: {error}",
+                command.get_program().display()
+            )
+        })?;
+        if !status.success() {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// The compiler's arguments without those of its output and of the linker.
+fn kept(arguments: &[String]) -> Vec<String> {
+    let mut kept = Vec::new();
+    let mut arguments = arguments.iter();
+    while let Some(argument) = arguments.next() {
+        if ["--out-dir", "-l"].contains(&argument.as_str()) {
+            arguments.next();
+        } else if !argument.starts_with("--emit=") && !argument.starts_with("--json=") {
+            kept.push(argument.clone());
+        }
+    }
+    // Without messages about files, of which cargo waits for the compiler's own.
+    kept.push("--json=diagnostic-rendered-ansi".to_owned());
+    kept
+}
+
+/// Whether `cargo doc` would document the crate: not a test, and no build script.
+fn is_documented(arguments: &[String]) -> bool {
+    !arguments.iter().any(|argument| argument == "--test")
+        && !arguments
+            .iter()
+            .any(|argument| argument == "build_script_build")
+}
+
+/// Whether a library is compiled with its unit tests. Those of [`COMPUTING`] take longer than compiling.
+fn is_unit_tests(arguments: &[String]) -> bool {
+    const COMPUTING: &str = "singletrack_commissioning";
+    let has = |word: &str| arguments.iter().any(|argument| argument == word);
+    let is_library = arguments
+        .iter()
+        .any(|argument| argument.ends_with("src/lib.rs"));
+    is_library && has("--test") && !has(COMPUTING)
+}
+
+/// A program that comes with the compiler: beside it, or on the search path.
+fn beside(compiler: &str, program: &str) -> PathBuf {
+    let path = Path::new(compiler).with_file_name(program);
+    if path.is_file() { path } else { program.into() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(line: &str) -> Vec<String> {
+        line.split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn clippy_and_rustdoc_get_the_arguments_of_the_compiler_and_write_elsewhere() {
+        let compiler = words(
+            "--crate-name a --edition=2024 src/lib.rs --error-format=json \
+             --json=artifacts,diagnostic-rendered-ansi --emit=dep-info,metadata,link \
+             -C opt-level=1 --out-dir /t/debug/deps --extern b=/t/libb.rmeta -l static=c",
+        );
+        let others = words(
+            "--crate-name a --edition=2024 src/lib.rs --error-format=json -C opt-level=1 \
+             --extern b=/t/libb.rmeta --json=diagnostic-rendered-ansi",
+        );
+        assert_eq!(kept(&compiler), others);
+        assert!(is_documented(&compiler));
+        assert!(!is_documented(&words("--crate-name a src/lib.rs --test")));
+        assert!(!is_documented(&words(
+            "--crate-name build_script_build build.rs"
+        )));
+    }
+
+    #[test]
+    fn unit_tests_are_not_optimised_and_libraries_are() {
+        let line = "--crate-name a a/src/lib.rs -C opt-level=2";
+        assert!(!is_unit_tests(&words(line)));
+        assert!(is_unit_tests(&words(&format!("{line} --test"))));
+        assert!(!is_unit_tests(&words(
+            "--crate-name tests a/tests/main.rs --test"
+        )));
+    }
+
+    #[test]
+    fn this_program_acts_for_the_compiler_only_by_that_name() {
+        let called = |line: &str| called(words(line).into_iter());
+        assert!(called("/t/debug/xtask verify").is_none());
+        assert!(called(&format!("/t/once/{COMPILER} /no/such/rustc -vV")).is_some());
+    }
+}
