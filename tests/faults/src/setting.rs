@@ -206,6 +206,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         },
         board: BoardParameters {
             kind: situation.board,
+            own_supply: situation.own_supply,
             clock_skew_ppm: situation.board_skew_ppm,
             clock_offset_us: situation.board_clock_ms.wrapping_mul(1_000),
             ..BoardParameters::default()
