@@ -413,9 +413,33 @@ fn every_reset_cause_is_reported() {
         let mut drive = ScriptedDrive::new(config(1)).unwrap();
         drive.run_ms(300);
         assert_eq!(drive.host.status.unwrap().reset_cause, ResetCause::PowerOn);
+        drive.configure();
         drive.world.reset_board(cause);
         drive.run_ms(3_500);
         assert_eq!(drive.host.status.unwrap().reset_cause, cause);
+    }
+}
+
+#[test]
+fn a_power_on_is_not_hidden_by_the_reset_of_the_port_that_the_host_opens_then() {
+    let mut drive = ScriptedDrive::new(config(1)).unwrap();
+    let reset_cause = |drive: &mut ScriptedDrive| {
+        drive.run_ms(3_500);
+        drive.host.status.unwrap().reset_cause
+    };
+    // The cable takes the power along and brings it back; the port is opened.
+    for _ in 0..2 {
+        for _ in 0..2 {
+            drive.world.press_reset();
+            assert_eq!(reset_cause(&mut drive), ResetCause::PowerOn);
+        }
+        drive.configure();
+        drive.world.press_reset();
+        assert_eq!(reset_cause(&mut drive), ResetCause::External);
+        drive.world.set_cable(false);
+        drive.run_ms(500);
+        drive.world.set_cable(true);
+        drive.run_ms(500);
     }
 }
 

@@ -165,6 +165,7 @@ impl MainLoop {
         });
         pulse_guard::publish(now_us, &outputs);
         if let Some(configuration) = board.configuration() {
+            reset::is_known();
             self.imu.mount(configuration.imu_axes);
         }
     }
