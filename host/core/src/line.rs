@@ -101,7 +101,7 @@ mod tests {
         ] {
             let mut queue = OutputQueue::default();
             let mut queued = 0;
-            let mut write = |queue: &mut OutputQueue, queued: &mut usize| {
+            let write = |queue: &mut OutputQueue, queued: &mut usize| {
                 let room = queue.has_room(count(*queued));
                 if room {
                     queue.wrote(MAX_QUEUED);
