@@ -279,3 +279,19 @@ fn every_change_to_reverse_brakes_as_long_as_the_first() {
         "{first} {second}"
     );
 }
+
+#[test]
+fn a_reverse_after_the_brake_of_a_stop_pauses_at_once() {
+    let mut rig = Rig::driving_with(with_reverse());
+    for (speed_mm_s, pulses_us) in [(0, 1_300), (-300, NEUTRAL)] {
+        for _ in 0..5 {
+            let command = Drive {
+                brake: true,
+                ..rig.command(speed_mm_s, 0)
+            };
+            rig.send(command);
+            rig.run(10 * MS);
+            assert_eq!(rig.esc_us(), pulses_us, "{speed_mm_s}");
+        }
+    }
+}

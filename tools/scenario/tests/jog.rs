@@ -189,8 +189,8 @@ fn a_pulled_cable_ends_at_neutral_within_120_ms_by_a_board_with_its_own_supply()
 #[test]
 fn a_pulled_cable_takes_the_pulses_along_and_the_esc_stops_by_itself() {
     let (mut drive, pulled_us) = pulled(false);
-    let pulses = drive.world().board().pulses().iter();
-    let mut later = pulses.filter(|pulse| pulse.time_us >= pulled_us);
+    let pulses: Vec<_> = drive.world().board().pulses().iter().copied().collect();
+    let mut later = pulses.iter().filter(|pulse| pulse.time_us >= pulled_us);
     assert!(later.all(|pulse| pulse.esc_us == 0), "no neutral pulse");
     assert_eq!(drive.step().truth.wheel_speed, 0.0);
     plugged_again(drive);
