@@ -124,7 +124,7 @@ impl HandCommand {
             Self::Move(motion) => world.car_mut().begin_by_hand(motion),
             Self::Esc(on) => world.car_mut().set_esc_power(on),
             Self::Battery(on) => world.car_mut().set_battery_plugged(on),
-            Self::Cable(on) => world.set_wire_connected(on),
+            Self::Cable(on) => world.set_cable(on),
             Self::StopSwitch(open) => world.board_mut().set_stop_input_open(open),
             Self::Markers(covered) => {
                 world.cameras_mut().faults_mut().loss = covered.then_some(LossKind::Occluded);

@@ -249,12 +249,25 @@ impl RealTimeSimulator {
         self.with_machine(|machine| core::mem::take(&mut machine.trajectory).into())
     }
 
-    /// Unplugs the serial line: the host sees a hang-up, and the link is removed.
+    /// Pulls the USB cable: the host sees a hang-up, the link is removed, and the board loses
+    /// its power unless it has its own.
     ///
     /// # Errors
     ///
     /// [`RealTimeError::Stopped`].
     pub fn unplug(&self) -> Result<(), RealTimeError> {
+        self.with_machine(|machine| {
+            machine.pty = None;
+            machine.world.set_cable(false);
+        })
+    }
+
+    /// As [`unplug`](Self::unplug), but the board keeps its power.
+    ///
+    /// # Errors
+    ///
+    /// [`RealTimeError::Stopped`].
+    pub fn interrupt(&self) -> Result<(), RealTimeError> {
         self.with_machine(|machine| {
             machine.pty = None;
             machine.world.set_wire_connected(false);
@@ -275,7 +288,7 @@ impl RealTimeSimulator {
             let pty = Pty::open(machine.link.as_deref())?;
             let path = pty.path().to_owned();
             machine.pty = Some(pty);
-            machine.world.set_wire_connected(true);
+            machine.world.set_cable(true);
             Ok(path)
         })?
     }

@@ -244,6 +244,9 @@ truth! {
     board: BoardTruth {
         /// Number of the car that it is built into; the image's is built in.
         car_id: u16, in 0.0 to 65535.0 => board.car_id;
+        /// Whether it has a supply of its own; otherwise the USB cable takes its power along
+        /// (false).
+        own_supply: bool => board.own_supply;
         /// Rate error of its clock; positive is fast.
         clock_skew_ppm: f64, in -50000.0 to 50000.0 => |c, v| c.board.clock_skew_ppm = v as i32;
     }

@@ -38,6 +38,10 @@ pub struct World {
     /// Samples in transit to the board with their arrival times.
     imu_pending: VecDeque<(u64, ImuReading)>,
     board: SimulatedBoard,
+    /// The USB cable is plugged in.
+    plugged: bool,
+    /// The board's power is switched on, whatever it comes from.
+    switched_on: bool,
     wire: SerialWire,
     cameras: Cameras,
     natnet: NatNetServer,
@@ -81,6 +85,8 @@ impl World {
             imu_supply: ImuSupply::Good,
             imu_pending: VecDeque::new(),
             board: SimulatedBoard::new(config.board, seed)?,
+            plugged: true,
+            switched_on: true,
             wire: SerialWire::new(&config.wire, seed),
             cameras: Cameras::new(config.cameras.clone(), seed),
             natnet: NatNetServer::new(config.natnet),
@@ -183,10 +189,11 @@ impl World {
         }
     }
 
-    /// A dip of its supply restarts the IMU; the board finds it absent, then without its
-    /// settings.
+    /// A dip of its supply, or a board without power, restarts the IMU; the board finds it
+    /// absent, then without its settings.
     fn supply_imu(&mut self, now_us: u64) {
-        let supply = match (self.imu_supply, self.car.supply_dips()) {
+        let fails = self.car.supply_dips() || !self.board.has_power();
+        let supply = match (self.imu_supply, fails) {
             (ImuSupply::Failed, true) => return,
             (_, true) => {
                 self.imu_pending.clear();
@@ -329,6 +336,21 @@ impl World {
 
     /// Switches the board's power; the ESC has its own supply.
     pub fn set_board_power(&mut self, on: bool) {
+        self.switched_on = on;
+        self.supply_board();
+    }
+
+    /// Pulls the USB cable, or plugs it in: the serial line, and the board's power if it has no
+    /// supply of its own.
+    pub fn set_cable(&mut self, plugged: bool) {
+        self.plugged = plugged;
+        self.set_wire_connected(plugged);
+        self.supply_board();
+    }
+
+    fn supply_board(&mut self) {
+        let supplied = self.plugged || self.config.board.own_supply;
+        let on = self.switched_on && supplied;
         self.board.set_power(self.now_us, on, &mut self.car);
     }
 
@@ -348,7 +370,7 @@ impl World {
         &mut self.wire
     }
 
-    /// Unplugs or plugs in the serial line.
+    /// Interrupts the serial line, or closes it again; the board keeps its power.
     pub fn set_wire_connected(&mut self, connected: bool) {
         self.wire.set_connected(self.now_us, connected);
     }
@@ -420,6 +442,29 @@ mod tests {
         // 12 ms in ticks of 100 ns; the clock is 40 ppm fast, which is 0.5 us here.
         let (then, now) = (ticks_at(1_000_000), ticks_at(1_012_000));
         assert_eq!(now - then, 120_000);
+    }
+
+    #[test]
+    fn a_pulled_cable_takes_the_power_along_unless_the_board_has_its_own() {
+        for own_supply in [false, true] {
+            let mut config = SimulationConfig::default();
+            config.board.own_supply = own_supply;
+            let mut world = World::new(config).unwrap();
+            world.advance_to(500_000);
+            world.set_cable(false);
+            world.advance_to(1_000_000);
+            assert_eq!(world.board().is_running(), own_supply);
+            let silent = world.board().pulses().last().unwrap().esc_us == 0;
+            assert_eq!(silent, !own_supply);
+            // A switch comes before either supply.
+            world.set_board_power(false);
+            world.set_cable(true);
+            world.advance_to(1_500_000);
+            assert!(!world.board().is_running());
+            world.set_board_power(true);
+            world.advance_to(2_000_000);
+            assert!(world.board().is_running());
+        }
     }
 
     #[test]

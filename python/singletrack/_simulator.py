@@ -120,7 +120,7 @@ class Simulator(Closing):
         line_corrupt   probability that a bit of a byte is flipped
         line_delay_us  further delay of every byte
         line_stuck     whether nothing passes
-        cable          whether the serial cable is plugged in
+        cable          whether the USB cable is plugged in, which carries the board's power
         board_power    whether the board has power
         esc_power      whether the ESC is switched on
         battery        whether the battery is plugged in

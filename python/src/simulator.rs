@@ -294,7 +294,7 @@ impl Simulator {
             "line_corrupt" => world.wire_mut().faults_mut().corrupt = probability(name, value)?,
             "line_delay_us" => world.wire_mut().faults_mut().delay_us = value.extract()?,
             "line_stuck" => world.wire_mut().faults_mut().stuck = value.extract()?,
-            "cable" => world.set_wire_connected(value.extract()?),
+            "cable" => world.set_cable(value.extract()?),
             "board_power" => world.set_board_power(value.extract()?),
             "esc_power" => world.car_mut().set_esc_power(value.extract()?),
             "battery" => world.car_mut().set_battery_plugged(value.extract()?),

@@ -19,7 +19,7 @@ pub enum Request {
     /// pattern, and the IMU has been powered since the processor was held.
     /// [`Reply::Done`].
     Start(ResetFlags),
-    /// Hang the main program. [`Reply::Done`].
+    /// Stop a part of the program. [`Reply::Done`].
     Hang(Hang),
     /// Set the fault of the IMU's bus. [`Reply::Done`].
     SetBus(BusFault),
@@ -42,14 +42,18 @@ impl ResetFlags {
     pub const WATCHDOG: Self = Self(8);
 }
 
-/// Ways to hang the main program. Interrupts continue in the first case; only the
-/// watchdog helps in the second. A reset ends both.
+/// Ways in which the program stops working. A reset ends each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Hang {
     /// The main loop stops; interrupts are served.
     MainLoop,
     /// The main loop stops with interrupts disabled.
     Everything,
+    /// The interrupt of timer 0 is masked: no ticks. The main loop and all other interrupts
+    /// go on, and timer 1 repeats its last pulses.
+    Ticks,
+    /// Timer 1, which makes the pulses, has no clock: the pins stay as they are.
+    Pulses,
 }
 
 /// Faults of the bus to the IMU.

@@ -81,6 +81,9 @@ section! {
     /// Size of the receive buffer, in bytes; further bytes are lost. Not used with
     /// the image.
     receive_buffer: usize = 64;
+    /// Whether the board has a supply of its own; otherwise a pulled USB cable takes its power
+    /// along.
+    own_supply: bool = false;
     /// Start-up time after power-on, brown-out and watchdog, in µs.
     start_up_us: u64 = 65_000;
     /// Shortest and longest time in the bootloader after an external reset, in µs.
@@ -168,6 +171,11 @@ impl SimulatedBoard {
     #[must_use]
     pub const fn is_running(&self) -> bool {
         matches!(self.phase, PowerState::Running { .. })
+    }
+
+    /// Whether the board has power, and with it its IMU.
+    pub(crate) const fn has_power(&self) -> bool {
+        !matches!(self.phase, PowerState::Off)
     }
 
     /// Number of resets since the start, without the power-on.

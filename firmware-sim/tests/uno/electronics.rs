@@ -46,6 +46,59 @@ fn the_kill_output_is_held_from_arming_to_the_first_stop() {
     assert_eq!(drive.host.mode(), Some(BoardMode::Failsafe));
 }
 
+/// Pulls the cable of a car at 1 m/s whose ESC holds its last pulse for a second; returns the time
+/// until the ESC is without supply, in ms, and the way to standstill, in m.
+fn pulled_at_1_m_s(own_supply: bool, kill_output: bool) -> (Option<u64>, f64) {
+    let (mut simulation, mut configuration) = with_kill_relay();
+    simulation.board.own_supply = own_supply;
+    simulation.car.motor.kill_relay = kill_output;
+    simulation.car.motor.signal_loss_us = 1_000_000;
+    configuration.kill_output = kill_output;
+    let mut drive = asked_to_arm(simulation, configuration);
+    drive.run_ms(2_100);
+    drive.arm();
+    drive.drive(200, 1_000, 0, |_| {});
+    assert!((drive.world.truth().wheel_speed - 1.0).abs() < 0.05);
+    let from_m = drive.world.truth().way;
+    drive.world.set_cable(false);
+    let mut dark_ms = None;
+    for ms in 1..=3_000 {
+        drive.run_ms(1);
+        if !drive.world.car().esc_has_power() {
+            dark_ms.get_or_insert(ms);
+        }
+    }
+    assert_eq!(drive.world.truth().wheel_speed, 0.0);
+    (dark_ms, drive.world.truth().way - from_m)
+}
+
+#[test]
+fn a_pulled_cable_is_neutral_or_drops_the_kill_output_or_leaves_the_esc_alone() {
+    for (own_supply, kill_output, dark_ms, [least_m, most_m]) in [
+        // Neutral within 120 ms.
+        (true, false, None, [0.3, 0.5]),
+        // The command expires first.
+        (true, true, Some(97), [0.3, 0.5]),
+        // The pin floats, and its pull-down opens the relay.
+        (false, true, Some(1), [0.25, 0.4]),
+        // The ESC drives on for a second.
+        (false, false, None, [1.1, 1.4]),
+    ] {
+        let (found_ms, way_m) = pulled_at_1_m_s(own_supply, kill_output);
+        println!(
+            "own supply {own_supply}, kill output {kill_output}: {found_ms:?} ms, {way_m:.2} m"
+        );
+        assert!(
+            found_ms <= dark_ms && found_ms.is_some() == dark_ms.is_some(),
+            "{found_ms:?}"
+        );
+        assert!(
+            (least_m..=most_m).contains(&way_m),
+            "{own_supply} {kill_output}: {way_m}"
+        );
+    }
+}
+
 #[test]
 fn a_hung_main_loop_drops_the_kill_output_within_21_ms() {
     for hang in [Hang::MainLoop, Hang::Everything] {

@@ -1,7 +1,9 @@
 //! Faults that need the image: hangs, the watchdog, the bus, the receiver.
 
 use proptest::prelude::*;
-use singletrack_protocol::{BoardMode, ImuState, ResetCause, StopCause, UNSOLICITED};
+use singletrack_protocol::{
+    BoardMode, EmergencyStop, ImuState, ResetCause, StopCause, ToBoard, UNSOLICITED,
+};
 use singletrack_sim::{BusFault, Hang, PulseRecord, ScriptedDrive, WireFaults};
 
 use super::{armed, config, driving, is_within, is_within_limits, limits, pulses_since};
@@ -87,6 +89,33 @@ fn with_interrupts_disabled_the_watchdog_ends_the_drive() {
     assert_eq!(drive.world.board().resets(), 1);
     let neutral = neutral_after_ms(&drive, hung_us);
     assert!(neutral <= 110.0, "{neutral} ms");
+}
+
+#[test]
+fn a_pulse_guard_without_ticks_or_pulses_is_reset_however_often_the_host_asks_to_stop() {
+    // Every frame wakes the main loop, which polls the board and publishes its neutral pulse.
+    // Nobody writes that to the timer.
+    for hang in [Hang::Ticks, Hang::Pulses] {
+        let mut drive = driving(1);
+        drive.world.board_mut().hang(hang);
+        let hung_us = drive.world.now_us();
+        let mut reset_ms = None;
+        for ms in (0..1_000).step_by(10) {
+            let request = drive.host.next_sequence();
+            drive.send(&ToBoard::EmergencyStop(EmergencyStop { request }));
+            drive.run_ms(10);
+            if drive.world.board().resets() > 0 {
+                reset_ms.get_or_insert(ms + 10);
+            }
+        }
+        assert!(
+            reset_ms.is_some_and(|ms| ms <= 110),
+            "{hang:?}: {reset_ms:?} ms"
+        );
+        assert_eq!(drive.world.board().resets(), 1, "{hang:?}");
+        let neutral = neutral_after_ms(&drive, hung_us);
+        assert!(neutral <= 110.0, "{hang:?}: {neutral} ms");
+    }
 }
 
 /// Resolution of the times of resets: the image runs in steps of a millisecond.
@@ -384,9 +413,33 @@ fn every_reset_cause_is_reported() {
         let mut drive = ScriptedDrive::new(config(1)).unwrap();
         drive.run_ms(300);
         assert_eq!(drive.host.status.unwrap().reset_cause, ResetCause::PowerOn);
+        drive.configure();
         drive.world.reset_board(cause);
         drive.run_ms(3_500);
         assert_eq!(drive.host.status.unwrap().reset_cause, cause);
+    }
+}
+
+#[test]
+fn a_power_on_is_not_hidden_by_the_reset_of_the_port_that_the_host_opens_then() {
+    let mut drive = ScriptedDrive::new(config(1)).unwrap();
+    let reset_cause = |drive: &mut ScriptedDrive| {
+        drive.run_ms(3_500);
+        drive.host.status.unwrap().reset_cause
+    };
+    // The cable takes the power along and brings it back; the port is opened.
+    for _ in 0..2 {
+        for _ in 0..2 {
+            drive.world.press_reset();
+            assert_eq!(reset_cause(&mut drive), ResetCause::PowerOn);
+        }
+        drive.configure();
+        drive.world.press_reset();
+        assert_eq!(reset_cause(&mut drive), ResetCause::External);
+        drive.world.set_cable(false);
+        drive.run_ms(500);
+        drive.world.set_cable(true);
+        drive.run_ms(500);
     }
 }
 

@@ -66,6 +66,7 @@ pub(crate) struct Odometer {
     /// The pulses are far apart: [`FINE_DISTANCE_UM`].
     coarse: bool,
     standstill_us: u32,
+    creep_us: u32,
     speed_mm_s: i16,
     /// Pulses until the speed of this drive has been measured.
     unmeasured: u8,
@@ -94,6 +95,7 @@ impl Odometer {
             patience: patience(UNKNOWN_DISTANCE_UM),
             coarse: true,
             standstill_us: standstill_us(UNKNOWN_DISTANCE_UM),
+            creep_us: standstill_us(UNKNOWN_DISTANCE_UM),
             speed_mm_s: 0,
             unmeasured: FIRST_PULSES,
             without_pulse: Stopwatch::started(),
@@ -105,6 +107,8 @@ impl Odometer {
         self.patience = patience(pulse_distance_um);
         self.coarse = pulse_distance_um > FINE_DISTANCE_UM;
         self.standstill_us = standstill_us(pulse_distance_um);
+        // Half the speed.
+        self.creep_us = standstill_us(pulse_distance_um.saturating_mul(2));
     }
 
     /// Updates the pulses in every poll.
@@ -167,6 +171,11 @@ impl Odometer {
 
     pub(crate) const fn is_moving(&self) -> bool {
         self.since_pulse.elapsed_us() < self.standstill_us
+    }
+
+    /// Whether the wheels may still creep, at 25 mm/s or more.
+    pub(crate) const fn is_creeping(&self) -> bool {
+        self.since_pulse.elapsed_us() < self.creep_us
     }
 
     /// Whether the wheels have come to rest: a car that has just been driven may roll

@@ -1,12 +1,15 @@
 //! The watch over a car that is not driven: its wheels must come to rest.
 //!
 //! An ESC whose neutral is another than the configured one drives the car at
-//! neutral, armed or not; one that is stuck goes on driving. Three signs:
+//! neutral, armed or not; one that is stuck goes on driving. Four signs:
 //!
 //! - The wheels turn for too long, over [`LEAST_MM`] at least: after a drive for longer
 //!   than the longest roll-out; from standstill, where a hand pushes the car at most,
 //!   for longer than [`PUSHED_MS`]. Few pulses are interference.
 //! - From standstill, they turn for farther than [`PUSHED_MM`].
+//! - From standstill, they creep: [`LEAST_MM`] in [`CREEP_US`] or longer, without a pause.
+//!   Between two pulses that are far apart such wheels seem to stand. A hand is faster, or
+//!   pauses.
 //! - After a drive, they do not slow down. The speed must stay below a line that
 //!   falls to zero within the longest roll-out, for which the slowest car that the
 //!   host expects is fast enough.
@@ -19,6 +22,9 @@ const LEAST_MM: u32 = 500;
 /// Time and way for which a hand may push the car without a pause.
 const PUSHED_MS: u16 = 3_000;
 const PUSHED_MM: u32 = 1_000;
+
+/// Least time for [`LEAST_MM`] of wheels that creep: 100 mm/s.
+const CREEP_US: u32 = 5_000_000;
 
 /// Time after the end of the drive in which the car may still speed up: a servo
 /// frame, and the lag of ESC and motor.
@@ -42,6 +48,11 @@ pub(crate) struct RollOut {
     rolling: Stopwatch,
     /// Pulses, wrapping, when that began.
     since_count: u16,
+    /// Time since the wheels began to creep, and the pulses then. Both begin again after each
+    /// [`LEAST_MM`].
+    creeping: Stopwatch,
+    creeping_since_count: u16,
+    creeps: bool,
     /// The wheels have not come to rest since a drive.
     after_drive: bool,
     fastest_mm_s: u16,
@@ -55,6 +66,9 @@ impl RollOut {
             pulse_distance_um: 0,
             rolling: Stopwatch::started(),
             since_count: 0,
+            creeping: Stopwatch::started(),
+            creeping_since_count: 0,
+            creeps: false,
             after_drive: false,
             fastest_mm_s: 0,
             above_line: 0,
@@ -82,26 +96,40 @@ impl RollOut {
         } else {
             self.rolling.advance(elapsed_us);
         }
+        self.creeping.advance(elapsed_us);
+        let is_known = self.pulse_distance_um != 0;
+        let way_um = self.way_um(odometer.count(), self.creeping_since_count);
+        let far = way_um >= LEAST_MM * 1_000;
+        if self.after_drive || far || !odometer.is_creeping() {
+            self.creeps =
+                is_known && !self.after_drive && far && self.creeping.elapsed_us() >= CREEP_US;
+            self.creeping = Stopwatch::started();
+            self.creeping_since_count = odometer.count();
+        }
+    }
+
+    /// Way from a number of pulses to another, in µm: a product of 16 bits each.
+    fn way_um(&self, count: u16, since_count: u16) -> u32 {
+        let distance_um = if self.pulse_distance_um == 0 {
+            UNKNOWN_DISTANCE_UM
+        } else {
+            self.pulse_distance_um
+        };
+        u32::from(count.wrapping_sub(since_count)) * u32::from(distance_um)
     }
 
     /// Call in every poll: whether the wheels have turned for too long or too far.
     pub(crate) fn lasts_too_long(&self, count: u16) -> bool {
-        let is_known = self.pulse_distance_um != 0;
-        let distance_um = if is_known {
-            self.pulse_distance_um
-        } else {
-            UNKNOWN_DISTANCE_UM
-        };
         let longest_ms = if self.after_drive {
             self.longest_ms
         } else {
             self.longest_ms.min(PUSHED_MS)
         };
-        // Two products of 16 bits each.
-        let way_um = u32::from(count.wrapping_sub(self.since_count)) * u32::from(distance_um);
+        let way_um = self.way_um(count, self.since_count);
         let too_long = self.rolling.elapsed_us() >= u32::from(longest_ms) * 1_000;
+        let is_known = self.pulse_distance_um != 0;
         let too_far = is_known && !self.after_drive && way_um >= PUSHED_MM * 1_000;
-        too_far || (too_long && way_um >= LEAST_MM * 1_000)
+        too_far || self.creeps || (too_long && way_um >= LEAST_MM * 1_000)
     }
 
     /// Call once per control period.

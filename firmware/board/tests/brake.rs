@@ -344,3 +344,68 @@ fn a_car_that_has_stood_at_neutral_and_is_pushed_is_not_braked() {
     rig.pulse_period_us = Some(10 * MS);
     assert_eq!(count(&brake_for(&mut rig, 300, 0), BRAKE), 0);
 }
+
+#[test]
+fn no_stop_brakes_a_car_that_has_stood_at_neutral_and_is_pushed() {
+    // By the host, by the board, and by another host.
+    let by_disarm = |rig: &mut Rig| rig.disarm();
+    let by_timeout = |rig: &mut Rig| {
+        rig.run_until(|rig| rig.board.mode() == BoardMode::Failsafe);
+    };
+    let by_hello = |rig: &mut Rig| rig.greet(78);
+    let stops: [fn(&mut Rig); 3] = [by_disarm, by_timeout, by_hello];
+    for stop in stops {
+        for stands in [true, false] {
+            let mut rig = Rig::driving_with(Configuration {
+                failsafe: FailsafeAction::Brake,
+                ..configuration()
+            });
+            if stands {
+                rig.pulse_period_us = None;
+                rig.drive_for(200 * MS, 0, 0);
+            }
+            rig.pulse_period_us = Some(10 * MS);
+            rig.drive_for(100 * MS, 0, 0);
+            assert!(rig.telemetry().motor_speed_mm_s > 400);
+            stop(&mut rig);
+            let pulse = if stands { NEUTRAL } else { BRAKE };
+            for _ in 0..100 {
+                assert_eq!(rig.esc_us(), pulse, "stands: {stands}");
+                rig.run(MS);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_stop_does_not_brake_wheels_that_stand_although_they_are_driven() {
+    // Against a wall: the ESC drives, and takes a pulse below neutral for reverse.
+    let mut rig = Rig::driving_with(Configuration {
+        failsafe: FailsafeAction::Brake,
+        ..configuration()
+    });
+    rig.pulse_period_us = None;
+    rig.drive_for(100 * MS, 1_000, 0);
+    assert_eq!(rig.board.mode(), BoardMode::Driving);
+    rig.greet(78);
+    assert_eq!(rig.board.mode(), BoardMode::Failsafe);
+    for _ in 0..100 {
+        assert_eq!(rig.esc_us(), NEUTRAL);
+        rig.run(MS);
+    }
+}
+
+#[test]
+fn a_car_that_has_stood_since_its_last_drive_and_is_pushed_is_not_braked() {
+    let mut rig = Rig::driving_with(configuration());
+    // So slow that the disarm does not use the brake up.
+    rig.pulse_period_us = Some(40 * MS);
+    rig.drive_for(200 * MS, 120, 0);
+    rig.disarm();
+    rig.pulse_period_us = None;
+    rig.run(2_500 * MS);
+    assert_eq!(rig.arm(), Ok(()));
+    rig.pulse_period_us = Some(10 * MS);
+    rig.run(100 * MS);
+    assert_eq!(count(&brake_for(&mut rig, 300, 0), BRAKE), 0);
+}

@@ -1,6 +1,8 @@
 //! Changes between forward and reverse.
 
-use singletrack_protocol::{BoardMode, Configuration, EscCalibration, FailsafeAction, SpeedLoop};
+use singletrack_protocol::{
+    BoardMode, Configuration, Drive, EscCalibration, FailsafeAction, SpeedLoop,
+};
 
 use crate::rig::{MS, NEUTRAL, Rig, configuration};
 
@@ -232,4 +234,64 @@ fn a_car_that_has_stood_at_neutral_goes_to_reverse_without_a_brake_pulse() {
         matches!(phases[..], [(0, 195..=235), (-1, _)]),
         "{phases:?}"
     );
+}
+
+#[test]
+fn a_brake_before_a_reverse_that_is_taken_back_uses_the_brake_up() {
+    let mut rig = Rig::driving_with(with_reverse());
+    let braking = phases(&mut rig, 60, -300);
+    assert!(
+        matches!(braking[..], [(0, ..), (-1, _)] | [(-1, _)]),
+        "{braking:?}"
+    );
+    // The host stops instead, with the brake.
+    for _ in 0..30 {
+        let command = Drive {
+            brake: true,
+            ..rig.command(0, 0)
+        };
+        rig.send(command);
+        for _ in 0..10 {
+            rig.run(MS);
+            assert_eq!(rig.esc_us(), NEUTRAL);
+        }
+    }
+}
+
+#[test]
+fn every_change_to_reverse_brakes_as_long_as_the_first() {
+    let mut rig = Rig::driving_with(with_reverse());
+    let mut braked_ms = || {
+        rig.pulse_period_us = Some(5_000);
+        rig.drive_for(500 * MS, 1_000, 0);
+        let braking = phases(&mut rig, 600, -300);
+        let back = phases(&mut rig, 20, 300);
+        assert!(back.iter().all(|&(kind, _)| kind != -1), "{back:?}");
+        braking
+            .iter()
+            .filter(|phase| phase.0 == -1)
+            .map(|phase| phase.1)
+            .sum::<u32>()
+    };
+    let [first, second] = [braked_ms(), braked_ms()];
+    assert!(
+        first >= 490 && second.abs_diff(first) <= 2,
+        "{first} {second}"
+    );
+}
+
+#[test]
+fn a_reverse_after_the_brake_of_a_stop_pauses_at_once() {
+    let mut rig = Rig::driving_with(with_reverse());
+    for (speed_mm_s, pulses_us) in [(0, 1_300), (-300, NEUTRAL)] {
+        for _ in 0..5 {
+            let command = Drive {
+                brake: true,
+                ..rig.command(speed_mm_s, 0)
+            };
+            rig.send(command);
+            rig.run(10 * MS);
+            assert_eq!(rig.esc_us(), pulses_us, "{speed_mm_s}");
+        }
+    }
 }

@@ -165,6 +165,47 @@ fn a_car_that_drives_at_neutral_before_any_configuration_latches_too() {
 }
 
 #[test]
+fn an_unarmed_car_that_creeps_latches_after_half_a_metre() {
+    for distance_um in [3_000, 6_000, 12_000, 30_000] {
+        for speed_mm_s in [28, 32, 40, 49, 60, 90] {
+            let mut rig = Rig::ready_with(with_pulse_distance(distance_um));
+            rig.inputs.motor.last_edge_us = rig.now;
+            rig.pulse_period_us = Some(u32::from(distance_um) * 1_000 / speed_mm_s);
+            let latched_ms = until_latched(&mut rig, 30_000);
+            let latched_mm = latched_ms.map(|ms| ms * speed_mm_s / 1_000);
+            // One pulse more at each end.
+            let most_mm = 500 + 2 * u32::from(distance_um) / 1_000;
+            assert!(
+                latched_mm.is_some_and(|mm| (490..=most_mm).contains(&mm)),
+                "{distance_um} um, {speed_mm_s} mm/s: {latched_mm:?} mm"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_car_that_is_moved_slowly_by_hand_with_pauses_does_not_latch() {
+    let mut rig = Rig::ready_with(with_pulse_distance(12_000));
+    for _ in 0..10 {
+        // 0.06 m/s over 0.3 m, then it stands for longer than between two pulses.
+        rig.pulse_period_us = Some(200_000);
+        rig.run(5_000 * MS);
+        rig.pulse_period_us = None;
+        rig.run(600 * MS);
+    }
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+    // After a drive the limits of the roll-out hold.
+    let mut rig = Rig::driving_with(Configuration {
+        max_roll_out_ms: 20_000,
+        ..with_pulse_distance(3_000)
+    });
+    rig.disarm();
+    rig.pulse_period_us = Some(50_000);
+    rig.run(12_000 * MS);
+    assert_eq!(rig.board.mode(), BoardMode::Neutral);
+}
+
+#[test]
 fn a_car_that_is_moved_by_hand_for_a_while_does_not_latch() {
     let mut rig = Rig::ready_with(configuration());
     for _ in 0..5 {

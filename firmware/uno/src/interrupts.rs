@@ -63,6 +63,7 @@ pub(crate) fn enable_and_sleep() {
 /// A byte shared by the main loop and interrupts.
 ///
 /// (`AtomicU8` would mask interrupts around every access.)
+#[repr(transparent)]
 pub(crate) struct SharedByte(UnsafeCell<u8>);
 
 // SAFETY: there is one processor, and it reads or writes a byte in one instruction.

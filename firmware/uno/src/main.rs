@@ -127,7 +127,7 @@ extern "C" fn main() -> ! {
     loop {
         if !pace.wait(ROUND_MS, || main_loop.has_news()) || main_loop.round() {
             main_loop.poll(board);
-            watchdog::feed();
+            pulse_guard::guarded().map(watchdog::feed);
         }
     }
 }
@@ -165,6 +165,7 @@ impl MainLoop {
         });
         pulse_guard::publish(now_us, &outputs);
         if let Some(configuration) = board.configuration() {
+            reset::is_known();
             self.imu.mount(configuration.imu_axes);
         }
     }

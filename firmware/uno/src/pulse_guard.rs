@@ -37,6 +37,9 @@ static SILENT_TICKS: SharedByte = SharedByte::new(0);
 /// Ticks so far, wrapping; the time base of the main loop.
 static TICKS: SharedByte = SharedByte::new(0);
 
+/// Not zero: the guard has set pulses since the last [`guarded`].
+static SET_PULSES: SharedByte = SharedByte::new(0);
+
 /// Not zero: the main loop must wake. Most interrupts end the processor's sleep
 /// without work for it.
 static WAKE: SharedByte = SharedByte::new(0);
@@ -70,6 +73,19 @@ pub(crate) fn publish(now_us: u32, outputs: &Outputs) {
         VALID_TICKS.set(valid_ticks);
         SILENT_TICKS.set(0);
     });
+}
+
+/// Proof that the guard has set the pulses of a servo period: its interrupt runs, and the
+/// timer of the pulses too.
+pub(crate) struct Guarded(());
+
+/// The proof, once for each servo period.
+pub(crate) fn guarded() -> Option<Guarded> {
+    if SET_PULSES.get() == 0 {
+        return None;
+    }
+    SET_PULSES.set(0);
+    Some(Guarded(()))
 }
 
 /// Number of ticks until the command's deadline has passed or the main loop counts
@@ -157,5 +173,6 @@ extern "avr-interrupt" fn __vector_14() {
             esc.map(|_| NEUTRAL.get(masked))
         };
         pulses::set(masked, SERVO.get(masked), esc);
+        SET_PULSES.set(1);
     }
 }

@@ -5,7 +5,7 @@ use core::arch::global_asm;
 
 use singletrack_protocol::ResetCause;
 
-use crate::registers::GPIOR1;
+use crate::{interrupts::SharedByte, registers::GPIOR1};
 
 // Runs before memory is initialised (r1 is zero; the other registers are unchanged)
 // and leaves the flags in GPIOR1.
@@ -30,6 +30,28 @@ global_asm!(
     ".text",
 );
 
+// A byte that no start clears.
+global_asm!(
+    ".section .noinit, \"aw\", @nobits",
+    ".global reset_kept",
+    "reset_kept: .skip 1",
+    ".text",
+);
+
+unsafe extern "C" {
+    /// [`KNOWN`] once a host has learned of the power-on. The port that it opens then resets the
+    /// board again, which would hide it.
+    #[link_name = "reset_kept"]
+    safe static KEPT: SharedByte;
+}
+
+const KNOWN: u8 = 0xA5;
+
+/// Notes that the host knows the cause of the start.
+pub(crate) fn is_known() {
+    KEPT.set(KNOWN);
+}
+
 const PORF: u8 = 1 << 0;
 const EXTRF: u8 = 1 << 1;
 const BORF: u8 = 1 << 2;
@@ -38,12 +60,16 @@ const NO_FLAGS: u8 = !(PORF | EXTRF | BORF | WDRF);
 
 /// Cause of the processor's start. If several flags are set, the later resets
 /// followed from the first: the bootloader exits by its watchdog after an external
-/// reset.
+/// reset. A power-on is the cause until a host knows of it.
 pub(crate) fn cause() -> ResetCause {
     match GPIOR1.read() {
         // Not flags: the bootloader passes nothing.
         flags if flags & NO_FLAGS != 0 => ResetCause::Unknown,
-        flags if flags & PORF != 0 => ResetCause::PowerOn,
+        flags if flags & PORF != 0 => {
+            KEPT.set(0);
+            ResetCause::PowerOn
+        }
+        flags if flags & (EXTRF | WDRF) != 0 && KEPT.get() != KNOWN => ResetCause::PowerOn,
         flags if flags & BORF != 0 => ResetCause::BrownOut,
         flags if flags & EXTRF != 0 => ResetCause::External,
         flags if flags & WDRF != 0 => ResetCause::Watchdog,

@@ -10,9 +10,8 @@ use rustix::{
     fs::OFlags,
     termios::{ControlModes, OptionalActions, QueueSelector, tcflush, tcgetattr, tcsetattr},
 };
-use singletrack_core::line::{Line, Sent};
+use singletrack_core::line::{Line, OutputQueue, Sent};
 use singletrack_link::Transmit;
-use singletrack_protocol::{Drive, Message, frame_length};
 
 use crate::system;
 
@@ -50,16 +49,10 @@ pub struct ReadHalf {
 #[derive(Debug)]
 pub struct WriteHalf {
     file: OwnedFd,
+    queue: OutputQueue,
     /// The last frame was written in part. The next one must be separated from it.
     torn: bool,
 }
-
-/// Length of a drive command on the wire.
-const DRIVE_LENGTH: usize = frame_length(Drive::PAYLOAD_LENGTH);
-
-/// The largest output queue of the port, in bytes, for which another frame is written: at
-/// most two commands wait.
-const MAX_QUEUED: usize = DRIVE_LENGTH;
 
 /// The longest frame, and a zero before it.
 const BUFFER: usize = core::mem::size_of::<Transmit>() + 1;
@@ -106,6 +99,7 @@ pub fn open(path: &Path, baud: u32) -> Result<(ReadHalf, WriteHalf), PortError> 
         ReadHalf { file },
         WriteHalf {
             file: write,
+            queue: OutputQueue::default(),
             torn: false,
         },
     ))
@@ -130,9 +124,9 @@ impl AsFd for ReadHalf {
 
 impl Line for WriteHalf {
     fn write_frame(&mut self, frame: &[u8]) -> Sent {
-        // A pseudo-terminal always reports zero. An error of a lost device shows in the
-        // write below.
-        if system::queued_output(&self.file).unwrap_or(0) > MAX_QUEUED {
+        // An error of a lost device shows in the write below.
+        let queued = system::queued_output(&self.file).unwrap_or(0);
+        if !self.queue.has_room(queued) {
             return Sent::Dropped;
         }
         let mut bytes = heapless::Vec::<u8, BUFFER>::new();
@@ -140,7 +134,9 @@ impl Line for WriteHalf {
         if !fits {
             return Sent::Dropped;
         }
-        match rustix::io::write(&self.file, &bytes) {
+        let result = rustix::io::write(&self.file, &bytes);
+        self.queue.wrote(result.unwrap_or(0));
+        match result {
             Ok(count) if count == bytes.len() => {
                 self.torn = false;
                 Sent::Whole

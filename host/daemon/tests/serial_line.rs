@@ -13,8 +13,8 @@ use singletrack_core::{
     line::{Line, Sent},
 };
 use singletrack_protocol::{
-    Acknowledgement, BoardMode, Decoder, Hello, ImuState, Request, StopCause, Telemetry, ToBoard,
-    ToHost, VERSION,
+    Acknowledgement, BoardMode, Decoder, Hello, Identity, ImuState, Request, StopCause, Telemetry,
+    ToBoard, ToHost, VERSION,
 };
 use singletrack_record::LinkPhase;
 use singletrackd::{
@@ -75,11 +75,14 @@ impl Board {
                 continue;
             };
             match ToBoard::decode(packet).unwrap() {
-                ToBoard::Hello(hello) => self.send(Hello {
-                    protocol_version: VERSION,
-                    software_version: [0, 1, 0],
-                    nonce: hello.nonce,
-                }),
+                ToBoard::Hello(hello) => {
+                    self.send(Hello {
+                        protocol_version: VERSION,
+                        software_version: [0, 1, 0],
+                        nonce: hello.nonce,
+                    });
+                    self.send(Identity { car_id: 0 });
+                }
                 ToBoard::Configure(configure) => {
                     self.configuration_hash = configure.configuration.hash();
                     self.send(Acknowledgement {

@@ -69,6 +69,9 @@ impl Phase {
 pub(crate) struct Greeting {
     pub(crate) nonce: u32,
     pub(crate) next_ns: u64,
+    /// The software of the board that seems to have answered. The greeting itself comes back
+    /// from a line that echoes; the identity that follows an answer is the board's alone.
+    pub(crate) answered: Option<[u8; 3]>,
 }
 
 /// Numbers that do not repeat from one handshake to the next, so that a late

@@ -57,9 +57,13 @@ impl Session {
             return self.hello(now_ns, &hello, on_event);
         }
         if !self.phase.is_connected() {
+            let answered = self.phase.greeting().and_then(|greeting| greeting.answered);
             // Only Hello means the same in every version.
-            self.counters.frames_ignored += 1;
-            return;
+            let (Some(software_version), ToHost::Identity(_)) = (answered, message) else {
+                self.counters.frames_ignored += 1;
+                return;
+            };
+            self.connected(now_ns, software_version, on_event);
         }
         self.last_heard_ns = self.last_heard_ns.max(now_ns);
         match message {
@@ -81,21 +85,28 @@ impl Session {
             } else if let Some(greeting) = self.phase.greeting_mut() {
                 // The board has just begun to listen.
                 greeting.next_ns = now_ns;
+                greeting.answered = None;
             }
             return;
         }
-        if self.phase.greeting().map(|greeting| greeting.nonce) != Some(hello.nonce) {
-            self.counters.frames_ignored += 1;
-            return;
-        }
-        if hello.protocol_version == VERSION {
-            self.connected(now_ns, hello, on_event);
-        } else {
-            self.version_mismatch(now_ns, hello, on_event);
+        match self.phase.greeting_mut() {
+            Some(greeting) if greeting.nonce == hello.nonce => {
+                if hello.protocol_version == VERSION {
+                    greeting.answered = Some(hello.software_version);
+                } else {
+                    self.version_mismatch(now_ns, hello, on_event);
+                }
+            }
+            _ => self.counters.frames_ignored += 1,
         }
     }
 
-    fn connected(&mut self, now_ns: u64, hello: &Hello, on_event: &mut impl FnMut(Event)) {
+    fn connected(
+        &mut self,
+        now_ns: u64,
+        board_software_version: [u8; 3],
+        on_event: &mut impl FnMut(Event),
+    ) {
         if !self.acquainted {
             // The bytes of a bootloader say nothing about the line.
             self.quality = QualityWindow::default();
@@ -107,7 +118,7 @@ impl Session {
         }
         self.phase = Phase::configuring(self.take_request_number(), now_ns);
         on_event(Event::Connected {
-            board_software_version: hello.software_version,
+            board_software_version,
         });
     }
 

@@ -343,6 +343,7 @@ impl Session {
             greeting: Greeting {
                 nonce: self.nonces.next(),
                 next_ns: now_ns,
+                answered: None,
             },
             since_ns: now_ns,
         };

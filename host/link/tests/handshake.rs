@@ -434,6 +434,42 @@ fn telemetry_comes_with_its_times() {
 }
 
 #[test]
+fn a_line_that_echoes_is_not_a_board() {
+    let mut bench = Bench::opened();
+    for _ in 0..300 {
+        // Everything that is sent comes back, the greetings too.
+        let sent: Vec<ToBoard> = bench.sent.drain(..).map(|(_, message)| message).collect();
+        assert!(sent.iter().all(is_hello), "{sent:?}");
+        for message in sent {
+            bench.bytes(message.encode().as_bytes());
+        }
+        bench.pass_in_silence(10 * MS);
+    }
+    assert!(matches!(bench.session.state(), State::Greeting { since_ns } if since_ns == START_NS));
+    assert!(bench.events.is_empty(), "{:?}", bench.events);
+}
+
+#[test]
+fn a_board_whose_identity_is_lost_is_asked_again() {
+    let mut bench = Bench::opened();
+    let answer = singletrack_protocol::Hello {
+        protocol_version: VERSION,
+        software_version: [9, 8, 7],
+        nonce: bench.nonce(),
+    };
+    bench.hear(answer);
+    bench.telemetry();
+    assert!(bench.events.is_empty(), "{:?}", bench.events);
+    bench.sent.clear();
+    bench.pass_in_silence(100 * MS);
+    assert!(bench.sent.iter().any(|(_, message)| is_hello(message)));
+    bench.hear(answer);
+    bench.hear(Identity { car_id: 7 });
+    assert!(bench.has(Event::Identified { car_id: 7 }));
+    assert_eq!(bench.session.state(), State::Configuring);
+}
+
+#[test]
 fn the_board_names_its_car_after_the_greeting() {
     let mut bench = Bench::opened();
     bench.poll();

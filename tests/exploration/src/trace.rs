@@ -24,10 +24,11 @@ impl Trace {
     }
 
     /// The schedule of the fault campaign that comes nearest, for `cargo faults --replay`: there a
-    /// wire is cut both ways, and nobody jogs.
+    /// wire is cut both ways (of a board with its own supply), and nobody jogs.
     #[must_use]
     pub fn schedule(&self) -> String {
-        let mut entries = vec!["seed 1".to_owned(), "proved true".to_owned()];
+        let entries = ["seed 1", "proved true", "own_supply true"];
+        let mut entries: Vec<_> = entries.into_iter().map(str::to_owned).collect();
         let fault = |kind: &str, at_ms: u64, for_ms: u64| {
             format!("fault {kind} at {at_ms} for {for_ms} severity 1000")
         };

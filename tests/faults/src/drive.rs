@@ -272,7 +272,7 @@ impl<'a> Drive<'a> {
             now_us: 0,
             world: Box::new(world),
             network: Network::new(schedule.seed),
-            port: Port::new(schedule.situation.queue_shows),
+            port: Port::new(setting::reported(&schedule.situation)),
             daemon: None,
             daemon_since_us: None,
             daemons: 0,

@@ -86,7 +86,7 @@ enum Fault {
     Frozen,
     /// It hears nothing of the cameras.
     Deaf,
-    /// Its serial line is unplugged.
+    /// Its USB cable is pulled, which takes the power along.
     Unplugged,
     /// Its board has no power.
     Unpowered,
@@ -225,7 +225,7 @@ fn change(fleet: &mut VirtualFleet, index: usize, fault: Fault, begins: bool) {
             };
             car.world_mut().cameras_mut().faults_mut().loss = begins.then_some(kind);
         }
-        Fault::Unplugged => car.world_mut().set_wire_connected(!begins),
+        Fault::Unplugged => car.world_mut().set_cable(!begins),
         Fault::Unpowered => car.world_mut().set_board_power(!begins),
         Fault::Jumps => {
             let jump = if begins { 0.7 } else { 0.0 };

@@ -6,12 +6,24 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use singletrack_core::line::{Line, PortRead, Sent};
-use singletrack_protocol::{Drive, Message, frame_length};
+use singletrack_core::line::{Line, OutputQueue, PortRead, Sent};
 
-/// A device that reports its queue takes nothing while more bytes than this wait: the
-/// daemon checks the queue, see `singletrackd::serial_port`.
-const MOST_QUEUED: usize = frame_length(Drive::PAYLOAD_LENGTH);
+/// A transfer of a genuine UNO as its driver counts it, however short it is, in bytes, and the
+/// bytes that the UNO's serial chip takes before a transfer waits.
+const TRANSFER: usize = 1_280;
+const CHIP: usize = 128;
+
+/// What a driver reports of its output queue.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Reported {
+    /// Nothing, as a pseudo-terminal.
+    #[default]
+    Nothing,
+    /// The bytes.
+    Bytes,
+    /// Whole transfers.
+    Transfers,
+}
 
 /// The bytes that Linux keeps until they are read: 4095 in the line discipline and
 /// 64 KiB in the buffers before it. Further bytes are lost.
@@ -20,9 +32,11 @@ const UNREAD: usize = 4_095 + 65_536;
 #[derive(Debug, Default)]
 struct State {
     plugged: bool,
-    queue_shows: bool,
-    /// Bytes in the output queue at the last query of the world.
+    reported: Reported,
+    /// Bytes in the output queue at the last query of the world, and those written since.
     queued: usize,
+    /// Writes since then.
+    writes: usize,
     written: Vec<u8>,
 }
 
@@ -34,9 +48,13 @@ pub(crate) struct Port {
     opened: bool,
 }
 
-/// The half that the control thread writes.
+/// The half that the control thread writes. It checks the queue as that of the daemon does, see
+/// `singletrackd::serial_port`.
 #[derive(Debug)]
-pub(crate) struct WriteHalf(Arc<Mutex<State>>);
+pub(crate) struct WriteHalf {
+    state: Arc<Mutex<State>>,
+    queue: OutputQueue,
+}
 
 fn lock(state: &Arc<Mutex<State>>) -> MutexGuard<'_, State> {
     // One thread has both ends.
@@ -44,10 +62,10 @@ fn lock(state: &Arc<Mutex<State>>) -> MutexGuard<'_, State> {
 }
 
 impl Port {
-    pub(crate) fn new(queue_shows: bool) -> Self {
+    pub(crate) fn new(reported: Reported) -> Self {
         let state = State {
             plugged: true,
-            queue_shows,
+            reported,
             ..State::default()
         };
         Self {
@@ -69,7 +87,8 @@ impl Port {
     }
 
     pub(crate) fn set_queued(&self, bytes: usize) {
-        lock(&self.state).queued = bytes;
+        let mut state = lock(&self.state);
+        (state.queued, state.writes) = (bytes, 0);
     }
 
     /// Takes the bytes that the daemon has written since the last call.
@@ -99,7 +118,10 @@ impl singletrack_core::line::Port for Port {
         }
         self.unread.clear();
         self.opened = true;
-        Some(WriteHalf(Arc::clone(&self.state)))
+        Some(WriteHalf {
+            state: Arc::clone(&self.state),
+            queue: OutputQueue::default(),
+        })
     }
 
     fn read(&mut self, buffer: &mut [u8]) -> PortRead {
@@ -121,12 +143,52 @@ impl singletrack_core::line::Port for Port {
 
 impl Line for WriteHalf {
     fn write_frame(&mut self, frame: &[u8]) -> Sent {
-        let mut state = lock(&self.0);
-        if !state.plugged || (state.queue_shows && state.queued > MOST_QUEUED) {
+        let mut state = lock(&self.state);
+        let queued = match state.reported {
+            Reported::Nothing => 0,
+            Reported::Bytes => state.queued,
+            Reported::Transfers => {
+                let waiting = state.queued.saturating_sub(CHIP).div_ceil(frame.len());
+                (waiting + state.writes) * TRANSFER
+            }
+        };
+        if !state.plugged || !self.queue.has_room(queued) {
             return Sent::Dropped;
         }
+        self.queue.wrote(frame.len());
         state.queued += frame.len();
+        state.writes += 1;
         state.written.extend_from_slice(frame);
         Sent::Whole
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use singletrack_core::line::{Line, Port as _, Sent};
+    use singletrack_protocol::{Drive, Message, frame_length};
+
+    use super::{Port, Reported};
+
+    const DRIVE: [u8; frame_length(Drive::PAYLOAD_LENGTH)] =
+        [1; frame_length(Drive::PAYLOAD_LENGTH)];
+
+    #[test]
+    fn every_port_takes_a_second_frame_in_a_tick_and_no_third_unless_it_hides_its_queue() {
+        for reported in [Reported::Nothing, Reported::Bytes, Reported::Transfers] {
+            let mut port = Port::new(reported);
+            let mut line = port.open().unwrap();
+            for _ in 0..3 {
+                port.set_queued(0);
+                let sent = [(); 3].map(|()| line.write_frame(&DRIVE));
+                let third = if reported == Reported::Nothing {
+                    Sent::Whole
+                } else {
+                    Sent::Dropped
+                };
+                assert_eq!(sent, [Sent::Whole, Sent::Whole, third], "{reported:?}");
+            }
+        }
     }
 }

@@ -9,6 +9,7 @@ use singletrack_sim::{
 
 use crate::{
     SetupError,
+    port::Reported,
     schedule::{Deviation, Fault, FaultKind, ReferenceKind, Schedule, Situation, TrueCar},
 };
 
@@ -157,6 +158,15 @@ pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<C
 /// µs, of the configuration with `steering_table`.
 const CROOKED: [f64; 2] = [0.15, 8.0];
 
+/// What the port reports of its queue. One that resets the board is that of a genuine UNO.
+pub(crate) const fn reported(situation: &Situation) -> Reported {
+    match (situation.queue_shows, situation.reset_on_open) {
+        (false, _) => Reported::Nothing,
+        (true, false) => Reported::Bytes,
+        (true, true) => Reported::Transfers,
+    }
+}
+
 /// Bounds of the gain that clients tune, 1/s.
 pub(crate) const TUNED_GAIN: [f64; 2] = [0.8, 1.2];
 
@@ -196,6 +206,7 @@ pub(crate) fn simulation(schedule: &Schedule) -> SimulationConfig {
         },
         board: BoardParameters {
             kind: situation.board,
+            own_supply: situation.own_supply,
             clock_skew_ppm: situation.board_skew_ppm,
             clock_offset_us: situation.board_clock_ms.wrapping_mul(1_000),
             ..BoardParameters::default()

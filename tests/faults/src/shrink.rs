@@ -107,7 +107,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 16] = [
+        let changes: [fn(&mut Situation, &Situation); 17] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,
@@ -121,6 +121,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
             |s, default| s.brake = default.brake,
             |s, default| s.stop_input = default.stop_input,
             |s, default| s.reset_on_open = default.reset_on_open,
+            |s, default| s.own_supply = default.own_supply,
             |s, default| s.queue_shows = default.queue_shows,
             |s, default| {
                 s.camera_latency_ms = default.camera_latency_ms;

@@ -87,7 +87,7 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
         }
     }
     *world.wire_mut().faults_mut() = wire;
-    world.set_wire_connected(!is_active(FaultKind::LineUnplugged));
+    world.set_cable(!is_active(FaultKind::LineUnplugged));
     world.set_board_power(!is_active(FaultKind::BoardOff));
     world.set_imu_fault(imu);
     world.car_mut().set_motor_sensor_fault(motor);

@@ -32,6 +32,37 @@ proptest! {
 }
 
 #[test]
+fn the_page_says_of_every_fault_whether_it_is_kinder_than_the_world() {
+    let page = include_str!("../../../docs/faults.md");
+    let (_, table) = page.split_once("## Which faults are kinder").unwrap();
+    for kind in FaultKind::ALL {
+        let name = format!("`{}`", kind.name());
+        assert!(table.contains(&name), "docs/faults.md does not name {name}");
+    }
+}
+
+#[test]
+fn a_pulled_plug_takes_the_boards_power_along_unless_it_has_its_own() {
+    let outcome = |own_supply: bool, faults: &[&str]| {
+        let mut text = format!(
+            "seed 7; proved true; speed_mm_s 1000; fence_mm 8000; esc_kind vesc; own_supply {own_supply}; \
+             end_ms 11000; ask arm at 3200"
+        );
+        for fault in faults {
+            text += &format!("; fault {fault} at 7000 for 2000 severity 1");
+        }
+        let outcome = drive(&text.parse().unwrap(), &mut Untampered, Until::End).unwrap();
+        assert_eq!(outcome.violation, None, "{text}");
+        outcome.digest
+    };
+    let plug = outcome(false, &["line-unplugged"]);
+    assert_eq!(plug, outcome(false, &["line-unplugged", "board-off"]));
+    let own = outcome(true, &["line-unplugged"]);
+    assert_ne!(own, plug);
+    assert_ne!(own, outcome(true, &["line-unplugged", "board-off"]));
+}
+
+#[test]
 fn every_kind_of_fault_occurs_within_a_thousand_seeds() {
     let seeds = 0..1_000;
     let schedules: Vec<_> = seeds

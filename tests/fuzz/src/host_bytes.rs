@@ -6,8 +6,8 @@ use singletrack_link::{
     DriveCommand, Event, JogCommand, Session, SessionConfig, State, TimedTelemetry,
 };
 use singletrack_protocol::{
-    BoardMode, Configuration, Decoder, Drive, Hello, ImuState, RefusalReason, Request, ResetCause,
-    Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
+    BoardMode, Configuration, Decoder, Drive, Hello, Identity, ImuState, RefusalReason, Request,
+    ResetCause, Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
 };
 
 use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
@@ -58,6 +58,8 @@ struct Bench {
     mirror: Decoder,
     /// Nonce of the newest greeting.
     nonce: u32,
+    /// The newest greeting that was answered.
+    answered: Option<u32>,
     /// Request number of the newest configuration sent.
     configure: Sequence,
     /// The arm request that may still be sent.
@@ -94,6 +96,7 @@ impl Bench {
             board_mode: BoardMode::Neutral,
             mirror: Decoder::new(),
             nonce: 0,
+            answered: None,
             configure: Sequence(0),
             arm: None,
             stop: Sequence(0),
@@ -280,6 +283,7 @@ impl Bench {
             software_version: [9, 8, 7],
             nonce: self.nonce,
         });
+        self.send(Identity { car_id: 0 });
     }
 
     fn acknowledge(&mut self, request: Request, sequence: Sequence) {
@@ -450,9 +454,17 @@ impl Bench {
                 continue;
             };
             messages.frames += 1;
-            if let Ok(ToHost::Hello(hello)) = ToHost::decode(packet) {
-                messages.answer_to_greeting |=
-                    hello.nonce == self.nonce && hello.protocol_version == VERSION;
+            match ToHost::decode(packet) {
+                Ok(ToHost::Hello(hello))
+                    if hello.nonce == self.nonce && hello.protocol_version == VERSION =>
+                {
+                    self.answered = Some(hello.nonce);
+                }
+                // An echo of the greeting is followed by no such message.
+                Ok(ToHost::Identity(_)) => {
+                    messages.answer_to_greeting |= self.answered == Some(self.nonce);
+                }
+                _ => {}
             }
         }
         let mut events = Vec::new();

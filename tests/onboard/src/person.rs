@@ -67,6 +67,8 @@ pub struct Person {
     /// When the last such action was done, in µs.
     acted_us: Option<u64>,
     seen: Seen,
+    /// The motor was driven until the cable was plugged in again.
+    drove_on: bool,
     /// When it last looked, in µs.
     looked_us: Option<u64>,
     has_kill_switch: bool,
@@ -115,6 +117,7 @@ impl Person {
             turning_since_us: None,
             acted_us: None,
             seen: Seen::default(),
+            drove_on: false,
             looked_us: None,
             has_kill_switch,
         }
@@ -289,7 +292,7 @@ impl Person {
                 choice(
                     &question.answers,
                     match drove_us {
-                        _ if view.driven => "not",
+                        _ if view.driven || self.drove_on => "not",
                         drove_us if drove_us > 400_000 => "late",
                         _ => "at-once",
                     },
@@ -300,8 +303,14 @@ impl Person {
                 _ => Answer::Begin,
             },
         };
-        // What happens from now on belongs to the next question.
-        self.seen = Seen::default();
+        // What happens from now on belongs to the next question. How the motor stops without
+        // its cable is asked when that is plugged in again.
+        if question.id == "plug-in" {
+            self.drove_on = view.driven;
+        } else {
+            self.seen = Seen::default();
+            self.drove_on = false;
+        }
         self.tasks.extend(self.later.drain(..));
         answer
     }

@@ -94,6 +94,16 @@ const CARS: &[(&str, Course, &str)] = &[
         "[operator]\nunplug_at_s = 5.0\n",
     ),
     (
+        "own supply, unplugged at 1.0 m/s",
+        Straight("1.0"),
+        "[truth.board]\nown_supply = true\n[operator]\nunplug_at_s = 5.0\n",
+    ),
+    (
+        "kill output, unplugged at 1.0 m/s",
+        Straight("1.0"),
+        "[board]\nkill_output = true\n[operator]\nunplug_at_s = 5.0\n",
+    ),
+    (
         "calibrated, emergency stop",
         Straight("0.5"),
         "[operator]\nemergency_stop_at_s = 8.0\n",

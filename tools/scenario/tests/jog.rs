@@ -153,18 +153,47 @@ fn a_disarm_a_stop_and_a_missing_operator_end_at_neutral_within_120_ms() {
     }
 }
 
-#[test]
-fn a_pulled_cable_ends_at_neutral_within_120_ms_by_the_board() {
-    let mut drive = turning();
+/// With a cable that is pulled, the drive, and when it was.
+fn pulled(own_supply: bool) -> (VirtualDrive, u64) {
+    let mut simulation = simulation();
+    simulation.board.own_supply = own_supply;
+    let mut drive = VirtualDrive::new(config(), 1, simulation).unwrap();
+    start_jogging(&mut drive);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 500);
+    assert!(drive.step().truth.wheel_speed > 0.1);
     let pulled_us = drive.world().now_us();
-    drive.world_mut().set_wire_connected(false);
+    drive.world_mut().set_cable(false);
     hold(&mut drive, pulses(STRAIGHT_US, 1_560), 1_000);
+    (drive, pulled_us)
+}
+
+/// Plugs the cable in again: the hand goes on, and the board does not.
+fn plugged_again(mut drive: VirtualDrive) {
+    let plugged_us = drive.world().now_us();
+    drive.world_mut().set_cable(true);
+    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 4_000);
+    assert!(neutral_after(&drive, plugged_us).unwrap() <= NEUTRAL_WITHIN_US);
+    assert_eq!(drive.mode(), Mode::Ready, "not armed again");
+}
+
+#[test]
+fn a_pulled_cable_ends_at_neutral_within_120_ms_by_a_board_with_its_own_supply() {
+    let (drive, pulled_us) = pulled(true);
     let neutral = neutral_after(&drive, pulled_us).unwrap();
     assert!(neutral <= NEUTRAL_WITHIN_US, "{neutral} us");
-    drive.world_mut().set_wire_connected(true);
-    hold(&mut drive, pulses(STRAIGHT_US, 1_560), 3_000);
-    assert!(neutral_after(&drive, pulled_us).unwrap() <= NEUTRAL_WITHIN_US);
-    assert_eq!(drive.mode(), Mode::Ready, "not armed again");
+    let last = drive.world().board().pulses().last().copied().unwrap();
+    assert_eq!(last.esc_us, NEUTRAL_US);
+    plugged_again(drive);
+}
+
+#[test]
+fn a_pulled_cable_takes_the_pulses_along_and_the_esc_stops_by_itself() {
+    let (mut drive, pulled_us) = pulled(false);
+    let pulses: Vec<_> = drive.world().board().pulses().iter().copied().collect();
+    let mut later = pulses.iter().filter(|pulse| pulse.time_us >= pulled_us);
+    assert!(later.all(|pulse| pulse.esc_us == 0), "no neutral pulse");
+    assert_eq!(drive.step().truth.wheel_speed, 0.0);
+    plugged_again(drive);
 }
 
 #[test]
@@ -336,6 +365,7 @@ impl Hand {
         config.board.stop_input = true;
         config.board.kill_output = random.below(2) == 0;
         motor.kill_relay = config.board.kill_output;
+        simulation.board.own_supply = seed % 2 == 0;
         Self {
             random,
             drive: VirtualDrive::new(config, seed, simulation).unwrap(),
@@ -382,7 +412,7 @@ impl Hand {
             && now_us > pulled_us + 1_000_000
         {
             self.pulled_us = None;
-            self.drive.world_mut().set_wire_connected(true);
+            self.drive.world_mut().set_cable(true);
         }
         if self.drive.mode() == Mode::Fault && self.random.below(100) == 0 {
             let world = self.drive.world_mut();
@@ -407,7 +437,7 @@ impl Hand {
         match self.random.below(7) {
             0 if self.pulled_us.is_none() => {
                 self.pulled_us = Some(now_us);
-                self.drive.world_mut().set_wire_connected(false);
+                self.drive.world_mut().set_cable(false);
             }
             1 => self.drive.world_mut().press_reset(),
             2 => {

@@ -11,6 +11,8 @@ use super::{
 };
 
 const SRAM: usize = 0x100;
+const TIMSK0: usize = 0x6E;
+const TCCR1B: u16 = 0x81;
 const ADC_COUNTS: u32 = 1_024;
 const SUPPLY_MV: u32 = 5_000;
 /// Voltage on a floating A0 without pull-up: anything is possible, also that of a
@@ -140,11 +142,24 @@ impl Board {
     }
 
     fn hang(&mut self, hang: Hang) {
-        self.hang = Some(hang);
-        self.machine.wake();
         self.meter.stop();
-        if hang == Hang::Everything {
-            self.machine.disable_interrupts();
+        match hang {
+            Hang::MainLoop | Hang::Everything => {
+                self.hang = Some(hang);
+                self.machine.wake();
+                if hang == Hang::Everything {
+                    self.machine.disable_interrupts();
+                }
+            }
+            Hang::Ticks => {
+                if let Some(mask) = self.machine.data().get_mut(TIMSK0) {
+                    *mask = 0;
+                }
+            }
+            Hang::Pulses => {
+                let now = self.now();
+                self.machine.devices().write(now, TCCR1B, 0);
+            }
         }
     }
 
@@ -276,7 +291,7 @@ impl Board {
             Some(Hang::Everything) => true,
             // The program leaves a critical section before it hangs.
             Some(Hang::MainLoop) => before.depth == 0 && before.interrupts_enabled(),
-            None => false,
+            Some(Hang::Ticks | Hang::Pulses) | None => false,
         };
         if hangs || before.asleep() {
             self.machine.skip(until);

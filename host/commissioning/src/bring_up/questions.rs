@@ -146,7 +146,8 @@ pub(super) const CLEAR_LATCH: Question = Question::begin(
 /// The answers to [`STOPPED_HOW`].
 pub(super) const STOPS: &[&str] = &["at-once", "late", "not"];
 
-/// When the motor stopped driving, counted from the operator's own action.
+/// When the motor stopped driving, counted from the operator's own action, be the cable plugged in
+/// again or not.
 pub(super) const STOPPED_HOW: Question = Question::new(
     "stopped-how",
     "Did the motor stop driving at once (the wheels may roll on), later (it drove on for half \

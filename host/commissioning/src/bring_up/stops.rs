@@ -3,9 +3,10 @@
 //! Two times are measured for each: from the request to the neutral pulse, and from there
 //! until the wheels begin to slow down, which is the time for which the ESC holds its last pulse.
 //! A hand that pulls a cable or presses a button gives no time stamp: there the board's own record
-//! counts, or what the operator sees.
+//! counts, whether it kept its power, or what the operator sees.
 
 use singletrack_control::Time;
+use singletrack_protocol::ResetCause;
 
 use super::{
     car::{Car, armed},
@@ -61,6 +62,10 @@ const RECORD_S: f64 = 0.01;
 
 const ESC_HOLDS: &str = "Set the time-out of the ESC for lost pulses to 100 ms or less, and its \
                          drag brake as you like. See docs/safety.md.";
+
+const OWN_SUPPLY: &str = "Give the board a supply of its own at VIN, or wire the kill output: see \
+                          docs/uno.md. Set the time-out of the ESC for lost pulses to 100 ms or \
+                          less.";
 
 /// The times of a stop.
 struct Stop {
@@ -222,19 +227,56 @@ fn spin_for_hand(car: &mut Car<'_>, what: &str) -> Result<Spun, Trouble> {
 }
 
 fn reset(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    unheard(bench, &questions::RESET_AT_SPEED, None)
+    unheard(bench, &questions::RESET_AT_SPEED)?;
+    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS);
+    // The board starts again, and the ESC with it where the board holds its supply.
+    Car::wait_for_board(bench)?;
+    by_eye(seen?, "the motor stopped at once, by eye", ESC_HOLDS)
 }
 
+/// The board tells afterwards whether it kept its power. Without it nobody gives a neutral pulse;
+/// then the kill output has dropped the supply of the ESC (see the step `kill`), or the ESC
+/// decides alone.
 fn unplug(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
-    unheard(bench, &questions::UNPLUG, Some(questions::PLUG_IN))
+    let before = unheard(bench, &questions::UNPLUG)?;
+    ask(bench, &questions::PLUG_IN)?;
+    Car::wait_for_board(bench)?;
+    let mut car = Car::look(bench)?;
+    car.watch(0.5, "the board reports")?;
+    if kept_power(before, &car)? {
+        let found =
+            "the board has a supply of its own: it gives the neutral pulse without the cable";
+        return Ok(Finding::good(found));
+    }
+    if bench.configuration().board.kill_output {
+        let found = "the cable takes the board's power along, and the kill output that of the ESC";
+        return Ok(Finding::good(found));
+    }
+    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS)?;
+    let found =
+        "the cable takes the board's power along: the ESC stopped by itself at once, by eye";
+    by_eye(seen, found, OWN_SUPPLY)
 }
 
-/// A stop after which the board sends nothing: the operator judges it.
-fn unheard(
-    bench: &mut dyn Bench,
-    question: &Question,
-    after: Option<Question>,
-) -> Result<Finding, Trouble> {
+/// Whether the board had power since `before`: its clock went on, or its restart was none of
+/// power. (Opening the port resets an UNO.)
+fn kept_power(before: Option<BoardReading>, car: &Car<'_>) -> Result<bool, Trouble> {
+    let fix = "Check the serial line with `singletrack doctor`.";
+    let (Some(before), Some(now), Some(status)) = (before, car.board, car.status) else {
+        return Err(failed("the board does not report how it was reset", fix));
+    };
+    let passed_s = now.receive.seconds_since(before.receive);
+    let counted_s = f64::from(now.board_us.wrapping_sub(before.board_us)) * 1e-6;
+    let goes_on = (counted_s - passed_s).abs() < 0.1 + 0.02 * passed_s;
+    let lost = matches!(
+        status.reset_cause,
+        ResetCause::PowerOn | ResetCause::BrownOut
+    );
+    Ok(goes_on || !lost)
+}
+
+/// A stop after which the board sends nothing; returns the last telemetry before.
+fn unheard(bench: &mut dyn Bench, question: &Question) -> Result<Option<BoardReading>, Trouble> {
     ask(bench, question)?;
     let mut car = Car::look(bench)?;
     car.arm()?;
@@ -242,18 +284,17 @@ fn unheard(
     let found = format!("the board went on for {HAND_S:.0} s: nothing was done by hand");
     require(spun.ended.is_some(), found, "Run the bring-up again.")?;
     // The operator watches the wheels.
+    let before = car.board;
     car.watch(2.0, "stopping")?;
-    let seen = ask_word(bench, &questions::STOPPED_HOW, STOPS);
-    if let Some(after) = after {
-        ask(bench, &after)?;
-    }
-    // The board starts again, and the ESC with it where the board holds its supply.
-    Car::wait_for_board(bench)?;
-    match seen? {
-        "at-once" => Ok(Finding::good("the motor stopped at once, by eye")),
+    Ok(before)
+}
+
+fn by_eye(seen: &str, at_once: &'static str, fix: &'static str) -> Result<Finding, Trouble> {
+    match seen {
+        "at-once" => Ok(Finding::good(at_once)),
         "late" => Ok(Finding::warning(
             "the motor drove on for a while without pulses",
-            ESC_HOLDS,
+            fix,
         )),
         _ => Err(failed(
             "the motor drove on without pulses",

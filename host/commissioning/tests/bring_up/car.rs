@@ -62,6 +62,9 @@ pub(crate) struct MockCar {
     supply_cut: bool,
     switch_open: bool,
     plugged: bool,
+    reset_cause: ResetCause,
+    /// How the motor stopped when the cable was pulled.
+    stopped_how: Option<usize>,
     hand: Option<(Hand, Option<u64>)>,
     turned: f64,
     /// When a hand acted, how fast the wheels were, and for how long they kept that.
@@ -125,6 +128,8 @@ impl MockCar {
             supply_cut: false,
             switch_open: false,
             plugged: true,
+            reset_cause: ResetCause::PowerOn,
+            stopped_how: None,
             hand: None,
             turned: 0.0,
             acted: None,
@@ -286,7 +291,7 @@ impl MockCar {
         }
         self.powered = powered;
         self.was_powered |= powered && self.is_armed();
-        let silent = !self.plugged || self.boot_us > self.now_us;
+        let silent = !(self.plugged || self.truth.own_supply) || self.boot_us > self.now_us;
         let servo = self.servo_us;
         let esc = self.neutral_us() + self.esc_offset_us;
         let (servo, esc) = if t.swapped {
@@ -386,8 +391,10 @@ impl MockCar {
             Hand::OpenSwitch => self.switch_open = true,
             Hand::Unplug => {
                 self.plugged = false;
-                self.mode = BoardMode::Boot;
-                self.jogged = None;
+                if !self.truth.own_supply {
+                    self.mode = BoardMode::Boot;
+                    self.jogged = None;
+                }
             }
             Hand::PressReset => self.reset_board(),
         }
@@ -410,11 +417,24 @@ impl MockCar {
         ((self.wheels_us - t.centre_us) / t.gain_us_per_rad).clamp(-t.stop_rad, t.stop_rad)
     }
 
+    fn board_us(&self) -> u32 {
+        (self.now_us - self.boot_us) as u32
+    }
+
+    /// How the motor stopped, by eye.
+    fn stopped_how(&self) -> usize {
+        match self.drove_us {
+            _ if self.speed.abs() > 0.1 => 2,
+            drove_us if drove_us > 400_000 => 1,
+            _ => 0,
+        }
+    }
+
     fn status(&self) -> Status {
         Status {
-            board_time_us: self.now_us as u32,
+            board_time_us: self.board_us(),
             configuration_hash: 1,
-            reset_cause: ResetCause::PowerOn,
+            reset_cause: self.reset_cause,
             stop_input_open: self.switch_open,
             battery_mv: 7_600,
             frames_received: 0,
@@ -444,7 +464,7 @@ impl Bench for MockCar {
             let sign = self.esc_offset_us.signum();
             observed.push(Observation::Board(BoardReading {
                 time,
-                board_us: self.now_us as u32,
+                board_us: self.board_us(),
                 receive: time,
                 inertial: None,
                 motor_speed: self.measured * sign,
@@ -519,11 +539,10 @@ impl Bench for MockCar {
             } else {
                 usize::from((self.turned > 0.0) == self.truth.backward)
             }),
-            "stopped-how" => Answer::Choice(match self.drove_us {
-                _ if self.speed.abs() > 0.1 => 2,
-                drove_us if drove_us > 400_000 => 1,
-                _ => 0,
-            }),
+            "stopped-how" => {
+                let remembered = self.stopped_how.take();
+                Answer::Choice(remembered.unwrap_or_else(|| self.stopped_how()))
+            }
             "cut-supply" => self.prepare(Hand::CutSupply),
             "open-switch" => self.prepare(Hand::OpenSwitch),
             "unplug" => self.prepare(Hand::Unplug),
@@ -538,8 +557,14 @@ impl Bench for MockCar {
                 Answer::Begin
             }
             "plug-in" => {
+                self.stopped_how = Some(self.stopped_how());
                 self.plugged = true;
                 self.reset_board();
+                self.reset_cause = if self.truth.own_supply {
+                    ResetCause::External
+                } else {
+                    ResetCause::PowerOn
+                };
                 Answer::Begin
             }
             "esc-after-board" | "board-after-esc" | "clear-latch" => {

@@ -261,6 +261,35 @@ fn an_esc_that_drives_on_without_pulses_fails() {
 }
 
 #[test]
+fn the_board_tells_whether_the_cable_takes_its_power_along() {
+    let kept = "supply of its own";
+    let lost = "takes the board's power along";
+    for (own_supply, kill_output, says, by_eye) in [
+        (true, false, kept, false),
+        (true, true, kept, false),
+        (false, true, lost, false),
+        (false, false, lost, true),
+    ] {
+        let truth = Truth {
+            own_supply,
+            kill_output,
+            ..usual()
+        };
+        let mut car = MockCar::new(truth, 1);
+        let findings = bring_up_car(&mut car);
+        let found = findings.iter().find(|found| found.step == "stop-unplug");
+        assert!(
+            found.is_some_and(|it| it.verdict == Verdict::Good && it.found.contains(says)),
+            "{}",
+            explain(&findings)
+        );
+        // Once for the reset.
+        let asked = car.asked.iter().filter(|id| **id == "stopped-how").count();
+        assert_eq!(asked, 1 + usize::from(by_eye), "{own_supply} {kill_output}");
+    }
+}
+
+#[test]
 fn a_stop_switch_without_effect_fails() {
     let mut car = MockCar::new(
         Truth {

@@ -47,6 +47,8 @@ pub(crate) struct Truth {
     pub(crate) sensor_dead: bool,
     pub(crate) kill_output: bool,
     pub(crate) relay_works: bool,
+    /// The board has a supply besides the cable.
+    pub(crate) own_supply: bool,
     /// The ESC holds its last pulse for so long after a change to neutral.
     pub(crate) holds_s: f64,
     /// The ESC drives on without pulses.
@@ -84,6 +86,7 @@ impl Truth {
             sensor_dead: false,
             kill_output: random.between(0.0, 1.0) < 0.5,
             relay_works: true,
+            own_supply: false,
             holds_s: 0.0,
             runs_without_pulses: false,
             switch_works: true,

@@ -11,8 +11,9 @@ use std::num::NonZeroU32;
 use singletrack_link::{Event, Session, SessionConfig, State};
 use singletrack_protocol::{
     Acknowledgement, BoardMode, Configuration, Configure, Decoder, EscCalibration, EscKind,
-    FailsafeAction, Hello, ImuAxes, ImuState, LONGEST_ROLL_OUT_MS, Refusal, RefusalReason, Request,
-    Sequence, ServoCalibration, SpeedLoop, StopCause, Telemetry, ToBoard, ToHost, VERSION,
+    FailsafeAction, Hello, Identity, ImuAxes, ImuState, LONGEST_ROLL_OUT_MS, Refusal,
+    RefusalReason, Request, Sequence, ServoCalibration, SpeedLoop, StopCause, Telemetry, ToBoard,
+    ToHost, VERSION,
 };
 
 pub(crate) const MS: u64 = 1_000_000;
@@ -236,6 +237,7 @@ impl Bench {
             software_version: [9, 8, 7],
             nonce,
         });
+        self.hear(Identity { car_id: 0 });
     }
 
     pub(crate) fn announce_restart(&mut self) {

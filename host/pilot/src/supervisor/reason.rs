@@ -8,7 +8,7 @@ words! {
     pub enum Reason {
         /// No board answers for 200 ms, or the port hung up.
         ///
-        /// Effect: Refuses. Driving: neutral 120 ms after the last command.
+        /// Effect: Refuses. Driving: a board with power is at neutral 120 ms after the last command.
         ///
         /// Remedy: Plug the board in; check `serial.port` and its permissions.
         LinkDown = 1 "link-down",

@@ -30,6 +30,7 @@ impl Default for Situation {
             brake: false,
             stop_input: false,
             reset_on_open: false,
+            own_supply: false,
             queue_shows: false,
             kill_output: false,
             proved: true,
@@ -59,6 +60,7 @@ impl Schedule {
         let mut situation = situation(random, board);
         situation.live = seed.is_multiple_of(3);
         situation.waits = seed.is_multiple_of(7);
+        situation.own_supply = seed % 5 < 2;
         let truth = true_car(random, &situation);
         believe(random, &mut situation, &truth);
         let [shortest, longest] = match board {
@@ -182,6 +184,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         brake: random.happens(500),
         stop_input: random.happens(500),
         reset_on_open: random.happens(250),
+        own_supply: false,
         queue_shows: random.happens(500),
         proved: false,
         kill_output: random.happens(300),

@@ -113,7 +113,8 @@ kinds! {
     LineStuck = "line-stuck", Line;
     /// Every byte takes s/5 ms longer.
     LineDelay = "line-delay", Line;
-    /// The plug is pulled.
+    /// The USB plug is pulled, or the hub or the host's computer loses its power: the board does
+    /// too, unless it has a supply of its own.
     LineUnplugged = "line-unplugged", Line;
 
     /// Power-on reset.

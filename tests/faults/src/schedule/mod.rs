@@ -47,6 +47,8 @@ pub struct Situation {
     pub stop_input: bool,
     /// Whether opening the port resets the board, as DTR does on an UNO.
     pub reset_on_open: bool,
+    /// Whether the board has a supply of its own, besides the USB cable.
+    pub own_supply: bool,
     /// Whether the length of the port's queue can be read, which reveals a stuck
     /// line; a pseudo-terminal's can't.
     pub queue_shows: bool,

@@ -27,14 +27,23 @@ pub trait Rig: Send {
     /// Command address of the cameras.
     fn cameras(&self) -> SocketAddrV4;
 
-    /// Unplugs the serial line.
+    /// Interrupts the serial line; the board keeps its power.
     ///
     /// # Errors
     ///
     /// Fails if the rig has stopped.
-    fn unplug(&self) -> Outcome;
+    fn interrupt(&self) -> Outcome;
 
-    /// Plugs the serial line in.
+    /// Pulls the USB cable, which takes the board's power along.
+    ///
+    /// # Errors
+    ///
+    /// Fails if the rig lacks [`Need::Power`].
+    fn unplug(&self) -> Outcome {
+        Err(self.without(Need::Power))
+    }
+
+    /// Ends either.
     ///
     /// # Errors
     ///
@@ -158,6 +167,8 @@ pub trait Rig: Send {
 pub enum Need {
     /// A reset line, for different causes.
     Reset,
+    /// A USB cable that takes the board's power along.
+    Power,
     /// A motor sensor that can be cut.
     MotorSensor,
     /// A stop switch that can be opened.

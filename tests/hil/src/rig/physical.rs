@@ -197,7 +197,7 @@ impl Rig for PhysicalRig {
         self.car.command_address()
     }
 
-    fn unplug(&self) -> Outcome {
+    fn interrupt(&self) -> Outcome {
         self.shared()?.pty = None;
         Ok(())
     }
@@ -274,6 +274,7 @@ impl Rig for PhysicalRig {
 pub(crate) fn lacks(need: Need) -> Option<&'static str> {
     match need {
         Need::Reset => Some("the harness has no reset line to a physical UNO"),
+        Need::Power => Some("the harness can't pull the cable of a physical UNO"),
         Need::MotorSensor => Some("the harness can't cut the motor sensor of a physical car"),
         Need::StopSwitch => Some("the harness can't open the stop switch of a physical car"),
         Need::OtherCameras => Some("the cameras are there already"),

@@ -99,6 +99,10 @@ impl Rig for SimulatedRig {
         self.simulator.command_address()
     }
 
+    fn interrupt(&self) -> Outcome {
+        Ok(self.simulator.interrupt()?)
+    }
+
     fn unplug(&self) -> Outcome {
         Ok(self.simulator.unplug()?)
     }

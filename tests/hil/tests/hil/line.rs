@@ -2,7 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use singletrack_hil::{Outcome, bench::Bench, ensure, rig::LineFaults, wait};
+use singletrack_hil::{
+    Outcome,
+    bench::Bench,
+    ensure,
+    rig::{LineFaults, Need},
+    wait,
+};
 
 use crate::Scenario;
 
@@ -11,6 +17,11 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
         "an_unplugged_line_stops_the_car_and_returns_disarmed",
         unplugged,
     ),
+    Scenario::new(
+        "a_cable_that_takes_the_power_along_stops_the_car_and_returns_disarmed",
+        unpowered,
+    )
+    .needing(&[Need::Power]),
     Scenario::new(
         "keeps_driving_with_half_a_percent_of_the_bytes_corrupted",
         slightly_corrupted,
@@ -30,7 +41,7 @@ fn unplugged(bench: &mut Bench) -> Outcome {
     bench.start_driving()?;
     bench.keep_driving(Duration::from_millis(1_500))?;
     // A hang-up is an event; it needs no timeout.
-    bench.rig().unplug()?;
+    bench.rig().interrupt()?;
     let start = Instant::now();
     let status = bench.wait_for_mode("disconnected", Duration::from_millis(500))?;
     bench.at_most(
@@ -69,6 +80,28 @@ fn unplugged(bench: &mut Bench) -> Outcome {
         status.figure("/frames/hang_ups")? >= 1.0,
         "the hang-up was not counted"
     );
+    bench.arm_and_drive()
+}
+
+/// The board gives no neutral pulse: the ESC stops the car by itself.
+fn unpowered(bench: &mut Bench) -> Outcome {
+    bench.start_driving()?;
+    bench.keep_driving(Duration::from_millis(1_500))?;
+    let place = bench.rig().trace()?.len();
+    bench.rig().unplug()?;
+    bench.wait_for_mode("disconnected", Duration::from_millis(500))?;
+    bench.wait_until_standing()?;
+    let trace = bench.rig().trace()?;
+    let last = trace.since(place).last();
+    ensure!(
+        last.is_some_and(|pulses| pulses.esc_us == 0),
+        "pulses of a board without power: {last:?}"
+    );
+    let place = trace.len();
+    bench.rig().plug()?;
+    bench.wait_for_mode("ready", Duration::from_secs(6))?;
+    bench.stays_neutral(Duration::from_secs(1))?;
+    bench.was_neutral_since(place)?;
     bench.arm_and_drive()
 }
 

@@ -24,7 +24,8 @@ section! {
     disarm_at_s: Option<f64> = None, in MOMENT;
     /// Requests to arm once more.
     arm_again_at_s: Option<f64> = None, in MOMENT;
-    /// Pulls the serial cable: bytes stop in both directions.
+    /// Pulls the USB cable: bytes stop in both directions, and the board loses its power unless
+    /// `truth.board.own_supply`.
     unplug_at_s: Option<f64> = None, in MOMENT;
     /// Plugs it in again.
     plug_at_s: Option<f64> = None, in MOMENT;
@@ -102,7 +103,7 @@ impl Operator {
                     .map_err(|source| ScenarioError::Tune { at_s, source })?,
                 Action::Connect(connected) => {
                     self.has_unplugged = !connected;
-                    drive.world_mut().set_wire_connected(connected);
+                    drive.world_mut().set_cable(connected);
                 }
                 Action::ResetBoard => drive.world_mut().press_reset(),
             }
