@@ -318,19 +318,18 @@ impl NatNetServer {
             .map(|client| client.bitstream)
             .filter(|_| !self.parameters.multicast)
             .unwrap_or(self.parameters.bitstream);
-        let body = |(id, name)| {
-            Dataset::rigid_body(RigidBodyDefinition {
-                name,
-                id,
-                parent_id: -1,
-                offset_m: [0.0; 3],
-            })
-        };
         let mut datasets = vec![Dataset::MarkerSet {
             name: &cameras.car.name,
             marker_names: &MARKER_NAMES,
         }];
-        datasets.extend(cameras.names().map(body));
+        datasets.extend(cameras.names().map(|(id, name)| {
+            Dataset::rigid_body(RigidBodyDefinition {
+                name: name.as_bytes(),
+                id,
+                parent_id: -1,
+                offset_m: [0.0; 3],
+            })
+        }));
         self.answer(from, |out| {
             encode::model_definitions(version, &datasets, out)
         })

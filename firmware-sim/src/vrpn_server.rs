@@ -70,7 +70,7 @@ impl StreamServer for VrpnServer {
                 return Ok(None);
             };
             match message.kind {
-                TYPE_DESCRIPTION if message.described() == Some(PING) => {
+                TYPE_DESCRIPTION if message.described() == Some(PING.as_bytes()) => {
                     state.ping = Some(message.sender);
                 }
                 UDP_DESCRIPTION => {
@@ -82,7 +82,7 @@ impl StreamServer for VrpnServer {
                     if state.senders.len() < 100
                         && cameras
                             .names()
-                            .any(|(_, name)| message.described() == Some(name)) =>
+                            .any(|(_, name)| message.described() == Some(name.as_bytes())) =>
                 {
                     state.senders.push(message.sender);
                 }

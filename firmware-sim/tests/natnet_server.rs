@@ -225,7 +225,7 @@ fn a_new_streaming_id_is_announced_and_in_the_models() {
             assert!(
                 models
                     .rigid_bodies()
-                    .any(|body| (body.name, body.id) == ("car", 42))
+                    .any(|body| (body.name, body.id) == (&b"car"[..], 42))
             );
         }
         other => panic!("{other:?}"),

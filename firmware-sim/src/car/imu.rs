@@ -146,6 +146,12 @@ pub enum ImuFault {
     Saturated,
     /// Every other sample has its signs reversed.
     Erratic,
+    /// One of so many samples has a wrong bit on its way over the bus, which has no checksum: one of
+    /// the two highest of the angular velocities or of the quaternion.
+    WrongBit {
+        /// From one such sample to the next.
+        every: u16,
+    },
 }
 
 impl ImuFault {
@@ -186,6 +192,28 @@ impl ImuFault {
                     reading.angular_velocity_mrad_s = reading.angular_velocity_mrad_s.map(negative);
                     reading.linear_acceleration_mm_s2 =
                         reading.linear_acceleration_mm_s2.map(negative);
+                }
+            }
+            Self::WrongBit { every } => {
+                let every = u64::from(every.max(1));
+                if number.is_multiple_of(every) {
+                    let turn = number / every;
+                    let bit = if turn.is_multiple_of(2) {
+                        i16::MIN
+                    } else {
+                        1 << 14
+                    };
+                    let [_, _, yaw_rate] = &mut reading.angular_velocity_mrad_s;
+                    let words = reading.attitude_q14.iter_mut().chain([yaw_rate]);
+                    // Two of three are the yaw rate.
+                    let place = if turn.is_multiple_of(3) {
+                        turn / 3 % 4
+                    } else {
+                        4
+                    };
+                    if let Some(word) = words.zip(0..).find(|(_, at)| *at == place) {
+                        *word.0 ^= bit;
+                    }
                 }
             }
         }
@@ -384,6 +412,11 @@ mod tests {
         assert_eq!(falsify(ImuFault::Erratic, 2), Some(reading(20, 5)));
         let reversed = falsify(ImuFault::Erratic, 1).unwrap();
         assert_eq!(reversed.linear_acceleration_mm_s2, [-5; 3]);
+        let wrong = |number| falsify(ImuFault::WrongBit { every: 100 }, number).unwrap();
+        assert_eq!(wrong(199), reading(20, 5));
+        assert_eq!(wrong(100).angular_velocity_mrad_s, [5, 5, 5 + (1 << 14)]);
+        assert_eq!(wrong(200).angular_velocity_mrad_s, [5, 5, 5 + i16::MIN]);
+        assert_eq!(wrong(300).attitude_q14, [16_384, 1 << 14, 0, 0]);
     }
 
     /// A sensor without noise, and its readings of a constant motion.

@@ -1,20 +1,20 @@
 //! What the daemon records, as observations of the car.
 
-use singletrack_control::Time;
-use singletrack_core::controller::imu_tilt;
+use singletrack_control::{InertialSample, Time};
+use singletrack_core::{config::WatchSection, controller::imu_tilt};
 use singletrack_mocap::{Observation as Frame, PoseState};
 use singletrack_record::{Entry, TelemetryRecord, TickRecord};
 
 use crate::{BoardReading, Health, Inertial, Observation, PoseReading, TickReading};
 
 impl Observation {
-    /// The observation in an entry of the record, if there is one. A change of the line is in
-    /// two ticks, and in none of them alone.
+    /// The observation in an entry of the record, if there is one; of the IMU only what `watch` calls
+    /// possible. A change of the line is in two ticks, and in none of them alone.
     #[must_use]
-    pub fn of(entry: &Entry) -> Option<Self> {
+    pub fn of(entry: &Entry, watch: &WatchSection) -> Option<Self> {
         Some(match entry {
             Entry::Tick(tick) => Self::Tick(TickReading::of(tick)),
-            Entry::Telemetry(record) => Self::Board(BoardReading::of(record)),
+            Entry::Telemetry(record) => Self::Board(BoardReading::of(record, watch)),
             Entry::Status(record) => Self::Health(Health {
                 receive: Time(record.receive_time_ns),
                 status: record.status,
@@ -43,8 +43,7 @@ impl Observation {
             PoseState::Unbound(_) => "unbound",
             PoseState::Untracked => "untracked",
             PoseState::Absent => "absent",
-            PoseState::Rejected(_) => "rejected",
-            PoseState::LockedOut(_) => "locked-out",
+            PoseState::Rejected(reason) | PoseState::LockedOut(reason) => reason.name(),
             PoseState::Stale { .. } => "stale",
         };
         Self::NoPose { receive, state }
@@ -68,21 +67,36 @@ impl TickReading {
 }
 
 impl BoardReading {
-    fn of(record: &TelemetryRecord) -> Self {
+    fn of(record: &TelemetryRecord, watch: &WatchSection) -> Self {
         let telemetry = &record.telemetry;
         let board_us = telemetry.board_time_us;
-        let tilt = imu_tilt(telemetry.attitude_q14);
         Self {
             time: Time(record.board_time_host_ns),
             board_us,
             receive: Time(record.receive_time_ns),
-            inertial: record.new_imu_time_ns().map(|time_ns| Inertial {
-                time: Time(time_ns),
-                board_us: board_us.wrapping_sub(100 * u32::from(telemetry.imu_age_100us)),
-                acceleration: record.linear_acceleration_m_s2(),
-                angular_velocity: record.angular_velocity_rad_s(),
-                roll: tilt.roll,
-                pitch: tilt.pitch,
+            inertial: record.new_imu_time_ns().and_then(|time_ns| {
+                let tilt = imu_tilt(telemetry.attitude_q14)?;
+                let acceleration = record.linear_acceleration_m_s2();
+                let angular_velocity = record.angular_velocity_rad_s();
+                let [forward_acceleration, left_acceleration, _] = acceleration;
+                let time = Time(time_ns);
+                // Which axis is the vertical one is to be found out.
+                let is_possible = angular_velocity.iter().all(|&yaw_rate| {
+                    watch.is_possible(&InertialSample {
+                        time,
+                        yaw_rate,
+                        forward_acceleration,
+                        left_acceleration,
+                    })
+                });
+                is_possible.then_some(Inertial {
+                    time,
+                    board_us: board_us.wrapping_sub(100 * u32::from(telemetry.imu_age_100us)),
+                    acceleration,
+                    angular_velocity,
+                    roll: tilt.roll,
+                    pitch: tilt.pitch,
+                })
             }),
             motor_speed: f64::from(telemetry.motor_speed_mm_s) / 1_000.0,
             servo_us: telemetry.servo_us,
@@ -101,6 +115,10 @@ mod tests {
     use singletrack_record::{Drops, StatusRecord};
 
     use super::*;
+
+    fn of(entry: &Entry) -> Option<Observation> {
+        Observation::of(entry, &WatchSection::default())
+    }
 
     #[test]
     fn telemetry_is_read_in_si_units_and_a_repeated_sample_is_none() {
@@ -125,7 +143,7 @@ mod tests {
             imu_time_host_ns: Some(60),
             telemetry,
         };
-        let reading = |record| match Observation::of(&Entry::Telemetry(record)) {
+        let reading = |record| match of(&Entry::Telemetry(record)) {
             Some(Observation::Board(reading)) => reading,
             other => panic!("{other:?}"),
         };
@@ -140,6 +158,14 @@ mod tests {
         assert!((inertial.pitch - 0.2).abs() < 1e-3 && inertial.roll.abs() < 1e-9);
 
         record.telemetry.imu = ImuState::Repeated;
+        assert_eq!(reading(record).inertial, None);
+
+        // A wrong bit of the yaw rate, or of the attitude.
+        record.telemetry.imu = ImuState::Fresh;
+        record.telemetry.angular_velocity_mrad_s[2] ^= 1 << 14;
+        assert_eq!(reading(record).inertial, None);
+        record.telemetry.angular_velocity_mrad_s[2] ^= 1 << 14;
+        record.telemetry.attitude_q14[3] ^= 1 << 14;
         assert_eq!(reading(record).inertial, None);
     }
 
@@ -173,7 +199,7 @@ mod tests {
         });
         let receive = Time(9);
         assert_eq!(
-            Observation::of(&entry),
+            of(&entry),
             Some(Observation::Health(Health { receive, status }))
         );
         let entry = Entry::Pose(Frame {
@@ -182,7 +208,7 @@ mod tests {
             state: PoseState::Untracked,
         });
         assert_eq!(
-            Observation::of(&entry),
+            of(&entry),
             Some(Observation::NoPose {
                 receive,
                 state: "untracked"
@@ -192,6 +218,6 @@ mod tests {
             time_ns: 9,
             entries: 1,
         };
-        assert_eq!(Observation::of(&Entry::Drops(drops)), None);
+        assert_eq!(of(&Entry::Drops(drops)), None);
     }
 }

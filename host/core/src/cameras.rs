@@ -152,6 +152,15 @@ impl CameraReceiver {
         Self { neighbours, ..self }
     }
 
+    /// For a car that is armed with poses that are no older than this, in s.
+    #[must_use]
+    pub fn with_fresh(self, fresh: f64) -> Self {
+        Self {
+            watch: CameraWatch::new(fresh),
+            ..self
+        }
+    }
+
     /// The counters of the session.
     #[must_use]
     pub fn counters(&self) -> PlanarCounters {

@@ -169,7 +169,10 @@ impl Controller {
                 LinkEvent::Connected { .. } => *car_id = None,
                 LinkEvent::Identified { car_id: number } => *car_id = Some(*number),
                 LinkEvent::Telemetry(record) if record.has_fresh_imu_sample() => {
-                    attitude.imu = Some(imu_tilt(record.telemetry.attitude_q14));
+                    // One wrong sample does not hide the others; wrong ones only are no tilt.
+                    attitude.imu = imu_tilt(record.telemetry.attitude_q14)
+                        .or(attitude.imu)
+                        .or(Some(NO_TILT));
                 }
                 _ => {}
             }
@@ -483,14 +486,26 @@ impl Queue<'_> {
     }
 }
 
-/// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world.
+/// By how much the square of a quaternion's length may differ from 1: more than its rounding (0.0003),
+/// less than a wrong bit of the three highest makes (0.25).
+const UNIT: f64 = 0.04;
+
+/// The tilt of a sensor that gives no rotation: within no limit.
+const NO_TILT: Tilt = Tilt {
+    roll: f64::NAN,
+    pitch: f64::NAN,
+};
+
+/// Roll and pitch of a quaternion (w, x, y, z) in units of 2^-14, from car to world. None if it is
+/// no rotation: its length is not 1.
 #[must_use]
-pub fn imu_tilt(quaternion: [i16; 4]) -> Tilt {
+pub fn imu_tilt(quaternion: [i16; 4]) -> Option<Tilt> {
     let [w, x, y, z] = quaternion.map(|part| f64::from(part) / 16_384.0);
-    Tilt {
+    let squared = w * w + x * x + y * y + z * z;
+    ((squared - 1.0).abs() <= UNIT).then(|| Tilt {
         roll: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         pitch: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
-    }
+    })
 }
 
 /// The share of damaged frames, in both directions.
@@ -582,7 +597,7 @@ mod tests {
     #[test]
     fn the_imus_quaternion_gives_roll_and_pitch() {
         let near = |quaternion: [f64; 4], roll: f64, pitch: f64| {
-            let tilt = imu_tilt(quaternion.map(|part| (part * 16_384.0) as i16));
+            let tilt = imu_tilt(quaternion.map(|part| (part * 16_384.0) as i16)).unwrap();
             assert!((tilt.roll - roll).abs() < 1e-3, "{tilt:?}");
             assert!((tilt.pitch - pitch).abs() < 1e-3, "{tilt:?}");
         };
@@ -598,6 +613,25 @@ mod tests {
             cr * cp * sy - sr * sp * cy,
         ];
         near(all, 0.3, -0.2);
+    }
+
+    #[test]
+    fn a_quaternion_with_a_wrong_bit_is_no_tilt() {
+        // Level, and turned by 40 degrees.
+        for quaternion in [[16_384, 0, 0, 0], [15_396, 0, 0, 5_604]] {
+            assert!(imu_tilt(quaternion).is_some());
+            for (part, bit) in (0..4).flat_map(|part| [13, 14, 15].map(|bit| (part, bit))) {
+                let mut wrong: [i16; 4] = quaternion;
+                wrong[part] ^= (1_u16 << bit).cast_signed();
+                // The negative of a rotation is the same one.
+                let is_level = |tilt: Tilt| tilt.roll.abs().max(tilt.pitch.abs()) < 1e-3;
+                assert!(
+                    imu_tilt(wrong).is_none_or(is_level),
+                    "{quaternion:?}, bit {bit} of part {part}"
+                );
+            }
+        }
+        assert_eq!(imu_tilt([0; 4]), None);
     }
 
     #[test]

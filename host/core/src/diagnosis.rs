@@ -11,8 +11,10 @@ use core::{
 use serde::Serialize;
 use singletrack_mocap::{
     Binding, Phase, Protocol, RejectReason, SessionEvent, Transport, UpAxis,
+    codec::DecodeError,
     planar::{NEAR_M, PlanarConfig, PlanarCounters, PlanarEvent, PlanarSession, PoseState},
 };
+use singletrack_pilot::SupervisorConfig;
 
 /// What is wrong with the cameras, or that nothing is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -65,13 +67,20 @@ enum Cause {
     UnsupportedVersion,
     OtherTransport,
     NoFrames,
+    /// The stamps do not advance, or go back.
+    StampsStand,
     TwoSenders,
+    UnreadableNames(DecodeError),
     NoSuchBody,
     AmbiguousBody(usize),
     BodyAbsent,
     Untracked,
     UpAxis,
     Rejected(RejectReason),
+    /// The stamps are not by the clock that the server shows when it is asked.
+    StampsOff,
+    LatePoses,
+    LowRate,
 }
 
 impl Cause {
@@ -84,14 +93,30 @@ impl Cause {
             Self::UnsupportedVersion => "unsupported-version",
             Self::OtherTransport => "other-transport",
             Self::NoFrames => "no-frames",
+            Self::StampsStand | Self::StampsOff => "wrong-clock",
             Self::TwoSenders => "two-senders",
+            Self::UnreadableNames(_) => "unreadable-names",
             Self::NoSuchBody => "no-such-body",
             Self::AmbiguousBody(_) => "ambiguous-body",
             Self::BodyAbsent => "body-absent",
             Self::Untracked => "untracked",
             Self::UpAxis => "up-axis",
             Self::Rejected(_) => "rejected",
+            Self::LatePoses => "late-poses",
+            Self::LowRate => "low-rate",
         }
+    }
+
+    /// Whether poses arrive, good ones or not.
+    const fn delivers(self) -> bool {
+        matches!(self, Self::Good | Self::LatePoses | Self::LowRate)
+    }
+
+    const fn is_silence(self) -> bool {
+        matches!(
+            self,
+            Self::NoServer | Self::NoFrames | Self::OtherTransport | Self::StampsStand
+        )
     }
 
     /// How long it must last before it is reported, ns: frames may pause, and a session
@@ -106,7 +131,7 @@ impl Cause {
 }
 
 /// Every word that a diagnosis can have, in the order of the checks, for the documentation.
-pub const DIAGNOSES: [&str; 14] = [
+pub const DIAGNOSES: [&str; 18] = [
     Cause::Starting.word(),
     Cause::Good.word(),
     Cause::NoServer.word(),
@@ -115,22 +140,55 @@ pub const DIAGNOSES: [&str; 14] = [
     Cause::OtherTransport.word(),
     Cause::NoFrames.word(),
     Cause::TwoSenders.word(),
+    Cause::UnreadableNames(DecodeError::UnexpectedMessage { id: 0 }).word(),
     Cause::NoSuchBody.word(),
     Cause::AmbiguousBody(0).word(),
     Cause::BodyAbsent.word(),
     Cause::Untracked.word(),
     Cause::UpAxis.word(),
     Cause::Rejected(RejectReason::Jump).word(),
+    Cause::StampsOff.word(),
+    Cause::LatePoses.word(),
+    Cause::LowRate.word(),
 ];
 
 /// Reports over which the counters are compared: a second.
 const WINDOW: usize = 5;
 
+/// An older pose has a stamp of another clock, ns: no network and no camera takes as long.
+const ANOTHER_CLOCK_NS: u64 = 1_000_000_000;
+
+/// After poses, silence is reported when it has lasted for this time beyond the window, ns.
+const STOPPED_NS: u64 = 1_000_000_000;
+
+/// A look at the session.
+#[derive(Clone, Copy, Debug, Default)]
+struct Look {
+    at_ns: u64,
+    counters: PlanarCounters,
+    /// The age of the newest good pose when it arrived.
+    age_ns: Option<u64>,
+}
+
+/// What the last looks say of the poses.
+#[derive(Clone, Copy, Debug, Default)]
+struct Measured {
+    /// Frames a second; none at the beginning.
+    rate_hz: Option<f64>,
+    /// The least age of a good pose at its arrival, ns.
+    age_ns: Option<u64>,
+    /// Whether most frames were no newer than the one before.
+    repeats: bool,
+}
+
 /// Watches a session, and says what is wrong with it.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct CameraWatch {
-    /// The counters at the last reports, oldest first.
-    past: heapless::Deque<PlanarCounters, WINDOW>,
+    /// The age up to which a pose may be driven by, ns.
+    fresh_ns: u64,
+    /// The last looks, oldest first.
+    past: heapless::Deque<Look, WINDOW>,
+    measured: Measured,
     /// The cause found last, and since when.
     found: Option<(Cause, u64)>,
     /// The cause reported last, and when.
@@ -140,7 +198,26 @@ pub(crate) struct CameraWatch {
     neighbour: Option<i32>,
 }
 
+impl Default for CameraWatch {
+    fn default() -> Self {
+        Self::new(SupervisorConfig::paper().fresh)
+    }
+}
+
 impl CameraWatch {
+    /// For a car that is armed with poses that are no older than this, in s.
+    pub(crate) fn new(fresh: f64) -> Self {
+        Self {
+            fresh_ns: (1e9 * fresh) as u64,
+            past: heapless::Deque::new(),
+            measured: Measured::default(),
+            found: None,
+            reported: None,
+            wrong_transport: false,
+            neighbour: None,
+        }
+    }
+
     pub(crate) fn handle(&mut self, event: &PlanarEvent) {
         match event {
             PlanarEvent::Session(SessionEvent::TransportMismatch { .. }) => {
@@ -154,20 +231,49 @@ impl CameraWatch {
     /// Looks at the session, about five times a second. Returns a diagnosis when it changes.
     pub(crate) fn look(&mut self, now_ns: u64, session: &PlanarSession) -> Option<Diagnosis> {
         let counters = session.counters();
-        let before = *self.past.front().unwrap_or(&PlanarCounters::default());
+        let before = self.past.front().copied().unwrap_or_default();
         if self.past.is_full() {
             self.past.pop_front();
         }
+        let age_ns = match session.pose_state(now_ns) {
+            PoseState::Valid(pose) => {
+                Some(pose.receive_time_ns.saturating_sub(pose.capture_time_ns))
+            }
+            _ => None,
+        };
         // There is room: see above.
-        let _ = self.past.push_back(counters);
-        let cause = self.cause(now_ns, session, &before, &counters);
+        let _ = self.past.push_back(Look {
+            at_ns: now_ns,
+            counters,
+            age_ns,
+        });
+        let frames = counters.session.frames - before.counters.session.frames;
+        let old = |it: &PlanarCounters| it.session.duplicates + it.session.late;
+        let seconds = now_ns.saturating_sub(before.at_ns) as f64 * 1e-9;
+        self.measured = Measured {
+            rate_hz: self.past.is_full().then(|| frames as f64 / seconds),
+            age_ns: self.past.iter().filter_map(|look| look.age_ns).min(),
+            repeats: old(&counters) - old(&before.counters) > frames,
+        };
+        let cause = self.cause(now_ns, session, &before.counters, &counters);
         let since_ns = match self.found {
-            // Details, such as the newest reason of a rejection, may alternate.
-            Some((found, since_ns)) if found.word() == cause.word() => since_ns,
+            // Details, such as the newest reason of a rejection, may alternate. A server that has
+            // gone sends no frames at first, and then does not answer.
+            Some((found, since_ns))
+                if found.word() == cause.word() || (found.is_silence() && cause.is_silence()) =>
+            {
+                since_ns
+            }
             _ => now_ns,
         };
         self.found = Some((cause, since_ns));
-        let has_lasted = |since_ns: u64| now_ns.saturating_sub(since_ns) >= cause.patience_ns();
+        let has_stopped = cause.is_silence() && self.reported.is_some_and(|(it, _)| it.delivers());
+        let patience_ns = if has_stopped {
+            STOPPED_NS
+        } else {
+            cause.patience_ns()
+        };
+        let has_lasted = |since_ns: u64| now_ns.saturating_sub(since_ns) >= patience_ns;
         let is_news = match self.reported {
             Some((reported, _)) if reported == cause => false,
             // Other details of the same word: not more often than its patience.
@@ -180,7 +286,7 @@ impl CameraWatch {
         self.reported = Some((cause, now_ns));
         Some(Diagnosis {
             word: cause.word(),
-            text: describe(cause, session),
+            text: describe(cause, session, &self.measured),
             neighbour: neighbour(session),
         })
     }
@@ -218,6 +324,11 @@ impl CameraWatch {
                     Cause::OtherAddress(address)
                 }
                 (Phase::Streaming(_), _) if self.wrong_transport => Cause::OtherTransport,
+                (Phase::Open, _)
+                    if grew(|counters| counters.session.duplicates + counters.session.late) =>
+                {
+                    Cause::StampsStand
+                }
                 // Without frames of the body, VRPN still has names.
                 (Phase::Open, _) => match session.binding() {
                     Binding::Missing => Cause::NoSuchBody,
@@ -230,8 +341,13 @@ impl CameraWatch {
         match session.binding() {
             Binding::Missing => return Cause::NoSuchBody,
             Binding::Ambiguous { count } => return Cause::AmbiguousBody(count),
-            // The definitions are on their way.
-            Binding::Unresolved => return Cause::Starting,
+            Binding::Unresolved => {
+                return match session.unreadable() {
+                    Some(error) => Cause::UnreadableNames(error),
+                    // They are on their way.
+                    None => Cause::Starting,
+                };
+            }
             Binding::Bound { .. } => {}
         }
         let is_seen = grew(|counters| counters.valid + counters.rejected.total());
@@ -243,14 +359,47 @@ impl CameraWatch {
             return Cause::UpAxis;
         }
         if grew(|counters| counters.valid) {
-            return Cause::Good;
+            return self.quality();
         }
         match session.pose_state(now_ns) {
+            // Where two senders are at work, that was found above.
+            PoseState::Rejected(RejectReason::CaptureTime)
+            | PoseState::LockedOut(RejectReason::CaptureTime) => Cause::StampsOff,
             PoseState::Rejected(reason) | PoseState::LockedOut(reason) => Cause::Rejected(reason),
             PoseState::Untracked => Cause::Untracked,
             PoseState::Absent => Cause::BodyAbsent,
             _ => Cause::Starting,
         }
+    }
+}
+
+impl CameraWatch {
+    /// What is wrong with poses that arrive.
+    fn quality(&self) -> Cause {
+        let age_ns = self.measured.age_ns.unwrap_or_default();
+        let Some(rate_hz) = self.measured.rate_hz.filter(|hz| *hz > 0.0) else {
+            return Cause::Good;
+        };
+        // How old a pose is when the next one replaces it.
+        let period_ns = (1e9 / rate_hz) as u64;
+        match age_ns.saturating_add(period_ns) {
+            _ if self.measured.repeats => Cause::StampsStand,
+            _ if age_ns >= ANOTHER_CLOCK_NS => Cause::StampsOff,
+            oldest_ns if oldest_ns <= self.fresh_ns => Cause::Good,
+            _ if age_ns >= period_ns => Cause::LatePoses,
+            _ => Cause::LowRate,
+        }
+    }
+}
+
+impl Measured {
+    /// Such as "poses come at 20 Hz and are 8 ms old then".
+    fn text(&self) -> String {
+        let age_ms = self.age_ns.unwrap_or_default() as f64 * 1e-6;
+        format!(
+            "poses come at {:.0} Hz and are {age_ms:.0} ms old then",
+            self.rate_hz.unwrap_or_default()
+        )
     }
 }
 
@@ -264,7 +413,7 @@ fn neighbour(session: &PlanarSession) -> Option<String> {
     ))
 }
 
-fn describe(cause: Cause, session: &PlanarSession) -> String {
+fn describe(cause: Cause, session: &PlanarSession, measured: &Measured) -> String {
     let PlanarConfig {
         session: config,
         rigid_body,
@@ -334,8 +483,39 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
             )
         }
         Cause::NoFrames => format!(
-            "the server at {server} answers and sends no frames: start streaming there, and open \
+            "the server at {server} answered and sends no frames: does it run and stream? Open \
              UDP port 1511 (motion_capture.data_port) if frames are multicast"
+        ),
+        Cause::StampsStand => format!(
+            "the server at {server} sends poses whose stamps repeat or go back, so that few or \
+             none are newer than the last: it must stamp each with the time of its exposure, in microseconds"
+        ),
+        Cause::StampsOff => {
+            let age = match measured.age_ns {
+                Some(age_ns) if age_ns >= ANOTHER_CLOCK_NS => {
+                    format!("{:.0} s before they arrive", age_ns as f64 * 1e-9)
+                }
+                _ => "out of order, after their arrival, or long before it".to_owned(),
+            };
+            format!(
+                "the stamps of the frames from {server} say that they were exposed {age}: the server \
+                 must stamp by the clock that it answers with (VRPN: UTC, not the local time, nor \
+                 that of another computer); see timing.stamp_offset_ms"
+            )
+        }
+        Cause::LatePoses => format!(
+            "{}: arming wants at most supervisor.fresh_ms with the pause to the next one; lower the \
+             latency of cameras, their program and network",
+            measured.text()
+        ),
+        Cause::LowRate => format!(
+            "{}: arming wants at most supervisor.fresh_ms with the pause to the next one; raise the \
+             cameras' frame rate (100 Hz is best), and look whether frames get lost",
+            measured.text()
+        ),
+        Cause::UnreadableNames(error) => format!(
+            "the server's list of rigid bodies can't be read: {error}; remove the asset that it is \
+             about, or set motion_capture.bitstream"
         ),
         Cause::TwoSenders => format!(
             "frames from {server} contradict each other: another program sends with the server's \
@@ -348,9 +528,12 @@ fn describe(cause: Cause, session: &PlanarSession) -> String {
                     "the server has no rigid body; define one named {rigid_body:?} and stream it"
                 )
             } else {
+                let unreadable = session.unreadable().map_or_else(String::new, |error| {
+                    format!("; a body that is not listed can't be read: {error}")
+                });
                 format!(
                     "motion_capture.rigid_body = {rigid_body:?} is not among the server's rigid \
-                     bodies {names}; check spelling and case, and that it is streamed"
+                     bodies {names}; check spelling and case, and that it is streamed{unreadable}"
                 )
             }
         }

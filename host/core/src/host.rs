@@ -162,7 +162,8 @@ impl<L: Line> Host<L> {
                 observations_in,
                 camera_reports,
             )
-            .with_neighbours(feed),
+            .with_neighbours(feed)
+            .with_fresh(f64::from(config.supervisor.fresh_ms) * 1e-3),
             requests: Requests::new(requests_in),
             setpoints: setpoints_in,
             jogs: jogs_in,

@@ -10,7 +10,10 @@ use singletrack_pilot::{Event, Learned, Mode};
 use singletrack_record::TickRecord;
 use toml::Value;
 
-use crate::{Config, ConfigError, config::OnlineCalibrationMode};
+use crate::{
+    Config, ConfigError,
+    config::{OnlineCalibrationMode, WatchSection},
+};
 
 /// The events of a kind that are used of a tick: more come only after a pause.
 const EVENTS: usize = 16;
@@ -25,6 +28,7 @@ pub struct OnlineCalibration {
     calibration: Box<Calibration>,
     /// None if the pilot does not learn.
     learner: Option<Learner>,
+    watch: WatchSection,
     ticks: u32,
 }
 
@@ -82,6 +86,7 @@ impl OnlineCalibration {
             })),
             learner: (config.online_calibration.mode == OnlineCalibrationMode::Live)
                 .then(Learner::default),
+            watch: config.watch,
             ticks: 0,
         }
     }
@@ -93,13 +98,14 @@ impl OnlineCalibration {
         let mut samples = heapless::Vec::<_, EVENTS>::new();
         for event in &tick.events {
             match event {
-                Event::Pose(pose) => {
+                // What the pilot does not believe is not learned from.
+                Event::Pose(pose) if !tick.output.held => {
                     let _ = poses.push(*pose);
                 }
                 Event::Board(board) => {
                     let _ = samples.push(CalibrationSample {
                         time: board.time,
-                        inertial: board.inertial,
+                        inertial: board.inertial.filter(|it| self.watch.is_possible(it)),
                         motor_speed: board.motor_speed,
                     });
                 }

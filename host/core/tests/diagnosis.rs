@@ -293,6 +293,76 @@ fn a_short_gap_is_not_reported() {
     assert_eq!(scene.found.len(), before);
 }
 
+#[test]
+fn a_server_that_falls_silent_is_not_good_after_two_seconds() {
+    let mut scene = Scene::new("car", UpAxis::Y, good);
+    scene.run(2_000);
+    scene.network = |_| vec![];
+    scene.run(2_300);
+    assert_text(scene.last(), "no-server", &["10.0.0.2"]);
+    // One that answers and sends no frames any more.
+    scene.network = good;
+    scene.run(2_000);
+    assert_text(scene.last(), "good", &[]);
+    scene.network = |bytes| {
+        if bytes[0] == FRAME {
+            vec![]
+        } else {
+            good(bytes)
+        }
+    };
+    scene.run(2_300);
+    assert_eq!(scene.words().last(), Some(&"no-frames"));
+}
+
+/// Cameras with this rate (Hz) and latency (ms).
+fn cameras(rate: u64, latency_ms: u64) -> Scene {
+    let mut simulation = SimulationConfig::default();
+    simulation.cameras.period_us = 1_000_000 / rate;
+    simulation.cameras.latency_us = 1_000 * latency_ms;
+    let mut scene = Scene::of(simulation, "car", UpAxis::Y, good);
+    scene.run(4_000);
+    scene
+}
+
+#[test]
+fn a_frame_rate_or_a_latency_with_which_no_car_is_armed_is_named() {
+    for (rate, latency_ms) in [(100, 8), (100, 35), (60, 25), (30, 8)] {
+        assert_text(cameras(rate, latency_ms).last(), "good", &[]);
+    }
+    for rate in [10, 20] {
+        let hz = format!("{rate} Hz");
+        assert_text(cameras(rate, 8).last(), "low-rate", &[&hz, "frame rate"]);
+    }
+    for (rate, latency_ms) in [(100, 60), (60, 45)] {
+        let age = format!("{latency_ms} ms old");
+        assert_text(
+            cameras(rate, latency_ms).last(),
+            "late-poses",
+            &[&age, "latency"],
+        );
+    }
+}
+
+#[test]
+fn definitions_that_can_t_be_read_are_named_with_the_error() {
+    /// The message id of the definitions.
+    const DEFINITIONS: u8 = 5;
+    let mut scene = Scene::new("car", UpAxis::Y, |mut bytes| {
+        if bytes[0] == DEFINITIONS {
+            // The number of bodies.
+            bytes[7] = 1;
+        }
+        good(bytes)
+    });
+    scene.run(4_000);
+    assert_text(
+        scene.last(),
+        "unreadable-names",
+        &["dataset count at byte 4"],
+    );
+}
+
 /// A body at this place beside the car, which stands at the origin.
 fn beside(x_m: f64) -> SimulationConfig {
     let mut simulation = SimulationConfig::default();

@@ -21,4 +21,5 @@ mod reasons;
 mod safety_filter;
 #[path = "common/simulated_drive.rs"]
 mod simulated_drive;
+mod stamps;
 mod tuning;

@@ -112,6 +112,10 @@ fn log(event: &PlanarEvent, config: &MotionCaptureSection) {
             %address, server = %config.server,
             "packets from another address than motion_capture.server are ignored"
         ),
+        PlanarEvent::Session(SessionEvent::DefinitionsUnreadable(error)) => warn!(
+            %error,
+            "a part of the server's list of bodies can't be read; the others are known"
+        ),
         PlanarEvent::Session(SessionEvent::Contradicted) => warn!(
             server = %config.server,
             "frames contradict each other: another program sends with the server's address"

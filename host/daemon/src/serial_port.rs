@@ -19,7 +19,10 @@ use crate::system;
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
     /// The device does not exist.
-    #[error("{}: no such device; plug the board in, or correct serial.port", .0.display())]
+    #[error(
+        "{}: no such device; plug the board in, or correct serial.port; if the port appears and goes \
+         again, remove the program brltty", .0.display()
+    )]
     NotFound(PathBuf),
     /// The user has no permission.
     #[error("{}: permission denied; add the user to the group dialout and log in again", .0.display())]

@@ -213,6 +213,19 @@ fn the_boards_name_is_given_by_serial_number_or_port_only() {
     }
 }
 
+/// On Debian and Ubuntu, brltty takes these chips for Braille displays.
+#[test]
+fn brltty_is_kept_away_from_the_chips_that_it_takes() {
+    for chip in ["1a86", "0403", "10c4"] {
+        let of_chip = |rule: &&str| rule.contains(&format!("ATTR{{idVendor}}==\"{chip}\""));
+        let mut rules = lines(RULES).filter(of_chip);
+        let keeps_away = |rule: &str| {
+            rule.contains("BRLTTY_BRAILLE_DRIVER}=\"\"") && rule.contains("SYSTEMD_WANTS}=\"\"")
+        };
+        assert!(rules.any(keeps_away), "{chip}");
+    }
+}
+
 #[test]
 fn every_udev_rule_is_well_formed() {
     let mut links = 0;

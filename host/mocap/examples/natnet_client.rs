@@ -25,7 +25,7 @@ use std::{
 
 use singletrack_mocap::{
     BodyState, DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DatagramOutcome,
-    PoseFrame, Session, SessionConfig, SessionEvent, Transport, UpAxis,
+    NameText, PoseFrame, Session, SessionConfig, SessionEvent, Transport, UpAxis,
     codec::{BitstreamVersion, MAX_DATAGRAM_LEN},
 };
 
@@ -238,7 +238,7 @@ impl Client {
             DatagramOutcome::Definitions(definitions) => {
                 self.names = definitions
                     .rigid_bodies()
-                    .map(|body| (body.id, body.name.to_owned()))
+                    .map(|body| (body.id, NameText(body.name).to_string()))
                     .collect();
             }
             DatagramOutcome::Frame(frame) => {

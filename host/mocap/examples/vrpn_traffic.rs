@@ -18,7 +18,7 @@ use std::{
 };
 
 use singletrack_mocap::{
-    BodyState, Input, LocalEnd, Output, PoseSource as _, Protocol, SessionConfig, Source,
+    BodyState, Input, LocalEnd, NameText, Output, PoseSource as _, Protocol, SessionConfig, Source,
     Transport, UpAxis,
 };
 
@@ -142,7 +142,7 @@ impl Connection {
             .source
             .handle_input(now_ns, input, &mut |output| match output {
                 Output::Names(list) => list.for_each(&mut |id, name| {
-                    names.insert(id / 1_000, name.to_owned());
+                    names.insert(id / 1_000, NameText(name).to_string());
                 }),
                 Output::Frame(frame) => {
                     for body in frame.bodies() {

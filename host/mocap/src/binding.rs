@@ -36,6 +36,40 @@ pub struct BodyNames {
     omitted: usize,
 }
 
+/// A server's name as text: quoted as a string's `Debug`, which escapes what a terminal would obey.
+/// Bytes that are not UTF-8 are shown as `\xe4`.
+#[derive(Clone, Copy)]
+pub struct NameText<'a>(pub &'a [u8]);
+
+impl NameText<'_> {
+    /// Whether all of it is text.
+    #[must_use]
+    pub const fn is_utf8(&self) -> bool {
+        core::str::from_utf8(self.0).is_ok()
+    }
+}
+
+impl fmt::Debug for NameText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Ok(text) = core::str::from_utf8(self.0) {
+            return fmt::Debug::fmt(text, formatter);
+        }
+        write!(formatter, "\"{self}\"")
+    }
+}
+
+impl fmt::Display for NameText<'_> {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Ok(text) = core::str::from_utf8(self.0) {
+            return formatter.write_str(text);
+        }
+        self.0.utf8_chunks().try_for_each(|chunk| {
+            write!(formatter, "{}", chunk.valid().escape_debug())?;
+            write!(formatter, "{}", chunk.invalid().escape_ascii())
+        })
+    }
+}
+
 /// Between two names in the list.
 const SEPARATOR: &str = ", ";
 
@@ -46,16 +80,15 @@ impl BodyNames {
         names
     }
 
-    fn list(&mut self, id: i32, name: &str) {
+    fn list(&mut self, id: i32, name: &[u8]) {
         let separator = if self.listed.is_empty() {
             ""
         } else {
             SEPARATOR
         };
         let room = self.listed.capacity() - self.listed.len();
-        // Debug escapes what a terminal would obey.
         let mut text = heapless::String::<320>::new();
-        let fits = write!(text, "{separator}{name:?}").is_ok();
+        let fits = write!(text, "{separator}{:?}", NameText(name)).is_ok();
         let is_room = fits && text.len() <= room && !self.ids.is_full();
         let end = u8::try_from(self.listed.len() + text.len());
         if let (0, true, Ok(end)) = (self.omitted, is_room, end) {
@@ -109,7 +142,7 @@ impl Binding {
     pub fn resolve(bodies: &Names<'_>, name: &str) -> Self {
         let (mut first, mut count) = (0, 0);
         bodies.for_each(&mut |id, other| {
-            if other == name {
+            if other == name.as_bytes() {
                 if count == 0 {
                     first = id;
                 }

@@ -94,7 +94,7 @@ mod source;
 mod stream;
 
 pub use axes::UpAxis;
-pub use binding::{Binding, BodyNames};
+pub use binding::{Binding, BodyNames, NameText};
 pub use body::{Bodies, Body, BodyPose, BodyState, InvalidBody};
 pub use capture::{CaptureTime, CaptureTimeSource};
 pub use config::{

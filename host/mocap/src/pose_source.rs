@@ -3,7 +3,7 @@
 use core::net::{IpAddr, SocketAddr};
 
 use crate::{
-    codec::ModelDefinitions,
+    codec::{DecodeError, ModelDefinitions},
     counters::SessionCounters,
     qualisys::body_list::BodyList,
     session::{Phase, PoseFrame, SessionEvent, Transmit},
@@ -35,6 +35,11 @@ pub trait PoseSource {
 
     /// The stream to keep open. Another value than before: close the old one, and open this.
     fn stream(&self) -> Option<Stream> {
+        None
+    }
+
+    /// Why the names that the server sent last, or a part of them, can't be read.
+    fn unreadable(&self) -> Option<DecodeError> {
         None
     }
 
@@ -127,8 +132,9 @@ pub enum Names<'a> {
 }
 
 impl Names<'_> {
-    /// Passes each body's id and name to `visit`, in the order of the server.
-    pub fn for_each(&self, visit: &mut dyn FnMut(i32, &str)) {
+    /// Passes each body's id and name to `visit`, in the order of the server. A name is bytes until
+    /// it is shown: see [`NameText`](crate::NameText).
+    pub fn for_each(&self, visit: &mut dyn FnMut(i32, &[u8])) {
         match self {
             Self::Definitions(definitions) => definitions
                 .rigid_bodies()

@@ -3,6 +3,7 @@
 use core::net::IpAddr;
 
 use crate::{
+    codec::DecodeError,
     config::{Protocol, SessionConfig, SessionConfigError},
     counters::SessionCounters,
     pose_source::{Input, Output, PoseSource, Stream},
@@ -84,6 +85,10 @@ impl PoseSource for Source {
         self.inner().stream()
     }
 
+    fn unreadable(&self) -> Option<DecodeError> {
+        self.inner().unreadable()
+    }
+
     fn request_names_again(&mut self) {
         self.inner_mut().request_names_again();
     }
@@ -148,6 +153,10 @@ impl PoseSource for Session {
 
     fn poll_timeout(&self) -> Option<u64> {
         self.poll_timeout()
+    }
+
+    fn unreadable(&self) -> Option<DecodeError> {
+        self.unreadable_definitions()
     }
 
     fn request_names_again(&mut self) {

@@ -40,7 +40,7 @@ fn serve(socket: &UdpSocket) {
     ];
     let datasets = [("wand", 3), ("drone", 4)].map(|(name, id)| {
         Dataset::rigid_body(RigidBodyDefinition {
-            name,
+            name: name.as_bytes(),
             id,
             parent_id: -1,
             offset_m: [0.0; 3],

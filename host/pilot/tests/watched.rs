@@ -3,7 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_control::{PoseSample, Velocity};
-use singletrack_pilot::{BoardState, Event, Jog, LinkState, Mode, PilotRequest, Reason};
+use singletrack_pilot::{
+    BoardHealth, BoardState, Event, Jog, LinkState, Mode, Output, PilotRequest, Reason,
+};
 
 use crate::bench::{Bench, Pose};
 
@@ -186,4 +188,74 @@ fn a_motor_sensor_that_dies_in_a_stop_does_not_say_that_a_car_before_rare_camera
         }
     }
     panic!("nothing was found");
+}
+
+/// The yaw rates that a wrong bit of a sample makes (mrad/s in 16 bits): the two highest bits.
+const WRONG_BITS: [f64; 4] = [-32.768, 32.768, -16.384, 16.384];
+
+#[test]
+fn one_impossible_sample_of_the_imu_changes_nothing_of_a_drive() {
+    for wrong in WRONG_BITS {
+        let [mut bench, mut clean] = [Bench::new(), Bench::new()];
+        bench.drive();
+        clean.drive();
+        for tick in 0..300 {
+            bench.gyro_bias = if tick == 0 { wrong } else { 0.0 };
+            let [output, expected] = [bench.step(), clean.step()];
+            assert_eq!(output.mode, Mode::Driving, "{wrong}: {:?}", output.reason);
+            let yaw = |output: &Output| output.estimate.unwrap().yaw;
+            let off = yaw(&output) - yaw(&expected);
+            assert!(off.abs() < 2e-3, "{wrong}: {off} rad at {tick}");
+        }
+    }
+}
+
+#[test]
+fn one_impossible_sample_of_the_imu_at_rest_does_not_refuse_to_arm() {
+    for wrong in WRONG_BITS {
+        let mut bench = Bench::new();
+        assert_eq!(bench.run(100).mode, Mode::Ready);
+        for tick in 0..300 {
+            bench.gyro_bias = if tick == 0 { wrong } else { 0.0 };
+            let output = bench.step();
+            assert_eq!(output.mode, Mode::Ready, "{wrong}: {:?}", output.reason);
+        }
+    }
+}
+
+#[test]
+fn impossible_samples_without_end_are_implausible_and_not_silence() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.gyro_bias = 20.0;
+    let ends = (1..).find(|_| bench.step().mode == Mode::Stopping);
+    assert_eq!(ends, Some(5));
+    let output = bench.run(100);
+    assert_eq!(output.reason, Some(Reason::ImuImplausible));
+    bench.run_until_idle();
+    assert_eq!(bench.run(100).preflight, Some(Reason::ImuImplausible));
+}
+
+#[test]
+fn an_error_of_the_imu_that_is_reported_once_refuses_to_arm_and_ends_no_drive() {
+    let fault = Event::Health(BoardHealth {
+        imu_fault: true,
+        battery_mv: 7_400,
+        stop_input_open: false,
+        battery_open: false,
+    });
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.extra.push(fault);
+    assert_eq!(bench.step().reason, Some(Reason::ImuFault));
+    assert_eq!(bench.run(20).mode, Mode::Ready);
+    bench.drive();
+    bench.extra.push(fault);
+    assert_eq!(bench.run(20).mode, Mode::Driving);
+    bench.extra.extend([fault; 2]);
+    let output = bench.step();
+    assert_eq!(
+        (output.mode, output.reason),
+        (Mode::Stopping, Some(Reason::ImuFault))
+    );
 }

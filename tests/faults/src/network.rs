@@ -249,17 +249,17 @@ impl Network {
             {
                 let cameras = world.cameras().parameters();
                 let (car, other) = (&cameras.car, cameras.decoys.first());
-                let body = |name, id| {
+                let other =
+                    other.map_or(("other", UNUSED_ID), |body| (body.name.as_str(), body.id));
+                let pairs = [(car.name.as_str(), other.1), (other.0, car.id)];
+                let swapped = pairs.map(|(name, id)| {
                     Dataset::rigid_body(RigidBodyDefinition {
-                        name,
+                        name: name.as_bytes(),
                         id,
                         parent_id: -1,
                         offset_m: [0.0; 3],
                     })
-                };
-                let other =
-                    other.map_or(("other", UNUSED_ID), |body| (body.name.as_str(), body.id));
-                let swapped = [body(&car.name, other.1), body(other.0, car.id)];
+                });
                 encode::model_definitions(version, &swapped, &mut self.buffer).ok()
             }
             _ => None,

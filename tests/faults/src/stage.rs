@@ -79,6 +79,10 @@ pub(crate) fn hold(world: &mut World, situation: &Situation, faults: &[Fault]) {
             }
             FaultKind::ImuSaturated => imu = ImuFault::Saturated,
             FaultKind::ImuErratic => imu = ImuFault::Erratic,
+            FaultKind::ImuWrongBit => {
+                let every = 1_020_u16.saturating_sub(u16::try_from(s).unwrap_or(u16::MAX));
+                imu = ImuFault::WrongBit { every };
+            }
             FaultKind::PulsesGone => motor = MotorSensorFault::Gone,
             FaultKind::PulsesDoubled => motor = MotorSensorFault::Doubled,
             FaultKind::PulsesHalved => motor = MotorSensorFault::Halved,

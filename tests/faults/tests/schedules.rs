@@ -21,7 +21,7 @@ proptest! {
     #[test]
     fn a_generated_schedule_is_within_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
-        prop_assert!((1..=14).contains(&schedule.faults.len()));
+        prop_assert!((1..=15).contains(&schedule.faults.len()));
         prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
         prop_assert!(schedule.requests.is_sorted_by_key(|ask| ask.at_ms));
         for fault in &schedule.faults {
@@ -288,5 +288,24 @@ fn cameras_that_err_by_centimetres_leave_the_law_out_of_its_singularity() {
         let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
         assert!(outcome.violation.is_none(), "{text}");
         assert!(!outcome.reasons.contains("law-singular"), "{text}");
+    }
+}
+
+#[test]
+fn wrong_bits_of_the_imu_neither_alarm_nor_end_a_drive() {
+    for severity in [1, 900, 1_000] {
+        let schedule: Schedule = format!(
+            "seed 7; proved true; end_ms 12000; ask arm at 3200; \
+             fault imu-wrong-bit at 6000 for 6000 severity {severity}"
+        )
+        .parse()
+        .unwrap();
+        let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
+        assert_eq!(outcome.violation, None, "{severity}");
+        assert!(
+            outcome.driven_ms > 8_000,
+            "{severity}: {}",
+            outcome.driven_ms
+        );
     }
 }

@@ -323,7 +323,7 @@ impl Bench {
             .iter()
             .map(|&(name, id)| {
                 Dataset::rigid_body(RigidBodyDefinition {
-                    name,
+                    name: name.as_bytes(),
                     id,
                     parent_id: -1,
                     offset_m: [0.0; 3],

@@ -191,7 +191,7 @@ impl VirtualBench {
                 observed.push(Observation::Link(ready));
             }
         }
-        observed.extend(Observation::of(entry));
+        observed.extend(Observation::of(entry, &self.config.watch));
     }
 
     /// Lets time pass unobserved.

@@ -47,6 +47,21 @@ fn a_column_that_is_there_twice_is_refused() {
 }
 
 #[test]
+fn a_decimal_comma_is_named_with_what_makes_points_of_all() {
+    let map = format!("delimiter = \";\"\n{MAP}");
+    let rows = "t;x;y;yaw;v;s\n0;0;0;0;1;0\n";
+    let fix = "it has a decimal comma: replace those of the file, such as with `sed 's/,/./g'`";
+    assert_eq!(
+        error(&format!("{rows}0.01;1,25;0;0;1;0\n"), &map),
+        format!("log.csv, line 3, column \"x\": \"1,25\" is not a number: {fix}")
+    );
+    assert_eq!(
+        error(&format!("{rows}0,01;1;0;0;1;0\n"), &map),
+        format!("log.csv, line 3, column \"t\": \"0,01\" is not a time as a decimal number: {fix}")
+    );
+}
+
+#[test]
 fn a_cell_that_is_no_number_is_named() {
     assert_log_error(
         "0.01,0,0,0,fast,0\n",

@@ -141,6 +141,35 @@ impl Viewer {
 }
 
 #[test]
+fn a_viewer_of_the_old_protocol_alone_is_told_to_be_updated() {
+    let folder = tempfile::tempdir().unwrap();
+    let live = live(&folder);
+    let answer = |protocols: &str| {
+        let mut viewer = TcpStream::connect(live.address()).unwrap();
+        viewer
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let request = format!(
+            "GET / HTTP/1.1\r\nHost: car\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+             Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+             Sec-WebSocket-Protocol: {protocols}\r\n\r\n"
+        );
+        viewer.write_all(request.as_bytes()).unwrap();
+        let mut answer = [0; 400];
+        let length = viewer.read(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer[..length]).into_owned()
+    };
+    let old = answer("foxglove.websocket.v1");
+    assert!(old.starts_with("HTTP/1.1 400 "), "{old}");
+    assert!(
+        old.contains("too old: it does not speak foxglove.sdk.v1"),
+        "{old}"
+    );
+    let both = answer("foxglove.websocket.v1, foxglove.sdk.v1");
+    assert!(both.starts_with("HTTP/1.1 101 "), "{both}");
+}
+
+#[test]
 fn a_viewer_gets_the_messages_of_the_record_byte_for_byte() {
     const TOPICS: [&str; 2] = ["/singletrack/tick", "/singletrack/log"];
     let (daemon, live, _folder) = start();

@@ -82,10 +82,14 @@ fn no_pose(config: &Config, readings: &Readings) -> String {
     let cameras = &config.motion_capture;
     match readings.lost.last().copied() {
         None | Some("no-frames" | "stale") => format!(
-            "nothing comes from motion_capture.server = {}: look at address, network interface, \
-             firewall, and the streaming settings of the cameras' program",
+            "nothing comes from motion_capture.server = {}, or nothing newer: look at address, network \
+             interface, firewall, the streaming settings of the cameras' program and what it stamps; \
+             `singletrack status` names the cause",
             cameras.server
         ),
+        Some("capture-time") => "the stamps of the frames are not by the server's clock: it must stamp \
+                                 the exposure, VRPN in UTC; `singletrack status` says how far they are off"
+            .to_owned(),
         Some("unbound" | "absent") => format!(
             "the server does not stream a body named {:?}: compare motion_capture.rigid_body with \
              its asset list",
@@ -114,6 +118,17 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
         checks.failed(found, "100, below 2 %", "set the cameras to 100 Hz");
     }
     let poses = readings.poses.iter();
+    let ages = poses
+        .clone()
+        .map(|pose| seconds(pose.capture, pose.receive));
+    let age = mean(ages).unwrap_or(0.0);
+    let fresh = f64::from(config.supervisor.fresh_ms) * 1e-3;
+    let least = (fresh - 1.0 / rate.max(1.0)).max(0.0);
+    let found = format!("poses are {:.0} ms old when they arrive", 1e3 * age);
+    let fix = "lower the latency of cameras, their program and network; beyond a second the server's \
+               stamps are by another clock than it answers with";
+    let expected = format!("below {:.0} ms at this rate", 1e3 * least);
+    checks.check(age < least, found, expected, fix);
     let uncertainty = poses.clone().map(|pose| pose.uncertainty);
     let uncertainty = uncertainty.fold(0.0, f64::max);
     let limit = config.watch.max_capture_uncertainty_ms * 1e-3;

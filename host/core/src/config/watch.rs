@@ -1,7 +1,8 @@
 //! `[watch]`: plausibility of the sensors, and tick timing.
 
+use singletrack_control::InertialSample;
 use singletrack_pilot::WatchConfig;
-use singletrack_settings::section;
+use singletrack_settings::{Maps as _, section};
 
 section! {
     /// Plausibility of the sensors, and tick timing. Beyond these limits the car stops.
@@ -49,4 +50,12 @@ section! {
     max_gap_ms: u32 => max_gap, in 20..=95;
     /// Number of ticks that may be missed in one second.
     max_missed_ticks_per_s: u32 => max_missed, in 1..=90;
+}
+
+impl WatchSection {
+    /// Whether the car can move like this: see [`WatchConfig::is_possible`].
+    #[must_use]
+    pub fn is_possible(&self, sample: &InertialSample) -> bool {
+        self.apply_to(WatchConfig::paper()).is_possible(sample)
+    }
 }

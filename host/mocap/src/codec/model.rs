@@ -15,8 +15,9 @@ pub(crate) mod dataset {
 /// The definition of one rigid body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBodyDefinition<'a> {
-    /// Its name, as in the server's asset list.
-    pub name: &'a str,
+    /// Its name, as in the server's asset list: bytes in the encoding of the server's computer, which
+    /// is UTF-8 only by chance. [`NameText`](crate::NameText) shows it.
+    pub name: &'a [u8],
     /// Its streaming id, as in the frames. The operator can change it.
     pub id: i32,
     /// Id of the parent body, or a negative number.
@@ -30,6 +31,9 @@ pub struct RigidBodyDefinition<'a> {
 pub struct ModelDefinitions<'a> {
     /// Number of datasets, rigid bodies and others.
     pub dataset_count: usize,
+    /// Why the first of those rigid bodies can't be read that have a size to skip them by; all others
+    /// are listed.
+    pub unreadable: Option<DecodeError>,
     rigid_bodies: RigidBodyDefinitions<'a>,
 }
 
@@ -39,6 +43,7 @@ pub struct RigidBodyDefinitions<'a> {
     reader: Reader<'a>,
     datasets_left: usize,
     version: BitstreamVersion,
+    unreadable: Option<DecodeError>,
 }
 
 impl<'a> ModelDefinitions<'a> {
@@ -53,6 +58,7 @@ impl<'a> ModelDefinitions<'a> {
             reader,
             datasets_left: dataset_count,
             version,
+            unreadable: None,
         };
         let mut walk = rigid_bodies.clone();
         while walk.datasets_left > 0 {
@@ -61,6 +67,7 @@ impl<'a> ModelDefinitions<'a> {
         walk.reader.finish("the model definitions")?;
         Ok(Self {
             dataset_count,
+            unreadable: walk.unreadable,
             rigid_bodies,
         })
     }
@@ -73,7 +80,7 @@ impl<'a> ModelDefinitions<'a> {
 }
 
 impl<'a> RigidBodyDefinitions<'a> {
-    /// Reads one dataset; `Some` when it is a rigid body.
+    /// Reads one dataset; `Some` when it is a rigid body that can be read.
     fn read_dataset(&mut self) -> Result<Option<RigidBodyDefinition<'a>>, DecodeError> {
         self.datasets_left = self.datasets_left.saturating_sub(1);
         let version = self.version;
@@ -84,9 +91,14 @@ impl<'a> RigidBodyDefinitions<'a> {
             if type_id != dataset::RIGID_BODY {
                 return Ok(None);
             }
-            let definition = read_rigid_body(&mut body, version)?;
-            body.finish("the rigid body definition")?;
-            return Ok(Some(definition));
+            let definition = read_rigid_body(&mut body, version).and_then(|definition| {
+                body.finish("the rigid body definition")
+                    .map(|()| definition)
+            });
+            // One that nobody needs must not take the others along.
+            return Ok(definition
+                .map_err(|error| self.unreadable.get_or_insert(error))
+                .ok());
         }
         let reader = &mut self.reader;
         match type_id {
@@ -154,7 +166,7 @@ fn read_rigid_body<'a>(
     version: BitstreamVersion,
 ) -> Result<RigidBodyDefinition<'a>, DecodeError> {
     let definition = RigidBodyDefinition {
-        name: reader.c_str("rigid body name")?,
+        name: reader.c_bytes("rigid body name")?,
         id: reader.i32("rigid body id")?,
         parent_id: reader.i32("rigid body parent")?,
         offset_m: reader.f32s("rigid body offset")?,

@@ -124,7 +124,7 @@ fn write_rigid_body(
     definition: &RigidBodyDefinition<'_>,
     markers: &[DefinitionMarker<'_>],
 ) -> Result<(), EncodeError> {
-    writer.c_str(definition.name, "rigid body name")?;
+    writer.c_bytes(definition.name, "rigid body name")?;
     writer.i32(definition.id, "rigid body id")?;
     writer.i32(definition.parent_id, "rigid body parent")?;
     writer.f32s(&definition.offset_m, "rigid body offset")?;

@@ -88,10 +88,14 @@ impl<'a> Writer<'a> {
     }
 
     pub(super) fn c_str(&mut self, text: &str, field: &'static str) -> Result<(), EncodeError> {
-        if text.bytes().any(|byte| byte == 0) {
+        self.c_bytes(text.as_bytes(), field)
+    }
+
+    pub(super) fn c_bytes(&mut self, text: &[u8], field: &'static str) -> Result<(), EncodeError> {
+        if text.contains(&0) {
             return Err(EncodeError::InteriorNul { field });
         }
-        self.bytes(text.as_bytes(), field)?;
+        self.bytes(text, field)?;
         self.u8(0, field)
     }
 

@@ -100,7 +100,7 @@ words! {
         MeanError = "mean-error",
         /// The frame has no usable time, or one after its arrival or before the last pose.
         ///
-        /// Remedy: Restart the server; look at the clock's figures in status.
+        /// Remedy: Look at the server's clock and at what it stamps (`wrong-clock`); restart it.
         CaptureTime = "capture-time",
         /// The body would have moved faster than `motion_capture.pose.max_speed_m_s`.
         ///

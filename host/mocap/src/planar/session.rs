@@ -12,6 +12,7 @@ use super::{
 };
 use crate::{
     binding::{Binding, BodyNames},
+    codec::DecodeError,
     pose_source::{Input, Output, PoseSource as _, Stream},
     session::{Phase, SessionEvent, Transmit},
     source::Source,
@@ -177,6 +178,12 @@ impl PlanarSession {
     #[must_use]
     pub const fn neighbour(&self) -> Option<Neighbour> {
         self.tracker.neighbour()
+    }
+
+    /// As [`PoseSource::unreadable`](crate::PoseSource::unreadable).
+    #[must_use]
+    pub fn unreadable(&self) -> Option<DecodeError> {
+        self.source.unreadable()
     }
 
     /// As [`PoseSource::other_source`](crate::PoseSource::other_source).

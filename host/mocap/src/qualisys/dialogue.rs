@@ -97,12 +97,12 @@ impl QualisysDialogue {
             (Stage::Version, Kind::Command | Kind::Error) => return Err(Broken::Foreign),
             (Stage::Open, Kind::Xml) => {
                 self.names_asked = false;
-                self.listed(BodyList::new(text()), on_output);
+                self.listed(BodyList::new(packet.text_bytes()), on_output);
             }
             // Without a body QTM has no such settings.
             (Stage::Open, Kind::Error) if self.names_asked => {
                 self.names_asked = false;
-                self.listed(BodyList::new(""), on_output);
+                self.listed(BodyList::new(b""), on_output);
             }
             (Stage::Open, Kind::Data) => self.frame(now_ns, order, packet, over, link, on_output),
             // Settings may have changed.

@@ -199,8 +199,16 @@ impl<'a> Packet<'a> {
     /// The text of an error, a command or settings.
     #[must_use]
     pub fn text(&self) -> Option<&'a str> {
-        let end = self.body.iter().position(|byte| *byte == 0);
-        core::str::from_utf8(self.body.get(..end.unwrap_or(self.body.len()))?).ok()
+        core::str::from_utf8(self.text_bytes()).ok()
+    }
+
+    /// That text in whatever encoding it is: names in it may be in another one than the rest.
+    #[must_use]
+    pub fn text_bytes(&self) -> &'a [u8] {
+        self.body
+            .split(|byte| *byte == 0)
+            .next()
+            .unwrap_or_default()
     }
 
     /// The frame in a packet of data; `None` if it holds no bodies, or is damaged.

@@ -59,6 +59,9 @@ pub enum SessionEvent {
     /// the definitions have been read
     /// ([`DatagramOutcome::Definitions`](super::DatagramOutcome::Definitions)).
     DefinitionsOutdated,
+    /// The definitions, or one of them, can't be decoded: with another error than before. The bodies
+    /// that can be read are known all the same.
+    DefinitionsUnreadable(DecodeError),
     /// Datagrams arrive from another address than the server's, for the first time. They are
     /// counted and dropped.
     OtherSource(IpAddr),

@@ -51,8 +51,8 @@ impl Session {
             }
             return DatagramOutcome::WrongSource;
         }
-        let is_frame = Packet::parse(datagram)
-            .is_ok_and(|packet| packet.message_id() == Some(MessageId::Frame));
+        let id = Packet::parse(datagram).map(|packet| packet.message_id());
+        let is_frame = id == Ok(Some(MessageId::Frame));
         let version = match self.phase {
             Phase::Streaming(version) => version,
             _ if is_frame => {
@@ -76,9 +76,23 @@ impl Session {
             }
             Ok(reply) => self.handle_reply(now_ns, reply, on_event),
             Err(error) => {
+                if id == Ok(Some(MessageId::ModelDefinitions)) {
+                    self.definitions_unreadable(error, on_event);
+                }
                 self.handle_malformed(now_ns, is_frame, error, on_event);
                 DatagramOutcome::Malformed(error)
             }
+        }
+    }
+
+    /// The first error of some definitions is worth a line in the log.
+    fn definitions_unreadable(
+        &mut self,
+        error: DecodeError,
+        on_event: &mut impl FnMut(SessionEvent),
+    ) {
+        if self.unreadable.replace(error) != Some(error) {
+            on_event(SessionEvent::DefinitionsUnreadable(error));
         }
     }
 
@@ -131,6 +145,10 @@ impl Session {
                 true
             }
             (ServerMessage::ModelDefinitions(definitions), Phase::Streaming(_)) => {
+                match definitions.unreadable {
+                    Some(error) => self.definitions_unreadable(error, on_event),
+                    None => self.unreadable = None,
+                }
                 self.definitions_current = true;
                 let poll_ns = self.config.timing.model_poll_ns;
                 self.schedule.models_read(now_ns, poll_ns);

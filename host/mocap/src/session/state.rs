@@ -8,7 +8,7 @@ use super::{
 };
 use crate::{
     clock::CaptureClock,
-    codec::{BitstreamVersion, Connection, UnsupportedVersion},
+    codec::{BitstreamVersion, Connection, DecodeError, UnsupportedVersion},
     config::{SessionConfig, SessionConfigError, Transport},
     consistency::Consistency,
     counters::SessionCounters,
@@ -62,6 +62,8 @@ pub struct Session {
     pub(super) other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
     pub(super) other_source: Option<IpAddr>,
     pub(super) definitions_current: bool,
+    /// What the last definitions had that could not be decoded.
+    pub(super) unreadable: Option<DecodeError>,
     /// The newest frame had the flag "models changed".
     pub(super) models_changed: bool,
     pub(super) last_frame_ns: Option<u64>,
@@ -100,6 +102,7 @@ impl Session {
             other_sources: heapless::Vec::new(),
             other_source: None,
             definitions_current: false,
+            unreadable: None,
             models_changed: false,
             last_frame_ns: None,
             stale: false,
@@ -144,6 +147,12 @@ impl Session {
     #[must_use]
     pub const fn definitions_current(&self) -> bool {
         self.definitions_current
+    }
+
+    /// Why the definitions that arrived last, or one of them, can't be decoded.
+    #[must_use]
+    pub const fn unreadable_definitions(&self) -> Option<DecodeError> {
+        self.unreadable
     }
 
     /// For how long the stream has been silent at `now_ns`, if that is longer than

@@ -69,7 +69,7 @@ struct Known {
 impl VrpnDialogue {
     pub(super) fn new(sensor: i32, body: Option<&str>) -> Self {
         Self {
-            follow: body.map(|name| Name::try_from(name).unwrap_or_default()),
+            follow: body.map(|name| Name::try_from(name.as_bytes()).unwrap_or_default()),
             sensor,
             welcomed: false,
             introduced: false,
@@ -124,7 +124,7 @@ impl VrpnDialogue {
     }
 
     /// The server's object of this name answers pings.
-    fn ask_as(&mut self, now_ns: u64, name: &str, link: &mut Link) {
+    fn ask_as(&mut self, now_ns: u64, name: &[u8], link: &mut Link) {
         self.introduced = true;
         self.say(
             now_ns,
@@ -184,13 +184,13 @@ impl VrpnDialogue {
     }
 
     /// Takes the server's number of a type; the same number may have meant another.
-    fn describe_type(&mut self, number: i32, name: &str) {
+    fn describe_type(&mut self, number: i32, name: &[u8]) {
         for (known, wanted) in [
             (&mut self.pose, POSE),
             (&mut self.ping, PING),
             (&mut self.pong, PONG),
         ] {
-            if name == wanted {
+            if name == wanted.as_bytes() {
                 *known = Some(number);
             } else if *known == Some(number) {
                 *known = None;

@@ -109,16 +109,16 @@ impl<'a> Message<'a> {
         put([0; 8].get(..padding).unwrap_or_default());
     }
 
-    /// The name in a description of a sender or of a type, if it is text.
+    /// The name in a description of a sender or of a type, if there is one.
     #[must_use]
-    pub fn described(&self) -> Option<&'a str> {
+    pub fn described(&self) -> Option<&'a [u8]> {
         let (length, rest) = u32_of(self.body)?;
         let name = rest.get(..length as usize)?;
         let end = name
             .iter()
             .position(|byte| *byte == 0)
             .unwrap_or(name.len());
-        core::str::from_utf8(name.get(..end)?).ok()
+        name.get(..end)
     }
 
     /// The pose in a message of the type [`POSE`], if it is one.
@@ -145,12 +145,13 @@ impl<'a> Message<'a> {
 
 /// The body of a description of a sender or of a type.
 #[must_use]
-pub fn description(name: &str) -> heapless::Vec<u8, 128> {
+pub fn description(name: impl AsRef<[u8]>) -> heapless::Vec<u8, 128> {
+    let name = name.as_ref();
     let mut body = heapless::Vec::new();
     let length = name.len() as u32 + 1;
     // A name that is too long is cut off, and its length is wrong: there is none.
     let _ = body.extend_from_slice(&length.to_be_bytes());
-    let _ = body.extend_from_slice(name.as_bytes());
+    let _ = body.extend_from_slice(name);
     let _ = body.push(0);
     body
 }

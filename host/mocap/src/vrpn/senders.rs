@@ -7,7 +7,7 @@ pub(crate) const NAME_LEN: usize = 100;
 const SENDERS: usize = 24;
 
 /// A sender's name.
-pub(crate) type Name = heapless::String<NAME_LEN>;
+pub(crate) type Name = heapless::Vec<u8, NAME_LEN>;
 
 /// The senders that a server has described, by their numbers.
 #[derive(Clone, Debug, Default)]
@@ -17,7 +17,7 @@ pub struct Senders {
 }
 
 /// The name of the connection itself, which is no tracker.
-pub(super) const CONTROL: &str = "VRPN Control";
+pub(super) const CONTROL: &[u8] = b"VRPN Control";
 
 impl Senders {
     pub(super) const fn new(sensor: i32) -> Self {
@@ -28,7 +28,7 @@ impl Senders {
     }
 
     /// Takes a description. Returns whether it was news. The needed sender always has room.
-    pub(super) fn describe(&mut self, number: i32, name: &str, needed: Option<&str>) -> bool {
+    pub(super) fn describe(&mut self, number: i32, name: &[u8], needed: Option<&[u8]>) -> bool {
         let Ok(name) = Name::try_from(name) else {
             return false;
         };
@@ -44,7 +44,7 @@ impl Senders {
             }
             None => {
                 if self.names.is_full() {
-                    if needed != Some(name.as_str()) {
+                    if needed != Some(name.as_slice()) {
                         return false;
                     }
                     self.names.pop();
@@ -55,18 +55,18 @@ impl Senders {
     }
 
     /// The name of a sender.
-    pub(super) fn name(&self, number: i32) -> Option<&str> {
+    pub(super) fn name(&self, number: i32) -> Option<&[u8]> {
         let mut names = self.names.iter();
         let (_, name) = names.find(|(known, _)| *known == number)?;
         Some(name)
     }
 
     /// The body of each sender with the configured sensor, and the sender's name.
-    pub fn iter(&self) -> impl Iterator<Item = (i32, &str)> {
+    pub fn iter(&self) -> impl Iterator<Item = (i32, &[u8])> {
         self.names
             .iter()
             .filter(|(_, name)| name != CONTROL)
-            .map(|(number, name)| (body_id(*number, self.sensor), name.as_str()))
+            .map(|(number, name)| (body_id(*number, self.sensor), name.as_slice()))
     }
 }
 

@@ -76,7 +76,7 @@ proptest! {
 #[test]
 fn model_definitions_are_read_to_the_same_values() {
     let definition = RigidBodyDefinition {
-        name: "car",
+        name: b"car",
         id: 42,
         parent_id: -1,
         offset_m: [0.1, 0.2, 0.3],
@@ -104,7 +104,7 @@ fn model_definitions_are_read_to_the_same_values() {
             panic!("not the datasets written: {theirs:?}");
         };
         assert_eq!(set.marker_names, ["a", "b"]);
-        assert_eq!(body.name, definition.name);
+        assert_eq!(body.name.as_bytes(), definition.name);
         assert_eq!(body.id, definition.id);
         assert_eq!(body.parent_id, definition.parent_id);
         assert_eq!(body.offset, definition.offset_m);

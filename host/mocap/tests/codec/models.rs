@@ -50,7 +50,7 @@ fn dataset() -> impl Strategy<Value = OwnedDataset> {
 
 fn definition((name, id, parent_id, offset_m): &OwnedBody) -> RigidBodyDefinition<'_> {
     RigidBodyDefinition {
-        name,
+        name: name.as_bytes(),
         id: *id,
         parent_id: *parent_id,
         offset_m: *offset_m,
@@ -211,7 +211,7 @@ fn an_unknown_dataset_is_skipped_by_size_or_refused_by_type() {
             body: &[1, 2, 3, 4, 5],
         },
         Dataset::rigid_body(RigidBodyDefinition {
-            name: "car",
+            name: b"car",
             id: 4,
             parent_id: -1,
             offset_m: [0.0; 3],
@@ -237,5 +237,49 @@ fn an_unknown_dataset_is_skipped_by_size_or_refused_by_type() {
                 }
             );
         }
+    }
+}
+
+#[test]
+fn a_definition_that_can_t_be_read_is_skipped_by_its_size() {
+    let named = |name, id| {
+        Dataset::rigid_body(RigidBodyDefinition {
+            name,
+            id,
+            parent_id: -1,
+            offset_m: [0.0; 3],
+        })
+    };
+    // Its name has no end.
+    let broken = Dataset::Other {
+        type_id: 1,
+        body: b"cut off",
+    };
+    let datasets = [
+        named(b"first", 1),
+        broken,
+        named(b"T\xfcr", 2),
+        named(b"car", 3),
+    ];
+    for version in all_versions() {
+        let datagram = encoded(|out| encode::model_definitions(version, &datasets, out));
+        let definitions = decode(&datagram, version);
+        if version < BitstreamVersion::V4_1 {
+            assert!(definitions.is_err(), "{version}");
+            continue;
+        }
+        let definitions = definitions.unwrap();
+        assert!(matches!(
+            definitions.unreadable,
+            Some(DecodeError::UnterminatedString { .. })
+        ));
+        let bodies: Vec<_> = definitions
+            .rigid_bodies()
+            .map(|it| (it.id, it.name))
+            .collect();
+        assert_eq!(
+            bodies,
+            [(1, &b"first"[..]), (2, &b"T\xfcr"[..]), (3, &b"car"[..])]
+        );
     }
 }

@@ -211,7 +211,7 @@ fn names_are_current_from_the_definitions_to_the_next_change_of_models() {
     assert!(!bench.frame(&[], FrameFlags::default()).definitions_current);
     let datasets = [("car", 7), ("trailer", 8)].map(|(name, id)| {
         Dataset::rigid_body(RigidBodyDefinition {
-            name,
+            name: name.as_bytes(),
             id,
             parent_id: -1,
             offset_m: [0.0; 3],

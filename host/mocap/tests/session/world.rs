@@ -98,7 +98,7 @@ impl Server {
                     .iter()
                     .map(|(name, id)| {
                         Dataset::rigid_body(RigidBodyDefinition {
-                            name,
+                            name: name.as_bytes(),
                             id: *id,
                             parent_id: -1,
                             offset_m: [0.0; 3],

@@ -63,6 +63,28 @@ fn a_wrong_name_is_missing_and_the_servers_names_are_known() {
 }
 
 #[test]
+fn a_name_that_is_not_utf_8_hides_no_other_body_and_is_shown() {
+    for kind in KINDS {
+        let mut bench = Bench::of(kind, "car");
+        bench.server.bodies = vec!["t@r", "car"];
+        bench.run(2_000);
+        let poses = bench.poses(0);
+        assert!(poses.len() > 150, "{kind:?}: {} poses", poses.len());
+        poses.iter().for_each(|(_, pose)| assert_true(pose));
+        let names = bench.session.names().to_string();
+        assert_eq!(names, r#""t\xfcr", "car""#, "{kind:?}");
+        // One that appears later ends no drive.
+        bench.server.bodies.push("a t@r");
+        let sent = bench.server.renumber();
+        bench.deliver(&sent);
+        bench.run(3_000);
+        let before = bench.observations.len();
+        bench.run(1_000);
+        assert!(bench.poses(before).len() > 90, "{kind:?}");
+    }
+}
+
+#[test]
 fn a_body_that_is_not_seen_has_no_pose() {
     for (kind, zeros) in KINDS
         .map(|kind| (kind, false))

@@ -231,7 +231,7 @@ impl Server {
         while let Some((message, length)) = Message::read(rest).unwrap() {
             match message.kind {
                 UDP_DESCRIPTION => self.over_udp = true,
-                TYPE_DESCRIPTION if message.described() == Some(PING) => {
+                TYPE_DESCRIPTION if message.described() == Some(PING.as_bytes()) => {
                     self.client_ping = Some(message.sender);
                 }
                 kind if Some(kind) == self.client_ping && self.ignored_pings > 0 => {
@@ -299,7 +299,7 @@ impl Server {
                     .zip(&self.bodies)
                     .map(|(id, name)| {
                         Dataset::rigid_body(RigidBodyDefinition {
-                            name,
+                            name: name.as_bytes(),
                             id,
                             parent_id: -1,
                             offset_m: [0.0; 3],

@@ -96,8 +96,10 @@ impl Pilot {
         let measures = self.supervisor.is_linked();
         self.motor_time = measures.then_some(sample.time);
         let mode = self.supervisor.mode();
-        self.watches.observe_board(sample, mode, &self.config);
         if let Some(inertial) = sample.inertial {
+            self.imu_heard = Some(inertial.time);
+        }
+        if let Some(inertial) = self.watches.observe_board(sample, mode, &self.config) {
             self.imu_time = Some(inertial.time);
             let motor_speed = measures.then_some(sample.motor_speed);
             self.estimator.handle_inertial(inertial, motor_speed);

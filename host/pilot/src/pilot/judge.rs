@@ -126,7 +126,7 @@ impl Pilot {
             blind_distance: watches.blind.distance(),
             poses: self.estimator.poses(),
             implausible: self.estimator.implausible_in_a_row(),
-            imu_time: self.imu_time,
+            imu_time: self.imu_heard,
             imu: watches
                 .imu
                 .verdict(self.estimator.gyro_bias(), &config.watch),

@@ -72,6 +72,8 @@ pub struct Pilot {
     proved: bool,
     /// When the board last measured the motor, if its last record says it.
     motor_time: Option<Time>,
+    /// When the IMU last gave a sample, and one that is possible.
+    imu_heard: Option<Time>,
     imu_time: Option<Time>,
     pose_time: Option<Time>,
     motor_speed: f64,
@@ -112,6 +114,7 @@ impl Pilot {
             commanded_steering: 0.0,
             proved: false,
             motor_time: None,
+            imu_heard: None,
             imu_time: None,
             pose_time: None,
             motor_speed: 0.0,

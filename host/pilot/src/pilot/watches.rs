@@ -1,7 +1,7 @@
 //! The watches of a pilot: what they observe, and what they find.
 
 use libm::fabs;
-use singletrack_control::{Estimate, Estimator, PoseSample, Time};
+use singletrack_control::{Estimate, Estimator, InertialSample, PoseSample, Time};
 
 use super::PilotConfig;
 use crate::{
@@ -98,17 +98,26 @@ impl Watches {
         }
     }
 
-    /// A record of the board, in this mode.
-    pub(super) fn observe_board(&mut self, sample: &BoardSample, mode: Mode, config: &PilotConfig) {
+    /// A record of the board, in this mode. Returns its inertial sample if that is possible; no
+    /// other one may be used.
+    pub(super) fn observe_board(
+        &mut self,
+        sample: &BoardSample,
+        mode: Mode,
+        config: &PilotConfig,
+    ) -> Option<InertialSample> {
         self.steps.motor(sample.time, sample.motor_speed);
         self.drive.speeds.motor(sample.motor_speed);
-        if let Some(inertial) = &sample.inertial {
-            let supervisor = &config.supervisor;
-            let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
-            self.imu.handle(inertial, &config.watch, still);
-            let rests = self.imu.is_still() && sample.motor_speed == 0.0 && !mode.commands();
-            self.steps.inertial(inertial, rests);
+        let inertial = sample.inertial?;
+        let supervisor = &config.supervisor;
+        let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
+        self.imu.handle(&inertial, &config.watch, still);
+        if !config.watch.is_possible(&inertial) {
+            return None;
         }
+        let rests = self.imu.is_still() && sample.motor_speed == 0.0 && !mode.commands();
+        self.steps.inertial(&inertial, rests);
+        Some(inertial)
     }
 
     /// A tick, with the largest of all speeds (m/s), and the steering of the last command (rad).

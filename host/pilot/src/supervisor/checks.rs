@@ -9,7 +9,7 @@ use singletrack_control::Time;
 use super::{conditions::Conditions, config::SupervisorConfig, reason::Reason};
 use crate::{
     event::{BoardHealth, BoardState, LineHealth, LinkState, RealTimeState},
-    watch::ImuVerdict,
+    watch::{ImuVerdict, count},
 };
 
 /// Above this speed a car moves while its board arms, m/s: more than noise and a first
@@ -23,6 +23,10 @@ const HEALTH_SILENCE: f64 = 1.0;
 /// The number of low reports in a row that make a low battery, 0.6 s: the voltage sags
 /// when the car starts off.
 const BATTERY_LOW_REPORTS: u32 = 3;
+
+/// The number of reports in a row of an error of the IMU that end a drive, 0.2 s apart: its registers
+/// come over a bus without checksum, and one wrong bit makes "fusion runs" (5) an "error" (1).
+const IMU_FAULT_REPORTS: u32 = 2;
 
 /// The battery's voltage, in V.
 fn volts(health: &BoardHealth) -> f64 {
@@ -42,6 +46,8 @@ pub(super) struct LatestState {
     health_time: Time,
     /// Reports in a row of a battery too low to drive with.
     battery_low: u32,
+    /// Reports in a row of an error of the IMU.
+    imu_fault: u32,
     pub(super) line: Option<LineHealth>,
     pub(super) real_time: Option<RealTimeState>,
     /// Whether the cameras' session has locked the rigid body out.
@@ -57,6 +63,7 @@ impl LatestState {
             health_heard: false,
             health_time: Time(0),
             battery_low: 0,
+            imu_fault: 0,
             line: None,
             real_time: None,
             untrustworthy: false,
@@ -69,6 +76,7 @@ impl LatestState {
             // The next board may be another one.
             self.board = None;
             self.health = None;
+            self.imu_fault = 0;
             self.line = None;
         }
     }
@@ -76,11 +84,8 @@ impl LatestState {
     pub(super) fn set_health(&mut self, health: BoardHealth, config: &SupervisorConfig) {
         self.health = Some(health);
         self.health_heard = true;
-        self.battery_low = if volts(&health) < config.min_battery {
-            self.battery_low.saturating_add(1)
-        } else {
-            0
-        };
+        count(&mut self.battery_low, volts(&health) < config.min_battery);
+        count(&mut self.imu_fault, health.imu_fault);
     }
 
     /// Dates a status message that has come since the last tick.
@@ -133,7 +138,7 @@ impl LatestState {
             && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_board()
             .or_else(|| self.check_health_to_arm(conditions.now, config))
-            .or_else(|| self.check_imu_health())
+            .or_else(|| self.check_imu_health(1))
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
             .or_else(|| {
@@ -194,7 +199,7 @@ impl LatestState {
         let rests = conditions.motor_speed.abs() <= MOVES_WHILE_ARMING
             && conditions.speed.abs() <= MOVES_WHILE_ARMING;
         self.check_health_to_arm(conditions.now, config)
-            .or_else(|| self.check_imu_health())
+            .or_else(|| self.check_imu_health(1))
             .or_else(|| (!rests).then_some(Reason::Moving))
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.fresh, config))
@@ -228,7 +233,7 @@ impl LatestState {
     }
 
     fn check_drive(&self, conditions: &Conditions, config: &SupervisorConfig) -> Option<Reason> {
-        self.check_imu_health()
+        self.check_imu_health(IMU_FAULT_REPORTS)
             .or_else(|| check_imu(conditions, config))
             .or_else(|| self.check_pose(conditions, config.blind, config))
             .or_else(|| check_fence_and_deadlines(conditions))
@@ -285,11 +290,9 @@ impl LatestState {
             .then_some(Reason::LineNoisy)
     }
 
-    /// What the IMU reports of itself.
-    fn check_imu_health(&self) -> Option<Reason> {
-        self.health
-            .is_some_and(|health| health.imu_fault)
-            .then_some(Reason::ImuFault)
+    /// What the IMU reports of itself, in this number of reports in a row.
+    fn check_imu_health(&self, reports: u32) -> Option<Reason> {
+        (self.imu_fault >= reports).then_some(Reason::ImuFault)
     }
 
     /// The poses: plausible, and the last accepted one no older than `max_age` (s).

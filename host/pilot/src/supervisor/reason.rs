@@ -131,7 +131,7 @@ words! {
         ///
         /// Effect: Refuses beyond 50 ms. Driving: slows beyond 300 ms, stops beyond 600 ms.
         ///
-        /// Remedy: Add markers, or improve the cameras' view.
+        /// Remedy: Look at `cameras` in status: markers and view, but also frame rate, latency and clock.
         PoseTooOld = 9 "pose-too-old",
         /// The car has gone too far since the last accepted pose.
         ///
@@ -322,6 +322,8 @@ words! {
         /// Remedy: Connect the voltage divider, or set both to 0.
         BatteryOpen = 51 "battery-open",
         /// The IMU reports an error, or failed its self-test.
+        ///
+        /// Effect: Refuses; twice in a row (0.2 s) stops.
         ///
         /// Remedy: Reset the board; replace the IMU if it returns.
         ImuFault = 52 "imu-fault",

@@ -1,5 +1,8 @@
 //! The limits of plausible sensors and of tick timing.
 
+use libm::{fabs, hypot};
+use singletrack_control::InertialSample;
+
 /// The limits of plausible sensors and of tick timing, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WatchConfig {
@@ -49,6 +52,15 @@ pub struct WatchConfig {
 }
 
 impl WatchConfig {
+    /// Whether a car can turn and accelerate like this. A sample that is not possible is an error of
+    /// the sensor or of its bus, which has no checksum: nothing may be computed from it.
+    #[must_use]
+    pub fn is_possible(&self, sample: &InertialSample) -> bool {
+        let acceleration = hypot(sample.forward_acceleration, sample.left_acceleration);
+        // NaN is not possible either: the comparison is false.
+        fabs(sample.yaw_rate) <= self.max_yaw_rate && acceleration <= self.max_acceleration
+    }
+
     /// For the paper's car.
     #[must_use]
     pub const fn paper() -> Self {

@@ -34,6 +34,6 @@ pub(crate) use stop::{Speeds, StopLimits, StopWatch};
 pub(crate) use ticks::TickWatch;
 
 /// Counts repetitions; restarts from zero.
-const fn count(counter: &mut u32, again: bool) {
+pub(crate) const fn count(counter: &mut u32, again: bool) {
     *counter = if again { counter.saturating_add(1) } else { 0 };
 }

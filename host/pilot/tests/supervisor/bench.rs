@@ -37,10 +37,13 @@ pub(crate) const FAILURES: [Failure; 18] = [
         });
     }),
     ("an IMU with an error", Reason::ImuFault, |bench| {
-        bench.health = Some(BoardHealth {
+        let fault = BoardHealth {
             imu_fault: true,
             ..HEALTHY
-        });
+        };
+        bench.health = Some(fault);
+        // The report of the next tick is the second in a row.
+        bench.supervisor.handle_health(fault);
     }),
     ("an open stop switch", Reason::StopInputOpen, |bench| {
         bench.health = Some(BoardHealth {

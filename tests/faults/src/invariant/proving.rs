@@ -242,10 +242,12 @@ impl Invariant for FaultClears {
 }
 
 /// `false-alarm`: a calibrated car hears no word of a contradiction or of an implausible
-/// sensor before the first fault of its schedule.
+/// sensor before the first fault of its schedule. A wrong bit here and there is none: what no car
+/// can do is not believed, and leads no pose astray.
 #[derive(Default)]
 pub(super) struct FalseAlarm {
     disturbed: bool,
+    wrong_bits: bool,
 }
 
 impl Invariant for FalseAlarm {
@@ -254,13 +256,19 @@ impl Invariant for FalseAlarm {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        self.disturbed |= !observation.faults.is_empty() || !observation.new_faults.is_empty();
+        let mut faults = observation.faults.iter().chain(observation.new_faults);
+        self.disturbed |= faults.any(|fault| fault.kind != FaultKind::ImuWrongBit);
+        self.wrong_bits |= !observation.faults.is_empty();
         if self.disturbed || !observation.spec.is_tolerable {
             return Ok(());
         }
         let reason = observation.tick.and_then(|tick| tick.output.reason);
         match reason {
-            Some(reason) if CONTRADICTIONS.contains(&reason) || ALARMS.contains(&reason) => {
+            Some(reason)
+                if CONTRADICTIONS.contains(&reason)
+                    || ALARMS.contains(&reason)
+                    || (self.wrong_bits && reason == Reason::PoseImplausible) =>
+            {
                 Err(format!("{reason}, with a calibrated car and no fault"))
             }
             _ => Ok(()),

@@ -483,6 +483,14 @@ fn rare_and_many(schedule: &mut Schedule) {
             severity: random.spread(10, Fault::WORST),
         });
     }
+    if random.happens(150) {
+        schedule.faults.push(Fault {
+            kind: FaultKind::ImuWrongBit,
+            at_ms: random.between(FIRST_FAULT_MS, schedule.end_ms),
+            for_ms: random.spread(100, 10_000),
+            severity: random.between(1, Fault::WORST),
+        });
+    }
     schedule.faults.sort_by_key(|fault| fault.at_ms);
 }
 

@@ -141,6 +141,8 @@ kinds! {
     ImuSaturated = "imu-saturated", Board;
     /// Every other IMU sample has its signs reversed.
     ImuErratic = "imu-erratic", Board;
+    /// One IMU sample of 1020 - s has a wrong bit, one of the two highest.
+    ImuWrongBit = "imu-wrong-bit", Board;
     /// The motor sensor gives no pulses.
     PulsesGone = "pulses-gone", Board;
     /// Every motor pulse is counted twice.
@@ -231,9 +233,11 @@ impl FaultKind {
     #[must_use]
     pub const fn subject(self) -> Self {
         match self {
-            Self::ImuStuck | Self::ImuBiased | Self::ImuSaturated | Self::ImuErratic => {
-                Self::ImuSilent
-            }
+            Self::ImuStuck
+            | Self::ImuBiased
+            | Self::ImuSaturated
+            | Self::ImuErratic
+            | Self::ImuWrongBit => Self::ImuSilent,
             Self::PulsesDoubled | Self::PulsesHalved | Self::PulsesErratic => Self::PulsesGone,
             kind => kind,
         }
@@ -269,7 +273,7 @@ impl FaultKind {
     pub const fn is_drawn_apart(self) -> bool {
         matches!(
             self,
-            Self::CameraGhost | Self::CameraRare | Self::RequestFlood
+            Self::CameraGhost | Self::CameraRare | Self::ImuWrongBit | Self::RequestFlood
         )
     }
 

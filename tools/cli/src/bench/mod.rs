@@ -188,7 +188,7 @@ impl Bench for LiveBench {
         loop {
             let Some(entry) = self.pump()? else { continue };
             let Entry::Tick(tick) = &entry else {
-                observed.extend(Observation::of(&entry));
+                observed.extend(Observation::of(&entry, &self.config.watch));
                 continue;
             };
             let is_linked = tick.link == LinkPhase::Ready;
@@ -196,7 +196,7 @@ impl Bench for LiveBench {
             if self.is_linked.replace(is_linked) == Some(!is_linked) {
                 observed.push(Observation::Link(is_linked));
             }
-            observed.extend(Observation::of(&entry));
+            observed.extend(Observation::of(&entry, &self.config.watch));
             return Ok(());
         }
     }

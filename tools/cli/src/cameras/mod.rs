@@ -97,6 +97,12 @@ fn parse_up_axis(text: &str) -> Result<UpAxis, String> {
     UpAxis::named(text).ok_or_else(|| "choose y or z".to_owned())
 }
 
+/// The least rate to drive by, with a latency of 15 ms: a pose may be 50 ms old when the next one comes.
+const LEAST_HZ: f64 = 30.0;
+
+/// The most latency to be armed with, at 100 Hz.
+const MOST_LATENCY_MS: f64 = 40.0;
+
 /// Nobody answered.
 const NO_SERVER: &str = "no NatNet or Qualisys server answers in this network; a firewall may keep \
                          answers away, and VRPN can't be asked: give its address with --server";
@@ -304,6 +310,12 @@ impl Watched {
             if let SessionEvent::Refused(version) = event {
                 note(true, version.to_string());
             }
+            if let SessionEvent::DefinitionsUnreadable(error) = event {
+                note(
+                    true,
+                    format!("a part of its list of bodies can't be read: {error}"),
+                );
+            }
             if let SessionEvent::OtherSource(other) = event {
                 note(
                     true,
@@ -311,9 +323,49 @@ impl Watched {
                 );
             }
         }
+        let frames = self.survey.frames();
         note(
-            answers && self.survey.frames() == 0,
+            answers && frames == 0,
             "it answers and sends no frames: is it measuring, and streaming?".to_owned(),
+        );
+        let old = counters.duplicates + counters.late;
+        note(
+            old > frames,
+            format!(
+                "{old} frames were no newer than the one before: the server must stamp each with the \
+                 time of its exposure"
+            ),
+        );
+        let rate_hz = self
+            .survey
+            .bodies(seconds)
+            .iter()
+            .map(|body| body.rate_hz)
+            .fold(0.0, f64::max);
+        note(
+            answers && frames > 0 && rate_hz < LEAST_HZ,
+            format!(
+                "{rate_hz:.0} poses a second are too few to drive by: at least {LEAST_HZ:.0}, best 100"
+            ),
+        );
+        let times = self.survey.times();
+        let latency_ms = times.as_ref().map_or(0.0, |times| times.latency_ms);
+        note(
+            latency_ms >= 1_000.0,
+            "the stamps are not by the clock with which the server answers: VRPN stamps in UTC, not in \
+             local time"
+                .to_owned(),
+        );
+        note(
+            frames > 0 && times.is_none(),
+            "the stamps are after the arrival of the frames, or long before the server's clock"
+                .to_owned(),
+        );
+        note(
+            (MOST_LATENCY_MS..1_000.0).contains(&latency_ms),
+            format!(
+                "above {MOST_LATENCY_MS:.0} ms the car is not armed at 100 Hz, at a lower rate sooner"
+            ),
         );
         note(
             said(SessionEvent::DatagramsBlocked),
@@ -332,11 +384,11 @@ impl Watched {
             server: address.to_string(),
             up_axis: self.section.up_axis.name(),
             answers: answers && !matches!(self.source.phase(), Phase::Foreign),
-            frames: self.survey.frames(),
+            frames,
             lost: counters.lost,
             late: counters.late,
             malformed: counters.malformed,
-            times: self.survey.times(),
+            times,
             bodies: self.survey.bodies(seconds),
             notes,
         }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use singletrack_mocap::{
-    Body, BodyPose, BodyState, CaptureTimeSource, Output, PoseFrame, SessionEvent,
+    Body, BodyPose, BodyState, CaptureTimeSource, NameText, Output, PoseFrame, SessionEvent,
 };
 
 /// A body, from all frames in which it was listed.
@@ -10,6 +10,7 @@ use singletrack_mocap::{
 struct Seen {
     id: i32,
     name: Option<String>,
+    is_utf8: bool,
     listed: u64,
     tracked: u64,
     invalid: u64,
@@ -73,7 +74,11 @@ impl Survey {
             Output::Event(event) => self.events.push(*event),
             Output::Names(names) => {
                 self.bodies.iter_mut().for_each(|body| body.name = None);
-                names.for_each(&mut |id, name| self.body(id).name = Some(name.to_owned()));
+                names.for_each(&mut |id, name| {
+                    let name = NameText(name);
+                    let body = self.body(id);
+                    (body.name, body.is_utf8) = (Some(name.to_string()), name.is_utf8());
+                });
             }
             Output::Frame(frame) => self.frame(frame),
         }
@@ -158,6 +163,10 @@ impl Seen {
         let repeated = part(self.repeated, self.tracked.saturating_sub(1));
         let remarks = [
             (self.name.is_none(), "no name in the server's list"),
+            (
+                self.name.is_some() && !self.is_utf8,
+                "its name is not UTF-8: a body that is followed needs another one",
+            ),
             (
                 self.tracked == 0,
                 "never seen: a ghost of the list, or out of view",

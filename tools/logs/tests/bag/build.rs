@@ -50,6 +50,10 @@ pub(super) struct Bag {
     /// Definitions of types, in the order in which a bag has them.
     pub(super) definitions: BTreeMap<&'static str, String>,
     pub(super) messages: Vec<Sent>,
+    /// The language of the definitions; `ros2msg` if it is empty.
+    pub(super) language: &'static str,
+    /// Whether the messages are stored as they were sent, whatever the time of their reception.
+    pub(super) keeps_order: bool,
 }
 
 /// A stamp, as `builtin_interfaces/Time` has it.
@@ -108,6 +112,14 @@ impl Bag {
         });
     }
 
+    const fn language(&self) -> &'static str {
+        if self.language.is_empty() {
+            "ros2msg"
+        } else {
+            self.language
+        }
+    }
+
     fn definition(&self, kind: &str) -> &str {
         self.definitions.get(kind).map_or("", String::as_str)
     }
@@ -115,7 +127,9 @@ impl Bag {
     /// Messages in the order of their reception.
     fn in_order(&self) -> Vec<&Sent> {
         let mut messages: Vec<_> = self.messages.iter().collect();
-        messages.sort_by_key(|sent| sent.receive_ns);
+        if !self.keeps_order {
+            messages.sort_by_key(|sent| sent.receive_ns);
+        }
         messages
     }
 
@@ -135,7 +149,9 @@ impl Bag {
         let mut channels = BTreeMap::new();
         for (topic, kind) in &self.topics {
             let definition = self.definition(kind).as_bytes();
-            let schema = writer.add_schema(kind, "ros2msg", definition).unwrap();
+            let schema = writer
+                .add_schema(kind, self.language(), definition)
+                .unwrap();
             let id = writer.add_channel(schema, topic, "cdr", &BTreeMap::new());
             channels.insert(*topic, id.unwrap());
         }
@@ -185,10 +201,10 @@ impl Bag {
                 .execute(&query, params![id, topic, kind])
                 .unwrap();
             if is_new {
-                let query = "INSERT INTO message_definitions VALUES (?, ?, 'ros2msg', ?, '')";
+                let query = "INSERT INTO message_definitions VALUES (?, ?, ?, ?, '')";
                 let definition = self.definition(kind);
                 connection
-                    .execute(query, params![id, kind, definition])
+                    .execute(query, params![id, kind, self.language(), definition])
                     .unwrap();
             }
         }

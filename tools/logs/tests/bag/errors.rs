@@ -362,3 +362,101 @@ fn a_map_is_for_bags_or_for_csv_files() {
         "map.toml: pose.topic is missing: name the topic whose messages have the fields of this section",
     );
 }
+
+/// The bag with `/pose` of a type that is not built in, defined in this language.
+fn bag_of_own_type(language: &'static str) -> Bag {
+    let mut bag = bag();
+    bag.topics[0] = ("/pose", "own_msgs/msg/Pose");
+    bag.definitions
+        .insert("own_msgs/msg/Pose", "module own_msgs {};".to_owned());
+    bag.language = language;
+    bag
+}
+
+#[test]
+fn a_definition_in_another_language_is_named_with_what_to_do() {
+    let folder = Folder::new(MAP);
+    let log = folder.write(&[bag_of_own_type("ros2idl")], Storage::Mcap);
+    assert_eq!(
+        folder.error(&log),
+        "bag, topic \"/pose\" of type own_msgs/Pose: own_msgs/Pose is not defined; its definition is in \
+         \"ros2idl\", which is not read: publish it as a type that has a .msg file, or make a CSV file of it"
+    );
+}
+
+/// The log time of a recorder whose clock was before 1970, ns.
+const ROLLED_OVER_NS: u64 = 0_u64.wrapping_sub(7_500_000_000);
+
+/// The bag whose seventh message on the topic was received then.
+fn rolled_over(topic: &str, keeps_order: bool) -> Bag {
+    let mut bag = bag();
+    bag.keeps_order = keeps_order;
+    let mut sent = bag.messages.iter_mut().filter(|sent| sent.topic == topic);
+    sent.nth(6).unwrap().receive_ns = ROLLED_OVER_NS;
+    bag
+}
+
+#[test]
+fn a_wrong_time_of_reception_does_not_matter_to_messages_with_a_stamp() {
+    for keeps_order in [true, false] {
+        let folder = Folder::new(MAP);
+        let log = folder.write(&[rolled_over("/pose", keeps_order)], Storage::Mcap);
+        let imported = folder.import(&log).unwrap();
+        assert_eq!(imported.poses().len(), 10);
+    }
+    // A clock that was set while it recorded.
+    let mut bag = bag();
+    bag.keeps_order = true;
+    let mut poses = bag.messages.iter_mut().filter(|sent| sent.topic == "/pose");
+    poses.nth(6).unwrap().receive_ns -= 3_600_000_000_000;
+    let folder = Folder::new(MAP);
+    let log = folder.write(&[bag], Storage::Mcap);
+    assert_eq!(folder.import(&log).unwrap().poses().len(), 10);
+}
+
+#[test]
+fn a_wrong_time_of_reception_that_is_the_time_of_a_message_is_named() {
+    let folder = Folder::new(MAP);
+    let log = folder.write(&[rolled_over("/speed", true)], Storage::Mcap);
+    let error = folder.error(&log);
+    let place = "bag, topic \"/speed\", message 7 (received at 18446744066.209551616 s)";
+    assert!(error.starts_with(place), "{error}");
+    for part in [
+        "its time of reception is later than the year 2262",
+        "mcap filter",
+    ] {
+        assert!(error.contains(part), "{error}");
+    }
+}
+
+#[test]
+fn a_sqlite_file_that_keeps_a_log_of_its_own_is_read_and_left_as_it_is() {
+    let names = |folder: &std::path::Path| {
+        let entries = fs::read_dir(folder).unwrap();
+        let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<_> = names.collect();
+        names.sort();
+        names
+    };
+    let folder = Folder::new(MAP);
+    let log = folder.write(&[bag()], Storage::Sqlite);
+    // A name that a URI escapes.
+    let file = log.join("bag 100%?#.db3");
+    fs::rename(log.join("bag_0.db3"), &file).unwrap();
+    let connection = rusqlite::Connection::open(&file).unwrap();
+    let mode = |row: &rusqlite::Row<'_>| row.get::<_, String>(0);
+    let mode = connection.query_row("PRAGMA journal_mode = WAL", [], mode);
+    assert_eq!(mode.unwrap(), "wal");
+    drop(connection);
+    let before = names(&log);
+    let imported = folder.import(&file).unwrap();
+    assert_eq!(imported.poses().len(), 10);
+    assert_eq!(names(&log), before);
+    // Its recorder was killed: messages are in the log.
+    fs::write(log.join("bag 100%?#.db3-wal"), [1; 64]).unwrap();
+    let before = names(&log);
+    fs::remove_file(folder.path("out.mcap")).unwrap();
+    let error = folder.error(&file);
+    assert!(error.contains("wal_checkpoint"), "{error}");
+    assert_eq!(names(&log), before);
+}

@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use singletrack_analysis::identification::{DriveData, Inertial, Pose, ServoFrames, ServoTarget};
-use singletrack_control::{SteeringMap, VehicleParameters, direction};
-use singletrack_core::{Config, ConfigError};
+use singletrack_control::{InertialSample, SteeringMap, Time, VehicleParameters, direction};
+use singletrack_core::{Config, ConfigError, config::WatchSection};
 use singletrack_figures::plot;
 use singletrack_pilot::{BoardSample, Event};
 use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seconds_since};
@@ -102,6 +102,7 @@ pub struct Collector {
     /// From G to the rigid body's origin, forward and left, in m.
     marker_offset: [f64; 2],
     marker_yaw: f64,
+    watch: WatchSection,
     data: DriveData,
     /// Inertial samples and steering of the ticks, for a record without telemetry: a log of another
     /// program.
@@ -127,6 +128,7 @@ impl Collector {
             steering: config.steering_map()?,
             marker_offset: estimator.marker_offset,
             marker_yaw: estimator.marker_yaw,
+            watch: config.watch,
             data: DriveData::default(),
             of_ticks: DriveData::default(),
             board: None,
@@ -160,15 +162,7 @@ impl Collector {
                 Event::Board(BoardSample {
                     inertial: Some(sample),
                     ..
-                }) if sample.time.0 + LEAD_NS >= self.start_ns => {
-                    let sample = Inertial {
-                        time_s: self.seconds(sample.time.0),
-                        yaw_rate_rad_s: sample.yaw_rate,
-                        forward_m_s2: sample.forward_acceleration,
-                        left_m_s2: sample.left_acceleration,
-                    };
-                    push_later(&mut self.of_ticks.inertial, sample, |sample| sample.time_s);
-                }
+                }) => self.take_inertial(sample, true),
                 _ => {}
             }
         }
@@ -205,16 +199,36 @@ impl Collector {
             push_later(&mut self.data.servo, target, |target| target.time_s);
         }
         if let Some(time_ns) = record.new_imu_time_ns() {
-            let [forward_m_s2, left_m_s2, _] = record.linear_acceleration_m_s2();
-            let [_, _, yaw_rate_rad_s] = record.angular_velocity_rad_s();
-            let sample = Inertial {
-                time_s: self.seconds(time_ns),
-                yaw_rate_rad_s,
-                forward_m_s2,
-                left_m_s2,
+            let [forward_acceleration, left_acceleration, _] = record.linear_acceleration_m_s2();
+            let [_, _, yaw_rate] = record.angular_velocity_rad_s();
+            let sample = InertialSample {
+                time: Time(time_ns),
+                yaw_rate,
+                forward_acceleration,
+                left_acceleration,
             };
-            push_later(&mut self.data.inertial, sample, |sample| sample.time_s);
+            self.take_inertial(&sample, false);
         }
+    }
+
+    /// Takes a sample that the car can have made.
+    fn take_inertial(&mut self, sample: &InertialSample, of_tick: bool) {
+        if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(sample) {
+            return;
+        }
+        let time_s = self.seconds(sample.time.0);
+        let data = if of_tick {
+            &mut self.of_ticks
+        } else {
+            &mut self.data
+        };
+        let sample = Inertial {
+            time_s,
+            yaw_rate_rad_s: sample.yaw_rate,
+            forward_m_s2: sample.forward_acceleration,
+            left_m_s2: sample.left_acceleration,
+        };
+        push_later(&mut data.inertial, sample, |sample| sample.time_s);
     }
 
     fn seconds(&self, time_ns: u64) -> f64 {

@@ -51,6 +51,14 @@ const ALL_FROM_VIEWER: u64 = 1 << 20;
 const BUSY: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\n\
     Connection: close\r\n\r\nToo many viewers are connected; close one.\n";
 
+/// The protocol of older viewers, and that of the server.
+const OLD_PROTOCOL: &str = "foxglove.websocket.v1";
+const PROTOCOL: &str = "foxglove.sdk.v1";
+
+/// The answer to a viewer that only speaks the old protocol.
+const OLD: &[u8] = b"HTTP/1.1 400 Bad Request\r\nContent-Type: text/plain\r\n\
+    Connection: close\r\n\r\nThis viewer is too old: it does not speak foxglove.sdk.v1. Update it.\n";
+
 /// The WebSocket server behind the relay.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Inner {
@@ -128,8 +136,16 @@ async fn serve(
     let Some((true, head)) = head? else {
         return Ok(());
     };
-    let Ok(_slot) = slots.try_acquire() else {
-        viewer.write_all(BUSY).await?;
+    let slot = slots.try_acquire();
+    let is_old = is_old(&head);
+    if is_old {
+        tracing::warn!(
+            "a viewer that only speaks {OLD_PROTOCOL} is turned away: update it to one that speaks \
+             {PROTOCOL}, or use `singletrack page`"
+        );
+    }
+    let (Ok(_slot), false) = (slot, is_old) else {
+        viewer.write_all(if is_old { OLD } else { BUSY }).await?;
         viewer.shutdown().await?;
         place.until_lost(linger(&mut viewer)).await;
         return Ok(());
@@ -154,4 +170,15 @@ async fn serve(
 fn is_whole(head: &[u8]) -> Option<bool> {
     let ends = head.windows(4).any(|bytes| bytes == b"\r\n\r\n");
     (ends || head.len() >= LONGEST_HEAD).then_some(ends)
+}
+
+/// Whether a request offers the old protocol and not the present one.
+fn is_old(head: &[u8]) -> bool {
+    let offers = |protocol: &str| {
+        head.split(|byte| *byte == b'\n').any(|line| {
+            let line = String::from_utf8_lossy(line).to_ascii_lowercase();
+            line.starts_with("sec-websocket-protocol:") && line.contains(protocol)
+        })
+    };
+    offers(OLD_PROTOCOL) && !offers(PROTOCOL)
 }

@@ -82,7 +82,7 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
 fn fix(error: &McapError) -> String {
     let fix = match error {
         McapError::UnsupportedCompression(_) => {
-            "convert it with `ros2 bag convert`, or compress it with zstd instead"
+            "only zstd is read: `mcap compress --compression zstd` and `ros2 bag convert` make such a file"
         }
         McapError::BadMagic => {
             "it is no MCAP file, or its end is missing: `mcap recover` repairs it"

@@ -14,6 +14,12 @@ use crate::import::error::ImportError;
 /// Names of elements that are listed in an error, at most.
 const MAX_NAMES: usize = 20;
 
+/// What to do about a type without definition.
+const CONVERT: &str = "convert the bag with `ros2 bag convert` to MCAP where the type is installed";
+
+/// No clock shows a later time than this, of the year 2262, in ns: that of a time before 1970 is.
+const LATEST_NS: u64 = i64::MAX as u64;
+
 /// A topic as a file describes it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Topic<'a> {
@@ -103,16 +109,19 @@ impl Messages {
             )));
         }
         // Only the one language is read; the built-in definitions are in it.
-        let text = match topic.definition {
-            Some(("ros2msg", text)) => text,
-            _ => "",
+        let (text, fix) = match topic.definition {
+            Some(("ros2msg", text)) => (text, CONVERT.to_owned()),
+            None | Some(("" | "unknown", _)) => ("", CONVERT.to_owned()),
+            Some((language, _)) => (
+                "",
+                format!(
+                    "its definition is in {language:?}, which is not read: publish it as a type that has \
+                     a .msg file, or make a CSV file of it"
+                ),
+            ),
         };
-        let definition = Definition::parse(&kind, text).map_err(|why| {
-            wrong(format!(
-                "{why}; convert the bag with `ros2 bag convert` to MCAP where the \
-                 type is installed"
-            ))
-        })?;
+        let definition =
+            Definition::parse(&kind, text).map_err(|why| wrong(format!("{why}; {fix}")))?;
         // Each file of a bag, and each publisher, describes the topic again.
         let mut plans = self.plans.iter();
         let same = |plan: &Plan| plan.topic == place && plan.definition == definition;
@@ -183,6 +192,14 @@ impl Messages {
                 wanted.note(found);
             }
             let stamp_ns = match stamp.as_ref().zip(source.stamp.as_mut()) {
+                None if receive_ns > LATEST_NS => {
+                    return Err(wrong(
+                        ": its time of reception is later than the year 2262: the recorder's clock was \
+                         wrong; take a stamp of the messages in the map, or leave the message out, such as \
+                         with `mcap filter --end-secs 9000000000`"
+                            .to_owned(),
+                    ));
+                }
                 None => receive_ns,
                 Some((target, wanted)) => {
                     let found = contents.find(&plan.definition, target).map_err(failed)?;
@@ -202,7 +219,12 @@ impl Messages {
             self.entries.push(Entry {
                 source: *place,
                 number,
-                receive_ns,
+                // One that can't be right puts the message nowhere.
+                receive_ns: if receive_ns > LATEST_NS {
+                    stamp_ns
+                } else {
+                    receive_ns
+                },
                 stamp_ns,
                 values: first,
             });
@@ -216,8 +238,12 @@ impl Messages {
         for source in &self.sources.sources {
             self.check(source)?;
         }
-        self.entries.sort_by_key(|entry| entry.receive_ns);
-        self.check_order()?;
+        // A file is written in the order of reception, also by a recorder whose clock is wrong; of
+        // several files the order may be another one.
+        if self.check_order().is_err() {
+            self.entries.sort_by_key(|entry| entry.receive_ns);
+            self.check_order()?;
+        }
         self.entries.sort_by_key(|entry| entry.stamp_ns);
         self.check_gaps(longest_gap_ns)
     }

@@ -1,6 +1,11 @@
 //! Bags in sqlite files.
 
-use std::{collections::HashMap, fs, path::Path};
+use std::{
+    collections::HashMap,
+    fmt::Write as _,
+    fs,
+    path::{Path, PathBuf},
+};
 
 use rusqlite::{Connection, OpenFlags, limits::Limit};
 
@@ -16,7 +21,24 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
     let damaged = |why: String| unreadable(path, why);
     let failed =
         |error: rusqlite::Error| damaged(format!("{error}: it is damaged, or no sqlite file"));
-    let connection = open(path, metadata.len()).map_err(failed)?;
+    // Of a bag that is still written, or was not closed, the newest messages are in a file beside it.
+    let beside = |end: &str| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(end);
+        PathBuf::from(name)
+    };
+    let has_shared = beside("-shm").exists();
+    let is_filled = |end: &str| fs::metadata(beside(end)).is_ok_and(|file| file.len() > 0);
+    if is_filled("-wal") && !has_shared {
+        return Err(damaged(format!(
+            "its recorder has not closed it: `sqlite3 {} 'PRAGMA wal_checkpoint(TRUNCATE)'` takes the \
+             messages of {} into it",
+            path.display(),
+            beside("-wal").display()
+        )));
+    }
+    let is_closed = !has_shared && !is_filled("-journal");
+    let connection = open(path, metadata.len(), is_closed).map_err(failed)?;
     let tables = tables(&connection).map_err(failed)?;
     let has = |name: &str| tables.iter().any(|table| table == name);
     if !has("topics") || !has("messages") {
@@ -63,15 +85,36 @@ pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportErr
     Ok(())
 }
 
-/// Opens a file to read it, such that it can't have code that runs, or values longer than itself.
-fn open(path: &Path, length: u64) -> rusqlite::Result<Connection> {
+/// Opens a file to read it, such that it can't have code that runs, or values longer than itself. A
+/// closed one is as it is: else sqlite would make files for writers beside it, and leave them there.
+fn open(path: &Path, length: u64, is_closed: bool) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let connection = Connection::open_with_flags(path, flags)?;
+    let connection = if is_closed {
+        let flags = flags | OpenFlags::SQLITE_OPEN_URI;
+        Connection::open_with_flags(format!("file:{}?immutable=1", escaped(path)), flags)?
+    } else {
+        Connection::open_with_flags(path, flags)?
+    };
     let longest = i32::try_from(length).unwrap_or(i32::MAX);
     connection.set_limit(Limit::SQLITE_LIMIT_LENGTH, longest.max(4096))?;
     connection.pragma_update(None, "trusted_schema", false)?;
     connection.pragma_update(None, "cell_size_check", true)?;
     Ok(connection)
+}
+
+/// A path as a URI has it.
+fn escaped(path: &Path) -> String {
+    let mut text = String::new();
+    for byte in path.as_os_str().as_encoded_bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'-' | b'_' => {
+                text.push(char::from(*byte));
+            }
+            // Writing to a string does not fail.
+            _ => drop(write!(text, "%{byte:02X}")),
+        }
+    }
+    text
 }
 
 /// The names of the tables; views and virtual tables, which run code, are none.

@@ -99,7 +99,9 @@ impl Clock {
     fn time_ns(&mut self, row: &Row<'_>) -> Result<u64, ImportError> {
         let cell = row.cell(self.place);
         let time = decimal::scaled(cell, self.unit.exponent()).ok_or_else(|| {
-            let fix = "correct the cell, remove the row, or name another time.column in the map";
+            let fix = row::comma_fix(cell).unwrap_or(
+                "correct the cell, remove the row, or name another time.column in the map",
+            );
             row.error(
                 self.place,
                 &format!(" is not a time as a decimal number: {fix}"),

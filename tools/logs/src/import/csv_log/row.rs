@@ -138,8 +138,8 @@ impl row::Row for Row<'_> {
     }
 
     fn wrong(&self, place: Place, expected: &str) -> ImportError {
-        let why = format!(" is not {expected}: correct the cell or remove the row");
-        self.error(place, &why)
+        let fix = comma_fix(self.cell(place)).unwrap_or("correct the cell or remove the row");
+        self.error(place, &format!(" is not {expected}: {fix}"))
     }
 
     fn flag(&self, place: Place) -> Result<bool, ImportError> {
@@ -153,4 +153,12 @@ impl row::Row for Row<'_> {
             },
         }
     }
+}
+
+/// What to do about a number with a decimal comma: one program writes all of them so.
+pub(super) fn comma_fix(cell: &str) -> Option<&'static str> {
+    let is_number = cell.replacen(',', ".", 1).parse::<f64>().is_ok();
+    (cell.contains(',') && is_number).then_some(
+        "it has a decimal comma: replace those of the file, such as with `sed 's/,/./g'`",
+    )
 }
