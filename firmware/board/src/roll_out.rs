@@ -97,12 +97,10 @@ impl RollOut {
             self.rolling.advance(elapsed_us);
         }
         self.creeping.advance(elapsed_us);
-        let is_known = self.pulse_distance_um != 0;
         let way_um = self.way_um(odometer.count(), self.creeping_since_count);
         let far = way_um >= LEAST_MM * 1_000;
         if self.after_drive || far || !odometer.is_creeping() {
-            self.creeps =
-                is_known && !self.after_drive && far && self.creeping.elapsed_us() >= CREEP_US;
+            self.creeps = far && self.creeping.elapsed_us() >= CREEP_US;
             self.creeping = Stopwatch::started();
             self.creeping_since_count = odometer.count();
         }

@@ -5,8 +5,13 @@ use std::fs;
 /// Raises the priority of this thread and of those that it starts: they stand for
 /// hardware, which shares no processor.
 pub(super) fn raise_priority() {
-    // Without permission, the rig is late more often, which it reports.
-    let _ = rustix::process::setpriority_process(None, -20);
+    // Below the threads of the daemon. By nice values alone, another session's programs would still
+    // get an equal share of the processors.
+    let in_real_time = singletrackd::realtime::make_punctual(1).is_ok();
+    if !in_real_time {
+        // Without permission, the rig is late more often, which it reports.
+        let _ = rustix::process::setpriority_process(None, -20);
+    }
 }
 
 /// The group of this session, among which and the kernel's threads the kernel shares processors.
