@@ -82,7 +82,7 @@ fn an_independent_decoder_agrees_with_ours() {
         };
         let ours: Vec<_> = ours
             .rigid_bodies()
-            .map(|body| (body.name, body.id))
+            .map(|body| (str::from_utf8(body.name).unwrap(), body.id))
             .collect();
         assert_eq!(ours, theirs.rigid_bodies().collect::<Vec<_>>());
 

@@ -91,14 +91,18 @@ impl<'a> RigidBodyDefinitions<'a> {
             if type_id != dataset::RIGID_BODY {
                 return Ok(None);
             }
-            let definition = read_rigid_body(&mut body, version).and_then(|definition| {
-                body.finish("the rigid body definition")
-                    .map(|()| definition)
+            let read = read_rigid_body(&mut body, version).and_then(|definition| {
+                body.finish("the rigid body definition")?;
+                Ok(definition)
             });
-            // One that nobody needs must not take the others along.
-            return Ok(definition
-                .map_err(|error| self.unreadable.get_or_insert(error))
-                .ok());
+            return match read {
+                Ok(definition) => Ok(Some(definition)),
+                // One that nobody needs must not take the others along.
+                Err(error) => {
+                    self.unreadable.get_or_insert(error);
+                    Ok(None)
+                }
+            };
         }
         let reader = &mut self.reader;
         match type_id {
