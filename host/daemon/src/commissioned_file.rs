@@ -91,6 +91,22 @@ impl CommissionedFile {
         self.cars().missing(subject, now_s())
     }
 
+    /// What has to be done before a procedure may begin or go on; `None` for every other result.
+    pub(crate) fn missing_before(
+        &self,
+        procedure: Procedure,
+        result: ProcedureResult,
+        subject: Subject,
+    ) -> Option<NotCommissioned> {
+        match result {
+            ProcedureResult::Begun | ProcedureResult::Resumed => {
+                self.cars()
+                    .missing_before(procedure, result, subject, now_s())
+            }
+            _ => None,
+        }
+    }
+
     /// Records the state of a procedure, and replaces the file. If a failure can't be written, the
     /// file is deleted.
     ///

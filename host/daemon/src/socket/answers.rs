@@ -146,10 +146,12 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
     })
 }
 
-/// Keeps the state of a procedure with the configuration in force.
+/// Keeps the state of a procedure with the configuration in force. One that begins, or goes on, is
+/// refused as an `arm` is if an earlier one has not passed.
 pub(super) async fn commissioned(
     procedure: Procedure,
     result: ProcedureResult,
+    uncalibrated: bool,
     daemon: &DaemonHandle,
 ) -> Answer {
     let noting = daemon.clone();
@@ -157,6 +159,14 @@ pub(super) async fn commissioned(
     let noted = on_own_thread(move || {
         let (_, config) = noting.reconfigurer.in_force();
         let subject = subject(&config).map_err(|error| error.to_string())?;
+        if config.supervisor.require_calibration
+            && !uncalibrated
+            && let Some(missing) = noting
+                .commissioned
+                .missing_before(procedure, result, subject)
+        {
+            return Err(missing.to_string());
+        }
         let noted = noting.commissioned.note(procedure, result, subject);
         noted.map_err(|error| {
             format!(

@@ -160,8 +160,12 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Tune(tuning)) => {
                 send(&mut client.write, &tune(tuning, daemon).await).await?;
             }
-            Ok(Command::Commissioned { procedure, result }) => {
-                let answer = commissioned(procedure, result, daemon).await;
+            Ok(Command::Commissioned {
+                procedure,
+                result,
+                uncalibrated,
+            }) => {
+                let answer = commissioned(procedure, result, uncalibrated, daemon).await;
                 send(&mut client.write, &answer).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {

@@ -239,6 +239,35 @@ fn a_car_that_has_passed_no_procedure_is_not_armed_unless_the_client_says_so() {
 }
 
 #[test]
+fn a_procedure_is_refused_before_its_first_step_as_an_arm_is() {
+    use super::answers::commissioned;
+    use singletrack_core::commissioned::{
+        Procedure::{BringUp, Calibrate, Doctor},
+        ProcedureResult::{Begun, Passed, Resumed},
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut bench = Bench::ready();
+    bench.daemon.commissioned = CommissionedFile::load(folder.path());
+    let report = |procedure, result, uncalibrated| {
+        let answer = commissioned(procedure, result, uncalibrated, &bench.daemon);
+        bench.runtime.block_on(answer).error
+    };
+    for (procedure, result) in [(BringUp, Begun), (Calibrate, Begun), (Calibrate, Resumed)] {
+        let refusal = report(procedure, result, false).unwrap();
+        assert!(refusal.contains("Run `singletrack doctor`"), "{refusal}");
+        assert_eq!(report(procedure, result, true), None);
+    }
+    for procedure in [Doctor, BringUp] {
+        let refusal = report(Calibrate, Begun, false).unwrap();
+        assert!(refusal.contains("Run `singletrack"), "{refusal}");
+        for result in [Begun, Passed] {
+            assert_eq!(report(procedure, result, false), None);
+        }
+    }
+    assert_eq!(report(Calibrate, Begun, false), None);
+}
+
+#[test]
 fn an_arm_says_that_nothing_is_recorded_or_soon_will_not_be() {
     for (error, warning, warnings) in [
         (None, None, vec![]),
