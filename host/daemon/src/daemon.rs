@@ -622,7 +622,8 @@ mod tests {
 
     #[test]
     fn a_panic_of_any_thread_ends_the_daemon_with_the_name_of_the_thread() {
-        let cases: [(&str, fn(&mut Daemon)); 5] = [
+        type Plants = fn(&mut Daemon);
+        let cases: [(&str, Plants); 5] = [
             ("serial", |daemon| plant(&mut daemon.reader)),
             ("mocap", |daemon| plant(&mut daemon.receiver)),
             ("collector", |daemon| plant(&mut daemon.collector)),
