@@ -206,7 +206,8 @@ def main(programs, root, zenoh):
         entries.append(f'router = "{ROUTER}"\n')
     (root / "fleet.toml").write_text("".join(entries))
     if zenoh:
-        processes["router"] = Zenoh(programs, "router", "--listen", ROUTER)
+        listen = ["--listen", ROUTER, "--without-password"]
+        processes["router"] = Zenoh(programs, "router", *listen)
         processes["desk"] = Zenoh(programs, "desk", "--fleet", root / "fleet.toml")
     else:
         forwarded = socket.socket(socket.AF_UNIX)

@@ -27,7 +27,7 @@ pub use request::{
 pub use state::{SetpointInForce, State};
 pub use status::{
     Board, Calibration, Cameras, Change, Command, Configuration, Correction, Estimate, Learned,
-    Status,
+    Status, record_trouble,
 };
 
 /// The version of the protocol. Client and daemon must have the same one.

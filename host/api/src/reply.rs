@@ -72,7 +72,8 @@ pub struct Answer {
     pub tuning: Option<Tuning>,
     /// Of the protocol.
     pub version: u32,
-    /// What a new reference asks of the car that it can hardly do.
+    /// What a new reference asks of the car that it can hardly do; of a drive that has begun, why it is
+    /// not recorded, or soon will not be.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub warnings: Vec<String>,
 }

@@ -57,6 +57,9 @@ pub enum Request {
         procedure: String,
         /// `begun`, `resumed`, `changed`, `passed` or `failed`.
         result: String,
+        /// Begin it also if an earlier procedure has not passed.
+        #[serde(default, skip_serializing_if = "is_false")]
+        uncalibrated: bool,
     },
     /// A subscription: the entries of the record with these topics, or the state of every tick.
     Watch {

@@ -64,6 +64,9 @@ pub struct Status {
     pub record: Option<String>,
     /// Why the record ended before the daemon.
     pub record_error: Option<String>,
+    /// Why the record will soon end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub record_warning: Option<String>,
     /// The wanted position of P, in m.
     pub reference_m: Option<[f64; 2]>,
     /// Why the reference is slowed down.
@@ -189,4 +192,19 @@ pub struct Estimate {
     pub yaw_rad: f64,
     /// Yaw rate, in rad/s.
     pub yaw_rate_rad_s: f64,
+}
+
+impl Status {
+    /// What an operator must know of the record before a drive; `None` if all is well with it.
+    #[must_use]
+    pub fn record_trouble(&self) -> Option<String> {
+        record_trouble(self.record_error.as_deref(), self.record_warning.as_deref())
+    }
+}
+
+/// What an operator must know of a record that has ended with this error, or soon will, in words.
+#[must_use]
+pub fn record_trouble(error: Option<&str>, warning: Option<&str>) -> Option<String> {
+    let ended = error.map(|error| format!("nothing is recorded: {error}"));
+    ended.or_else(|| warning.map(str::to_owned))
 }

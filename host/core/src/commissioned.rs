@@ -145,7 +145,7 @@ impl fmt::Display for NotCommissioned {
         }
         write!(
             f,
-            ". Run `singletrack {name}`, or arm with --uncalibrated: the car then drives with \
+            ". Run `singletrack {name}`, or give --uncalibrated: the car then drives with \
              values that have not been measured on it, and can steer to the wrong side, be faster \
              than commanded and stop later than the geofence allows"
         )
@@ -228,6 +228,31 @@ impl Commissioned {
                 car_id: subject.car_id,
             })
         })
+    }
+
+    /// The first procedure that has to be done before this one may begin, or go on after an
+    /// interruption, on this car, at a time in seconds since 1970. What it has changed itself does not
+    /// count against the earlier ones.
+    #[must_use]
+    pub fn missing_before(
+        &self,
+        procedure: Procedure,
+        result: ProcedureResult,
+        subject: Subject,
+        now_s: u64,
+    ) -> Option<NotCommissioned> {
+        let goes_on = self.begun.iter().find(|begun| {
+            result == ProcedureResult::Resumed
+                && begun.procedure == procedure
+                && begun.car_id == subject.car_id
+                && begun.reached == subject.configuration
+        });
+        let since = goes_on.map_or(subject, |begun| Subject {
+            configuration: begun.since,
+            ..subject
+        });
+        self.missing(since, now_s)
+            .filter(|missing| missing.procedure < procedure)
     }
 
     /// The results on this car, with any configuration.
@@ -374,6 +399,38 @@ mod tests {
         let mut known = begun();
         known.note(Procedure::BringUp, Passed, subject(4), NOW);
         assert_eq!(why(&known, subject(4), NOW), lapsed);
+    }
+
+    #[test]
+    fn a_procedure_begins_after_the_earlier_ones_and_goes_on_with_what_it_has_changed() {
+        let before = |known: &Commissioned, procedure, result, configuration| {
+            known
+                .missing_before(procedure, result, subject(configuration), NOW)
+                .map(|missing| (missing.procedure, missing.why))
+        };
+        let (doctor, bring_up) = (Procedure::Doctor, Procedure::BringUp);
+        let mut known = Commissioned::default();
+        assert_eq!(before(&known, doctor, Begun, 1), None);
+        let missing = Some((doctor, Lapsed::Missing));
+        for procedure in [bring_up, Procedure::Calibrate] {
+            assert_eq!(before(&known, procedure, Begun, 1), missing);
+        }
+        known.note(doctor, Passed, subject(2), NOW);
+        assert_eq!(before(&known, bring_up, Begun, 2), None);
+        let missing = Some((bring_up, Lapsed::Missing));
+        assert_eq!(before(&known, Procedure::Calibrate, Begun, 2), missing);
+        // It changes something, and is interrupted.
+        known.note(bring_up, Begun, subject(2), NOW);
+        known.note(bring_up, Changed, subject(3), NOW);
+        assert_eq!(before(&known, bring_up, Resumed, 3), None);
+        let lapsed = Some((doctor, Lapsed::OtherConfiguration));
+        assert_eq!(before(&known, bring_up, Begun, 3), lapsed);
+        assert_eq!(before(&known, bring_up, Resumed, 4), lapsed, "by hand");
+        known.note(bring_up, Passed, subject(3), NOW);
+        assert_eq!(before(&known, Procedure::Calibrate, Begun, 3), None);
+        // Once more, for what it has passed before.
+        known.note(Procedure::Calibrate, Passed, subject(3), NOW);
+        assert_eq!(before(&known, bring_up, Begun, 3), None);
     }
 
     #[test]

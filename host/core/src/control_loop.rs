@@ -15,6 +15,7 @@ use crate::{
     controller::Controller,
     grid::{Grid, Slot},
     line::{Line, Sent, drive_number},
+    proof::Proof,
     report::{LineCounters, Report, link_phase},
     requests::{ControlRequest, Reconfiguration, Refusal},
     serial::SerialEvent,
@@ -101,6 +102,8 @@ pub struct ControlLoop<L> {
     slide_ns: i64,
     last_start_ns: u64,
     counters: LineCounters,
+    /// A proof that is void, and whose report has found no room.
+    unreported: Option<Proof>,
 }
 
 impl<L: Line> ControlLoop<L> {
@@ -128,6 +131,7 @@ impl<L: Line> ControlLoop<L> {
             slide_ns: 0,
             last_start_ns: 0,
             counters: LineCounters::default(),
+            unreported: None,
         }
     }
 
@@ -263,6 +267,7 @@ impl<L: Line> ControlLoop<L> {
             line,
             commands_since_heard,
             counters,
+            unreported,
             ..
         } = self;
         let mut drive = None;
@@ -295,16 +300,16 @@ impl<L: Line> ControlLoop<L> {
         let tick = controller.tick(now, &mut write, &mut |event| {
             dropped += tell(&mut rings.reports, now.0, event);
         });
-        if let Some(proof) = controller.proof() {
-            let time_ns = now.0;
-            let proved = Report::Proved { time_ns, proof };
-            let disproved = Report::Disproved { time_ns, proof };
-            for (happened, report) in [
-                (tick.output.proved, proved),
-                (tick.output.disproved, disproved),
-            ] {
-                let lost = happened && rings.reports.push(report).is_err();
-                dropped += u64::from(lost);
+        let time_ns = now.0;
+        if let Some(proof) = tick.proved {
+            let report = Report::Proved { time_ns, proof };
+            dropped += u64::from(rings.reports.push(report).is_err());
+        }
+        // A proof that is void must not outlive the daemon in its file: it waits for room.
+        for proof in [unreported.take(), tick.disproved].into_iter().flatten() {
+            let report = Report::Disproved { time_ns, proof };
+            if rings.reports.push(report).is_err() {
+                *unreported = Some(proof);
             }
         }
         let record = TickRecord {

@@ -48,6 +48,8 @@ pub struct Controller {
     /// The number of the car; `None` before the board has given it.
     car_id: Option<u16>,
     proofs: Proofs,
+    /// A drive contradicted the configuration in force on a car whose number is not known yet.
+    contradicted: bool,
     /// The attitude of IMU and body since the last event that has it.
     attitude: AttitudeSample,
     neighbours: NewestSamples,
@@ -65,6 +67,11 @@ pub struct Tick {
     pub dropped_events: u32,
     /// The pilot's output.
     pub output: Output,
+    /// What counts as proved since this tick.
+    pub proved: Option<Proof>,
+    /// What counts as proved no longer since this tick: what a drive contradicted, as soon as it is
+    /// known on which car.
+    pub disproved: Option<Proof>,
     /// Whether the command to drive or to jog was written; `None` if there was none.
     pub drive: Option<Result<Sent, DriveError>>,
 }
@@ -90,6 +97,7 @@ impl Controller {
             configuration,
             car_id: None,
             proofs,
+            contradicted: false,
             attitude: AttitudeSample::default(),
             neighbours: NewestSamples::default(),
             events: Events::new(),
@@ -119,12 +127,15 @@ impl Controller {
         })
     }
 
-    /// A drive contradicted the configuration in force on this car: it counts as unproved, and
-    /// the pilot is told so before its next tick.
-    fn disproved(&mut self) {
-        if self.proof().is_some_and(|proof| self.proofs.remove(proof)) {
+    /// If a drive has contradicted the configuration in force, it counts as unproved as soon as the
+    /// car is known, and the pilot is told so in its next tick. Returns what it was on.
+    fn revoke(&mut self) -> Option<Proof> {
+        let proof = self.proof().filter(|_| self.contradicted)?;
+        self.contradicted = false;
+        if self.proofs.remove(proof) {
             self.tell_proved();
         }
+        Some(proof)
     }
 
     /// Tells the pilot whether the configuration in force is proved on this car.
@@ -162,12 +173,15 @@ impl Controller {
         let (car_id, attitude) = (&mut self.car_id, &mut self.attitude);
         let (rate, pilot) = (rate(&self.session), &self.pilot);
         let before = *car_id;
+        let configured = self.session.configuration().car_id;
         self.session.handle_bytes(time.0, bytes, &mut |event| {
             on_link(&event);
             match &event {
                 // The next board may be in another car.
                 LinkEvent::Connected { .. } => *car_id = None,
                 LinkEvent::Identified { car_id: number } => *car_id = Some(*number),
+                // The frame with the number may be lost. A board refuses that of another car.
+                LinkEvent::ConfigurationAccepted { .. } => *car_id = Some(configured),
                 LinkEvent::Telemetry(record) if record.has_fresh_imu_sample() => {
                     // One wrong sample does not hide the others; wrong ones only are no tilt.
                     attitude.imu = imu_tilt(record.telemetry.attitude_q14)
@@ -282,17 +296,16 @@ impl Controller {
             self.push(Event::Neighbour(sample));
         }
         self.ticks = self.ticks.wrapping_add(1);
+        let known_late = self.revoke();
         let events = core::mem::take(&mut self.events);
         let dropped_events = core::mem::take(&mut self.dropped);
         let output = self.pilot.step(now, &events);
-        if output.proved
-            && let Some(proof) = self.proof()
-        {
+        let proved = self.proof().filter(|_| output.proved);
+        if let Some(proof) = proved {
             self.proofs.insert(proof);
         }
-        if output.disproved {
-            self.disproved();
-        }
+        self.contradicted |= output.disproved;
+        let disproved = self.revoke().or(known_late);
 
         // The drive command is written first: it must not be late.
         let rate = rate(&self.session);
@@ -341,6 +354,8 @@ impl Controller {
             events,
             dropped_events,
             output,
+            proved,
+            disproved,
             drive,
         }
     }
@@ -548,6 +563,8 @@ pub const fn pose_event(state: &PoseState) -> Event {
 
 #[cfg(test)]
 mod tests {
+    use singletrack_protocol::{Acknowledgement, Decoder, Message as _, Request, ToBoard};
+
     use super::*;
     use crate::Config;
 
@@ -651,19 +668,74 @@ mod tests {
             car_id,
         };
         let mut controller = controller(Proofs::of(&[proof(1), proof(2)]));
-        controller.disproved();
-        assert!(
-            controller.proofs.contains(proof(1)),
-            "before the board's number"
-        );
+        controller.contradicted = true;
+        assert_eq!(controller.revoke(), None, "before the board's number");
+        assert!(controller.proofs.contains(proof(1)));
         controller.car_id = Some(1);
-        controller.disproved();
+        assert_eq!(controller.revoke(), Some(proof(1)));
         assert!(!controller.proofs.contains(proof(1)));
         assert_eq!(controller.events.as_slice(), [Event::Proved(false)]);
         assert!(controller.proofs.contains(proof(2)));
-        // It is void already.
-        controller.disproved();
+        assert_eq!(controller.revoke(), None);
+        // It is void already, and perhaps not in the file.
+        controller.contradicted = true;
+        assert_eq!(controller.revoke(), Some(proof(1)));
         assert_eq!(controller.events.len(), 1);
+    }
+
+    /// A tick of a board that greets and accepts its configuration, but whose number is lost.
+    fn greeted_tick(controller: &mut Controller, now: Time) -> Tick {
+        let mut frames = std::vec::Vec::new();
+        let mut write = |frame: &[u8]| {
+            frames.extend_from_slice(frame);
+            Sent::Whole
+        };
+        let tick = controller.tick(now, &mut write, &mut |_| {});
+        let mut decoder = Decoder::new();
+        for byte in frames {
+            let Some(Ok(packet)) = decoder.push(byte) else {
+                continue;
+            };
+            let answer = match ToBoard::decode(packet) {
+                Ok(ToBoard::Hello(hello)) => hello.encode(),
+                Ok(ToBoard::Configure(configure)) => Acknowledgement {
+                    request: Request::Configure,
+                    sequence: configure.request,
+                    configuration_hash: configure.configuration.hash(),
+                }
+                .encode(),
+                _ => continue,
+            };
+            controller.received(now, answer.as_bytes(), &mut |_| {});
+        }
+        tick
+    }
+
+    #[test]
+    fn a_contradiction_is_kept_until_the_car_is_known_and_a_board_that_obeys_is_known() {
+        let proof = Proof {
+            configuration: 5,
+            car_id: 0,
+        };
+        let mut controller = controller(Proofs::of(&[proof]));
+        controller.contradicted = true;
+        controller.port_opened(Time(0));
+        let ticks: std::vec::Vec<_> = (1..6_u64)
+            .map(|tick| greeted_tick(&mut controller, Time(tick * 10_000_000)))
+            .collect();
+        let state = controller.session().state();
+        assert!(
+            matches!(state, singletrack_link::State::Ready { .. }),
+            "{state:?}"
+        );
+        assert_eq!(controller.proof(), Some(proof));
+        let disproved: std::vec::Vec<_> = ticks.iter().filter_map(|tick| tick.disproved).collect();
+        assert_eq!(disproved, [proof]);
+        assert!(!controller.proofs.contains(proof));
+        // In one tick, the pilot is told both, the later one counts.
+        let told = ticks.iter().flat_map(|tick| &tick.events);
+        let told = told.filter(|event| matches!(event, Event::Proved(_)));
+        assert_eq!(told.last(), Some(&Event::Proved(false)));
     }
 
     #[test]

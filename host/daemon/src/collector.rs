@@ -13,7 +13,7 @@ use std::{
 
 use rtrb::Consumer;
 use singletrack_core::{
-    ControlRequest, Proof, Report, Requests, cameras::CameraReport, diagnosis::Diagnosis,
+    ControlRequest, Report, Requests, cameras::CameraReport, diagnosis::Diagnosis,
     state_stream::States,
 };
 use singletrack_link::Event as LinkEvent;
@@ -25,19 +25,16 @@ use crate::{
     clock::{monotonic_ns, wall_ns},
     drive_calibration::DriveCalibration,
     drive_noise::DriveNoise,
+    files::ProofChange,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
-    state_file::StateFile,
     wall_watch::WallWatch,
 };
 
 /// The longest sleep: the control thread wakes the collector after every tick.
 const NAP: Duration = Duration::from_millis(20);
 
-/// Interval of the attempts to write a state file that could not be written.
-const STATE_RETRY_NS: u64 = 10_000_000_000;
-
-/// The collector and its inputs and outputs.
+/// The collector and its inputs and outputs. It never waits for a disk.
 pub(crate) struct Collector {
     pub(crate) ticks: TickOutput,
     pub(crate) reports: Consumer<Report>,
@@ -64,10 +61,8 @@ pub(crate) struct Collector {
     pub(crate) calibration: DriveCalibration,
     /// Makes the state stream.
     pub(crate) states: States,
-    /// Where newly proved configurations are kept.
-    pub(crate) state: StateFile,
-    /// When the state file was last tried again.
-    pub(crate) state_tried_ns: u64,
+    /// To the thread that keeps proved configurations.
+    pub(crate) proofs: mpsc::Sender<ProofChange>,
     /// Set when every other thread has ended.
     pub(crate) stop: Arc<AtomicBool>,
 }
@@ -80,8 +75,6 @@ impl Collector {
             let stopping = self.stop.load(Ordering::Acquire);
             self.distribute();
             if stopping {
-                // A failure has been logged.
-                let _ = self.state.retry();
                 return;
             }
             thread::park_timeout(NAP);
@@ -96,11 +89,6 @@ impl Collector {
                 Level::Info,
                 format!("{step}; times in the record are not affected"),
             );
-        }
-        if now_ns.saturating_sub(self.state_tried_ns) >= STATE_RETRY_NS {
-            self.state_tried_ns = now_ns;
-            // The first failure has been logged.
-            let _ = self.state.retry();
         }
         while let Ok(entry) = self.entries.try_recv() {
             self.entry(entry);
@@ -181,32 +169,23 @@ impl Collector {
             Report::Proved { time_ns, proof } => {
                 let text = format!("the configuration is proved on car {}", proof.car_id);
                 self.log(time_ns, Level::Info, text);
-                if let Err(error) = self.state.add(proof) {
-                    let text = format!(
-                        "the proof can't be kept in state.directory: {error}; until it can, the \
-                         first drive after a restart begins slowly again"
-                    );
-                    self.log(time_ns, Level::Warning, text);
-                }
+                self.keep(ProofChange::Proved(proof));
             }
-            Report::Disproved { time_ns, proof } => self.disproved(time_ns, proof),
+            Report::Disproved { time_ns, proof } => {
+                let text = format!(
+                    "the configuration no longer counts as proved on car {}: its next drive begins \
+                     slowly",
+                    proof.car_id
+                );
+                self.log(time_ns, Level::Warning, text);
+                self.keep(ProofChange::Disproved(proof));
+            }
         }
     }
 
-    /// Forgets a proof, also for the next start.
-    fn disproved(&mut self, time_ns: u64, proof: Proof) {
-        let text = format!(
-            "the configuration no longer counts as proved on car {}: its next drive begins slowly",
-            proof.car_id
-        );
-        self.log(time_ns, Level::Warning, text);
-        if let Err(error) = self.state.remove(proof) {
-            let text = format!(
-                "the proof can't be removed from state.directory: {error}; delete proved.json there \
-                 before the next start"
-            );
-            self.log(time_ns, Level::Error, text);
-        }
+    fn keep(&self, change: ProofChange) {
+        // An error means that its thread has ended, and with it soon the daemon.
+        let _ = self.proofs.send(change);
     }
 
     /// Logs and publishes what is wrong with the cameras, or that nothing is any more.
@@ -367,7 +346,111 @@ fn describe(event: &LinkEvent) -> (Level, String) {
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, sync::mpsc::channel, time::Instant};
+
+    use rtrb::RingBuffer;
+    use rustix::fs::{CWD, FileType, Mode as FileMode, mknodat};
+    use singletrack_control::Time;
+    use singletrack_core::{Config, Host, HostOptions, Proof};
+    use singletrack_pilot::Output;
+    use singletrack_record::{ClockMapping, LinkPhase, TickRecord, tick_feed};
+
     use super::*;
+    use crate::{files::Files, state_file::StateFile};
+
+    fn tick(index: u64) -> TickRecord {
+        TickRecord {
+            index,
+            scheduled_ns: 0,
+            start_ns: 0,
+            finish_ns: 0,
+            skipped: 0,
+            pilot_time: Time(0),
+            events: Default::default(),
+            events_dropped: 0,
+            output: Output::neutral(Mode::Ready),
+            drive: None,
+            link: LinkPhase::Ready,
+        }
+    }
+
+    #[test]
+    fn a_disk_that_takes_a_proof_delays_no_state() {
+        let folder = tempfile::tempdir().unwrap();
+        // Who opens a pipe to write waits for a reader, as for a disk.
+        let pipe = folder.path().join("proved.json.new");
+        mknodat(CWD, &pipe, FileType::Fifo, FileMode::RWXU, 0).unwrap();
+        let text = include_str!("../singletrackd.example.toml");
+        let config = Config::from_toml(text).unwrap();
+        let host =
+            Host::<crate::serial_port::WriteHalf>::new(config, HostOptions::default()).unwrap();
+        let clocks = ClockMapping {
+            monotonic_ns: 0,
+            wall_ns: 0,
+        };
+        let status = Arc::new(SharedStatus::new(clocks));
+        let (mut ticks, ticks_out) = tick_feed(8);
+        let (mut reports, reports_out) = RingBuffer::new(8);
+        let (_cameras, cameras) = RingBuffer::new(8);
+        let (entries_in, entries) = channel();
+        let (proofs, changes) = channel();
+        let files = Files {
+            state: StateFile::load(folder.path()),
+            space: None,
+            status: Arc::clone(&status),
+            entries: entries_in.clone(),
+        };
+        let files = thread::spawn(move || files.run(&changes));
+        let stop = Arc::new(AtomicBool::new(false));
+        let collector = Collector {
+            ticks: ticks_out,
+            reports: reports_out,
+            cameras,
+            entries,
+            requests: host.requests.clone(),
+            wall: WallWatch::default(),
+            status: Arc::clone(&status),
+            reconfigurer: Reconfigurer::new(host.configurations, host.requests, entries_in),
+            record: None,
+            messages: Encoder::new(clocks),
+            record_dropped: 0,
+            logged_mode: None,
+            noise: DriveNoise::default(),
+            calibration: DriveCalibration::default(),
+            states: States::default(),
+            proofs,
+            stop: Arc::clone(&stop),
+        };
+        let proof = Proof {
+            configuration: 5,
+            car_id: 7,
+        };
+        reports.push(Report::Proved { time_ns: 0, proof }).unwrap();
+        ticks.push(&tick(1));
+        let collector = thread::spawn(move || collector.run());
+        let published = |index| {
+            let begin = Instant::now();
+            loop {
+                let latest = status.latest().tick.as_ref().map(|tick| tick.index);
+                if latest == Some(index) || begin.elapsed() > Duration::from_secs(20) {
+                    return latest == Some(index);
+                }
+                thread::yield_now();
+            }
+        };
+        let first = published(1);
+        ticks.push(&tick(2));
+        let second = published(2);
+        assert!(!files.is_finished());
+        // The disk takes it, and refuses the sync of a pipe.
+        let written = fs::read_to_string(&pipe).unwrap();
+        fs::remove_file(&pipe).unwrap();
+        assert!(first && second, "the states wait for the disk");
+        assert!(written.contains("0000000000000005"), "{written}");
+        stop.store(true, Ordering::Release);
+        collector.join().unwrap();
+        files.join().unwrap();
+    }
 
     #[test]
     fn a_deceleration_below_the_configured_one_is_a_warning_with_both() {

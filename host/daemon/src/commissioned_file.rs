@@ -34,12 +34,14 @@ struct Content {
 
 /// What the cars have passed, and where it is kept; for several threads.
 #[derive(Clone, Debug)]
-pub(crate) struct CommissionedFile(Arc<Mutex<Kept>>);
+pub(crate) struct CommissionedFile(Arc<Kept>);
 
 #[derive(Debug)]
 struct Kept {
-    file: JsonFile,
-    cars: Commissioned,
+    /// Locked for as long as the disk takes.
+    file: Mutex<JsonFile>,
+    /// Locked for short times only: every status needs it.
+    cars: Mutex<Commissioned>,
 }
 
 /// The car of a configuration.
@@ -68,7 +70,10 @@ impl CommissionedFile {
         let file = JsonFile::new(folder.join(NAME), VERSION);
         let content: Option<Content> = file.load("no procedure counts as passed");
         let cars = content.map_or_else(Commissioned::default, |content| content.cars);
-        Self(Arc::new(Mutex::new(Kept { file, cars })))
+        Self(Arc::new(Kept {
+            file: Mutex::new(file),
+            cars: Mutex::new(cars),
+        }))
     }
 
     /// As [`not_commissioned`].
@@ -83,7 +88,23 @@ impl CommissionedFile {
     }
 
     fn missing(&self, subject: Subject) -> Option<NotCommissioned> {
-        self.lock().cars.missing(subject, now_s())
+        self.cars().missing(subject, now_s())
+    }
+
+    /// What has to be done before a procedure may begin or go on; `None` for every other result.
+    pub(crate) fn missing_before(
+        &self,
+        procedure: Procedure,
+        result: ProcedureResult,
+        subject: Subject,
+    ) -> Option<NotCommissioned> {
+        match result {
+            ProcedureResult::Begun | ProcedureResult::Resumed => {
+                self.cars()
+                    .missing_before(procedure, result, subject, now_s())
+            }
+            _ => None,
+        }
     }
 
     /// Records the state of a procedure, and replaces the file. If a failure can't be written, the
@@ -98,23 +119,27 @@ impl CommissionedFile {
         result: ProcedureResult,
         subject: Subject,
     ) -> io::Result<()> {
-        let mut kept = self.lock();
-        kept.cars.note(procedure, result, subject, now_s());
-        let content = Content {
-            version: VERSION,
-            cars: kept.cars.clone(),
+        // From here on: two results must not overtake each other on their way to the disk.
+        let file = self.0.file.lock().unwrap_or_else(PoisonError::into_inner);
+        let content = {
+            let mut cars = self.cars();
+            cars.note(procedure, result, subject, now_s());
+            Content {
+                version: VERSION,
+                cars: cars.clone(),
+            }
         };
-        kept.file.replace(&content).or_else(|error| match result {
-            ProcedureResult::Failed => kept.file.delete_after(error),
+        file.replace(&content).or_else(|error| match result {
+            ProcedureResult::Failed => file.delete_after(error),
             _ => Err(error),
         })
     }
 
     /// For the status: the results on the car of this configuration, and what is missing.
     pub(crate) fn view(&self, subject: Subject) -> Value {
-        let kept = self.lock();
+        let cars = self.cars();
         let result = |procedure: Procedure| {
-            let mut results = kept.cars.of_car(subject.car_id);
+            let mut results = cars.of_car(subject.car_id);
             results
                 .find(|entry| entry.procedure == procedure)
                 .map(|entry| {
@@ -124,7 +149,7 @@ impl CommissionedFile {
                     })
                 })
         };
-        let missing = kept.cars.missing(subject, now_s());
+        let missing = cars.missing(subject, now_s());
         json!({
             "car_id": subject.car_id,
             "doctor": result(Procedure::Doctor),
@@ -134,8 +159,8 @@ impl CommissionedFile {
         })
     }
 
-    fn lock(&self) -> MutexGuard<'_, Kept> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    fn cars(&self) -> MutexGuard<'_, Commissioned> {
+        self.0.cars.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -179,6 +204,40 @@ mod tests {
         assert!(refusal.contains("another configuration"), "{refusal}");
         config.supervisor.require_calibration = false;
         assert_eq!(not_commissioned(&config), None);
+    }
+
+    #[test]
+    fn a_status_does_not_wait_for_a_disk_that_takes_a_result() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = car(folder.path());
+        let subject = subject(&config).unwrap();
+        let file = CommissionedFile::load(folder.path());
+        // Who opens a pipe to write waits for a reader, as for a disk.
+        let pipe = folder.path().join("commissioned.json.new");
+        mkfifo(&pipe);
+        let notes = file.clone();
+        let note = std::thread::spawn(move || {
+            notes.note(Procedure::Doctor, ProcedureResult::Passed, subject)
+        });
+        let (viewed_in, viewed) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            while file.view(subject)["missing"] != "bring-up" {
+                std::thread::yield_now();
+            }
+            let _ = viewed_in.send(());
+        });
+        let viewed = viewed.recv_timeout(std::time::Duration::from_secs(20));
+        assert!(!note.is_finished(), "the disk takes it still");
+        let read = fs::read_to_string(&pipe);
+        assert_eq!(viewed, Ok(()));
+        assert!(read.unwrap().contains("doctor"));
+        // A pipe can't be synced.
+        note.join().unwrap().unwrap_err();
+    }
+
+    fn mkfifo(path: &Path) {
+        use rustix::fs::{CWD, FileType, Mode, mknodat};
+        mknodat(CWD, path, FileType::Fifo, Mode::RWXU, 0).unwrap();
     }
 
     #[test]

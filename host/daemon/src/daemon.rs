@@ -9,7 +9,7 @@ use std::{
         atomic::{AtomicBool, Ordering},
         mpsc,
     },
-    thread::{self, JoinHandle},
+    thread,
     time::{Duration, Instant},
 };
 
@@ -23,7 +23,7 @@ use singletrack_core::{
 };
 use singletrack_mocap::planar::PlanarCounters as MocapCounters;
 use singletrack_pilot::{Mode, PilotRequest, RealTimeState, Reason};
-use singletrack_record::{ClockMapping, Encoder};
+use singletrack_record::{ClockMapping, Encoder, RecordError};
 use tracing::{error, info, warn};
 
 use crate::{
@@ -33,6 +33,8 @@ use crate::{
     control_thread::{self, ControlThreadState, SetOnDrop},
     drive_calibration::DriveCalibration,
     drive_noise::DriveNoise,
+    files::Files,
+    free_space::FreeSpace,
     handle::DaemonHandle,
     mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},
@@ -45,6 +47,7 @@ use crate::{
     socket::{BoundSocket, Drives, SetpointSource, SocketError, SocketThread},
     state_file::StateFile,
     summary::{Figures, Summary},
+    threads::{NamedThread, NotStarted},
     wake::StopFlag,
     wall_watch::WallWatch,
 };
@@ -91,9 +94,18 @@ pub enum StartError {
     },
 }
 
+impl From<NotStarted> for StartError {
+    fn from(NotStarted { name, source }: NotStarted) -> Self {
+        Self::Thread { name, source }
+    }
+}
+
 /// Why the daemon did not end in order. The board puts the car to neutral by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StopError {
+    /// Another thread than the control thread, of this name, ended before it was asked to.
+    #[error("the {0} thread has ended by itself: the car was stopped and disarmed")]
+    Thread(&'static str),
     /// The control thread panicked.
     #[error("the control thread has panicked; the board stops the car by itself")]
     Panicked,
@@ -106,14 +118,16 @@ pub enum StopError {
 #[derive(Debug)]
 pub struct Daemon {
     handle: DaemonHandle,
-    control: Option<JoinHandle<LineCounters>>,
-    control_state: ControlThreadState,
+    control: Option<NamedThread<LineCounters>>,
     stop: StopFlag,
-    reader: Option<JoinHandle<ReaderCounters>>,
-    receiver: Option<JoinHandle<(MocapCounters, u64)>>,
+    reader: Option<NamedThread<ReaderCounters>>,
+    receiver: Option<NamedThread<(MocapCounters, u64)>>,
     collector_stop: Arc<AtomicBool>,
-    collector: Option<JoinHandle<()>>,
+    collector: Option<NamedThread<()>>,
+    files: Option<NamedThread<()>>,
     record: Option<RunningRecord>,
+    /// Whether the recorder has panicked.
+    recorder_panicked: bool,
     /// The path of a record whose recorder failed.
     broken_record: Option<PathBuf>,
     socket: Option<SocketThread>,
@@ -184,9 +198,20 @@ impl Daemon {
 
         let status = Arc::new(SharedStatus::new(begin));
         let (entries_in, entries) = mpsc::channel();
+        let (proofs, proof_changes) = mpsc::channel();
+        let files = Files {
+            state,
+            space: running_record.as_ref().map(|record| FreeSpace {
+                directory: record.path.parent().unwrap_or(&record.path).to_owned(),
+                min_free_mb: config.record.min_free_mb,
+            }),
+            status: Arc::clone(&status),
+            entries: entries_in.clone(),
+        };
         let mut daemon = Self {
             handle: DaemonHandle {
                 status: Arc::clone(&status),
+                control: ControlThreadState::default(),
                 reconfigurer: Reconfigurer::new(
                     host.configurations,
                     host.requests.clone(),
@@ -211,13 +236,14 @@ impl Daemon {
                 drives: Drives::default(),
             },
             control: None,
-            control_state: ControlThreadState::default(),
             stop: stop.clone(),
             reader: None,
             receiver: None,
             collector_stop: Arc::new(AtomicBool::new(false)),
             collector: None,
+            files: None,
             record: running_record,
+            recorder_panicked: false,
             broken_record: None,
             socket: None,
             _idle_bound: idle_bound,
@@ -239,34 +265,32 @@ impl Daemon {
             noise: DriveNoise::default(),
             calibration: DriveCalibration::default(),
             states: States::default(),
-            state,
-            state_tried_ns: 0,
+            proofs,
             stop: Arc::clone(&daemon.collector_stop),
         };
-        let collector = spawn("collector", move || collector.run())?;
+        let collector = NamedThread::spawn("collector", move || collector.run())?;
         let collector_thread = collector.thread().clone();
         daemon.collector = Some(collector);
+        daemon.files = Some(NamedThread::spawn("files", move || {
+            files.run(&proof_changes);
+        })?);
 
         let control = daemon.start_control(&config, host.control, collector_thread)?;
         let (serial, cameras) = (config.serial, config.motion_capture);
         let fifo_priority = daemon.handle.realtime.fifo_priority;
         let reader_stop = stop.clone();
         let reader = host.reader;
-        daemon.reader = Some(spawn("serial", move || {
+        daemon.reader = Some(NamedThread::spawn("serial", move || {
             realtime::make_prompt(fifo_priority);
             serial_reader::run(reader, serial, &reader_stop)
         })?);
         let receiver = host.receiver;
-        daemon.receiver = Some(spawn("mocap", move || {
+        daemon.receiver = Some(NamedThread::spawn("mocap", move || {
             realtime::make_prompt(fifo_priority);
             mocap_receiver::run(receiver, sockets, &cameras, &stop, &control)
         })?);
         if let Some(socket) = socket {
-            let started = SocketThread::start(socket, daemon.handle.clone());
-            daemon.socket = Some(started.map_err(|source| StartError::Thread {
-                name: "socket",
-                source,
-            })?);
+            daemon.socket = Some(SocketThread::start(socket, daemon.handle.clone())?);
         }
         Ok(daemon)
     }
@@ -281,10 +305,10 @@ impl Daemon {
     ) -> Result<thread::Thread, StartError> {
         let priority = config.control.realtime_priority;
         let period_ns = config.control.period_ns();
-        let state = self.control_state.clone();
+        let state = self.handle.control.clone();
         let memory_locked = self.handle.realtime.memory_locked;
         let (granted_in, granted) = mpsc::sync_channel(1);
-        let thread = spawn("control", move || {
+        let thread = NamedThread::spawn("control", move || {
             let _ended = SetOnDrop(Arc::clone(&state.ended));
             realtime::touch_memory(control.rings_mut());
             let granted = realtime::make_punctual(priority);
@@ -378,23 +402,26 @@ impl Daemon {
         };
         let reason = match thread.finish() {
             Ok(_) => "its thread has ended".to_owned(),
-            Err(error) => recording::with_causes(&error),
+            Err(error) => {
+                self.recorder_panicked = matches!(error, RecordError::Thread { .. });
+                recording::with_causes(&error)
+            }
         };
         error!("recording has ended: {reason}");
         self.handle.status.latest().record_error = Some(reason);
         self.broken_record = Some(path);
     }
 
-    /// Why the record ended before the daemon; `None` if it has not.
+    /// Why nothing is recorded, or soon will not be; `None` if all is well with the record.
     #[must_use]
-    pub fn record_error(&self) -> Option<String> {
-        self.handle.status.latest().record_error.clone()
+    pub fn record_trouble(&self) -> Option<String> {
+        self.handle.record_trouble()
     }
 
     /// The number of ticks that the control thread has done.
     #[must_use]
     pub fn ticks(&self) -> u64 {
-        self.control_state.ticks.load(Ordering::Relaxed)
+        self.handle.control.ticks.load(Ordering::Relaxed)
     }
 
     /// The pilot's mode and reason after the last tick; disconnected before the first.
@@ -407,45 +434,67 @@ impl Daemon {
         })
     }
 
-    /// Whether the control thread has ended, on request or by a panic.
+    /// The name of a thread that has ended: of the control thread on request or by a panic, of every
+    /// other one by a fault. The daemon is to be [stopped](Self::stop) then: a drive must not go on
+    /// without its reader, its cameras or its control socket. A record that can't be written ends
+    /// only itself.
     #[must_use]
-    pub fn has_ended(&self) -> bool {
-        self.control_state.ended.load(Ordering::Acquire)
+    pub fn ended_thread(&self) -> Option<&'static str> {
+        if self.handle.control.ended.load(Ordering::Acquire) {
+            return Some("control");
+        }
+        self.failed_thread()
+    }
+
+    /// The name of a thread other than the control thread that has ended by itself.
+    fn failed_thread(&self) -> Option<&'static str> {
+        let socket = self.socket.as_ref().map(|socket| &socket.thread);
+        ended(&self.reader)
+            .or_else(|| ended(&self.receiver))
+            .or_else(|| socket.filter(|it| it.has_ended()).map(NamedThread::name))
+            .or_else(|| ended(&self.collector))
+            .or_else(|| ended(&self.files))
+            .or(self.recorder_panicked.then_some("recorder"))
     }
 
     /// Stops the car, ends all threads and returns the figures of the run.
     ///
     /// # Errors
     ///
-    /// [`StopError`] if the control thread panicked or did not end in time.
+    /// [`StopError`] if a thread had ended by itself, or the control thread did not end in time.
     pub fn stop(mut self) -> Result<Summary, StopError> {
         self.end(ControlRequest::Finish)
     }
 
     fn end(&mut self, how: ControlRequest) -> Result<Summary, StopError> {
+        let mut failed = self.failed_thread();
         let control = self.end_control(how);
         // The other threads serve the control thread, so they end after it.
         self.stop.raise();
         if let Some(socket) = self.socket.take() {
-            socket.stop();
+            join(Some(socket.end()), &mut failed);
         }
         let mut counts = EndCounts::default();
-        if let Some(Ok(counters)) = self.reader.take().map(JoinHandle::join) {
+        if let Some(counters) = join(self.reader.take(), &mut failed) {
             counts.serial_bytes = counters.bytes_dropped;
         }
-        if let Some(Ok((counters, dropped))) = self.receiver.take().map(JoinHandle::join) {
+        if let Some((counters, dropped)) = join(self.receiver.take(), &mut failed) {
             counts.mocap = Some(counters);
             counts.observations = dropped;
         }
         self.collector_stop.store(true, Ordering::Release);
-        if let Some(collector) = self.collector.take() {
+        if let Some(collector) = &self.collector {
             collector.thread().unpark();
-            if collector.join().is_err() {
-                warn!("the collector's thread has panicked");
-            }
         }
+        join(self.collector.take(), &mut failed);
+        // The last of its senders was the collector.
+        join(self.files.take(), &mut failed);
         let (record, record_error) = self.end_record();
-        let counters = control.inspect_err(|_| {
+        let counters = control.and_then(|counters| match failed {
+            Some(name) => Err(StopError::Thread(name)),
+            None => Ok(counters),
+        });
+        let counters = counters.inspect_err(|_| {
             // An error returns no summary that could report it.
             if let Some(error) = &record_error {
                 warn!("the record is incomplete: {error}");
@@ -489,18 +538,20 @@ impl Daemon {
         let Some(control) = self.control.take() else {
             return Err(StopError::Panicked);
         };
-        if !self.has_ended() && self.handle.requests.push(how).is_err() {
-            self.control_state.abort.store(true, Ordering::Relaxed);
+        if !self.handle.control.ended.load(Ordering::Acquire)
+            && self.handle.requests.push(how).is_err()
+        {
+            self.handle.control.abort.store(true, Ordering::Relaxed);
         }
         let begin = Instant::now();
-        while !control.is_finished() {
+        while !control.has_ended() {
             if begin.elapsed() > END_TIMEOUT {
-                self.control_state.abort.store(true, Ordering::Relaxed);
+                self.handle.control.abort.store(true, Ordering::Relaxed);
                 return Err(StopError::Stuck);
             }
             thread::sleep(Duration::from_millis(1));
         }
-        control.join().map_err(|_| StopError::Panicked)
+        control.join().ok_or(StopError::Panicked)
     }
 }
 
@@ -528,12 +579,77 @@ impl Drop for Daemon {
     }
 }
 
-fn spawn<T: Send + 'static>(
-    name: &'static str,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>, StartError> {
-    thread::Builder::new()
-        .name(name.to_owned())
-        .spawn(body)
-        .map_err(|source| StartError::Thread { name, source })
+/// The name of a thread that has ended.
+fn ended<T>(thread: &Option<NamedThread<T>>) -> Option<&'static str> {
+    let thread = thread.as_ref().filter(|thread| thread.has_ended());
+    thread.map(NamedThread::name)
+}
+
+/// Waits for the end of a thread; one that has panicked is named in `failed`.
+fn join<T>(thread: Option<NamedThread<T>>, failed: &mut Option<&'static str>) -> Option<T> {
+    let thread = thread?;
+    let name = thread.name();
+    let result = thread.join();
+    if result.is_none() {
+        failed.get_or_insert(name);
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A daemon without board and cameras.
+    fn daemon(folder: &Path) -> Daemon {
+        let text = include_str!("../singletrackd.example.toml");
+        let mut config = Config::from_toml(text).unwrap();
+        config.serial.port = folder.join("tty");
+        config.motion_capture.server = std::net::Ipv4Addr::LOCALHOST;
+        config.motion_capture.command_port = Some(9);
+        config.record.directory = folder.join("records");
+        config.state.directory = folder.join("state");
+        config.socket.path = folder.join("control.sock");
+        config.control.realtime_priority = 0;
+        Daemon::start(config, StartOptions::default()).unwrap()
+    }
+
+    /// Ends the thread, and puts one that panics in its place.
+    fn plant<T: Send + 'static>(place: &mut Option<NamedThread<T>>) {
+        let name = place.take().unwrap().name();
+        *place = Some(NamedThread::spawn(name, || panic!("planted")).unwrap());
+    }
+
+    #[test]
+    fn a_panic_of_any_thread_ends_the_daemon_with_the_name_of_the_thread() {
+        type Plants = fn(&mut Daemon);
+        let cases: [(&str, Plants); 5] = [
+            ("serial", |daemon| plant(&mut daemon.reader)),
+            ("mocap", |daemon| plant(&mut daemon.receiver)),
+            ("collector", |daemon| plant(&mut daemon.collector)),
+            ("files", |daemon| plant(&mut daemon.files)),
+            ("socket", |daemon| {
+                let socket = daemon.socket.as_mut().unwrap();
+                socket.thread = NamedThread::spawn("socket", || panic!("planted")).unwrap();
+            }),
+        ];
+        for (name, plant) in cases {
+            let folder = tempfile::tempdir().unwrap();
+            let mut daemon = daemon(folder.path());
+            assert_eq!(daemon.ended_thread(), None);
+            plant(&mut daemon);
+            let begin = Instant::now();
+            while daemon.ended_thread().is_none() && begin.elapsed() < Duration::from_secs(20) {
+                thread::yield_now();
+            }
+            assert_eq!(daemon.ended_thread(), Some(name));
+            assert_eq!(daemon.stop().unwrap_err(), StopError::Thread(name));
+        }
+    }
+
+    #[test]
+    fn a_daemon_whose_threads_live_ends_with_its_figures() {
+        let folder = tempfile::tempdir().unwrap();
+        daemon(folder.path()).stop().unwrap();
+    }
 }

@@ -2,11 +2,13 @@
 
 use std::{path::PathBuf, sync::Arc};
 
+use singletrack_api::record_trouble;
 use singletrack_core::{Requests, setpoint_slot::SetpointSender, slot::SlotSender};
 use singletrack_pilot::{Jog, Tuning};
 
 use crate::{
     commissioned_file::CommissionedFile,
+    control_thread::ControlThreadState,
     realtime::RealTimeStatus,
     reconfigure::Reconfigurer,
     shared_status::SharedStatus,
@@ -19,6 +21,8 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct DaemonHandle {
     pub(crate) status: Arc<SharedStatus>,
+    /// Whether the control thread lives; what it does is in the status, which may be late.
+    pub(crate) control: ControlThreadState,
     pub(crate) requests: Requests,
     pub(crate) setpoints: SetpointSender,
     /// Which client gives the set-points.
@@ -38,6 +42,15 @@ pub(crate) struct DaemonHandle {
 }
 
 impl DaemonHandle {
+    /// Why nothing is recorded, or soon will not be; `None` if all is well with the record.
+    pub(crate) fn record_trouble(&self) -> Option<String> {
+        let latest = self.status.latest();
+        record_trouble(
+            latest.record_error.as_deref(),
+            latest.record_warning.as_deref(),
+        )
+    }
+
     /// Copies the present status.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let latest = self.status.latest();
@@ -68,6 +81,7 @@ impl DaemonHandle {
             config_path: self.config_path.clone(),
             record: self.record.clone(),
             record_error: latest.record_error.clone(),
+            record_warning: latest.record_warning.clone(),
         }
     }
 }

@@ -4,7 +4,7 @@
 //! ```text
 //! serial reader ---ring--\                     /--ring--> collector --> log, figures, watchers
 //! motion capture --ring----> control thread --<                   \--> recorder
-//! socket, owner ---ring--/     |               \--> the port's write half
+//! socket, owner ---ring--/     |               \--> the port's write half     \--> files
 //! set-points ------slot--/
 //! ```
 //!
@@ -25,6 +25,8 @@ mod control_thread;
 mod daemon;
 mod drive_calibration;
 mod drive_noise;
+mod files;
+mod free_space;
 mod handle;
 mod json_file;
 mod judgement;
@@ -39,6 +41,7 @@ mod snapshot;
 mod state_file;
 mod summary;
 mod system;
+mod threads;
 mod wake;
 mod wall_watch;
 

@@ -81,19 +81,23 @@ pub(crate) fn start(
     Ok(Some((RunningRecord { thread, path }, input)))
 }
 
-/// The error with its causes: only the last one says, for instance, that the disk is
-/// full.
+/// The error with its causes, the deepest one first: it says, for instance, that the disk is full.
 pub(crate) fn with_causes(error: &RecordError) -> String {
-    let mut text = error.to_string();
+    let mut causes = Vec::new();
     let mut cause = error.source();
     while let Some(error) = cause {
-        let word = error.to_string();
-        if !text.contains(&word) {
-            text += &format!(": {word}");
-        }
+        causes.push(error.to_string());
         cause = error.source();
     }
-    text
+    let mut text = error.to_string();
+    let Some(deepest) = causes.last() else {
+        return text;
+    };
+    // Said once.
+    for cause in causes.iter().rev() {
+        text = text.replace(&format!(": {cause}"), "");
+    }
+    format!("{deepest}: {text}")
 }
 
 /// A name that no file has yet: two daemons may start in the same second.
@@ -118,6 +122,32 @@ mod tests {
         monotonic_ns: 0,
         wall_ns: 0,
     };
+
+    #[test]
+    fn the_deepest_cause_of_a_record_that_ends_comes_first_and_once() {
+        let full = || io::Error::from_raw_os_error(28);
+        let path = PathBuf::from("/r.mcap.part");
+        let io = RecordError::Io {
+            action: "sync",
+            path: path.clone(),
+            source: full(),
+        };
+        let write = RecordError::Write {
+            path,
+            source: Box::new(full().into()),
+        };
+        let cause = "No space left on device (os error 28)";
+        assert_eq!(
+            with_causes(&io),
+            format!("{cause}: can't sync /r.mcap.part")
+        );
+        let text = with_causes(&write);
+        assert!(
+            text.starts_with(&format!("{cause}: can't write /r.mcap.part")),
+            "{text}"
+        );
+        assert_eq!(text.matches("No space").count(), 1, "{text}");
+    }
 
     #[test]
     fn a_configuration_that_can_not_be_recorded_is_an_error_and_leaves_no_file() {

@@ -56,9 +56,9 @@ impl Service {
         }
     }
 
-    /// Runs until a signal ends the daemon, or its control thread ends by itself.
+    /// Runs until a signal ends the daemon, or one of its threads ends by itself.
     pub(crate) fn run(mut self, signals: &Signals) -> ExitCode {
-        while !self.daemon.has_ended() {
+        while self.daemon.ended_thread().is_none() {
             // A stuck control thread must not keep the process alive.
             if self
                 .ending_since
@@ -132,8 +132,8 @@ impl Service {
         {
             status += &format!("; {by} refused: {error}");
         }
-        if let Some(error) = self.daemon.record_error() {
-            status += &format!("; nothing is recorded: {error}");
+        if let Some(trouble) = self.daemon.record_trouble() {
+            status += &format!("; {trouble}");
         }
         status
     }
@@ -178,8 +178,12 @@ impl Service {
     }
 
     fn end(self) -> ExitCode {
-        if self.ending_since.is_none() {
-            self.manager.stopping("the control thread has ended");
+        if self.ending_since.is_none()
+            && let Some(name) = self.daemon.ended_thread()
+        {
+            let text = format!("the {name} thread has ended by itself: stopping the car");
+            error!("{text}");
+            self.manager.stopping(&text);
         }
         match self.daemon.stop() {
             Ok(summary) => {

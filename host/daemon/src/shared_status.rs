@@ -40,6 +40,8 @@ pub(crate) struct Latest {
     pub(crate) tally: Tally,
     /// Why the record ended before the daemon.
     pub(crate) record_error: Option<String>,
+    /// Why the record will soon end.
+    pub(crate) record_warning: Option<String>,
 }
 
 /// The latest values, and the stream of entries for watchers.

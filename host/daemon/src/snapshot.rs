@@ -47,6 +47,8 @@ pub struct Snapshot {
     pub record: Option<PathBuf>,
     /// Why the record ended before the daemon, such as a full disk.
     pub record_error: Option<String>,
+    /// Why the record will soon end, such as a disk that is nearly full.
+    pub record_warning: Option<String>,
 }
 
 impl Snapshot {
@@ -128,6 +130,7 @@ impl Snapshot {
             reason: word(self.reason()),
             record: self.record.as_deref().map(shown),
             record_error: self.record_error.clone(),
+            record_warning: self.record_warning.clone(),
             reference_m: output
                 .and_then(|output| output.reference?.position)
                 .map(place),
@@ -291,6 +294,7 @@ mod tests {
             config_path: Some("/etc/car.toml".into()),
             record: Some("records/one.mcap".into()),
             record_error: Some("disk full".to_owned()),
+            record_warning: None,
         }
     }
 

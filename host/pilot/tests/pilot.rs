@@ -250,6 +250,75 @@ fn a_lost_link_ends_the_drive_at_once_and_its_return_does_not_start_it() {
 }
 
 #[test]
+fn a_car_that_loses_board_and_cameras_has_no_speed_and_its_stop_no_deceleration() {
+    // With the last sample of a car that slows down, and of one that drives evenly.
+    for slows_down in [true, false] {
+        let mut bench = Bench::new();
+        bench.drive();
+        if slows_down {
+            bench.step_with(Some(PilotRequest::Disarm));
+            bench.run(8);
+        }
+        (bench.link, bench.pose) = (false, Pose::Missing);
+        bench.extra.push(Event::Link(LinkState::Down));
+        for tick in 1..=2_000 {
+            let output = bench.step();
+            assert_eq!(output.mode, Mode::Disconnected);
+            assert_eq!(output.braking_measured, None, "{tick}");
+            // The motor's last speed counts for 0.2 s, the last pose for 0.3 s.
+            let known = output.estimate.is_some();
+            assert_eq!(known, tick <= 30, "{tick}: {:?}", output.estimate);
+            assert_eq!(known, output.point.is_some(), "{tick}");
+        }
+        (bench.link, bench.pose, bench.board) = (true, Pose::Seen, BoardState::Neutral);
+        bench.speed = 0.0;
+        bench.extra.extend(AT_START);
+        let output = bench.run(200);
+        assert_eq!(output.preflight, None);
+        assert_eq!(bench.step_with(Some(PilotRequest::Arm)).mode, Mode::Arming);
+    }
+}
+
+#[test]
+fn a_car_without_cameras_has_the_speed_of_its_motor() {
+    let mut bench = Bench::new();
+    bench.run(100);
+    bench.pose = Pose::Missing;
+    let estimate = bench.run(600).estimate.unwrap();
+    assert!(estimate.speed.abs() < 0.01 && estimate.pose_age() > 5.9);
+}
+
+#[test]
+fn a_lower_belief_of_the_brakes_clears_the_refusal_whatever_was_measured() {
+    let mut bench = Bench::new();
+    bench.drive();
+    bench.step_with(Some(PilotRequest::Disarm));
+    // It rolls on and on, at a speed that is too low for a fault.
+    let mut measured = None;
+    for _ in 0..3_000 {
+        measured = measured.or(bench.step().braking_measured);
+        bench.speed = bench.speed.max(0.07);
+    }
+    let measured = measured.unwrap();
+    assert!(measured < 0.9, "{measured}");
+    bench.speed = 0.0;
+    let refused = bench.run(100).preflight;
+    assert_eq!(
+        refused,
+        Some(Reason::BrakesLessThanConfigured),
+        "{measured}"
+    );
+    for (braking, refused) in [(1.4, refused), (measured, None), (0.05, None)] {
+        let config = PilotConfig {
+            braking,
+            ..config()
+        };
+        bench.pilot.reconfigure(&config).unwrap();
+        assert_eq!(bench.run(100).preflight, refused, "{braking}");
+    }
+}
+
+#[test]
 fn a_board_that_stops_by_itself_ends_the_drive_and_is_not_armed_again() {
     let mut bench = Bench::new();
     bench.drive();

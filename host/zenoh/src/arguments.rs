@@ -29,9 +29,12 @@ pub(crate) enum Side {
     },
     /// The router, which runs once and which all others reach; zenohd can take its place
     Router {
-        /// Where it listens
-        #[arg(long, value_name = "ENDPOINT", default_value = "tcp/[::]:7447")]
+        /// Where it listens: tcp/[::]:7447 for all computers
+        #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
         listen: String,
+        /// Let everyone in who reaches it, and drive the cars: only in a network of the cars alone
+        #[arg(long)]
+        without_password: bool,
     },
 }
 

@@ -45,7 +45,10 @@ fn main() -> ExitCode {
     let ended = match &arguments.side {
         Side::Car(car) => car::serve(config, car),
         Side::Desk { fleet } => desk::offer(config, fleet),
-        Side::Router { listen } => network::route(config, listen),
+        Side::Router {
+            listen,
+            without_password,
+        } => network::route(config, listen, *without_password),
     };
     match ended {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,6 +1,6 @@
 //! Sessions of zenoh, and the keys of a car.
 
-use std::{path::Path, thread};
+use std::{net::IpAddr, path::Path, thread};
 
 use zenoh::{Config, Session, Wait as _};
 
@@ -33,9 +33,22 @@ pub(crate) fn join(file: Option<&Path>, router: &str) -> Result<Session, ZenohEr
     Ok(session)
 }
 
-/// Runs a router until the process ends.
-pub(crate) fn route(file: Option<&Path>, listen: &str) -> Result<(), ZenohError> {
+/// Runs a router until the process ends. Beyond loopback its configuration must ask for a password,
+/// unless the operator says that it need not.
+pub(crate) fn route(
+    file: Option<&Path>,
+    listen: &str,
+    without_password: bool,
+) -> Result<(), ZenohError> {
     let config = configuration(file, "router", "listen", listen)?;
+    if !(without_password || is_loopback(listen) || asks_for_password(&config)) {
+        return Err(ZenohError::Other(format!(
+            "--listen {listen}: everyone who reaches it could drive the cars: give a password with \
+             --config FILE, a file such as {{ transport: {{ auth: {{ usrpwd: {{ dictionary_file: \
+             \"/etc/zenoh/users\" }} }} }} }} whose dictionary has lines NAME:PASSWORD; or listen on \
+             tcp/127.0.0.1:7447; or, in a network of the cars alone, add --without-password"
+        )));
+    }
     let _router = zenoh::open(config).wait()?;
     tracing::info!(listen, "the router has started");
     loop {
@@ -68,6 +81,21 @@ fn configuration(
     config.insert_json5("scouting/multicast/enabled", "false")?;
     config.insert_json5("transport/link/tx/lease", &LEASE_MS.to_string())?;
     Ok(config)
+}
+
+/// Whether only programs of this computer reach an endpoint.
+fn is_loopback(endpoint: &str) -> bool {
+    let (_, address) = endpoint.split_once('/').unwrap_or(("", endpoint));
+    let address = address.split(['?', '#']).next().unwrap_or_default();
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
+}
+
+/// Whether a router of this configuration lets in only those who know a password.
+fn asks_for_password(config: &Config) -> bool {
+    let dictionary = config.get_json("transport/auth/usrpwd/dictionary_file");
+    dictionary.is_ok_and(|file| file != "null" && file != "\"\"")
 }
 
 /// What zenoh says, without the lines of its source that it adds.
@@ -133,6 +161,32 @@ mod tests {
             Keys::of("car-1_a").unwrap().up("7"),
             "singletrack/car-1_a/up/7"
         );
+    }
+
+    #[test]
+    fn a_router_beyond_loopback_asks_for_a_password_or_is_refused() {
+        for endpoint in [
+            "tcp/[::]:7447",
+            "tcp/0.0.0.0:7447",
+            "tcp/192.168.1.30:7447",
+            "tcp/car.local:7447",
+            "tcp/127.0.0.1.example.org:7447",
+            "udp/[fe80::1]:7447#iface=lo",
+        ] {
+            assert!(!is_loopback(endpoint), "{endpoint}");
+            let error = route(None, endpoint, false).unwrap_err().to_string();
+            for part in [endpoint, "--without-password", "dictionary_file"] {
+                assert!(error.contains(part), "{error}");
+            }
+        }
+        for endpoint in ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tcp/localhost:0"] {
+            assert!(is_loopback(endpoint), "{endpoint}");
+        }
+        let mut config = Config::default();
+        assert!(!asks_for_password(&config));
+        let key = "transport/auth/usrpwd/dictionary_file";
+        config.insert_json5(key, "\"/etc/zenoh/users\"").unwrap();
+        assert!(asks_for_password(&config));
     }
 
     #[test]

@@ -198,6 +198,7 @@ impl Client {
         self.request(&Request::Commissioned {
             procedure: procedure.to_owned(),
             result: result.to_owned(),
+            uncalibrated: false,
         })
     }
 

@@ -83,7 +83,8 @@ pub(crate) fn ended_as_wanted(is_so: bool) -> ExitCode {
 /// When the car can't be armed, or the connection is lost; the reason is the daemon's.
 pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
     if args.unattended {
-        ask(&args.request(Attendance::Unattended), &args.control.socket)?;
+        let answer = ask(&args.request(Attendance::Unattended), &args.control.socket)?;
+        warn(&answer.warnings);
         print(UNATTENDED)?;
         return Ok(ExitCode::SUCCESS);
     }
@@ -204,12 +205,21 @@ impl Drive {
                 }
                 Some(_) => {}
                 None if !is_armed => {
+                    warn(&answer.warnings);
                     is_armed = true;
                     armed = Instant::now();
                 }
                 None => {}
             }
         }
+    }
+}
+
+/// Prints what the daemon warns of, above the line that shows the drive.
+fn warn(warnings: &[String]) {
+    for warning in warnings {
+        // A terminal that has gone takes no output.
+        let _ = writeln!(io::stderr(), "singletrack: warning: {warning}");
     }
 }
 

@@ -156,7 +156,10 @@ impl Figure {
         let config = bench.configuration();
         let no_room = || {
             let found = "the geofence has no room for two circles that touch each other";
-            let fix = "widen fence.corners_m: the car needs about 3 by 5 m of free floor";
+            let fix = format!(
+                "put the car in the middle of the geofence, or widen fence.corners_m: {}",
+                size(config)
+            );
             failed(found, fix)
         };
         let fence = config.fence.fence(&config.vehicle).map_err(|_| no_room())?;
@@ -256,6 +259,84 @@ impl Figure {
             rolls: false,
         }
     }
+}
+
+/// Refuses a straight way of P from `start` (m) for which the geofence has no room.
+pub(super) fn room_ahead(bench: &dyn Bench, start: Position, way: Velocity) -> Result<(), Trouble> {
+    let config = bench.configuration();
+    let stop = SLOW * SLOW / (2.0 * config.fence.braking_m_s2);
+    let way = way * (1.0 + (stop + ROOM) / way.norm());
+    let fence = config.fence.fence(&config.vehicle).ok();
+    if fence.is_some_and(|fence| fence.contains_way(&start, &way)) {
+        return Ok(());
+    }
+    Err(failed(
+        format!(
+            "the geofence has no room for a straight way of {:.1} m from where the car stands",
+            way.norm()
+        ),
+        "turn the car towards the middle of the geofence, or put it farther back, and run this step \
+         again",
+    ))
+}
+
+/// The length and the width of the least rectangle that a figure fits into, in words.
+fn size(config: &Config) -> String {
+    let radius = radius(config);
+    let around = 2.0 * (ROOM + config.fence.margin_m(&config.vehicle));
+    // To the next tenth, beyond which the places between the points of the search are as well.
+    let up = |side: f64| ((side + around) * 10.0).ceil() / 10.0 + 0.1;
+    format!(
+        "this car needs a rectangle of {:.1} by {:.1} m",
+        up(2.0 * radius),
+        up(4.0 * radius)
+    )
+}
+
+/// As [`lacks_room`](super::lacks_room).
+pub(super) fn lacks_room(config: &Config) -> Option<String> {
+    /// The places that are looked at along each side of the geofence.
+    const PLACES: usize = 24;
+    let refusal = |found: &str| {
+        Some(format!(
+            "{found}: two circles that touch, of which the drives are made, do not fit. Widen \
+             fence.corners_m: {}",
+            size(config)
+        ))
+    };
+    let Ok(fence) = config.fence.fence(&config.vehicle) else {
+        return refusal("there is no geofence");
+    };
+    let sides = |of: fn(&Position) -> f64| {
+        let values = fence.corners().iter().map(of);
+        let least = values.clone().fold(f64::INFINITY, f64::min);
+        [least, values.fold(f64::NEG_INFINITY, f64::max) - least]
+    };
+    let [x, y] = [sides(|corner| corner.x), sides(|corner| corner.y)];
+    let part = |[least, side]: [f64; 2], index: usize| least + side * index as f64 / PLACES as f64;
+    let radius = radius(config);
+    let fits = (0..=PLACES * PLACES).any(|place| {
+        let tangent = Position::new(part(x, place % PLACES), part(y, place / PLACES));
+        // Both circles are the same from behind.
+        fence.clearance(&tangent) > ROOM
+            && (0..12).any(|turn| {
+                let figure = Figure {
+                    start: tangent,
+                    tangent,
+                    heading: f64::from(turn) * 15.0_f64.to_radians(),
+                    first: 1.0,
+                    radius,
+                };
+                figure.fits(&fence, 2.0, ROOM)
+            })
+    });
+    if fits {
+        return None;
+    }
+    refusal(&format!(
+        "the geofence of {:.1} by {:.1} m is too small",
+        x[1], y[1]
+    ))
 }
 
 /// The radius of circles of P that the car can steer, with something to spare, m.
@@ -414,6 +495,57 @@ impl Drive {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_geofence_without_room_is_refused_with_a_size_that_is_not() {
+        let text = include_str!("../../../daemon/singletrackd.example.toml");
+        let example = Config::from_toml(text).unwrap();
+        let of = |length: f64, width: f64, turned: f64, moved: f64| {
+            let mut config = example.clone();
+            let corner = |x: f64, y: f64| {
+                let (along, across) = (
+                    direction(turned),
+                    direction(turned + core::f64::consts::FRAC_PI_2),
+                );
+                let place = 0.5 * x * length * along + 0.5 * y * width * across;
+                [place.x + moved, place.y]
+            };
+            config.fence.corners_m = vec![
+                corner(-1.0, -1.0),
+                corner(1.0, -1.0),
+                corner(1.0, 1.0),
+                corner(-1.0, 1.0),
+            ];
+            config
+        };
+        let refusal = lacks_room(&of(2.0, 2.0, 0.0, 0.0)).unwrap();
+        assert!(
+            refusal.contains("of 2.0 by 2.0 m is too small"),
+            "{refusal}"
+        );
+        let (_, size) = refusal.split_once("a rectangle of ").unwrap();
+        let (width, rest) = size.split_once(" by ").unwrap();
+        let [width, length]: [f64; 2] =
+            [width, rest.trim_end_matches(" m")].map(|side| side.parse().unwrap());
+        assert!(
+            width < 3.0 && length < 5.0,
+            "docs/parts.md says 3 by 5 m: {refusal}"
+        );
+        for turned in [0.0, 90.0_f64.to_radians()] {
+            for moved in [0.0, 7.3] {
+                assert_eq!(
+                    lacks_room(&of(length, width, turned, moved)),
+                    None,
+                    "{turned} {moved}"
+                );
+                for (less, too_little) in [(0.4, 0.0), (0.0, 0.4)] {
+                    let config = of(length - less, width - too_little, turned, moved);
+                    assert!(lacks_room(&config).is_some(), "{less} {too_little}");
+                }
+            }
+        }
+        assert_eq!(lacks_room(&of(5.0, 3.0, 0.4, 0.0)), None);
+    }
 
     #[test]
     fn the_figure_goes_around_both_circles_without_a_jump() {

@@ -13,6 +13,8 @@ mod speed;
 pub(crate) mod steering_table;
 mod straight;
 
+use singletrack_core::Config;
+
 use crate::Step;
 
 /// The steps, in their order.
@@ -23,3 +25,9 @@ pub const STEPS: [Step; 5] = [
     roll_out::STEP,
     cover::STEP,
 ];
+
+/// Why the geofence has no room for the drives, with the size that they need; `None` if it has.
+#[must_use]
+pub fn lacks_room(config: &Config) -> Option<String> {
+    floor::lacks_room(config)
+}

@@ -28,6 +28,7 @@ fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         return Err(failed("no estimate", "run it again"));
     };
     let velocity = SLOW * direction(yaw);
+    floor::room_ahead(bench, point, WAY * direction(yaw))?;
     let wanted = |time: f64| Wanted {
         position: point + time * velocity,
         velocity,

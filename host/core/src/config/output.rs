@@ -19,6 +19,9 @@ section! {
     enabled: bool = true;
     /// Folder of the records; it is created if it does not exist.
     directory: PathBuf = PathBuf::from("/var/log/singletrackd");
+    /// With less free space on the disk of that folder, in MB, `arm` and the status warn that the record
+    /// will end; 0 never warns. Records are never deleted.
+    min_free_mb: u32 = 500;
 }
 
 section! {

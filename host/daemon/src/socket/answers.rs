@@ -1,7 +1,6 @@
 //! The answers to commands that a line asks for and that hold no connection.
 
 use core::fmt::Display;
-use std::time::Duration;
 
 use singletrack_api::{Answer, Clocks};
 use singletrack_core::{
@@ -25,9 +24,6 @@ use crate::{
     snapshot::Snapshot,
 };
 
-/// A control thread whose last tick is older is stuck.
-const TICK_TIMEOUT: Duration = Duration::from_millis(500);
-
 /// The answer to a line that is no command. A rejected set-point is counted.
 pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Answer {
     match &error.rejected {
@@ -44,9 +40,7 @@ pub(super) async fn answer(request: SimpleRequest, daemon: &DaemonHandle) -> Ans
     if request != SimpleRequest::Status {
         daemon.drives.stop();
     }
-    let stuck = daemon.snapshot().tick.is_some_and(|tick| {
-        monotonic_ns().saturating_sub(tick.start_ns) > TICK_TIMEOUT.as_nanos() as u64
-    });
+    let stuck = daemon.control.is_stuck(monotonic_ns());
     // No mode in an answer: the effect of a request shows after the next tick only.
     let done = match request {
         SimpleRequest::Status => {
@@ -152,10 +146,12 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
     })
 }
 
-/// Keeps the state of a procedure with the configuration in force.
+/// Keeps the state of a procedure with the configuration in force. One that begins, or goes on, is
+/// refused as an `arm` is if an earlier one has not passed.
 pub(super) async fn commissioned(
     procedure: Procedure,
     result: ProcedureResult,
+    uncalibrated: bool,
     daemon: &DaemonHandle,
 ) -> Answer {
     let noting = daemon.clone();
@@ -163,6 +159,14 @@ pub(super) async fn commissioned(
     let noted = on_own_thread(move || {
         let (_, config) = noting.reconfigurer.in_force();
         let subject = subject(&config).map_err(|error| error.to_string())?;
+        if config.supervisor.require_calibration
+            && !uncalibrated
+            && let Some(missing) = noting
+                .commissioned
+                .missing_before(procedure, result, subject)
+        {
+            return Err(missing.to_string());
+        }
         let noted = noting.commissioned.note(procedure, result, subject);
         noted.map_err(|error| {
             format!(

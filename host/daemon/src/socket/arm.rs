@@ -5,6 +5,7 @@
 
 use std::time::Duration;
 
+use singletrack_api::Answer;
 use singletrack_core::ControlRequest;
 use singletrack_pilot::{Mode, PilotRequest};
 use tokio::{
@@ -39,6 +40,14 @@ pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Strin
             Progress::Refused(error) => return Err(error),
             Progress::Ended(_, reason) => return Err(cannot_arm(&snapshot, reason)),
         }
+    }
+}
+
+/// The answer to a client whose drive has begun, with what is wrong with its record.
+pub(super) fn drive_begun(daemon: &DaemonHandle) -> Answer {
+    Answer {
+        warnings: daemon.record_trouble().into_iter().collect(),
+        ..Answer::done()
     }
 }
 

@@ -16,7 +16,7 @@ use tokio::{
 
 use super::{
     answers::{answer, no_command},
-    arm::{begin, begin_jogging},
+    arm::{begin, begin_jogging, drive_begun},
     command::{Arm, Command},
     drives::Ticket,
     lines::{LONGEST_LINE, send, skip_line},
@@ -147,7 +147,11 @@ async fn serve_drive(
                 }
                 if watch.has_driven && !was_driving {
                     was_driving = true;
-                    send(write, &Answer::done()).await?;
+                    let answer = match drive.jogs {
+                        true => Answer::done(),
+                        false => drive_begun(daemon),
+                    };
+                    send(write, &answer).await?;
                 }
                 if was_driving && reported.elapsed() >= report_interval {
                     reported = Instant::now();

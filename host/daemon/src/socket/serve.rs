@@ -14,7 +14,7 @@ use tokio::{
 
 use super::{
     answers::{answer, clocks, commissioned, configuration, no_command, reload, set_reference},
-    arm::arm,
+    arm::{arm, drive_begun},
     attend::{Client, hold, hung_up, jog},
     command::{Attendance, Command, SimpleRequest},
     lines::{LONGEST_LINE, send, skip_line},
@@ -141,7 +141,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
                     armed = arm(daemon, request) => armed,
                     () = hung_up(&mut client.read) => return Ok(()),
                 };
-                let answer = armed.map_or_else(Answer::failure, |()| Answer::done());
+                let answer = armed.map_or_else(Answer::failure, |()| drive_begun(daemon));
                 send(&mut client.write, &answer).await?;
             }
             Ok(Command::Hold) => {
@@ -160,8 +160,12 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Tune(tuning)) => {
                 send(&mut client.write, &tune(tuning, daemon).await).await?;
             }
-            Ok(Command::Commissioned { procedure, result }) => {
-                let answer = commissioned(procedure, result, daemon).await;
+            Ok(Command::Commissioned {
+                procedure,
+                result,
+                uncalibrated,
+            }) => {
+                let answer = commissioned(procedure, result, uncalibrated, daemon).await;
                 send(&mut client.write, &answer).await?;
             }
             Ok(Command::Setpoint(setpoint)) => {

@@ -26,8 +26,9 @@ use super::{
     setpoint::SetpointSource,
 };
 use crate::{
-    clock::monotonic_ns, commissioned_file::CommissionedFile, handle::DaemonHandle,
-    realtime::RealTimeStatus, reconfigure::Reconfigurer, shared_status::SharedStatus,
+    clock::monotonic_ns, commissioned_file::CommissionedFile, control_thread::ControlThreadState,
+    handle::DaemonHandle, realtime::RealTimeStatus, reconfigure::Reconfigurer,
+    shared_status::SharedStatus,
 };
 
 const UNATTENDED: Arm = Arm {
@@ -68,6 +69,7 @@ impl Bench {
                 monotonic_ns: 0,
                 wall_ns: 0,
             })),
+            control: ControlThreadState::default(),
             reconfigurer: Reconfigurer::new(host.configurations, ring.clone(), entries),
             requests: ring,
             setpoints: host.setpoints,
@@ -159,6 +161,33 @@ fn a_second_arm_is_refused_while_the_first_is_judged_and_until_it_has_reached_th
 }
 
 #[test]
+fn a_stop_is_obeyed_by_a_control_thread_that_ticks_however_old_its_last_known_tick_is() {
+    let mut bench = Bench::ready();
+    let now_ns = monotonic_ns();
+    let told = |bench: &Bench, request| bench.runtime.block_on(answer(request, &bench.daemon));
+    // The collector is late, and the thread is not.
+    bench.daemon.status.latest().tick.as_mut().unwrap().start_ns = 1;
+    bench.daemon.control.ticked(now_ns);
+    let requests = [
+        SimpleRequest::Disarm,
+        SimpleRequest::Stop,
+        SimpleRequest::Halt,
+    ];
+    for request in requests {
+        assert_eq!(told(&bench, request).error, None);
+    }
+    assert_eq!(bench.requests().len(), 3);
+    // The other way round.
+    bench.tick(Mode::Ready);
+    bench.daemon.control.ticked(now_ns - 600_000_000);
+    for request in requests {
+        let error = told(&bench, request).error.unwrap();
+        assert!(error.contains("the control thread is stuck"), "{error}");
+    }
+    assert_eq!(bench.requests().len(), 3, "it may come round");
+}
+
+#[test]
 fn what_comes_while_an_arm_is_judged_ends_it() {
     type Happens = fn(&Bench);
     let cases: [(Happens, &str, Option<PilotRequest>); 4] = [
@@ -207,6 +236,84 @@ fn a_car_that_has_passed_no_procedure_is_not_armed_unless_the_client_says_so() {
     assert!(error.contains("Run `singletrack doctor`"), "{error}");
     assert_eq!(bench.requests(), []);
     assert_eq!(bench.arm_while(|_| {}), Ok(()));
+}
+
+#[test]
+fn a_procedure_is_refused_before_its_first_step_as_an_arm_is() {
+    use super::answers::commissioned;
+    use singletrack_core::commissioned::{
+        Procedure::{BringUp, Calibrate, Doctor},
+        ProcedureResult::{Begun, Passed, Resumed},
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let mut bench = Bench::ready();
+    bench.daemon.commissioned = CommissionedFile::load(folder.path());
+    let report = |procedure, result, uncalibrated| {
+        let answer = commissioned(procedure, result, uncalibrated, &bench.daemon);
+        bench.runtime.block_on(answer).error
+    };
+    for (procedure, result) in [(BringUp, Begun), (Calibrate, Begun), (Calibrate, Resumed)] {
+        let refusal = report(procedure, result, false).unwrap();
+        assert!(refusal.contains("Run `singletrack doctor`"), "{refusal}");
+        assert_eq!(report(procedure, result, true), None);
+    }
+    for procedure in [Doctor, BringUp] {
+        let refusal = report(Calibrate, Begun, false).unwrap();
+        assert!(refusal.contains("Run `singletrack"), "{refusal}");
+        for result in [Begun, Passed] {
+            assert_eq!(report(procedure, result, false), None);
+        }
+    }
+    assert_eq!(report(Calibrate, Begun, false), None);
+}
+
+#[test]
+fn an_arm_says_that_nothing_is_recorded_or_soon_will_not_be() {
+    for (error, warning, warnings) in [
+        (None, None, vec![]),
+        (None, Some("nearly full"), vec!["nearly full"]),
+        (
+            Some("full"),
+            Some("nearly full"),
+            vec!["nothing is recorded: full"],
+        ),
+    ] {
+        for attendance in ["\"unattended\"", "\"hold\""] {
+            let bench = Bench::ready();
+            let mut latest = bench.daemon.status.latest();
+            latest.record_error = error.map(str::to_owned);
+            latest.record_warning = warning.map(str::to_owned);
+            drop(latest);
+            let answer = bench.runtime.block_on(async {
+                let (mut client, server) = UnixStream::pair().unwrap();
+                let line = format!(
+                    "{{\"version\":2,\"command\":\"arm\",\"attendance\":{attendance},\
+                     \"uncalibrated\":true}}\n"
+                );
+                client.write_all(line.as_bytes()).await.unwrap();
+                let mut answer = String::new();
+                let read = async {
+                    BufReader::new(client).read_line(&mut answer).await.unwrap();
+                };
+                let drives = async {
+                    while bench.requests.is_empty() {
+                        tokio::time::sleep(core::time::Duration::from_millis(1)).await;
+                    }
+                    bench.tick(Mode::Driving);
+                    std::future::pending::<()>().await;
+                };
+                tokio::select! {
+                    served = serve(server.into(), &bench.daemon) => served.unwrap(),
+                    () = read => {}
+                    () = drives => {}
+                }
+                answer
+            });
+            let answer: singletrack_api::Answer = serde_json::from_str(&answer).unwrap();
+            assert!(answer.ok);
+            assert_eq!(answer.warnings, warnings, "{attendance}");
+        }
+    }
 }
 
 #[test]

@@ -92,7 +92,8 @@ pub struct Output {
     pub mode: Mode,
     /// Why the car does not drive, or stopped.
     pub reason: Option<Reason>,
-    /// The estimated state that the tick acted on.
+    /// The estimated state that the tick acted on; `None` also while neither poses nor the motor
+    /// measure it.
     pub estimate: Option<Estimate>,
     /// Whether no pose was accepted since the last tick.
     pub held: bool,
@@ -128,7 +129,8 @@ pub struct Output {
     /// Whether the configuration counts as proved no longer, since this tick: a contradiction
     /// ended the drive, or the brakes are too weak.
     pub disproved: bool,
-    /// The deceleration of the stop that ended in this tick, m/s².
+    /// The deceleration of the stop that ended in this tick, m/s²; `None` also if motor and cameras
+    /// were both lost meanwhile.
     pub braking_measured: Option<f64>,
     /// Why an arm request would be refused now; `None` if it would not, or while a drive is
     /// underway. Unlike `reason`, it never says why the last drive ended.

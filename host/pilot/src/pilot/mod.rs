@@ -217,11 +217,11 @@ impl Pilot {
         Output {
             mode: self.supervisor.mode(),
             reason: self.supervisor.reason(),
-            estimate: sensed.estimate,
+            estimate: sensed.estimate.filter(|_| sensed.is_measured),
             held: sensed.held,
             drive_time: action.drive_time,
             reference: action.reference,
-            point: action.point,
+            point: action.point.filter(|_| sensed.is_measured),
             point_velocity: action.point_velocity,
             actuation: action.actuation,
             turning_round: action.turning_round,

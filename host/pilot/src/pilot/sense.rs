@@ -6,13 +6,19 @@ use singletrack_control::{Estimate, PoseVerdict, Time};
 use super::Pilot;
 use crate::{event::Event, watch::Speeds};
 
-/// The longest age of telemetry whose motor speed counts, s.
-const MOTOR_RECENT: f64 = 0.2;
+/// The longest age of telemetry whose motor speed and inertial sample count, s.
+const RECENT: f64 = 0.2;
+
+/// Without the motor's speed, the longest age of a pose for which the speed is known, s: with inertial
+/// samples, whose errors add up, and without them.
+const SEEN: [f64; 2] = [1.0, 0.3];
 
 /// What a tick senses.
 pub(super) struct Sensed {
     pub(super) now: Time,
     pub(super) estimate: Option<Estimate>,
+    /// Whether anything measures what the estimate says of the motion.
+    pub(super) is_measured: bool,
     pub(super) speeds: Speeds,
     /// The largest of all speeds: estimated, measured and commanded, m/s.
     pub(super) pace: f64,
@@ -66,16 +72,24 @@ impl Pilot {
         self.safety.watch(estimate.as_ref(), wave, config.period);
         let drives = self.supervisor.mode().is_underway();
         self.obstacles.observe(now, estimate.as_ref(), drives);
-        let heard = self
-            .motor_time
-            .is_some_and(|time| now.seconds_since(time) <= MOTOR_RECENT);
+        let within = |time: Option<Time>, longest: f64| {
+            time.is_some_and(|time| now.seconds_since(time) <= longest)
+        };
+        let heard = within(self.motor_time, RECENT);
+        let [reckoned, alone] = SEEN;
+        let reckons = within(self.imu_time, RECENT);
+        let seen = within(self.pose_time, if reckons { reckoned } else { alone });
+        let is_measured = heard || seen;
         Sensed {
             now,
             estimate,
+            is_measured,
             speeds: Speeds {
                 motor: heard.then_some(self.motor_speed),
                 cameras: self.watches.steps.camera_speed(now),
-                estimate: estimate.map(|estimate| estimate.speed),
+                estimate: estimate
+                    .filter(|_| is_measured)
+                    .map(|estimate| estimate.speed),
             },
             pace,
             held,

@@ -233,8 +233,9 @@ words! {
         ///
         /// Effect: Refuses until the value fits these stops. First metre: needs a disarm.
         ///
-        /// Remedy: Set `fence.braking_m_s2` below the logged deceleration; disarm if the drive was
-        /// stopped. After `motor-speed-mismatch`, first correct its cause and restart the daemon.
+        /// Remedy: Set `fence.braking_m_s2` to the logged deceleration, and reload; disarm if the
+        /// drive was stopped. If the brakes are mended, or it came with `motor-speed-mismatch` whose
+        /// cause is corrected, restart the daemon: it forgets these stops.
         BrakesLessThanConfigured = 37 "brakes-less-than-configured",
         /// The car turned against its steering.
         ///

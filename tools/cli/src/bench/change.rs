@@ -30,6 +30,7 @@ impl LiveBench {
         let request = Request::Commissioned {
             procedure: procedure.to_owned(),
             result: result.to_owned(),
+            uncalibrated: self.uncalibrated,
         };
         ask(&request, &self.socket).map(drop)
     }

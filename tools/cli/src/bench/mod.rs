@@ -56,6 +56,10 @@ pub struct BenchArgs {
     /// [default: FILE.commissioning beside the configuration]
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Begin also if the procedures before it have not passed with this configuration on this car:
+    /// the car then moves with values that have not been measured on it
+    #[arg(long)]
+    uncalibrated: bool,
     /// Begin with the first step, also if a procedure was interrupted less than a day ago
     #[arg(long)]
     again: bool,
@@ -80,6 +84,8 @@ const ANSWER: Duration = Duration::from_secs(5);
 pub(crate) struct LiveBench {
     /// The name under which the daemon keeps the results of the procedure, if `arm` requires it.
     reported: Option<&'static str>,
+    /// Whether it begins without the procedures before it.
+    uncalibrated: bool,
     socket: PathBuf,
     path: PathBuf,
     config: Config,
@@ -115,6 +121,7 @@ impl LiveBench {
         let socket = args.control.or(config.socket.path.clone());
         Ok(Self {
             reported,
+            uncalibrated: args.uncalibrated,
             entries: Entries::watch(&socket)?,
             socket,
             path: args.config.clone(),

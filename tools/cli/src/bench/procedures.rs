@@ -2,6 +2,7 @@
 
 use clap::Args;
 use singletrack_commissioning::{bring_up, calibrate, doctor};
+use singletrack_core::Config;
 
 use super::{BenchArgs, Procedure};
 
@@ -24,11 +25,17 @@ impl DoctorArgs {
     }
 }
 
+/// A procedure that needs no floor.
+const fn nothing(_: &Config) -> Option<String> {
+    None
+}
+
 /// What can be found about a car that does not drive.
 const DOCTOR: Procedure = Procedure {
     name: "doctor",
     command: "doctor",
     required: true,
+    refuses: nothing,
     about: "The doctor moves nothing: the car stays disarmed, and your hands move it where that \
             is needed. It takes about 15 minutes. Ctrl-C interrupts it; the same command resumes \
             it.",
@@ -41,6 +48,7 @@ const ON_STAND: Procedure = Procedure {
     name: "imu-on-stand",
     command: "doctor --stand",
     required: false,
+    refuses: nothing,
     about: "The doctor turns the motor: the car stands on a stand in view of the cameras, with all \
             wheels off the floor, and your hand is on the supply of the ESC. It moves only while \
             you hold the space bar, and it takes about three minutes.",
@@ -53,6 +61,7 @@ pub const BRING_UP: Procedure = Procedure {
     name: "bring-up",
     command: "bring-up",
     required: true,
+    refuses: nothing,
     about: "The bring-up turns servo and motor: the car stands on a stand in view of the cameras, \
             with all wheels off the floor, and your hand is on the supply of the ESC. It moves \
             only while you hold the space bar, and it takes about 40 minutes. Ctrl-C interrupts \
@@ -66,6 +75,7 @@ pub const CALIBRATE: Procedure = Procedure {
     name: "calibrate",
     command: "calibrate",
     required: true,
+    refuses: calibrate::lacks_room,
     about: "The calibration drives: the car stands on the free floor, nobody is inside the \
             geofence, and it moves only while you hold the space bar. It begins with 0.3 m/s, and \
             takes about 15 minutes. Ctrl-C interrupts it; the same command resumes it.",

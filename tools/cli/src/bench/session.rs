@@ -14,7 +14,7 @@ use serde_json::json;
 use singletrack_commissioning::{
     self as commissioning, Finding, Interrupted, Journal, Step, Verdict, report,
 };
-use singletrack_core::configuration_hash;
+use singletrack_core::{Config, configuration_hash};
 
 use super::{
     BenchArgs, LiveBench,
@@ -30,6 +30,8 @@ pub struct Procedure {
     pub command: &'static str,
     /// Whether `arm` requires it: its results are reported to the daemon.
     pub required: bool,
+    /// Why a car of this configuration can't go through it, whatever the steps find.
+    pub refuses: fn(&Config) -> Option<String>,
     /// What it does, in one sentence.
     pub about: &'static str,
     /// Its steps.
@@ -50,6 +52,9 @@ const FAILED: u8 = 3;
 pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, Box<dyn Error>> {
     let reported = procedure.required.then_some(procedure.name);
     let mut bench = LiveBench::open(reported, args)?;
+    if let Some(refusal) = (procedure.refuses)(&bench.config) {
+        return Err(format!("can't begin: {refusal}").into());
+    }
     let folder = args.state.clone();
     let folder = folder.unwrap_or_else(|| args.config.with_added_extension("commissioning"));
     let lock = lock(&folder);
@@ -87,7 +92,8 @@ pub fn run(procedure: &Procedure, args: &BenchArgs) -> Result<ExitCode, Box<dyn 
         .steps
         .iter()
         .any(|step| journal.file.found(step.name).is_some());
-    bench.report(if is_resumed { "resumed" } else { "begun" })?;
+    let begins = bench.report(if is_resumed { "resumed" } else { "begun" });
+    begins.map_err(|error| format!("can't begin: {error}"))?;
     bench.terminal.say(procedure.about);
     for step in procedure.steps {
         if let Some(finding) = journal.file.found(step.name) {

@@ -153,7 +153,7 @@ fn drive(
     loop {
         let snapshot = daemon.snapshot();
         let drives = matches!(snapshot.mode(), Mode::Driving | Mode::Slowing);
-        if !drives || daemon.has_ended() || interrupt.is_raised() {
+        if !drives || daemon.ended_thread().is_some() || interrupt.is_raised() {
             return Ok(Some(Ended {
                 mode: snapshot.mode(),
                 reason: snapshot.reason(),
@@ -183,7 +183,8 @@ pub(super) fn stop(daemons: &[&Daemon]) -> Result<(), DemoError> {
             daemon.request(PilotRequest::Disarm)?;
         }
     }
-    let commands = |daemon: &&Daemon| daemon.snapshot().mode().commands() && !daemon.has_ended();
+    let commands =
+        |daemon: &&Daemon| daemon.snapshot().mode().commands() && daemon.ended_thread().is_none();
     // The request is taken at the next tick.
     thread::sleep(POLL);
     while daemons.iter().any(commands) && begin.elapsed() < STOP_TIMEOUT {

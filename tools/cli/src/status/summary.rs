@@ -65,6 +65,9 @@ impl Summary {
         if let Some(why) = &why {
             line += &format!(": {}", why.text);
         }
+        if let Some(trouble) = self.status.record_trouble() {
+            line += &format!("; {trouble}");
+        }
         line += &format!(
             "; pose {}, battery {}, link {}, speed {}",
             age(self.pose_age_ms()),
@@ -84,9 +87,6 @@ impl Summary {
         if let Some(advice) = why.and_then(|why| why.advice) {
             line += &format!(". To do: {advice}");
         }
-        if let Some(error) = &self.status.record_error {
-            line += &format!(" The record has ended: {error}");
-        }
         line
     }
 
@@ -105,6 +105,9 @@ impl Summary {
             lines.paragraph("why", &why.text);
             lines.paragraph("to do", why.advice.as_deref().unwrap_or("-"));
         }
+        if let Some(trouble) = status.record_trouble() {
+            lines.paragraph("record", &trouble);
+        }
         lines.field("pose", &age(self.pose_age_ms()), &self.place());
         let commanded = metres_per_second(status.command.map(|command| command.speed_m_s));
         lines.field("speed", &self.speed(), &format!("commanded {commanded}"));
@@ -116,12 +119,10 @@ impl Summary {
         let telemetry = format!("telemetry {}", age(self.telemetry_age_ms));
         lines.field("link", self.link(), &telemetry);
         lines.field("battery", &self.battery(), "");
-        let record = status.record_error.as_ref();
         for (name, text) in [
             ("tuned", self.tuned()),
             ("advice", self.calibration()),
             ("learned", self.learned()),
-            ("record", record.map(|error| format!("has ended: {error}"))),
         ] {
             if let Some(text) = text {
                 lines.paragraph(name, &text);
@@ -440,6 +441,23 @@ mod tests {
         );
         status["estimate"]["speed_m_s"] = json!(-0.3);
         assert!(of(&status).line().ends_with("speed -0.30 m/s"));
+    }
+
+    #[test]
+    fn a_record_that_has_ended_or_soon_will_is_told_before_the_figures() {
+        let mut status = standing();
+        status["record_warning"] = json!("the disk is nearly full");
+        let told = |status: &Value, text: &str| {
+            let text = format!("idle: no pose yet (no-pose); {text}; pose none");
+            let line = of(status).line();
+            assert!(line.starts_with(&text), "{line}");
+        };
+        told(&status, "the disk is nearly full");
+        status["record_error"] = json!("No space left on device: can't write r.mcap.part");
+        let text = "nothing is recorded: No space left on device: can't write r.mcap.part";
+        told(&status, text);
+        let lines = of(&status).lines(200);
+        assert!(lines.iter().any(|line| line.contains(text)), "{lines:?}");
     }
 
     #[test]

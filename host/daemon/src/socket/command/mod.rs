@@ -51,6 +51,8 @@ pub enum Command {
         procedure: Procedure,
         /// Its state.
         result: ProcedureResult,
+        /// Whether it may begin although an earlier one has not passed.
+        uncalibrated: bool,
     },
     /// A subscription, answered by a stream of entries.
     Watch {
@@ -195,7 +197,12 @@ impl Command {
             Request::Setpoint(setpoint) => {
                 Self::Setpoint(SetpointCommand::of(setpoint, Time(now_ns))?)
             }
-            Request::Commissioned { procedure, result } => Self::Commissioned {
+            Request::Commissioned {
+                procedure,
+                result,
+                uncalibrated,
+            } => Self::Commissioned {
+                uncalibrated,
                 procedure: Procedure::named(&procedure).ok_or_else(|| {
                     format!(
                         "procedure is {procedure:?}: use \"doctor\", \"bring-up\" or \"calibrate\""

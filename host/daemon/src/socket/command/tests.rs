@@ -108,6 +108,7 @@ fn valid_lines_are_parsed() {
         (
             r#"{"version":2,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
             Command::Commissioned {
+                uncalibrated: false,
                 procedure: Procedure::BringUp,
                 result: ProcedureResult::Passed,
             },

@@ -56,7 +56,8 @@ struct Run {
     falls: [Fall; 2],
     /// Since when the car has stood.
     standing: Option<Time>,
-    /// Whether it measures the deceleration of the car: not that of wheels in the air.
+    /// Whether it measures the deceleration of the car: not that of wheels in the air, and not after
+    /// a time in which neither motor nor cameras gave a speed.
     measures: bool,
     /// Whether the drive ended because the poses contradicted the rest.
     doubts_cameras: bool,
@@ -260,13 +261,14 @@ impl StopWatch {
     }
 
     /// Whether the last stops were too weak to drive again with this configured deceleration
-    /// (m/s²).
+    /// (m/s²). A configured [`LEAST`] fits whatever was measured.
     pub(crate) fn is_too_weak(&self, braking: f64) -> bool {
+        let is_below = |stop: &Measured, share: f64| stop.most.max(LEAST) < share * braking;
         let both_weak = self
             .measured
             .iter()
-            .all(|measured| measured.is_some_and(|stop| stop.most < WEAK * braking));
-        let is_too_weak = |stop: &Measured| stop.most < TOO_WEAK * braking;
+            .all(|measured| measured.is_some_and(|stop| is_below(&stop, WEAK)));
+        let is_too_weak = |stop: &Measured| is_below(stop, TOO_WEAK);
         both_weak || self.measured.iter().flatten().any(is_too_weak)
     }
 
@@ -289,6 +291,7 @@ impl StopWatch {
         };
         let elapsed = now.seconds_since(run.begin);
         let worst = speeds.worst();
+        run.measures &= worst.is_some();
         let pace = speeds.estimate.map(fabs).or(worst).unwrap_or(0.0);
         let way = pace * now.seconds_since(run.last);
         run.last = now;

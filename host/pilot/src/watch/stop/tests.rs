@@ -299,11 +299,48 @@ fn both_stops_below_nine_tenths_or_one_below_six_tenths_are_too_weak() {
         };
         assert_eq!(watch.is_too_weak(2.0), weak, "{one:?} {other:?}");
     }
+    // Nothing is refused for ever.
+    let watch = StopWatch {
+        run: None,
+        measured: [Some(Measured::exactly(0.0)); 2],
+    };
+    assert!(watch.is_too_weak(0.09) && !watch.is_too_weak(0.05));
     let mut watch = StopWatch::default();
     assert_eq!(watch.lowest(), f64::INFINITY);
     for (measured, lowest) in [(1.9, 1.9), (0.7, 0.7), (1.5, 0.7), (1.6, 1.5)] {
         watch.coasted(measured);
         assert_eq!(watch.lowest(), lowest);
+    }
+}
+
+#[test]
+fn a_stop_that_neither_motor_nor_cameras_saw_to_its_end_measures_nothing() {
+    let dark = |estimate| Speeds {
+        motor: None,
+        cameras: None,
+        estimate,
+    };
+    // From when to when, in ticks, and whether the estimate goes on.
+    for (lost, back) in [(1, 600), (20, 600), (20, 21), (59, 600)] {
+        for estimate in [None, Some(0.8), Some(-6.23)] {
+            let mut watch = StopWatch::default();
+            watch.begin(at(0), &all(0.8), 0.8, 1.0);
+            for tick in 1..1_000_u32 {
+                let speed = (0.8 - 0.014 * f64::from(tick)).max(0.0);
+                let speeds = if (lost..back).contains(&tick) {
+                    dark(estimate)
+                } else {
+                    all(speed)
+                };
+                let verdict = watch.tick(at(10 * u64::from(tick)), &speeds, &LIMITS);
+                assert_eq!(
+                    verdict,
+                    StopVerdict::default(),
+                    "{lost} {back} {estimate:?}"
+                );
+            }
+            assert!(!watch.is_too_weak(LIMITS.braking));
+        }
     }
 }
 
