@@ -107,7 +107,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 16] = [
+        let changes: [fn(&mut Situation, &Situation); 17] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,
@@ -117,6 +117,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
             |s, default| s.neutral_us = default.neutral_us,
             |s, default| s.braking_mm_s2 = default.braking_mm_s2,
             |s, default| s.pulse_distance_um = default.pulse_distance_um,
+            |s, default| s.attended = default.attended,
             |s, default| s.coast = default.coast,
             |s, default| s.brake = default.brake,
             |s, default| s.stop_input = default.stop_input,

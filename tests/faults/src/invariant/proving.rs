@@ -67,6 +67,8 @@ impl Invariant for ProvingSpeed {
         let speed = observation.truth.speed.abs();
         let judged = observation.spec.is_tolerable
             && observation.board_is_armed
+            // A jog has limits of its own: see `jog-limits`.
+            && !observation.jogs
             && !observation.moved_by_hand
             && !observation.is_active(FaultKind::EscStuck)
             && observation.now_us >= self.settled_us;
@@ -242,7 +244,8 @@ impl Invariant for FaultClears {
 }
 
 /// `false-alarm`: a calibrated car hears no word of a contradiction or of an implausible
-/// sensor before the first fault of its schedule.
+/// sensor before the first fault of its schedule, and before somebody takes it into the hand: it then
+/// moves without its wheels, or they without it.
 #[derive(Default)]
 pub(super) struct FalseAlarm {
     disturbed: bool,
@@ -254,7 +257,9 @@ impl Invariant for FalseAlarm {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        self.disturbed |= !observation.faults.is_empty() || !observation.new_faults.is_empty();
+        self.disturbed |= observation.moved_by_hand
+            || !observation.faults.is_empty()
+            || !observation.new_faults.is_empty();
         if self.disturbed || !observation.spec.is_tolerable {
             return Ok(());
         }
