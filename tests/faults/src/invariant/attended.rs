@@ -94,7 +94,10 @@ impl DeadMan {
         } else {
             self.seen.drive_us
         };
-        self.renewed_us = self.renewed_us.max(renewed_us.unwrap_or(0));
+        // What comes after the drive renews nothing.
+        if mode.is_underway() {
+            self.renewed_us = self.renewed_us.max(renewed_us.unwrap_or(0));
+        }
         let (since, longest) = match (self.armed?, mode) {
             (Armed::Held | Armed::Jog, Mode::Arming | Mode::Driving | Mode::Slowing) => {
                 (self.drive?, HOLD_S)

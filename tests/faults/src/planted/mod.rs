@@ -268,9 +268,18 @@ bugs! {
     Board "jogs with more than it may", "jog-limits", "ask lift at 3200; ask jog-on at 4500",
         |_| driving(|pulse| pulse.esc_us = 1_655);
     Board "jogs for longer than it may", "jog-limits",
-        "end_ms 20000; ask lift at 3200; ask jog-on at 4500", |_| prolonged(1_500_000);
-    Board "jogs on above its speed", "jog-limits", "ask jog-on at 3200",
-        |_| driving(|pulse| pulse.esc_us = 1_645);
+        "end_ms 17000; ask disarm at 3210; ask lift at 3300; ask jog-on at 4500",
+        |_| Pulses(|pulse: &mut PulseRecord| {
+            if (14_000_000..16_000_000).contains(&pulse.time_us) {
+                pulse.esc_us = pulse.esc_us.max(1_550);
+            }
+        });
+    Board "jogs on above its speed", "jog-limits", "ask disarm at 3210; ask jog-on at 3500",
+        |_| Pulses(|pulse: &mut PulseRecord| {
+            if (6_000_000..8_000_000).contains(&pulse.time_us) {
+                pulse.esc_us = 1_645;
+            }
+        });
     Host "drives on without poses", "host-hold",
         "fault camera-silent at 6500 for 900 severity 1000", |_| drives_on();
     Host "drives on by poses that are too rare to be compared", "compared",
