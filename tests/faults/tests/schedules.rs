@@ -21,7 +21,8 @@ proptest! {
     #[test]
     fn a_generated_schedule_is_within_bounds(seed: u64) {
         let schedule = Schedule::generate(seed, BoardKind::Native);
-        prop_assert!((1..=14).contains(&schedule.faults.len()));
+        // At most fourteen, and three of the operator: two that hang, and wild pulses.
+        prop_assert!((1..=17).contains(&schedule.faults.len()));
         prop_assert!(schedule.requests.iter().any(|ask| ask.request == OperatorRequest::Arm));
         prop_assert!(schedule.requests.is_sorted_by_key(|ask| ask.at_ms));
         for fault in &schedule.faults {
@@ -41,6 +42,28 @@ fn every_kind_of_fault_occurs_within_a_thousand_seeds() {
         let faults = schedules.iter().flat_map(|schedule| &schedule.faults);
         let count = faults.filter(|fault| fault.kind == *kind).count();
         assert!(count >= 20, "{}: {count}", kind.name());
+    }
+}
+
+#[test]
+fn most_schedules_hold_their_drives_and_many_jog() {
+    let schedules: Vec<_> = (0..1_000)
+        .map(|seed| Schedule::generate(seed, BoardKind::Native))
+        .collect();
+    let count = |is: &dyn Fn(&Schedule) -> bool| schedules.iter().filter(|it| is(it)).count();
+    let attended = count(&|schedule| schedule.situation.attended);
+    assert!((550..650).contains(&attended), "{attended}");
+    for request in [
+        OperatorRequest::Gone,
+        OperatorRequest::TimeUp,
+        OperatorRequest::Halt,
+        OperatorRequest::Jog,
+        OperatorRequest::JogOn,
+        OperatorRequest::Lift,
+        OperatorRequest::PutDown,
+    ] {
+        let asked = count(&|schedule| schedule.requests.iter().any(|ask| ask.request == request));
+        assert!(asked >= 50, "{request:?}: {asked}");
     }
 }
 

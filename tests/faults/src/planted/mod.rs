@@ -274,7 +274,8 @@ bugs! {
                 pulse.esc_us = pulse.esc_us.max(1_550);
             }
         });
-    Board "jogs on above its speed", "jog-limits", "ask disarm at 3210; ask jog-on at 3500",
+    Board "jogs on above its speed", "jog-limits",
+        "truth motor-gain-permille 500; ask disarm at 3210; ask jog-on at 3500",
         |_| Pulses(|pulse: &mut PulseRecord| {
             if (6_000_000..8_000_000).contains(&pulse.time_us) {
                 pulse.esc_us = 1_645;
