@@ -242,6 +242,29 @@ fn a_brake_on_the_ramp_does_not_hide_that_a_car_rolls_freely() {
 }
 
 #[test]
+fn one_speed_that_is_estimated_too_high_does_not_hide_that_a_car_brakes_weakly() {
+    // At 49 % of the configured deceleration: the last high speed of the long stop is 4 % too high.
+    let text = "seed 1600390; reference circle; speed_mm_s 1151; coast true; brake true; proved \
+                true; queue_shows true; steering_table true; esc_kind forward-reverse; fence_mm \
+                2085; braking_mm_s2 2400; pulse_distance_um 3000; camera_latency_ms 19; \
+                serial_delay_us 5855; board_skew_ppm 469; board_clock_ms 1616419; truth \
+                servo-trim-us -8; truth servo-gain-permille 73; truth servo-rate-mrad-s 7577; \
+                truth pulse-distance-permille 11; truth motor-gain-permille 22; truth \
+                rolling-mm-s2 976; truth viscous-permille 835; truth esc-neutral-us -9; truth \
+                esc-dead-time-ms 56; truth motor-lag-ms 81; truth esc-signal-loss-ms 881; truth \
+                body-yaw-mrad -1; truth pivot-forward-mm 2; truth pivot-left-mm 7; truth \
+                servo-backlash-us 3; truth slope-cdeg 27; truth slope-heading-deg 47; truth \
+                imu-yaw-ddeg -14; truth imu-pitch-ddeg 1; truth imu-roll-ddeg -3; truth \
+                gyro-scale-permille -13; truth acceleration-scale-permille -11; truth \
+                imu-leak-ms 35129; truth vibration-mm-s2 941; truth stamp-bias-us -1180; truth \
+                stamp-drift-ppm 7; truth body-height-mm 177; truth supply-mv 5083; truth \
+                drained-mah 568; truth servo-asymmetry-permille 22; end_ms 9600; ask arm at \
+                3200; ask arm at 4334; ask arm at 4523; ask arm at 4962; ask disarm at 5300; ask \
+                arm at 5955; ask disarm at 6712; ask arm at 8860";
+    assert_eq!(violation(text), None);
+}
+
+#[test]
 fn cameras_that_show_too_fast_a_car_do_not_hide_that_it_brakes_weakly() {
     // The body's pivot is beside the car: on a circle the cameras see it half as fast again.
     let text = "seed 105312; reference circle; speed_mm_s 1001; proved true; \
