@@ -1,5 +1,10 @@
 //! The simulator in virtual time, and its sockets.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "what a test expects is compared within a tolerance"
+)]
+
 mod determinism;
 mod hands;
 mod hostile_input;

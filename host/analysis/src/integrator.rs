@@ -3,6 +3,8 @@
 //! It uses `libm` alone, so that it gives the same bits on every platform, and integrates dual
 //! numbers, so that the derivatives of the solution are exact. No crate offers that.
 
+#![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
+
 use nalgebra::{Const, U1};
 use num_dual::DualSVec64;
 

@@ -4,6 +4,11 @@
 //! Pure functions of their arguments, with the names, units and frames of
 //! [`singletrack_control`], whose vehicle models they share.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "what is fitted or judged here is a result; the drives that it computes are of `integrator`, which forbids it"
+)]
+
 mod dual;
 #[cfg(feature = "identification")]
 pub mod identification;

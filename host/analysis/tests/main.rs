@@ -1,5 +1,10 @@
 //! The analyses against independent numbers.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "what a test expects is compared within a tolerance"
+)]
+
 mod ages;
 mod circle;
 mod cycles;

@@ -9,6 +9,11 @@
 //! cargo run --example ideal_car
 //! ```
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "an example prints figures of three digits"
+)]
+
 use std::error::Error;
 use std::io::{self, Write};
 

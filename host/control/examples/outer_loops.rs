@@ -7,6 +7,11 @@
 //! cargo run --release -p singletrack-control --example outer_loops
 //! ```
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "an example prints figures of three digits"
+)]
+
 use std::collections::VecDeque;
 
 use singletrack_control::{

@@ -741,7 +741,7 @@ mod tests {
                 let now = law.follow(steering, speed, PERIOD).unwrap();
                 assert!((now.speed - before.speed).abs() <= 2.0 * PERIOD + 1e-12);
                 assert!((now.steering - before.steering).abs() <= 5.0 * PERIOD + 1e-12);
-                let lateral = now.speed * now.speed * now.steering.tan().abs() / 0.26;
+                let lateral = now.speed * now.speed * libm::tan(now.steering).abs() / 0.26;
                 assert!(lateral <= 2.0 + 1e-9, "{lateral}");
             }
             let now = law.actuation();

@@ -435,8 +435,8 @@ mod tests {
             let mut drive = |turn: f64, change: f64, seen: Option<&mut Neighbours>, ms| {
                 speed = (speed + change * 0.01).clamp(0.0, CONFIG.max_speed);
                 course += turn * 0.01 * 4.0;
-                x += speed * course.cos() * 0.01;
-                y += speed * course.sin() * 0.01;
+                x += speed * libm::cos(course) * 0.01;
+                y += speed * libm::sin(course) * 0.01;
                 if let Some(neighbours) = seen {
                     neighbours.handle(&sample(7, ms, Some((x, y))));
                 }

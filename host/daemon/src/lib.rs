@@ -11,6 +11,14 @@
 //! The control thread waits only for its deadline. Its inputs and outputs go through
 //! bounded rings; what finds no room in a ring is dropped and counted.
 
+#![cfg_attr(
+    test,
+    allow(
+        clippy::disallowed_methods,
+        reason = "what a test expects is compared within a tolerance"
+    )
+)]
+
 pub mod notify;
 pub mod realtime;
 pub mod reconfigure;

@@ -3,9 +3,10 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use singletrack_control::{
-    Circle, Position, Reference, Velocity, VelocityStep, VelocitySteps, direction,
+    Circle, External, Position, Reference, Setpoint, SpeedDemand, SteeringDemand, Velocity,
+    VelocityStep, VelocitySteps, direction,
 };
-use singletrack_pilot::{Fence, Mode, PilotConfig, Reason};
+use singletrack_pilot::{Event, Fence, Mode, Output, PilotConfig, PilotRequest, Reason};
 
 use crate::bench::{Bench, Pose, config};
 
@@ -151,4 +152,85 @@ fn a_bend_that_was_not_commanded_counts_for_the_geofence() {
         (output.mode, output.reason),
         (Mode::Stopping, Some(Reason::OutsideFence))
     );
+}
+
+/// A car without a safety filter that follows set-points of steering and speed, beside sides of the
+/// geofence at x = -2 m and y = 2 m.
+fn outside() -> Bench {
+    let corners = [(-2.0, -9.0), (9.0, -9.0), (9.0, 2.0), (-2.0, 2.0)];
+    let mut config = PilotConfig {
+        fence: Fence::new(&corners.map(|(x, y)| Position::new(x, y)), 0.0).unwrap(),
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    };
+    config.limits.max_reverse_speed = 0.5;
+    Bench::with(config)
+}
+
+fn follow(bench: &mut Bench, steering: f64, speed: f64, request: Option<PilotRequest>) -> Output {
+    let (steering, speed) = (SteeringDemand::Angle(steering), SpeedDemand::Speed(speed));
+    let setpoint = Setpoint::actuation(bench.now(), steering, speed);
+    bench.extra.push(Event::Setpoint(setpoint));
+    bench.step_with(request)
+}
+
+/// Arms it, and follows until the drive ends.
+fn until_stopping(bench: &mut Bench, speed: f64) -> Output {
+    for tick in 0..1_500 {
+        let request = (tick == 100).then_some(PilotRequest::Arm);
+        let output = follow(bench, 0.0, speed, request);
+        if tick > 110 && output.mode != Mode::Driving {
+            return output;
+        }
+    }
+    panic!("it drives on");
+}
+
+#[test]
+fn a_car_in_reverse_stops_before_the_side_behind_it() {
+    let mut bench = outside();
+    let output = until_stopping(&mut bench, -0.4);
+    assert_eq!(output.reason, Some(Reason::OutsideFence));
+    let left = 2.0 + bench.position.x;
+    let needed = stopping_distance(0.4);
+    assert!((left - needed).abs() < 0.03, "{left} for {needed}");
+}
+
+#[test]
+fn a_bend_that_is_commanded_counts_for_the_geofence_before_the_wheels_have_turned() {
+    let mut bench = outside();
+    bench.position = Position::new(0.0, 1.99);
+    for tick in 0..200 {
+        let request = (tick == 100).then_some(PilotRequest::Arm);
+        follow(&mut bench, 0.0, 0.5, request);
+    }
+    assert_eq!(bench.pilot.mode(), Mode::Driving);
+    let ended = (0..20).find_map(|_| {
+        let output = follow(&mut bench, 0.4, 0.5, None);
+        bench.steering = 0.0;
+        (output.mode != Mode::Driving).then_some(output.reason)
+    });
+    assert_eq!(ended, Some(Some(Reason::OutsideFence)));
+}
+
+#[test]
+fn an_unproved_car_stops_before_the_geofence_with_its_lower_braking() {
+    // 0.25 m/s² at most, on the first metre.
+    let mut config = towards_the_fence_config(0.3);
+    config.supervisor.prove = true;
+    let mut bench = Bench::with(config);
+    bench.position = Position::new(3.4, 0.0);
+    bench.run(100);
+    bench.step_with(Some(PilotRequest::Arm));
+    let mut output = bench.run(4);
+    for _ in 0..600 {
+        if output.mode != Mode::Driving {
+            break;
+        }
+        output = bench.step();
+    }
+    assert_eq!(output.reason, Some(Reason::OutsideFence));
+    let left = 4.0 - bench.position.x;
+    let needed = 0.1 * 0.3 + 0.3 * 0.3 / 0.5;
+    assert!((left - needed).abs() < 0.04, "{left} for {needed}");
 }

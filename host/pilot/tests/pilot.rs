@@ -74,6 +74,28 @@ fn an_armed_car_that_waits_stands_until_its_reference_begins() {
 }
 
 #[test]
+fn a_request_to_arm_does_not_begin_the_drive_of_a_car_that_waits() {
+    for request in [
+        PilotRequest::Arm,
+        PilotRequest::ArmHeld,
+        PilotRequest::ArmJog,
+    ] {
+        let mut bench = Bench::new();
+        bench.run(100);
+        bench.step_with(Some(PilotRequest::ArmWaiting));
+        bench.run(3);
+        bench.step_with(Some(request));
+        for _ in 0..40 {
+            let output = bench.step();
+            assert_eq!((output.mode, output.drive_time), (Mode::Driving, None));
+            assert_eq!(output.command.unwrap().rear_speed, 0.0, "{request}");
+        }
+        bench.extra.push(Event::Begin(bench.now()));
+        assert!(bench.step().drive_time.is_some());
+    }
+}
+
+#[test]
 fn after_ticks_that_were_left_out_its_reference_begins_with_the_tick() {
     let mut bench = Bench::new();
     bench.run(100);

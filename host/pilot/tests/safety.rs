@@ -11,7 +11,7 @@ use singletrack_pilot::{
     Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason, SupervisorConfig,
 };
 
-use crate::bench::{Bench, config};
+use crate::bench::{Bench, Pose, config};
 
 /// Half the width of the geofence, m.
 const HALF: f64 = 2.0;
@@ -69,7 +69,11 @@ struct Outside {
 
 impl Outside {
     fn new(filter: Option<SafetyFilter>) -> Self {
-        let mut bench = Bench::with(with(external(), filter));
+        Self::of(with(external(), filter))
+    }
+
+    fn of(config: PilotConfig) -> Self {
+        let mut bench = Bench::with(config);
         for tick in 0..200 {
             let setpoint = Setpoint::point(bench.now(), None, Velocity::zeros());
             bench.extra.push(Event::Setpoint(setpoint));
@@ -370,4 +374,49 @@ fn a_path_that_bends_otherwise_than_the_filter_assumes_ends_the_drive() {
     // 0.08 1/m are within it, and nothing rests on it without a filter.
     assert_eq!(drives_with_trim(0.02, Some(filter())), (3.0, None));
     assert_eq!(drives_with_trim(0.05, None), (3.0, None));
+}
+
+/// Where a drive at 0.5 m/s towards a side is first filtered, m, if no poses come from a place on.
+fn filtered_at(lost_from: f64) -> f64 {
+    let mut drive = Outside::new(Some(filter()));
+    for _ in 0..600 {
+        let at = drive.bench.position.x;
+        if at >= lost_from {
+            drive.bench.pose = Pose::Missing;
+        }
+        let output = drive.velocity(Velocity::new(0.5, 0.0));
+        assert_eq!(output.mode, Mode::Driving, "{at}");
+        if output.filtering != Filtering::None {
+            return at;
+        }
+    }
+    panic!("never filtered");
+}
+
+#[test]
+fn a_car_that_has_lost_its_poses_is_filtered_earlier_by_the_way_since_the_last_one() {
+    let seen = filtered_at(f64::INFINITY);
+    // The position is predicted for 30 ms and then held; all that was driven since the pose counts as well.
+    for before in [0.04, 0.08, 0.12] {
+        let earlier = seen - filtered_at(seen - before);
+        assert!((0.005..0.025).contains(&earlier), "{before}: {earlier}");
+    }
+}
+
+#[test]
+fn a_car_in_reverse_is_scaled_before_the_side_behind_it() {
+    let mut config = with(external(), Some(filter()));
+    config.limits.max_reverse_speed = 0.5;
+    let mut drive = Outside::of(config);
+    let mut intervened = false;
+    for _ in 0..1_500 {
+        let output = drive.actuation(0.0, -0.5);
+        intervened |= output.filtering == Filtering::Scaled;
+        if output.mode != Mode::Driving {
+            assert_eq!(output.reason, Some(Reason::OutsideFence));
+            break;
+        }
+    }
+    assert!(intervened && drive.clearance > 0.0, "{}", drive.clearance);
+    assert!(drive.bench.position.x < -1.0, "{}", drive.bench.position.x);
 }

@@ -1,6 +1,7 @@
 //! How fast records are printed: a minute of driving at 100 Hz, as records a
 //! second, on one core.
 
+#![allow(clippy::disallowed_methods, reason = "a benchmark repeats no bits")]
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a bench may fail")]
 
 use std::{collections::BTreeMap, io, path::Path, time::Duration};

@@ -3,6 +3,8 @@
 //! It allocates nothing: its crate is `no_std` without `alloc`, and `tests/real_time.rs` of the
 //! daemon counts the allocations of the ticks around it.
 
+#![allow(clippy::disallowed_methods, reason = "a benchmark repeats no bits")]
+
 mod ticks;
 
 use criterion::{Criterion, criterion_group, criterion_main};

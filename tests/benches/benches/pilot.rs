@@ -2,6 +2,8 @@
 //! loop, with the compensation of the actuators, and with what is learned. The ideal car of the
 //! tests is driven.
 
+#![allow(clippy::disallowed_methods, reason = "a benchmark repeats no bits")]
+
 #[path = "../../../host/pilot/tests/bench/mod.rs"]
 mod bench;
 mod ticks;

@@ -6,7 +6,7 @@ use singletrack_core::{
     HostOptions, VirtualHost, config::Config, reconfigure::CHANGE_TIMEOUT_NS,
     setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Learned, PilotRequest, Tuning};
+use singletrack_pilot::{Jog, Learned, PilotRequest, Tuning};
 use singletrack_record::TickRecord;
 
 use crate::{
@@ -73,6 +73,11 @@ impl Daemon {
     /// loop has no room.
     pub(crate) fn request(&self, request: PilotRequest) -> bool {
         self.host.request(request).is_ok()
+    }
+
+    /// Sends pulses, as a client that jogs.
+    pub(crate) fn jog(&self, jog: Jog) {
+        self.host.parts().jogs.send(jog);
     }
 
     /// Arms a car that waits until `begin_ns`. Without room, it is not armed.

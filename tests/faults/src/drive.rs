@@ -9,7 +9,7 @@ use singletrack_core::config::Config;
 use singletrack_pilot::{Filtering, Learned, Mode, Output, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
-use singletrack_sim::{BoardKind, ReceivedMessage, World};
+use singletrack_sim::{BoardKind, HandMotion, ReceivedMessage, World};
 
 use crate::{
     SetupError,
@@ -19,6 +19,7 @@ use crate::{
     learner,
     network::{HostSockets, Network},
     observation::{Observation, ReceivedPose},
+    operator::{Attends, Operator, Renewal},
     pins::{Pins, Pulse},
     port::Port,
     program::{Program, Sight},
@@ -37,8 +38,8 @@ const LOOK_US: u64 = 1_000;
 /// From a request to arm to the start that it gives.
 const WAIT_US: u64 = 1_200_000;
 
-/// Interval at which the operator holds a drive that waits or waited.
-const HOLD_US: u64 = 100_000;
+/// Height of the wheels of a car on its stand, in m.
+const STAND_M: f64 = 0.1;
 
 /// Interval at which the learner tells the pilot something, in ticks.
 const LEARNED_TICKS: u64 = 100;
@@ -191,8 +192,10 @@ struct Drive<'a> {
     newest_setpoint_ns: Option<u64>,
     /// The corrections in force after the last tick.
     learned: Option<Learned>,
-    /// When the operator held the drive last.
-    held_us: u64,
+    /// Attends drives and jogs.
+    operator: Operator,
+    /// The board was last given pulses of a jog.
+    jogs: bool,
     spec: Spec,
     now_us: u64,
     world: Box<World>,
@@ -301,7 +304,8 @@ impl<'a> Drive<'a> {
             drive_time_s: None,
             newest_setpoint_ns: None,
             learned: None,
-            held_us: 0,
+            operator: Operator::new(schedule.seed),
+            jogs: false,
             violation: None,
             violated: BTreeSet::new(),
             digest: Digest::default(),
@@ -424,6 +428,7 @@ impl<'a> Drive<'a> {
             self.daemon_since_us = None;
             self.newest_pose = None;
             self.pending_requests.clear();
+            self.operator.leave();
         } else if !killed && self.daemon.is_none() {
             self.start_daemon(tamper)?;
         }
@@ -474,28 +479,48 @@ impl<'a> Drive<'a> {
             return Ok(());
         }
         self.flood();
-        self.hold();
+        self.attend();
         while let Some(ask) = self.schedule.requests.get(self.next_request)
             && u64::from(ask.at_ms) * 1_000 <= self.now_us
         {
             self.next_request += 1;
+            let situation = &self.schedule.situation;
+            let attends = match ask.request {
+                OperatorRequest::Arm if situation.waits || situation.attended => {
+                    Some(Attends::Drive)
+                }
+                OperatorRequest::Jog => Some(Attends::Taps),
+                OperatorRequest::JogOn => Some(Attends::Throttle),
+                _ => None,
+            };
             let request = match ask.request {
-                OperatorRequest::Arm if self.schedule.situation.waits => {
+                OperatorRequest::Arm if situation.waits => {
                     if let Some(daemon) = &self.daemon {
                         daemon.arm_at(host_ns(self.now_us + WAIT_US));
+                        self.operator.attend(self.now_us, Attends::Drive);
                     }
                     continue;
                 }
+                OperatorRequest::Arm if situation.attended => PilotRequest::ArmHeld,
                 OperatorRequest::Arm => PilotRequest::Arm,
+                OperatorRequest::Jog | OperatorRequest::JogOn => PilotRequest::ArmJog,
                 OperatorRequest::Disarm => PilotRequest::Disarm,
                 OperatorRequest::Stop => PilotRequest::EmergencyStop,
+                OperatorRequest::Gone => PilotRequest::OperatorGone,
+                OperatorRequest::TimeUp => PilotRequest::TimeUp,
+                OperatorRequest::Halt => PilotRequest::Halt,
+                OperatorRequest::Lift | OperatorRequest::PutDown => {
+                    self.lift(ask.request == OperatorRequest::Lift);
+                    continue;
+                }
                 OperatorRequest::Reload => {
                     self.reload()?;
                     continue;
                 }
                 OperatorRequest::Carry => {
                     let truth = self.world.truth();
-                    if self.was_driving || truth.speed.abs() >= STANDING {
+                    let held = self.is_held();
+                    if self.was_driving || held || truth.speed.abs() >= STANDING {
                         continue;
                     }
                     let car = self.world.car_mut();
@@ -507,9 +532,18 @@ impl<'a> Drive<'a> {
             };
             if let Some(daemon) = &mut self.daemon {
                 let is_taken = daemon.request(request);
+                let arms = matches!(
+                    request,
+                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog
+                );
                 // A stop may not be refused.
-                if is_taken || request != PilotRequest::Arm {
+                if is_taken || !arms {
                     self.pending_requests.push(request);
+                }
+                match attends {
+                    Some(attends) if is_taken => self.operator.attend(self.now_us, attends),
+                    Some(_) => {}
+                    None => self.operator.leave(),
                 }
             }
         }
@@ -537,19 +571,38 @@ impl<'a> Drive<'a> {
         Ok(())
     }
 
-    /// Holds the drive of a car that was armed for a later start.
-    fn hold(&mut self) {
-        if let Some(daemon) = &self.daemon
-            && self.schedule.situation.waits
-            && self.now_us >= self.held_us + HOLD_US
-        {
-            self.held_us = self.now_us;
-            daemon.request(PilotRequest::Hold);
+    /// Renews what the operator attends.
+    fn attend(&mut self) {
+        let Some(daemon) = &self.daemon else { return };
+        let (faults, board) = (&self.faults, &self.spec.board);
+        match self.operator.poll(self.now_us, faults, board) {
+            None => {}
+            Some(Renewal::Hold) => {
+                daemon.request(PilotRequest::Hold);
+            }
+            Some(Renewal::Jog(jog)) => daemon.jog(jog),
+        }
+    }
+
+    /// Whether the car is in somebody's hands, or on a stand.
+    fn is_held(&self) -> bool {
+        let car = self.world.car();
+        car.is_in_motion_by_hand() || car.wheels_are_up()
+    }
+
+    /// Puts a car that stands onto a stand, or down again.
+    fn lift(&mut self, up: bool) {
+        let stands = self.world.truth().speed.abs() < STANDING;
+        if up && !self.is_held() && !self.was_driving && stands {
+            let motion = HandMotion::Lift { height_m: STAND_M };
+            self.world.car_mut().begin_by_hand(motion);
+        } else if !up && self.is_held() {
+            self.world.car_mut().begin_by_hand(HandMotion::PutDown);
         }
     }
 
     /// Sends what other clients send.
-    fn flood(&self) {
+    fn flood(&mut self) {
         let mut faults = self.faults.iter();
         let flood = faults.find(|fault| fault.kind == FaultKind::RequestFlood);
         let (Some(flood), Some(daemon)) = (flood, &self.daemon) else {
@@ -562,6 +615,7 @@ impl<'a> Drive<'a> {
             // Most find no room.
             daemon.request(PilotRequest::Hold);
         }
+        self.operator.was_renewed(self.now_us);
     }
 
     /// The operator edits the daemon's configuration file and reloads it.
@@ -699,7 +753,15 @@ impl<'a> Drive<'a> {
             self.resets = board.resets();
             self.was_running = is_running;
             self.board_since_us = is_running.then_some(now_us);
+            self.jogs = false;
             self.bites_us = self.bites_us.filter(|_| is_running);
+        }
+        for received in &*heard {
+            match received.message {
+                ToBoard::Jog(_) => self.jogs = true,
+                ToBoard::Arm(_) | ToBoard::Drive(_) => self.jogs = false,
+                _ => {}
+            }
         }
         let log = board.pulses();
         let new = log.total() - self.pulses;
@@ -709,7 +771,7 @@ impl<'a> Drive<'a> {
         let newest = || log.iter().rev().take(new as usize);
         for index in (0..newest().count()).rev() {
             let record = newest().nth(index);
-            pulses.extend(record.map(|record| self.pins.observe(&self.spec, *record)));
+            pulses.extend(record.map(|record| self.pins.observe(&self.spec, *record, self.jogs)));
         }
         if let Some(tick) = &mut tick {
             tamper.tick(tick);
@@ -731,7 +793,11 @@ impl<'a> Drive<'a> {
                         | BoardMode::Jogging
                 )
             );
-        let moved_by_hand = self.pushes.iter().any(|fault| {
+        let is_held = {
+            let car = self.world.car();
+            car.is_in_motion_by_hand() || car.wheels_are_up()
+        };
+        let is_pushed = self.pushes.iter().any(|fault| {
             let [from, to] = [fault.at_ms, fault.end_ms()].map(|ms| u64::from(ms) * 1_000);
             let rolls_us = (2e6 / self.spec.braking) as u64;
             if !(from..to + rolls_us + 500_000).contains(&now_us) {
@@ -742,6 +808,7 @@ impl<'a> Drive<'a> {
             self.is_pushed &= now_us <= to + LOOK_US || truth.speed.abs() >= STANDING;
             self.is_pushed
         });
+        let moved_by_hand = is_held || is_pushed;
         let tick_mode = tick.as_ref().map(|tick| tick.output.mode);
         if tick_mode == Some(Mode::Arming) {
             self.armed_at_m = truth.way;
@@ -754,6 +821,7 @@ impl<'a> Drive<'a> {
             position: [truth.x, truth.y],
             pulses,
             board_is_armed,
+            jogs: self.jogs,
             moved_by_hand,
             mode: tick_mode,
             commanded: tick
@@ -772,6 +840,8 @@ impl<'a> Drive<'a> {
             board_cause,
             board_is_armed,
             is_proved: self.is_proved,
+            jogs: self.jogs,
+            renewed: self.operator.renewed(),
             way_since_arm,
             esc_has_power: self.world.car().esc_has_power(),
             moved_by_hand,

@@ -257,12 +257,13 @@ fn draw_cars(random: &mut Random, seed: u64, cars: usize, bug: Option<FleetBug>)
             let turn = if milli(0, 1_000) < 0.5 { 1.0 } else { -1.0 };
             let phase = milli(0, 6_283);
             let start = StartPose {
-                x_m: centre[0] + radius * phase.cos(),
-                y_m: centre[1] + radius * phase.sin(),
+                x_m: centre[0] + radius * libm::cos(phase),
+                y_m: centre[1] + radius * libm::sin(phase),
                 yaw_rad: (phase + turn * FRAC_PI_2) % TAU,
             };
-            let apart =
-                |other: &FleetCar| (other.start.x_m - start.x_m).hypot(other.start.y_m - start.y_m);
+            let apart = |other: &FleetCar| {
+                libm::hypot(other.start.x_m - start.x_m, other.start.y_m - start.y_m)
+            };
             let nearest = drawn.iter().map(apart).fold(f64::INFINITY, f64::min);
             if best.as_ref().is_none_or(|(best, _)| nearest > *best) {
                 let reference = ReferenceSection::Circle {

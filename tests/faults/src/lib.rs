@@ -55,6 +55,7 @@ mod invariant;
 mod learner;
 mod network;
 mod observation;
+mod operator;
 mod pins;
 pub mod planted;
 mod port;

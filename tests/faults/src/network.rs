@@ -560,7 +560,7 @@ fn move_by(body: &mut Option<RigidBody>, metres: f32) {
 /// Rotates a body about the vertical, which is y on the wire.
 fn turn_by(body: &mut Option<RigidBody>, angle: f32) {
     if let Some(body) = body {
-        let (sin, cos) = (f64::from(angle) / 2.0).sin_cos();
+        let (sin, cos) = libm::sincos(f64::from(angle) / 2.0);
         let (s, c) = (sin as f32, cos as f32);
         let [x, y, z, w] = body.orientation_xyzw;
         body.orientation_xyzw = [c * x + s * z, c * y + s * w, c * z - s * x, c * w - s * y];

@@ -8,6 +8,7 @@ use singletrack_sim::{ReceivedMessage, Truth};
 
 use crate::{
     network::Exposure,
+    operator::Renewed,
     pins::Pulse,
     schedule::{Fault, FaultKind, FaultTarget},
     spec::Spec,
@@ -57,11 +58,15 @@ pub(crate) struct Observation<'a> {
     pub(crate) board_is_armed: bool,
     /// Whether the configuration in force is proved.
     pub(crate) is_proved: bool,
+    /// Whether the board was last given pulses of a jog.
+    pub(crate) jogs: bool,
+    /// When the operator's program last renewed its drive.
+    pub(crate) renewed: Renewed,
     /// True way since the car was armed, in m.
     pub(crate) way_since_arm: f64,
     /// Whether the ESC has its supply.
     pub(crate) esc_has_power: bool,
-    /// Whether somebody pushes the car, or it still rolls from that.
+    /// Whether somebody pushes, lifts or holds the car, or it still rolls from that.
     pub(crate) moved_by_hand: bool,
     /// The daemon's tick in this step, if any.
     pub(crate) tick: Option<&'a TickRecord>,
@@ -115,7 +120,12 @@ impl Observation<'_> {
     /// Whether line, sensors, cameras, board or host have a fault: they may not see what
     /// the car does.
     pub(crate) fn is_blinded(&self) -> bool {
-        let blinds = |fault: &Fault| !matches!(fault.kind.target(), FaultTarget::Car);
+        let blinds = |fault: &Fault| {
+            !matches!(
+                fault.kind.target(),
+                FaultTarget::Car | FaultTarget::Operator
+            )
+        };
         self.faults.iter().any(blinds) || self.new_faults.iter().any(blinds)
     }
 
@@ -136,7 +146,7 @@ impl Observation<'_> {
 pub(crate) mod scene {
     use singletrack_sim::{PulseRecord, SimulationConfig};
 
-    use super::{Exposure, Observation, Pulse, ReceivedPose, Spec, Truth};
+    use super::{Exposure, Observation, Pulse, ReceivedPose, Renewed, Spec, Truth};
     use crate::{
         pins::Effect,
         schedule::Schedule,
@@ -186,6 +196,8 @@ pub(crate) mod scene {
                 board_cause: None,
                 board_is_armed: true,
                 is_proved: true,
+                jogs: false,
+                renewed: Renewed::default(),
                 way_since_arm: 2.0,
                 esc_has_power: true,
                 moved_by_hand: false,

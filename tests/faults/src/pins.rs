@@ -108,8 +108,9 @@ pub(crate) struct Pins {
 }
 
 impl Pins {
-    pub(crate) fn observe(&mut self, spec: &Spec, record: PulseRecord) -> Pulse {
-        let effect = self.effect(spec, &record);
+    /// `jogs`: a jog has no brake pulse.
+    pub(crate) fn observe(&mut self, spec: &Spec, record: PulseRecord, jogs: bool) -> Pulse {
+        let effect = self.effect(spec, &record, jogs);
         if effect != Effect::Brake {
             if self.brake_since_us.take().is_some() {
                 self.forward = Forward::default();
@@ -119,7 +120,7 @@ impl Pins {
         Pulse { record, effect }
     }
 
-    fn effect(&mut self, spec: &Spec, record: &PulseRecord) -> Effect {
+    fn effect(&mut self, spec: &Spec, record: &PulseRecord, jogs: bool) -> Effect {
         let esc = &spec.board.esc;
         if record.esc_us == 0 {
             return Effect::Absent;
@@ -130,7 +131,7 @@ impl Pins {
         if short || is(esc.neutral_us) || is(START_PULSE_US) {
             return Effect::Neutral;
         }
-        if !(spec.brakes() && record.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US) {
+        if jogs || !(spec.brakes() && record.esc_us.abs_diff(esc.brake_us) <= TOLERANCE_US) {
             return Effect::Drive;
         }
         let since_us = self.brake_since_us.or_else(|| {
@@ -165,7 +166,7 @@ mod tests {
                     esc_us,
                     ..scene_pulse()
                 };
-                pins.observe(spec, record).effect
+                pins.observe(spec, record, false).effect
             };
             pulses.iter().map(effect).collect::<Vec<_>>()
         };

@@ -23,6 +23,10 @@ pub(crate) enum Stream {
     RareAndMany = 8,
     /// Several cars.
     Fleet = 9,
+    /// Attended drives and jogging of a schedule.
+    Attendance = 10,
+    /// What the operator's program sends by mistake.
+    Operator = 11,
 }
 
 impl Random {

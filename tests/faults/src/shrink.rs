@@ -117,6 +117,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
             |s, default| s.neutral_us = default.neutral_us,
             |s, default| s.braking_mm_s2 = default.braking_mm_s2,
             |s, default| s.pulse_distance_um = default.pulse_distance_um,
+            |s, default| s.attended = default.attended,
             |s, default| s.coast = default.coast,
             |s, default| s.brake = default.brake,
             |s, default| s.stop_input = default.stop_input,

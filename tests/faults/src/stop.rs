@@ -40,6 +40,8 @@ pub(crate) struct Stop {
     lead_us: u64,
     /// Whether the car has stood since.
     pub(crate) stood: bool,
+    /// Whether it ended a jog.
+    pub(crate) jogged: bool,
     rolling: Option<Rolling>,
     now_us: u64,
     now_speed: f64,
@@ -123,6 +125,8 @@ pub(crate) struct Step<'a> {
     pub(crate) pulses: &'a [Pulse],
     /// Whether the running board is armed, by its telemetry.
     pub(crate) board_is_armed: bool,
+    /// Whether the board was last given pulses of a jog.
+    pub(crate) jogs: bool,
     /// Whether somebody moves the car: no stop is judged then.
     pub(crate) moved_by_hand: bool,
     /// Mode after a tick in this step.
@@ -160,8 +164,8 @@ impl Stops {
         }
         if let Some(mode) = step.mode {
             let before = self.mode.replace(mode);
-            let drives = |mode| matches!(mode, Some(Mode::Driving | Mode::Slowing));
-            if mode == Mode::Driving && before == Some(Mode::Arming) {
+            let drives = |mode| matches!(mode, Some(Mode::Driving | Mode::Slowing | Mode::Jogging));
+            if drives(Some(mode)) && before == Some(Mode::Arming) {
                 self.stop = None;
                 self.driven = false;
             } else if drives(before) && !drives(Some(mode)) {
@@ -237,6 +241,7 @@ impl Stops {
             held_us: 0,
             lead_us,
             stood: false,
+            jogged: step.jogs,
             rolling: None,
             now_us: step.now_us,
             now_speed: speed,

@@ -43,6 +43,11 @@
 //! `--daemon PATH` tests an existing binary, such as one from the package, instead
 //! of building one.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "drives in real time repeat no bits"
+)]
+
 pub mod bench;
 pub mod client;
 pub mod controller;

@@ -1,6 +1,10 @@
 //! The command line, as it is typed.
 
 #![allow(
+    clippy::disallowed_methods,
+    reason = "what a test expects is compared within a tolerance"
+)]
+#![allow(
     clippy::unwrap_used,
     clippy::expect_used,
     clippy::panic,

@@ -6,6 +6,11 @@
 //! cargo run --release -p singletrack-scenario --example marker_loss
 //! ```
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "an example prints figures of three digits"
+)]
+
 use std::error::Error;
 
 use singletrack_core::{

@@ -7,6 +7,11 @@
 //! Prints for each file the distance of P from its reference from 10 s on, in mm: root mean
 //! square and largest, and the root mean square along and across the reference's path.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "an example prints figures of three digits"
+)]
+
 use std::{env, error::Error, path::Path};
 
 use singletrack_scenario::simulate::{Scenario, simulate};

@@ -83,14 +83,14 @@ pub fn last_turn(samples: &[Sample], centre: [f64; 2], angular_velocity: f64) ->
     for sample in samples {
         let [x, y] = [0, 1].map(|axis| sample.point[axis] - centre[axis]);
         let [rx, ry] = [0, 1].map(|axis| sample.reference[axis] - centre[axis]);
-        let radius = rx.hypot(ry);
+        let radius = libm::hypot(rx, ry);
         along += (x * rx + y * ry) / radius;
         across += (x * ry - y * rx) / radius;
     }
     let (along, across) = (along / count, across / count);
     Some(Tracking {
-        amplitude_m: along.hypot(across),
-        lag_rad: across.atan2(along) * angular_velocity.signum(),
+        amplitude_m: libm::hypot(along, across),
+        lag_rad: libm::atan2(across, along) * angular_velocity.signum(),
         rms_error_m: rms_error(samples)?,
     })
 }
@@ -120,7 +120,10 @@ mod tests {
                 let time = f64::from(tick) * 0.01;
                 let phase = angular_velocity * time;
                 let at = |radius: f64, phase: f64| {
-                    [2.0 + radius * phase.cos(), -1.0 + radius * phase.sin()]
+                    [
+                        2.0 + radius * libm::cos(phase),
+                        -1.0 + radius * libm::sin(phase),
+                    ]
                 };
                 Sample {
                     time,
@@ -138,7 +141,7 @@ mod tests {
             let tracking = last_turn(&samples, [2.0, -1.0], angular_velocity).unwrap();
             assert!((tracking.amplitude_m - 0.894).abs() < 1e-9);
             assert!((tracking.lag_rad - 0.464).abs() < 1e-9);
-            let error = (1.0_f64 + 0.894_f64.powi(2) - 2.0 * 0.894 * 0.464_f64.cos()).sqrt();
+            let error = (1.0_f64 + 0.894_f64.powi(2) - 2.0 * 0.894 * libm::cos(0.464_f64)).sqrt();
             assert!((tracking.rms_error_m - error).abs() < 1e-9);
         }
     }

@@ -1,5 +1,10 @@
 //! Scenarios and the virtual host.
 
+#![allow(
+    clippy::disallowed_methods,
+    reason = "what a test expects is compared within a tolerance"
+)]
+
 #[path = "common/calibrated.rs"]
 mod calibrated;
 mod calibrated_cars;

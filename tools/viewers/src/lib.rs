@@ -6,6 +6,14 @@
 //! restarts, and is bounded in connections, memory and time. A viewer that hangs or is killed costs
 //! the daemon one place among its watchers, and nothing else.
 
+#![cfg_attr(
+    test,
+    allow(
+        clippy::disallowed_methods,
+        reason = "what a test expects is compared within a tolerance"
+    )
+)]
+
 mod daemon;
 mod head;
 #[cfg(feature = "live")]

@@ -475,8 +475,8 @@ mod tests {
         let mut way = trajectory(1_000, 0.0, 0.5);
         for (index, point) in way.points.iter_mut().enumerate() {
             let angle = 0.3 * index as f64;
-            point.position = Position::new(angle.sin(), angle.cos());
-            point.velocity = Velocity::new(3.0 * angle.cos(), -3.0 * angle.sin());
+            point.position = Position::new(libm::sin(angle), libm::cos(angle));
+            point.velocity = Velocity::new(3.0 * libm::cos(angle), -3.0 * libm::sin(angle));
         }
         for ms in 1_000..2_800 {
             let point = |us: u64| way.at(Time(us * 1_000)).unwrap();

@@ -97,10 +97,10 @@ impl LoopModel<'_> {
             acceleration_weight: weights.acceleration_weight,
             max_speed: self.limits.max_speed,
             // The car speeds up and turns at the same time.
-            max_acceleration: self
-                .limits
-                .max_acceleration
-                .hypot(self.limits.max_lateral_acceleration),
+            max_acceleration: libm::hypot(
+                self.limits.max_acceleration,
+                self.limits.max_lateral_acceleration,
+            ),
             max_deceleration: self.limits.max_acceleration,
             area,
             iterations: weights.iterations as usize,

@@ -29,11 +29,11 @@ impl SteadyCircle {
             OuterLoopSection::Proportional {
                 gain_per_s: [x, y],
                 feed_forward: false,
-            } => x.min(y) / x.min(y).hypot(rate),
+            } => x.min(y) / libm::hypot(x.min(y), rate),
             _ => 1.0,
         };
         let wheelbase = config.vehicle.wheelbase_m();
-        let rear = wheelbase / limits.max_steering.tan();
+        let rear = wheelbase / libm::tan(limits.max_steering);
         let distance = config.law.point_distance_m;
         Self {
             point: factor * radius,
@@ -83,7 +83,7 @@ impl SteadyCircle {
             ));
             return None;
         };
-        let steering = (wheelbase / rear).atan();
+        let steering = libm::atan(wheelbase / rear);
         if steering > STEERING_RESERVE * limits.max_steering_rad {
             findings.push(Finding::warning(
                 "reference.radius_m",
@@ -118,7 +118,7 @@ impl SteadyCircle {
         }
         // The speed of the centre of mass, and the lateral acceleration as the limit is
         // defined: v² tan δ/L.
-        let centre = rear.hypot(config.vehicle.rear_axle_distance_m);
+        let centre = libm::hypot(rear, config.vehicle.rear_axle_distance_m);
         let lateral = (self.rate * centre).powi(2) / rear;
         if lateral > limits.max_lateral_acceleration_m_s2 {
             let most = (limits.max_lateral_acceleration_m_s2 * rear).sqrt() / centre;

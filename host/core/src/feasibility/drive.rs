@@ -288,9 +288,9 @@ impl Car {
     /// Sideslip (rad) and curvature of the path of G (1/m) of a car that rolls without slip.
     fn rolls(&self, steering: f64) -> (f64, f64) {
         let wheelbase = self.vehicle.wheelbase_m();
-        let tangent = steering.tan();
-        let sideslip = (self.vehicle.rear_axle_distance_m / wheelbase * tangent).atan();
-        (sideslip, sideslip.cos() * tangent / wheelbase)
+        let tangent = libm::tan(steering);
+        let sideslip = libm::atan(self.vehicle.rear_axle_distance_m / wheelbase * tangent);
+        (sideslip, libm::cos(sideslip) * tangent / wheelbase)
     }
 
     /// Whether the car is inside and stays inside if it stops now, with its wheels held.

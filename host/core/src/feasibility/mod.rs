@@ -543,7 +543,7 @@ fn heading(reference: &Reference) -> f64 {
         (Some(first), Some(later)) => later - first,
         _ => first.velocity,
     };
-    way.y.atan2(way.x)
+    libm::atan2(way.y, way.x)
 }
 
 /// A grid of stands in the box around the geofence; [`Car::drive`] refuses those outside.

@@ -1,4 +1,8 @@
 //! The sessions in virtual time, against a scripted server.
+#![allow(
+    clippy::disallowed_methods,
+    reason = "what a test expects is compared within a tolerance"
+)]
 #![expect(
     clippy::unwrap_used,
     clippy::panic,

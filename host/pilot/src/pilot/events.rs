@@ -55,6 +55,8 @@ impl Pilot {
     fn handle_request(&mut self, request: PilotRequest) {
         self.supervisor.handle_request(request);
         match request {
+            // One that comes in a drive is without effect: a car that waits goes on to wait.
+            _ if self.supervisor.mode().is_underway() => {}
             PilotRequest::ArmWaiting => self.begins = Begins::Later,
             PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog => {
                 self.begins = Begins::AtOnce;

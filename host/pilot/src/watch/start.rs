@@ -1,6 +1,6 @@
 //! The accelerometer against the speed of the cameras, while a car starts off.
 
-use libm::{hypot, sqrt};
+use libm::{copysign, fabs, hypot, sqrt};
 
 use super::steps::Step;
 
@@ -31,20 +31,21 @@ impl StartWatch {
         if self.judged {
             return;
         }
-        let speed = step.rear.norm() / step.time;
+        // Backward in reverse, as the motor turns.
+        let speed = copysign(step.rear.norm() / step.time, step.motor_way);
         // Over a step the speed is that of its middle; the integral is that of its end.
         let forward = self.forward + 0.5 * step.forward;
         let left = self.left + 0.5 * step.left;
         self.time += step.time;
         self.forward += step.forward;
         self.left += step.left;
-        let fast = speed >= ACCELERATED;
+        let fast = fabs(speed) >= ACCELERATED;
         self.judged = fast || self.time > WITHIN;
         if fast {
             let (margin, share) = TOLERANCE;
             // A NaN differs.
             let noise = DEVIATIONS * sqrt(variance * self.time);
-            let fits = hypot(forward - speed, left) <= margin + share * speed + noise;
+            let fits = hypot(forward - speed, left) <= margin + share * fabs(speed) + noise;
             self.differs = !fits;
         }
     }
@@ -143,5 +144,15 @@ mod tests {
         watch.step(&good, 0.0);
         watch.step(&bad, 0.0);
         assert!(watch.is_judged() && !watch.differs());
+    }
+
+    #[test]
+    fn a_start_in_reverse_is_compared_with_its_sign() {
+        let start = |forward: f64| {
+            let speeds = [-0.05, -0.1, -0.15, -0.2];
+            after(&speeds.map(|speed| step(0.05, speed, forward, 0.0)))
+        };
+        assert!(start(-0.05).is_judged() && !start(-0.05).differs());
+        assert!(start(0.05).differs() && start(0.0).differs());
     }
 }

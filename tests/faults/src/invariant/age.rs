@@ -33,15 +33,17 @@ impl Invariant for CommandAge {
             self.newest_us = None;
         }
         for received in observation.board_received {
-            let ToBoard::Drive(drive) = received.message else {
-                continue;
+            let telemetry_time_us = match received.message {
+                ToBoard::Drive(drive) => drive.telemetry_time_us,
+                ToBoard::Jog(jog) => jog.telemetry_time_us,
+                _ => continue,
             };
             let age = |us: u32| received.board_time_us.wrapping_sub(us);
             let is_newer = self
                 .newest_us
-                .is_none_or(|newest| age(drive.telemetry_time_us) < age(newest));
-            if is_newer && age(drive.telemetry_time_us) < u32::MAX / 2 {
-                self.newest_us = Some(drive.telemetry_time_us);
+                .is_none_or(|newest| age(telemetry_time_us) < age(newest));
+            if is_newer && age(telemetry_time_us) < u32::MAX / 2 {
+                self.newest_us = Some(telemetry_time_us);
             }
         }
         let limit_us = u64::from(COMMAND_TIME_TO_LIVE_US) + SERVO_US + SUPERVISOR_US;
@@ -84,7 +86,7 @@ impl Invariant for HostSilence {
     }
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
-        let commands = |message: &ToBoard| matches!(message, ToBoard::Drive(_));
+        let commands = |message: &ToBoard| matches!(message, ToBoard::Drive(_) | ToBoard::Jog(_));
         if observation.written.iter().any(commands) {
             self.written_us = Some(observation.now_us);
         }
@@ -114,7 +116,7 @@ const CLOCKS_US: u64 = 4_000;
 ///
 /// The true error of the stamps is allowed: the host can't know it. After a step of the
 /// server's clock, the age of a pose counts from its arrival:
-/// the host can't know the exposure time.
+/// the host can't know the exposure time. A jog needs no pose.
 #[derive(Default)]
 pub(super) struct PoseAge {
     newest: Option<ReceivedPose>,
@@ -135,7 +137,7 @@ impl Invariant for PoseAge {
             + 10 * SKEW_US
             + observation.spec.stamp_error_us(observation.now_us);
         for pulse in observation.pulses {
-            if !pulse.drives() {
+            if !pulse.drives() || observation.jogs {
                 continue;
             }
             let since_us = self.newest.map_or(0, |pose| pose.since_us());

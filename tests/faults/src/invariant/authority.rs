@@ -3,7 +3,7 @@
 use singletrack_pilot::{Event, Mode, PilotRequest};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, Sequence, ToBoard, UNSOLICITED};
 
-use super::{Invariant, SERVO_US, Verdict, disarms};
+use super::{Invariant, SERVO_US, Verdict, is_stop};
 use crate::{observation::Observation, schedule::FaultKind};
 
 /// Time from the withdrawal of authority to the neutral pulse, in µs: up to 10 ms
@@ -129,8 +129,9 @@ impl Invariant for Unarmed {
 }
 
 /// `unasked-drive`: the daemon goes from standby to arming or driving only in a
-/// tick with an arm request, and obeys a disarm or stop request in the tick that
-/// receives it. Recovery needs an explicit request.
+/// tick with an arm request, and obeys every request that ends a drive in the tick that
+/// receives it: an operator's who asks, lets go, is gone, or whose time is over. Recovery needs an
+/// explicit request.
 #[derive(Default)]
 pub(super) struct Unasked {
     daemon_since_us: Option<u64>,
@@ -155,6 +156,7 @@ impl Invariant for Unasked {
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
         let armed = [
             PilotRequest::Arm,
+            PilotRequest::ArmHeld,
             PilotRequest::ArmWaiting,
             PilotRequest::ArmJog,
         ]
@@ -164,28 +166,28 @@ impl Invariant for Unasked {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
-        for stop in [
-            PilotRequest::EmergencyStop,
-            PilotRequest::Disarm,
-            PilotRequest::Carried,
-        ] {
-            if observation.pending_requests.contains(&stop) && !requested(stop) {
-                return Err(format!("the pilot did not receive the request {stop}"));
-            }
+        let mut pending = observation.pending_requests.iter().copied();
+        if let Some(stop) = pending.find(|request| is_stop(*request) && !requested(*request)) {
+            return Err(format!("the pilot did not receive the request {stop}"));
         }
         if requested(PilotRequest::EmergencyStop) && mode != Mode::Fault {
             return Err(format!(
                 "mode {mode} in the tick of an emergency stop request"
             ));
         }
+        let follows = matches!(
+            mode,
+            Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Jogging
+        );
+        let mut stops = PilotRequest::ALL.into_iter().filter(|stop| is_stop(*stop));
         if was_underway
-            && disarms(&tick.events)
-            && matches!(
-                mode,
-                Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Jogging
-            )
+            && follows
+            && let Some(stop) = stops.find(|stop| requested(*stop))
         {
-            return Err(format!("mode {mode} in the tick of a disarm request"));
+            return Err(format!("mode {mode} in the tick of the request {stop}"));
+        }
+        if was_underway && requested(PilotRequest::Halt) && mode == Mode::Stopping {
+            return Err("a ramp in the tick of a request to halt".to_owned());
         }
         if (tick.output.command.is_some() || tick.output.jog.is_some()) && !self.underway {
             return Err(format!("a command in mode {mode}"));
@@ -220,7 +222,12 @@ impl Invariant for Waits {
             match event {
                 // One that comes in a drive is without effect.
                 Event::Request(PilotRequest::ArmWaiting) => self.waiting |= !self.underway,
-                Event::Request(PilotRequest::Arm) | Event::Begin(_) => self.waiting = false,
+                Event::Request(
+                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog,
+                ) => {
+                    self.waiting &= self.underway;
+                }
+                Event::Begin(_) => self.waiting = false,
                 _ => {}
             }
         }

@@ -48,8 +48,11 @@ impl Invariant for BrakePulse {
             self.stood_us.get_or_insert(observation.now_us);
         }
         for pulse in observation.pulses {
-            let below =
-                pulse.esc_us != 0 && !pulse.cut && pulse.esc_us < esc.neutral_us - esc.deadband_us;
+            // An operator who jogs may ask for reverse.
+            let below = pulse.esc_us != 0
+                && !pulse.cut
+                && !observation.jogs
+                && pulse.esc_us < esc.neutral_us - esc.deadband_us;
             if !below {
                 if self.since_us.take().is_some() {
                     self.forward = Forward::default();

@@ -188,8 +188,13 @@ impl Invariant for MotorPulses {
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         let board = &observation.spec.board;
         for received in observation.board_received {
-            if let ToBoard::Drive(drive) = received.message {
-                self.speed_mm_s = drive.speed_mm_s.unsigned_abs().into();
+            match received.message {
+                ToBoard::Drive(drive) => {
+                    self.speed_mm_s = drive.speed_mm_s.unsigned_abs().into();
+                }
+                // It has no speed.
+                ToBoard::Jog(_) => self.speed_mm_s = 0,
+                _ => {}
             }
         }
         if !observation.is_effective(FaultKind::PulsesGone) || observation.spec.has_interference {

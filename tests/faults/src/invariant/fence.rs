@@ -25,7 +25,8 @@ use crate::{observation::Observation, schedule::FaultKind};
 ///
 /// A car whose motor is free and that brakes less than configured may roll farther, see
 /// `stands`. A car that was armed outside, or that somebody pushed there, is not judged
-/// until it is inside again; nor is one that runs at neutral without a drive (`unarmed-motion`).
+/// until it is inside again; nor is one that runs at neutral without a drive (`unarmed-motion`), or
+/// is jogged.
 pub(super) struct Fence {
     /// Recent maximum of the speed, in m/s; frozen at the crossing.
     speed: f64,
@@ -90,7 +91,7 @@ impl Invariant for Fence {
         // Somebody pushes it, or it runs at neutral without a drive: see `unarmed-motion`.
         let stopping = stop.is_some_and(|stop| !stop.stood);
         let unarmed = !observation.board_is_armed && !stopping;
-        self.excused |= observation.is_moved_by_hand() || unarmed;
+        self.excused |= observation.is_moved_by_hand() || observation.jogs || unarmed;
         let held_s = stop.map_or(0.0, |stop| stop.held_us as f64 * 1e-6);
         let error = self.errors.iter().copied().fold(0.0, f64::max);
         let release_s = observation.spec.true_release_us as f64 * 1e-6;

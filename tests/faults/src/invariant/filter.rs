@@ -53,6 +53,8 @@ impl Invariant for Filter {
         if mode == Some(Mode::Arming) {
             self.excused = clearance < 0.0;
         }
+        // No geofence holds an operator who jogs.
+        self.excused |= observation.jogs;
         self.excused &= clearance < 0.0;
         if clearance >= 0.0 || self.excused {
             return Ok(());

@@ -123,10 +123,11 @@ impl Invariant for ModeAndReason {
             mode,
             reason,
             command,
+            jog,
             ..
         } = tick.output;
         let is_consistent = match mode {
-            Mode::Driving | Mode::Arming => reason.is_none(),
+            Mode::Driving | Mode::Arming | Mode::Jogging => reason.is_none(),
             // The reason why the last drive ended, if any.
             Mode::Ready => true,
             _ => reason.is_some(),
@@ -136,6 +137,9 @@ impl Invariant for ModeAndReason {
         }
         if command.is_some() && !mode.commands() {
             return Err(format!("a command in mode {mode}"));
+        }
+        if jog.is_some() && mode != Mode::Jogging {
+            return Err(format!("pulses of a jog in mode {mode}"));
         }
         if mode == Mode::Driving && command.is_none() {
             return Err("driving without a command".to_owned());
@@ -206,7 +210,7 @@ impl Invariant for NoQueue {
             self.unanswered = 0;
         }
         for message in observation.written {
-            self.unanswered += u32::from(matches!(message, ToBoard::Drive(_)));
+            self.unanswered += u32::from(matches!(message, ToBoard::Drive(_) | ToBoard::Jog(_)));
         }
         if self.unanswered > 2 {
             return Err(format!("{} commands to a silent board", self.unanswered));

@@ -1,6 +1,7 @@
 //! Invariants, which are checked in every step of a drive.
 
 mod age;
+mod attended;
 mod authority;
 mod brake;
 mod cause;
@@ -68,6 +69,9 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<authority::Unasked>::default(),
         Box::<authority::Waits>::default(),
         Box::<authority::Latched>::default(),
+        Box::<attended::DeadMan>::default(),
+        Box::<attended::AtOnce>::default(),
+        Box::<attended::JogLimits>::default(),
         Box::<age::CommandAge>::default(),
         Box::<age::HostSilence>::default(),
         Box::<age::PoseAge>::default(),
@@ -111,6 +115,23 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<learned::Learns>::default(),
         Box::new(replayed::Replayed::new(pilot)),
     ]
+}
+
+/// Whether this request ends a drive.
+const fn is_stop(request: PilotRequest) -> bool {
+    match request {
+        PilotRequest::Arm
+        | PilotRequest::ArmHeld
+        | PilotRequest::ArmWaiting
+        | PilotRequest::ArmJog
+        | PilotRequest::Hold => false,
+        PilotRequest::Disarm
+        | PilotRequest::Carried
+        | PilotRequest::EmergencyStop
+        | PilotRequest::OperatorGone
+        | PilotRequest::TimeUp
+        | PilotRequest::Halt => true,
+    }
 }
 
 /// Whether the operator asks to disarm, after carrying the car or not.

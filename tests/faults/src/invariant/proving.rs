@@ -67,6 +67,8 @@ impl Invariant for ProvingSpeed {
         let speed = observation.truth.speed.abs();
         let judged = observation.spec.is_tolerable
             && observation.board_is_armed
+            // A jog has limits of its own: see `jog-limits`.
+            && !observation.jogs
             && !observation.moved_by_hand
             && !observation.is_active(FaultKind::EscStuck)
             && observation.now_us >= self.settled_us;
@@ -242,7 +244,8 @@ impl Invariant for FaultClears {
 }
 
 /// `false-alarm`: a calibrated car hears no word of a contradiction or of an implausible
-/// sensor before the first fault of its schedule. A wrong bit here and there is none: what no car
+/// sensor before the first fault of its schedule, and before somebody takes it into the hand: it then
+/// moves without its wheels, or they without it. A wrong bit here and there is no fault: what no car
 /// can do is not believed, and leads no pose astray.
 #[derive(Default)]
 pub(super) struct FalseAlarm {
@@ -257,7 +260,8 @@ impl Invariant for FalseAlarm {
 
     fn check(&mut self, observation: &Observation<'_>) -> Verdict {
         let mut faults = observation.faults.iter().chain(observation.new_faults);
-        self.disturbed |= faults.any(|fault| fault.kind != FaultKind::ImuWrongBit);
+        self.disturbed |=
+            observation.moved_by_hand || faults.any(|fault| fault.kind != FaultKind::ImuWrongBit);
         self.wrong_bits |= !observation.faults.is_empty();
         if self.disturbed || !observation.spec.is_tolerable {
             return Ok(());

@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// `pulse-limits`: every pulse is absent or within the configured limits, and none
-/// drives in reverse, which no configuration here allows.
+/// drives in reverse, which no configuration here allows, but an operator who jogs.
 ///
 /// A pulse cut by a reset may be shorter.
 #[derive(Default)]
@@ -33,7 +33,7 @@ impl Invariant for Limits {
                     return Err(format!("{name} pulse {us} µs, allowed {least} to {most}"));
                 }
             }
-            if pulse.esc_us < esc.neutral_us && pulse.drives() {
+            if pulse.esc_us < esc.neutral_us && pulse.drives() && !observation.jogs {
                 return Err(format!("ESC pulse {} µs drives in reverse", pulse.esc_us));
             }
         }

@@ -3,11 +3,11 @@
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::BoardMode;
 
-use super::{Invariant, Verdict};
+use super::{Invariant, SERVO_US, Verdict};
 use crate::{
     observation::Observation,
     pins::START_PULSE_US,
-    schedule::FaultKind,
+    schedule::{Fault, FaultKind},
     stop::{LEAST_SHARE, STANDING, Stop},
 };
 
@@ -107,12 +107,11 @@ impl WeakBrakes {
         let Some((deceleration, speed)) = stop.deceleration() else {
             return;
         };
-        if self.disturbed || speed < COUNTS_FROM || stop.way < COUNTS_WAY {
+        // The wheels of a jog may be off the floor: the host measures nothing by them.
+        if self.disturbed || stop.jogged || speed < COUNTS_FROM || stop.way < COUNTS_WAY {
             return;
         }
-        // The host knows the speed from which it measures to a few cm/s.
-        let known = 1.0 + SPEED_TOLERANCE / speed;
-        let share = known * known * deceleration / observation.spec.braking;
+        let share = deceleration / observation.spec.braking;
         self.clear += u32::from(share < CLEARLY);
         self.doubtful += u32::from(share < MAYBE);
     }
@@ -246,9 +245,13 @@ pub(super) struct UnarmedMotion {
 /// in m.
 const TOLD_APART_M: f64 = 0.55;
 
-/// Slower wheels stand, as far as a board whose pulses come at every pulse distance can tell, in
-/// m/s.
-const CREEPING: f64 = 0.06;
+/// The speed in m/s below which wheels stand, as far as a board can tell whose pulses come at every pulse
+/// distance (µm): one in 150 ms, or in 20 ms for each millimetre; and a fifth of tolerance.
+fn creeping(pulse_distance_um: u16) -> f64 {
+    let distance_um = f64::from(pulse_distance_um);
+    let standstill_us = f64::max(150_000.0, 20.0 * distance_um);
+    STANDING.max(1.2 * distance_um / standstill_us)
+}
 
 const NOTICED_US: u64 = 500_000;
 
@@ -280,7 +283,7 @@ impl Invariant for UnarmedMotion {
             || observation.is_without_motor_pulses()
             || stopping
             || observation.is_unstoppable()
-            || speed < CREEPING * longest_gap
+            || speed < creeping(spec.board.speed.pulse_distance_um) * longest_gap
             || observation.is_moved_by_hand()
         {
             *self = Self {
@@ -369,7 +372,8 @@ impl Invariant for ArmingMotion {
 /// `backward`: while reverse is disabled, the true car moves backward no farther than it
 /// takes to notice that the motor turns the wrong way: half a metre and the roll-out from
 /// there, or 0.25 m if it began with a pulse below neutral, which no car has asked for. A car
-/// that runs while the board is not armed is the subject of `unarmed-motion`. An ESC whose throttle
+/// that runs while the board is not armed is the subject of `unarmed-motion`; an operator who jogs
+/// may ask for reverse. An ESC whose throttle
 /// is stuck in reverse is stopped by a kill output alone.
 #[derive(Default)]
 pub(super) struct Backward {
@@ -377,6 +381,8 @@ pub(super) struct Backward {
     fastest: f64,
     by_brake: bool,
     braked_us: u64,
+    /// The throttle got stuck while a pulse below neutral acted.
+    stuck_in_reverse: bool,
     position: Option<[f64; 2]>,
 }
 
@@ -398,6 +404,11 @@ impl Invariant for Backward {
                 self.braked_us = pulse.time_us;
             }
         }
+        let sticks = |fault: &Fault| fault.kind == FaultKind::EscStuck;
+        if observation.new_faults.iter().any(sticks) && self.braked_us > 0 {
+            let acts_us = spec.true_release_us + SERVO_US;
+            self.stuck_in_reverse |= observation.now_us <= self.braked_us + acts_us;
+        }
         let truth = &observation.truth;
         let [last_x, last_y] = self
             .position
@@ -406,8 +417,9 @@ impl Invariant for Backward {
         let may_reverse = spec.board.speed.max_reverse_mm_s != 0;
         if truth.speed > -STANDING
             || may_reverse
+            || observation.jogs
             || observation.is_moved_by_hand()
-            || observation.is_unstoppable()
+            || (observation.is_unstoppable() && self.stuck_in_reverse)
         {
             self.way = 0.0;
             self.fastest = 0.0;
@@ -437,5 +449,58 @@ impl Invariant for Backward {
             truth.speed,
             noticed + rolls
         ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{observation::scene::Scene, schedule::FaultTarget};
+
+    /// Whether a car is found that rolls 2 m backward while its throttle is stuck, which was given this pulse
+    /// when it got stuck.
+    fn is_found(esc_us: u16) -> bool {
+        let stuck = [Fault {
+            kind: FaultKind::EscStuck,
+            at_ms: 5_000,
+            for_ms: 1,
+            severity: 1,
+        }];
+        assert_eq!(stuck[0].kind.target(), FaultTarget::Car);
+        let mut scene = Scene::new();
+        scene.pulses[0].record.esc_us = esc_us;
+        scene.truth.speed = -0.5;
+        let mut invariant = Backward::default();
+        (0..400).any(|step| {
+            scene.truth.x = -0.005 * f64::from(step);
+            let mut observation = scene.observation(0);
+            observation.faults = &stuck;
+            observation.new_faults = if step == 0 { &stuck } else { &[] };
+            observation.now_us += u64::try_from(step).unwrap_or(0) * 10_000;
+            if step > 0 {
+                observation.pulses = &[];
+            }
+            invariant.check(&observation).is_err()
+        })
+    }
+
+    #[test]
+    fn only_a_throttle_that_got_stuck_in_reverse_excuses_a_car_that_goes_backward() {
+        assert!(!is_found(1_350));
+        assert!(is_found(1_600));
+        assert!(is_found(1_500));
+    }
+
+    #[test]
+    fn a_board_with_fine_pulses_can_tell_that_a_car_creeps() {
+        for (pulse_distance_um, speed) in [
+            (3_000, 0.03),
+            (6_000, 0.048),
+            (10_000, 0.06),
+            (30_000, 0.06),
+        ] {
+            let found = creeping(pulse_distance_um);
+            assert!((found - speed).abs() < 1e-9, "{pulse_distance_um}: {found}");
+        }
     }
 }

@@ -232,6 +232,55 @@ bugs! {
         }
     });
     Host "does not obey a disarm", "unasked-drive", "ask disarm at 6500", |_| drives_on();
+    Host "renews a drive whose operator hangs", "dead-man",
+        "attended true; fault operator-hangs at 6000 for 2000 severity 1", |_| drives_on();
+    Line "repeats the last command of an operator who hangs", "dead-man",
+        "attended true; fault operator-hangs at 6000 for 2000 severity 1",
+        |_| Repeats::without_disarm();
+    Host "does not obey an operator who is gone", "unasked-drive", "attended true; ask gone at 6500",
+        |_| drives_on();
+    Host "loses the end of the time among many requests", "unasked-drive",
+        "attended true; tuning true; fault request-flood at 5000 for 3000 severity 500; \
+         ask time-up at 6500",
+        |_| commanding(|tick| {
+            tick.output.mode = Mode::Driving;
+            tick.events.retain(|event| *event != Event::Request(PilotRequest::TimeUp));
+        });
+    Host "slows down along a ramp when it is to halt", "unasked-drive",
+        "attended true; ask halt at 6500", |_| Ticks(|tick: &mut TickRecord| {
+            if tick.events.contains(&Event::Request(PilotRequest::Halt)) {
+                tick.output.mode = Mode::Stopping;
+            }
+        });
+    Line "repeats the last command after a halt", "at-once", "attended true; ask halt at 6000",
+        |_| Repeats::without_disarm();
+    Board "jogs on after the operator has let go", "at-once",
+        "ask jog-on at 3200; ask gone at 6000", |_| prolonged(100_000);
+    Board "jogs on while the operator hangs", "dead-man",
+        "ask lift at 3200; ask jog-on at 4500; fault operator-hangs at 6500 for 2000 severity 1",
+        |_| prolonged(400_000);
+    Host "jogs on after the time is over", "unasked-drive",
+        "ask lift at 3200; ask jog at 4500; ask time-up at 6500", |_| Ticks(|tick: &mut TickRecord| {
+            if tick.index > 640 {
+                tick.output.mode = Mode::Jogging;
+            }
+        });
+    Board "jogs with more than it may", "jog-limits", "ask lift at 3200; ask jog-on at 4500",
+        |_| driving(|pulse| pulse.esc_us = 1_655);
+    Board "jogs for longer than it may", "jog-limits",
+        "end_ms 17000; ask disarm at 3210; ask lift at 3300; ask jog-on at 4500",
+        |_| Pulses(|pulse: &mut PulseRecord| {
+            if (14_000_000..16_000_000).contains(&pulse.time_us) {
+                pulse.esc_us = pulse.esc_us.max(1_550);
+            }
+        });
+    Board "jogs on above its speed", "jog-limits",
+        "truth motor-gain-permille 500; ask disarm at 3210; ask jog-on at 3500",
+        |_| Pulses(|pulse: &mut PulseRecord| {
+            if (6_000_000..8_000_000).contains(&pulse.time_us) {
+                pulse.esc_us = 1_645;
+            }
+        });
     Host "drives on without poses", "host-hold",
         "fault camera-silent at 6500 for 900 severity 1000", |_| drives_on();
     Host "drives on by poses that are too rare to be compared", "compared",

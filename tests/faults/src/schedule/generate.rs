@@ -43,6 +43,7 @@ impl Default for Situation {
             steering_table: false,
             tuning: false,
             live: false,
+            attended: false,
             waits: false,
             camera_latency_ms: 8,
             serial_delay_us: 0,
@@ -103,6 +104,7 @@ impl Schedule {
         filter(&mut schedule);
         cameras_of_logs(&mut schedule);
         rare_and_many(&mut schedule);
+        attended(&mut schedule);
         schedule
     }
 }
@@ -118,6 +120,7 @@ impl Schedule {
             reference: ReferenceKind::External,
             safety_filter: true,
             tuning: true,
+            attended: true,
             ..Situation::default()
         };
         let kinds = FaultKind::ALL.iter().copied();
@@ -200,6 +203,7 @@ fn situation(random: &mut Random, board: BoardKind) -> Situation {
         steering_table: random.happens(300),
         tuning: false,
         live: false,
+        attended: false,
         waits: false,
         camera_latency_ms: random.between(3, 25),
         serial_delay_us: random.between(0, 8_000),
@@ -492,6 +496,102 @@ fn rare_and_many(schedule: &mut Schedule) {
         });
     }
     schedule.faults.sort_by_key(|fault| fault.at_ms);
+}
+
+/// Attended drives, the usual way to drive, in most of the schedules, and jogging in a part of them. The
+/// draws are a stream of their own, so that they change nothing else.
+fn attended(schedule: &mut Schedule) {
+    let random = &mut Random::new(schedule.seed, Stream::Attendance);
+    let end_ms = schedule.end_ms;
+    schedule.situation.attended = random.happens(600);
+    if schedule.situation.attended {
+        for request in [
+            OperatorRequest::Gone,
+            OperatorRequest::TimeUp,
+            OperatorRequest::Halt,
+        ] {
+            if random.happens(250) {
+                let at_ms = random.between(FIRST_ARM_MS, end_ms);
+                schedule.requests.push(ScheduledRequest { request, at_ms });
+            }
+        }
+        if random.happens(400) {
+            let at_ms = random.between(FIRST_ARM_MS, end_ms);
+            let for_ms = random.spread(50, 3_000);
+            schedule
+                .faults
+                .push(of_operator(FaultKind::OperatorHangs, at_ms, for_ms));
+        }
+    }
+    if random.happens(250) {
+        jogging(random, schedule);
+    }
+    schedule.requests.sort_by_key(|ask| ask.at_ms);
+    schedule.faults.sort_by_key(|fault| fault.at_ms);
+}
+
+const fn of_operator(kind: FaultKind, at_ms: u32, for_ms: u32) -> Fault {
+    Fault {
+        kind,
+        at_ms,
+        for_ms,
+        severity: Fault::WORST,
+    }
+}
+
+/// The operator jogs once: mostly after a disarm, and with the wheels off the floor; often nothing is armed
+/// meanwhile.
+fn jogging(random: &mut Random, schedule: &mut Schedule) {
+    let end_ms = schedule.end_ms;
+    let disarm_ms = random.between(FIRST_ARM_MS, end_ms);
+    let lift_ms = disarm_ms + random.between(1_000, 3_000);
+    let jog_ms = lift_ms + 1_200;
+    let stop_ms = jog_ms + random.spread(200, 14_000);
+    let down_ms = stop_ms + random.between(0, 1_000);
+    if random.happens(800) {
+        let armed = |ask: &ScheduledRequest| {
+            ask.request == OperatorRequest::Arm && (disarm_ms..down_ms + 1_000).contains(&ask.at_ms)
+        };
+        // The first request is never left out.
+        let mut first = true;
+        schedule
+            .requests
+            .retain(|ask| core::mem::take(&mut first) || !armed(ask));
+    }
+    let mut add = |request, at_ms| {
+        if at_ms < end_ms {
+            schedule.requests.push(ScheduledRequest { request, at_ms });
+        }
+    };
+    if random.happens(800) {
+        add(OperatorRequest::Disarm, disarm_ms);
+    }
+    if random.happens(700) {
+        add(OperatorRequest::Lift, lift_ms);
+        add(OperatorRequest::PutDown, down_ms);
+    }
+    let jogs = random.choose(OperatorRequest::Jog, &[OperatorRequest::JogOn]);
+    add(jogs, jog_ms);
+    let stops = [
+        OperatorRequest::Gone,
+        OperatorRequest::Halt,
+        OperatorRequest::TimeUp,
+    ];
+    let hangs = random.happens(200);
+    if !hangs {
+        add(random.choose(OperatorRequest::Disarm, &stops), stop_ms);
+    }
+    let mut fault = |kind, at_ms: u32, for_ms| {
+        if at_ms < end_ms {
+            schedule.faults.push(of_operator(kind, at_ms, for_ms));
+        }
+    };
+    if hangs {
+        fault(FaultKind::OperatorHangs, stop_ms, 1_000);
+    }
+    if random.happens(400) {
+        fault(FaultKind::JogWild, jog_ms, random.spread(500, 4_000));
+    }
 }
 
 /// Makes a car tolerable, with what is configured for it, and gives it room.

@@ -13,6 +13,8 @@ pub enum FaultTarget {
     Car,
     /// The daemon and its computer.
     Host,
+    /// The program that attends the drive.
+    Operator,
 }
 
 macro_rules! kinds {
@@ -203,6 +205,11 @@ kinds! {
     LoopFeint = "loop-feint", Host;
     /// Other clients send s/10 requests a millisecond: they renew the drive, and tune it.
     RequestFlood = "request-flood", Host;
+
+    /// The program that attends the drive hangs: it renews nothing.
+    OperatorHangs = "operator-hangs", Operator;
+    /// The pulses of the operator who jogs are any numbers.
+    JogWild = "jog-wild", Operator;
 }
 
 impl FaultKind {
@@ -273,7 +280,12 @@ impl FaultKind {
     pub const fn is_drawn_apart(self) -> bool {
         matches!(
             self,
-            Self::CameraGhost | Self::CameraRare | Self::ImuWrongBit | Self::RequestFlood
+            Self::CameraGhost
+                | Self::CameraRare
+                | Self::ImuWrongBit
+                | Self::RequestFlood
+                | Self::OperatorHangs
+                | Self::JogWild
         )
     }
 

@@ -77,6 +77,8 @@ pub struct Situation {
     pub tuning: bool,
     /// Whether the pilot learns live. The learner may send any values. Never with the safety filter.
     pub live: bool,
+    /// Whether the program that arms also holds the drive, by renewals.
+    pub attended: bool,
     /// Whether an armed car waits for a start that was given with the request to arm.
     pub waits: bool,
     /// Time from mid-exposure to the packet on the network, in ms.
@@ -115,6 +117,20 @@ pub enum OperatorRequest {
     Reload,
     /// If the car stands: carry it back to its start with a full battery, and say so.
     Carry,
+    /// The program that holds the drive is gone: slow down, stop and disarm.
+    Gone,
+    /// The time of the drive is over: slow down, stop and disarm.
+    TimeUp,
+    /// The dead-man switch is lost: disarm at once.
+    Halt,
+    /// Arm to jog, with throttle and steering by turns, until one of the requests to stop.
+    Jog,
+    /// Arm to jog, with the throttle held.
+    JogOn,
+    /// If the car stands: put it onto a stand, so that its wheels turn freely.
+    Lift,
+    /// Put the car down.
+    PutDown,
 }
 
 /// An operator request with its time.

@@ -27,8 +27,8 @@ pub enum ScheduleError {
 }
 
 const EXPECTED: &str = "seed N, board native|uno, reference circle|eight|steps|external, a key of the \
-                        situation and its value, truth PROPERTY N, end_ms N, ask arm|disarm|stop|reload at MS, or fault \
-                        KIND at MS for MS severity 1..1000";
+                        situation and its value, truth PROPERTY N, end_ms N, ask arm|disarm|stop|reload|carry|gone|time-up|halt|jog|\
+                        jog-on|lift|put-down at MS, or fault KIND at MS for MS severity 1..1000";
 
 impl fmt::Display for Schedule {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -50,6 +50,7 @@ impl fmt::Display for Schedule {
             ("steering_table", s.steering_table),
             ("tuning", s.tuning),
             ("live", s.live),
+            ("attended", s.attended),
             ("waits", s.waits),
         ] {
             writeln!(out, "{key} {value}")?;
@@ -158,6 +159,7 @@ impl Draft {
             ["steering_table", yes] => s.steering_table = yes.parse().ok()?,
             ["tuning", yes] => s.tuning = yes.parse().ok()?,
             ["live", yes] => s.live = yes.parse().ok()?,
+            ["attended", yes] => s.attended = yes.parse().ok()?,
             ["waits", yes] => s.waits = yes.parse().ok()?,
             ["fence_mm", n] => s.fence_mm = n.parse().ok()?,
             ["esc_kind", name] => {
@@ -253,12 +255,19 @@ impl ReferenceKind {
 }
 
 impl OperatorRequest {
-    const ALL: [Self; 5] = [
+    const ALL: [Self; 12] = [
         Self::Arm,
         Self::Disarm,
         Self::Stop,
         Self::Reload,
         Self::Carry,
+        Self::Gone,
+        Self::TimeUp,
+        Self::Halt,
+        Self::Jog,
+        Self::JogOn,
+        Self::Lift,
+        Self::PutDown,
     ];
 
     const fn name(self) -> &'static str {
@@ -268,6 +277,13 @@ impl OperatorRequest {
             Self::Stop => "stop",
             Self::Reload => "reload",
             Self::Carry => "carry",
+            Self::Gone => "gone",
+            Self::TimeUp => "time-up",
+            Self::Halt => "halt",
+            Self::Jog => "jog",
+            Self::JogOn => "jog-on",
+            Self::Lift => "lift",
+            Self::PutDown => "put-down",
         }
     }
 

@@ -159,7 +159,7 @@ impl Seen {
             let positions_m: Vec<f64> = self.positions_m.iter().map(|at| at[axis]).collect();
             deviation(&positions_m)
         };
-        let spread_mm = (0..3).map(spread_m).fold(0.0, f64::hypot) * 1e3;
+        let spread_mm = (0..3).map(spread_m).fold(0.0, libm::hypot) * 1e3;
         let repeated = part(self.repeated, self.tracked.saturating_sub(1));
         let remarks = [
             (self.name.is_none(), "no name in the server's list"),
@@ -194,7 +194,7 @@ impl Seen {
             yaw_deg: self.last.map(|pose| {
                 let [x, y, z, w] = pose.orientation_xyzw;
                 let (sin, cos) = (2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z));
-                sin.atan2(cos).to_degrees()
+                libm::atan2(sin, cos).to_degrees()
             }),
             remarks: remarks
                 .into_iter()

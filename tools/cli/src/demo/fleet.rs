@@ -122,8 +122,8 @@ fn car(args: &DemoArgs, index: usize) -> FleetCar {
         (most, spacing, ahead) if args.cars <= most => (spacing, ahead),
         _ => APART,
     };
-    let ring = 0.5 * spacing / (PI / args.cars as f64).sin();
-    let centre = [ring * turn.cos(), ring * turn.sin()];
+    let ring = 0.5 * spacing / libm::sin(PI / args.cars as f64);
+    let centre = [ring * libm::cos(turn), ring * libm::sin(turn)];
     let mut config = daemon_config(simulated::Drive::following(ReferenceSection::Circle {
         radius_m: 1.0,
         angular_velocity_rad_s: SPEED,
@@ -143,8 +143,8 @@ fn car(args: &DemoArgs, index: usize) -> FleetCar {
     let phase = ahead * turn;
     FleetCar {
         start: StartPose {
-            x_m: centre[0] + phase.cos(),
-            y_m: centre[1] + phase.sin(),
+            x_m: centre[0] + libm::cos(phase),
+            y_m: centre[1] + libm::sin(phase),
             yaw_rad: phase + FRAC_PI_2,
         },
         seed: args.seed + index as u64,

@@ -68,8 +68,8 @@ pub(super) fn simulation(args: &DemoArgs) -> Result<SimulationConfig, DemoError>
     let yaw_rad = START_YAW_DEG.to_radians();
     let ahead = config.car.vehicle.front_axle_distance_m + POINT_DISTANCE;
     config.car.start = StartPose {
-        x_m: START_POINT[0] - ahead * yaw_rad.cos(),
-        y_m: START_POINT[1] - ahead * yaw_rad.sin(),
+        x_m: START_POINT[0] - ahead * libm::cos(yaw_rad),
+        y_m: START_POINT[1] - ahead * libm::sin(yaw_rad),
         yaw_rad,
     };
     config.cameras.loss = args.loss;
@@ -163,17 +163,17 @@ pub(super) fn expected(feed_forward: bool) -> Expected {
             error_m: 0.0,
         };
     }
-    let corner = GAIN.hypot(ANGULAR_VELOCITY);
+    let corner = libm::hypot(GAIN, ANGULAR_VELOCITY);
     Expected {
         amplitude_m: RADIUS * GAIN / corner,
-        lag_rad: ANGULAR_VELOCITY.atan2(GAIN),
+        lag_rad: libm::atan2(ANGULAR_VELOCITY, GAIN),
         error_m: RADIUS * ANGULAR_VELOCITY / corner,
     }
 }
 
 /// Where P should be `time` seconds after the first driving tick.
 pub(super) fn reference(time: f64) -> [f64; 2] {
-    let (sin, cos) = (ANGULAR_VELOCITY * time).sin_cos();
+    let (sin, cos) = libm::sincos(ANGULAR_VELOCITY * time);
     [RADIUS * cos, RADIUS * sin]
 }
 
@@ -185,7 +185,7 @@ pub(super) fn point(truth: &Truth, front_axle_distance_m: f64) -> [f64; 2] {
 /// Distance of a true P from its reference, in m.
 pub(super) fn tracking_error([x, y]: [f64; 2], time: f64) -> f64 {
     let [x_ref, y_ref] = reference(time);
-    (x - x_ref).hypot(y - y_ref)
+    libm::hypot(x - x_ref, y - y_ref)
 }
 
 #[cfg(test)]

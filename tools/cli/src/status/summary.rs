@@ -205,7 +205,7 @@ impl Summary {
         else {
             return "-".to_owned();
         };
-        let error_m = (x_m - reference_x_m).hypot(y_m - reference_y_m);
+        let error_m = libm::hypot(x_m - reference_x_m, y_m - reference_y_m);
         format!("{:.0} mm from its reference", error_m * 1_000.0)
     }
 }

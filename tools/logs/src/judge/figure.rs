@@ -48,7 +48,7 @@ pub(super) fn of(run: &Run) -> Figure {
             .filter(|judged| chosen(judged))
             .filter_map(|judged| {
                 let innovation = judged.innovation?.max(1e-3);
-                Some((at(judged.seen.time), innovation.log10()))
+                Some((at(judged.seen.time), libm::log10(innovation)))
             })
             .collect();
         (
@@ -118,7 +118,7 @@ fn distribution(run: &Run) -> Panel {
         .collect();
     found.sort_by(f64::total_cmp);
     let values: Column = (0..=POINTS)
-        .map(|point| 10_f64.powf(-1.0 + 3.5 * f64::from(point) / f64::from(POINTS)))
+        .map(|point| libm::pow(10.0, -1.0 + 3.5 * f64::from(point) / f64::from(POINTS)))
         .collect();
     let least = 1.0 / found.len().max(1) as f64;
     let larger = |value: f64| {
@@ -145,7 +145,7 @@ fn distribution(run: &Run) -> Panel {
 
 /// The share of a chi-square distribution with three degrees of freedom above a value.
 fn chi_square_3(value: f64) -> f64 {
-    libm::erfc((0.5 * value).sqrt()) + (2.0 * value / PI).sqrt() * (-0.5 * value).exp()
+    libm::erfc((0.5 * value).sqrt()) + (2.0 * value / PI).sqrt() * libm::exp(-0.5 * value)
 }
 
 /// The noise of the IMU over the frequency.

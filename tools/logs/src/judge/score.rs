@@ -212,7 +212,7 @@ impl Inertial {
                         let vibration = config.vibration_noise_density * speed;
                         noise
                             .configured
-                            .add(config.acceleration_noise_density.hypot(vibration));
+                            .add(libm::hypot(config.acceleration_noise_density, vibration));
                     }
                 }
             }

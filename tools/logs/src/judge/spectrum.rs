@@ -39,8 +39,8 @@ pub(super) fn density(samples: &[(Time, f64)]) -> Vec<(f64, f64)> {
             let (mut real, mut imaginary) = (0.0, 0.0);
             for (index, (_, value)) in segment.iter().enumerate() {
                 let turn = TAU * index as f64 / SEGMENT as f64;
-                let windowed = (value - mean) * 0.5 * (1.0 - turn.cos());
-                let (sine, cosine) = (bin as f64 * turn).sin_cos();
+                let windowed = (value - mean) * 0.5 * (1.0 - libm::cos(turn));
+                let (sine, cosine) = libm::sincos(bin as f64 * turn);
                 real += windowed * cosine;
                 imaginary -= windowed * sine;
             }
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn a_vibration_stands_at_its_frequency_and_segments_do_not_cross_gaps() {
-        let mut shaken = signal(10, |time| (TAU * 12.5 * time).sin());
+        let mut shaken = signal(10, |time| libm::sin(TAU * 12.5 * time));
         let found = density(&shaken);
         let highest = found.iter().max_by(|one, other| one.1.total_cmp(&other.1));
         assert!((highest.unwrap().0 - 12.5).abs() < 0.1);

@@ -53,12 +53,12 @@ pub(super) struct Motion {
 impl Motion {
     /// Speed of G, negative in reverse, m/s.
     pub(super) fn speed(&self) -> f64 {
-        self.forward.hypot(self.left).copysign(self.forward)
+        libm::hypot(self.forward, self.left).copysign(self.forward)
     }
 
     pub(super) fn sideslip(&self) -> f64 {
         let sign = 1.0_f64.copysign(self.forward);
-        (sign * self.left).atan2(sign * self.forward)
+        libm::atan2(sign * self.left, sign * self.forward)
     }
 }
 
@@ -131,7 +131,7 @@ fn moments(seen: &mut [Seen]) {
         let yaw = median(&|pose| wrap(pose.yaw - now.yaw));
         seen.kind = match () {
             () if yaw.abs() > FLIP => Kind::Flip,
-            () if x.hypot(y) > OFF || yaw.abs() > TURNED => Kind::Jump,
+            () if libm::hypot(x, y) > OFF || yaw.abs() > TURNED => Kind::Jump,
             () => Kind::Car,
         };
     }

@@ -1,6 +1,8 @@
 //! `singletrack identify --plan`: how well a drive shows each calibrated parameter, before it is
 //! driven.
 
+#![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
+
 use std::{
     f64::consts::{PI, TAU},
     path::Path,
@@ -87,9 +89,10 @@ pub fn plan(scenario: &Path) -> Result<Vec<PlannedPath>, IdentifyError> {
     });
     let radius = a.min(b).min(1.0);
     let [large, small] = [6.0, 1.5].map(|most: f64| a.min(2.0 * b).min(most));
-    let eight = |half: f64, phase: f64| [half * phase.sin(), 0.5 * half * (2.0 * phase).sin()];
-    let circle = |phase: f64| [radius * phase.cos(), radius * phase.sin()];
-    let wave = |phase: f64| [large * (phase / PI - 1.0), 0.1 * (large * phase).sin()];
+    let eight =
+        |half: f64, phase: f64| [half * libm::sin(phase), 0.5 * half * libm::sin(2.0 * phase)];
+    let circle = |phase: f64| [radius * libm::cos(phase), radius * libm::sin(phase)];
+    let wave = |phase: f64| [large * (phase / PI - 1.0), 0.1 * libm::sin(large * phase)];
     let shapes: [(_, bool, _, Shape<'_>); 4] = [
         ("circle", true, DURATION, &circle),
         ("eight", true, DURATION, &|phase| eight(large, phase)),
@@ -101,12 +104,12 @@ pub fn plan(scenario: &Path) -> Result<Vec<PlannedPath>, IdentifyError> {
         let points = (0..POINTS).map(|index| at(TAU * f64::from(index) / f64::from(POINTS)));
         let points: Vec<_> = points.map(|[dx, dy]| [x + dx, y + dy]).collect();
         let [[x, y], [next_x, next_y]] = [points[0], points[1]];
-        let yaw_rad = (next_y - y).atan2(next_x - x);
+        let yaw_rad = libm::atan2(next_y - y, next_x - x);
         let reach = car.car.vehicle.front_axle_distance_m + config.law.point_distance_m;
         let (mut config, mut car) = (config.clone(), car.clone());
         car.car.start = StartPose {
-            x_m: x - reach * yaw_rad.cos(),
-            y_m: y - reach * yaw_rad.sin(),
+            x_m: x - reach * libm::cos(yaw_rad),
+            y_m: y - reach * libm::sin(yaw_rad),
             yaw_rad,
         };
         let limits = &config.limits;

@@ -1,6 +1,8 @@
 //! The accuracy of the identification: the same drive under many seeds of the simulator's
 //! noise, compared with the truth and with the Cramér-Rao bound.
 
+#![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
+
 use std::{
     error::Error,
     path::Path,
@@ -263,7 +265,7 @@ fn usual_speed(data: &DriveData) -> f64 {
         .poses
         .windows(2)
         .map(|pair| {
-            let way = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
+            let way = libm::hypot(pair[1].x_m - pair[0].x_m, pair[1].y_m - pair[0].y_m);
             way / (pair[1].time_s - pair[0].time_s)
         })
         .collect();
@@ -278,11 +280,11 @@ fn simulated_noise(speed: f64) -> NoiseLevels {
     let period_s = imu.period_us as f64 * 1e-6;
     let vibration_rad_s = imu.vibration_rad_s + imu.vibration_rad_s_per_m_s * speed;
     let vibration_m_s2 = imu.vibration_m_s2 + imu.vibration_m_s2_per_m_s * speed;
-    let acceleration_m_s2 = imu.acceleration_noise_m_s2.hypot(vibration_m_s2);
+    let acceleration_m_s2 = libm::hypot(imu.acceleration_noise_m_s2, vibration_m_s2);
     NoiseLevels {
         position_m: cameras.position_noise_m,
         yaw_rad: cameras.orientation_noise_rad,
-        yaw_rate_rad_s: imu.gyro_noise_rad_s.hypot(vibration_rad_s),
+        yaw_rate_rad_s: libm::hypot(imu.gyro_noise_rad_s, vibration_rad_s),
         left_m_s2: acceleration_m_s2,
         forward_density: acceleration_m_s2 * period_s.sqrt(),
         gyro_walk: imu.gyro_walk_rad_s,

@@ -24,7 +24,7 @@ const BEHIND: f64 = 0.1;
 /// Where P starts: a name, in words, for a circle of 1 m, and the yaw in degrees. The paper's car
 /// starts outside.
 fn starts() -> [(&'static str, &'static str, [f64; 2], f64); 4] {
-    let on_the_path = [BEHIND.cos(), -BEHIND.sin()];
+    let on_the_path = [libm::cos(BEHIND), -libm::sin(BEHIND)];
     let along = 90.0 - BEHIND.to_degrees();
     [
         ("outside", "outside the circle", [1.5, -0.5], 135.0),

@@ -53,7 +53,7 @@ impl Row {
     /// From P to its reference, in m.
     #[must_use]
     pub fn distance_from_reference(&self) -> f64 {
-        (self.x_p - self.x_ref).hypot(self.y_p - self.y_ref)
+        libm::hypot(self.x_p - self.x_ref, self.y_p - self.y_ref)
     }
 
     /// The values, in the order of [`HEADER`].

@@ -634,3 +634,24 @@ fn what_is_relied_on_is_the_lowest_of_configured_and_measured_decelerations() {
         assert_eq!(watch.relied_on(0.6), relied_on, "{measured}");
     }
 }
+
+#[test]
+fn a_stop_that_is_not_obeyed_measures_what_it_has_slowed_down_so_far() {
+    let (alarm, measured) = stop(&mut StopWatch::default(), 0.8, |_| 0.1, all);
+    assert!(alarm.is_some());
+    let measured = measured.unwrap_or(f64::NAN);
+    assert!((0.05..0.15).contains(&measured), "{measured}");
+}
+
+#[test]
+fn the_end_of_a_jog_measures_no_deceleration() {
+    let mut watch = StopWatch::default();
+    let mut speed = 1.0;
+    watch.begin_after_jogging(at(0), &all(speed));
+    for tick in 1..600 {
+        speed = f64::max(speed - 0.004, 0.0);
+        let verdict = watch.tick(at(10 * tick), &all(speed), &LIMITS);
+        assert_eq!(verdict.measured, None);
+    }
+    assert!(!watch.is_underway() && !watch.is_too_weak(LIMITS.braking));
+}
