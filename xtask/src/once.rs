@@ -6,7 +6,8 @@
 //!
 //! What is tested is the compiler's own output: clippy's driver does not optimise as the compiler does.
 //!
-//! A library's unit tests compile the whole library again and run little of it: they are not optimised.
+//! Tests are not optimised where that takes longer than they run: the unit tests of a library compile
+//! all of it again.
 
 use std::{
     env, fs,
@@ -77,7 +78,8 @@ fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
     };
     let mut commands = vec![Command::new(compiler)];
     commands[0].args(arguments);
-    if is_unit_tests(arguments) {
+    let package = env::var("CARGO_PKG_NAME").unwrap_or_default();
+    if !is_optimised(arguments, &package) {
         commands[0].args(["-C", "opt-level=0"]);
     }
     let is_a_crate = arguments.iter().any(|argument| argument.ends_with(".rs"));
@@ -135,14 +137,17 @@ fn is_documented(arguments: &[String]) -> bool {
             .any(|argument| argument == "build_script_build")
 }
 
-/// Whether a library is compiled with its unit tests. Those of [`COMPUTING`] take longer than compiling.
-fn is_unit_tests(arguments: &[String]) -> bool {
-    const COMPUTING: &str = "singletrack_commissioning";
-    let has = |word: &str| arguments.iter().any(|argument| argument == word);
+/// Whether a crate keeps the optimisation of its profile: all but tests, and tests that compute.
+fn is_optimised(arguments: &[String], package: &str) -> bool {
+    let is_test = arguments.iter().any(|argument| argument == "--test");
     let is_library = arguments
         .iter()
         .any(|argument| argument.ends_with("src/lib.rs"));
-    is_library && has("--test") && !has(COMPUTING)
+    match package {
+        "singletrack-commissioning" => true,
+        "singletrack-analysis" | "singletrack-control" => !(is_test && is_library),
+        _ => !is_test,
+    }
 }
 
 /// A program that comes with the compiler: beside it, or on the search path.
@@ -179,13 +184,18 @@ mod tests {
     }
 
     #[test]
-    fn unit_tests_are_not_optimised_and_libraries_are() {
-        let line = "--crate-name a a/src/lib.rs -C opt-level=2";
-        assert!(!is_unit_tests(&words(line)));
-        assert!(is_unit_tests(&words(&format!("{line} --test"))));
-        assert!(!is_unit_tests(&words(
-            "--crate-name tests a/tests/main.rs --test"
-        )));
+    fn tests_are_optimised_only_if_they_compute() {
+        let optimised = |line: &str, package: &str| is_optimised(&words(line), package);
+        assert!(optimised("core/src/lib.rs", "singletrack-core"));
+        assert!(!optimised("core/src/lib.rs --test", "singletrack-core"));
+        assert!(!optimised(
+            "control/src/lib.rs --test",
+            "singletrack-control"
+        ));
+        assert!(optimised(
+            "control/tests/main.rs --test",
+            "singletrack-control"
+        ));
     }
 
     #[test]

@@ -147,19 +147,6 @@ fn every_property_of_the_car_is_far_outside_its_tolerance_in_some_schedules() {
 }
 
 #[test]
-fn some_cars_run_at_neutral() {
-    let runs = (0..500)
-        .map(|seed| Schedule::generate(seed, BoardKind::Native))
-        .filter(|schedule| schedule.situation.neutral_us != 1_500)
-        .filter(|schedule| {
-            let outcome = drive(schedule, &mut Untampered, Until::Violation).unwrap();
-            outcome.reasons.contains("runs-at-neutral")
-        });
-    let count = runs.count();
-    assert!(count >= 5, "{count}");
-}
-
-#[test]
 fn an_invalid_entry_is_reported_with_the_accepted_forms() {
     let error = |text: &str| text.parse::<Schedule>().unwrap_err().to_string();
     for bad in [
@@ -318,25 +305,6 @@ fn an_esc_with_a_narrow_deadband_holds_a_slow_pulse_of_a_board_that_is_reset() {
     assert_eq!(violation(text), None);
 }
 
-/// For as long as the cameras see the car aside of where it is, it drives on or slows down: the law is
-/// never asked for a sideslip at which it is singular, and nothing is dropped to neutral.
-#[test]
-fn cameras_that_err_by_centimetres_leave_the_law_out_of_its_singularity() {
-    for (mm, ms) in [5, 10, 20, 22, 25, 28, 34, 40, 50, 60, 80]
-        .into_iter()
-        .flat_map(|mm| [10, 20, 60, 100, 200, 400].map(|ms| (mm, ms)))
-    {
-        let text = format!(
-            "seed 7; end_ms 7500; speed_mm_s 400; ask arm at 3200; \
-             fault camera-jump at 6000 for {ms} severity {mm}"
-        );
-        let schedule: Schedule = text.parse().unwrap();
-        let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
-        assert!(outcome.violation.is_none(), "{text}");
-        assert!(!outcome.reasons.contains("law-singular"), "{text}");
-    }
-}
-
 #[test]
 fn wrong_bits_of_the_imu_neither_alarm_nor_end_a_drive() {
     for severity in [1, 900, 1_000] {
@@ -353,5 +321,42 @@ fn wrong_bits_of_the_imu_neither_alarm_nor_end_a_drive() {
             "{severity}: {}",
             outcome.driven_ms
         );
+    }
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn some_cars_run_at_neutral() {
+        let runs = (0..500)
+            .map(|seed| Schedule::generate(seed, BoardKind::Native))
+            .filter(|schedule| schedule.situation.neutral_us != 1_500)
+            .filter(|schedule| {
+                let outcome = drive(schedule, &mut Untampered, Until::Violation).unwrap();
+                outcome.reasons.contains("runs-at-neutral")
+            });
+        let count = runs.count();
+        assert!(count >= 5, "{count}");
+    }
+
+    /// For as long as the cameras see the car aside of where it is, it drives on or slows down: the law is
+    /// never asked for a sideslip at which it is singular, and nothing is dropped to neutral.
+    #[test]
+    fn cameras_that_err_by_centimetres_leave_the_law_out_of_its_singularity() {
+        for (mm, ms) in [5, 10, 20, 22, 25, 28, 34, 40, 50, 60, 80]
+            .into_iter()
+            .flat_map(|mm| [10, 20, 60, 100, 200, 400].map(|ms| (mm, ms)))
+        {
+            let text = format!(
+                "seed 7; end_ms 7500; speed_mm_s 400; ask arm at 3200; \
+                 fault camera-jump at 6000 for {ms} severity {mm}"
+            );
+            let schedule: Schedule = text.parse().unwrap();
+            let outcome = drive(&schedule, &mut Untampered, Until::Violation).unwrap();
+            assert!(outcome.violation.is_none(), "{text}");
+            assert!(!outcome.reasons.contains("law-singular"), "{text}");
+        }
     }
 }
