@@ -56,7 +56,7 @@ impl Car {
     }
 
     fn position(&self, which: u64) -> Position {
-        let (sin, cos) = self.angle.sin_cos();
+        let (sin, cos) = libm::sincos(self.angle);
         Position::new(
             0.8 * cos + 1e-3 * noise(self.index, which),
             0.8 * sin + 1e-3 * noise(self.index, which + 1),
@@ -115,8 +115,8 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
             held: false,
             drive_time: Some(now as f64 * 1e-9),
             reference: Some(ReferencePoint {
-                position: Some(Position::new(car.angle.cos(), car.angle.sin())),
-                velocity: Velocity::new(-0.5 * car.angle.sin(), 0.5 * car.angle.cos()),
+                position: Some(Position::new(libm::cos(car.angle), libm::sin(car.angle))),
+                velocity: Velocity::new(-0.5 * libm::sin(car.angle), 0.5 * libm::cos(car.angle)),
             }),
             point: Some(car.position(13)),
             point_velocity: Some(Velocity::new(noise(index, 15), noise(index, 16))),

@@ -171,7 +171,7 @@ struct Stream {
 
 impl Stream {
     fn setpoint(&self, time: Time, seconds: f64) -> Setpoint {
-        let (s, c) = (self.rate * seconds).sin_cos();
+        let (s, c) = libm::sincos(self.rate * seconds);
         let speed = self.rate * self.radius;
         let position = self
             .has_position
@@ -229,7 +229,7 @@ fn course(random: &mut Random) -> Course {
             let points: Vec<String> = (0..100)
                 .map(|index| {
                     let time = 0.4 * f64::from(index);
-                    let (s, c) = (rate * time).sin_cos();
+                    let (s, c) = libm::sincos(rate * time);
                     format!(
                         "{{ t_s = {time}, x_m = {}, y_m = {} }}",
                         radius * c,
@@ -305,7 +305,7 @@ fn steps(random: &mut Random, speed: f64) -> String {
     let mut angle: f64 = 0.0;
     let steps: Vec<String> = (0..12)
         .map(|_| {
-            let (s, c) = angle.sin_cos();
+            let (s, c) = libm::sincos(angle);
             angle += random.between(-1.0, 1.0);
             format!(
                 "{{ duration_s = {}, v_x_m_s = {}, v_y_m_s = {} }}",

@@ -84,7 +84,7 @@ pub(crate) fn study(
                 scenario.law.point_distance_m,
             );
             let off = reference.position.map_or(0.0, |position| {
-                (position.x - point[0]).hypot(position.y - point[1])
+                libm::hypot(position.x - point[0], position.y - point[1])
             });
             sum.add(estimate, &tick.truth, off);
         }
@@ -101,7 +101,7 @@ struct Sum {
 
 impl Sum {
     fn add(&mut self, estimate: &Estimate, truth: &Truth, tracking: f64) {
-        let position = (estimate.position.x - truth.x).hypot(estimate.position.y - truth.y);
+        let position = libm::hypot(estimate.position.x - truth.x, estimate.position.y - truth.y);
         let errors = [
             position,
             wrap(estimate.yaw - truth.yaw),
