@@ -107,7 +107,7 @@ impl<T: Tamper, F: Fn() -> T> Shrinker<F> {
     /// Resets what it can of the situation to defaults.
     fn simplify_situation(&mut self) -> Result<(), SetupError> {
         let default = Situation::default();
-        let changes: [fn(&mut Situation, &Situation); 17] = [
+        let changes: [fn(&mut Situation, &Situation); 18] = [
             |s, default| s.reference = default.reference,
             |s, default| s.speed_mm_s = default.speed_mm_s,
             |s, default| s.fence_mm = default.fence_mm,

@@ -118,6 +118,7 @@ fn configuration(believed: Config, simulator: &RealTimeSimulator, folder: &Path)
     config.record = RecordSection {
         enabled: true,
         directory: folder.join("records"),
+        min_free_mb: 0,
     };
     config.state = StateSection {
         directory: folder.join("state"),

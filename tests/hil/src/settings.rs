@@ -67,6 +67,7 @@ pub fn circle(port: &Path, cameras: SocketAddrV4, folder: &Path) -> Config {
         },
         control: ControlSection::default(),
         record: RecordSection {
+            min_free_mb: 0,
             enabled: true,
             directory: folder.join("records"),
         },

@@ -1,6 +1,7 @@
 //! Figures of maps, levels, callouts and estimates: what lies where on the page.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
+#![allow(clippy::disallowed_methods, reason = "figures")]
 
 mod picture;
 

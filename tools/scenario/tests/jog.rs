@@ -365,7 +365,7 @@ impl Hand {
         config.board.stop_input = true;
         config.board.kill_output = random.below(2) == 0;
         motor.kill_relay = config.board.kill_output;
-        simulation.board.own_supply = seed % 2 == 0;
+        simulation.board.own_supply = seed.is_multiple_of(2);
         Self {
             random,
             drive: VirtualDrive::new(config, seed, simulation).unwrap(),
