@@ -229,7 +229,7 @@ fn a_turned_sensor_gives_the_cars_axes() {
     assert!((lateral - truth.lateral_acceleration).abs() < 0.3);
     assert!((yaw_rate - truth.yaw_rate).abs() < 0.03);
     let [w, _, _, z] = telemetry.attitude_q14.map(f64::from);
-    let heading = 2.0 * z.atan2(w);
+    let heading = 2.0 * libm::atan2(z, w);
     let error = (heading - truth.yaw + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
         - std::f64::consts::PI;
     assert!(error.abs() < 0.1, "{error}");

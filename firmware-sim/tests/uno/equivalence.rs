@@ -128,14 +128,14 @@ impl Script {
                 ToBoard::Jog(Jog {
                     sequence: self.sequence,
                     telemetry_time_us,
-                    servo_us: (1_500.0 + 600.0 * (2.1 * seconds).sin()) as u16,
-                    esc_us: (1_500.0 + 200.0 * (1.3 * seconds).sin()) as u16,
+                    servo_us: (1_500.0 + 600.0 * libm::sin(2.1 * seconds)) as u16,
+                    esc_us: (1_500.0 + 200.0 * libm::sin(1.3 * seconds)) as u16,
                 })
             } else {
                 ToBoard::Drive(Drive {
                     sequence: self.sequence,
-                    speed_mm_s: (400.0 + 150.0 * (1.3 * seconds).sin()) as i16,
-                    steering_100urad: (3_000.0 * (2.1 * seconds).sin()) as i16,
+                    speed_mm_s: (400.0 + 150.0 * libm::sin(1.3 * seconds)) as i16,
+                    steering_100urad: (3_000.0 * libm::sin(2.1 * seconds)) as i16,
                     telemetry_time_us,
                     pose_age_ms: 12,
                     brake: false,
@@ -157,7 +157,7 @@ impl Script {
             }
         }
         let speed_um_ms = match Self::driving_ms(ms) {
-            Some(at) if at > 150 => 420.0 + 120.0 * (at as f64 * 1.1e-3).sin(),
+            Some(at) if at > 150 => 420.0 + 120.0 * libm::sin(at as f64 * 1.1e-3),
             _ => 0.0,
         };
         let before = self.travel_um;
@@ -170,7 +170,7 @@ impl Script {
         // The sensor takes a second to start and to be configured.
         if ms % 10 == 6 && ms > 1_500 {
             // Values that the sensor's units represent exactly.
-            let wave = |rate: f64, size: f64| (size * (rate * ms as f64 * 1e-3).sin()) as i16;
+            let wave = |rate: f64, size: f64| (size * libm::sin(rate * ms as f64 * 1e-3)) as i16;
             now.motion = Some(Motion {
                 linear_acceleration_mm_s2: [
                     wave(2.0, 150.0) * 10,
