@@ -127,7 +127,9 @@ extern "C" fn main() -> ! {
     loop {
         if !pace.wait(ROUND_MS, || main_loop.has_news()) || main_loop.round() {
             main_loop.poll(board);
-            pulse_guard::guarded().map(watchdog::feed);
+            if let Some(proof) = pulse_guard::guarded() {
+                watchdog::feed(proof);
+            }
         }
     }
 }
