@@ -18,6 +18,7 @@ use crate::{
     },
     target,
     workspace::{cargo, root},
+    yardstick,
 };
 
 const USAGE: &str = "\
@@ -79,7 +80,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     python::empty(&folder()?)?;
     let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
     let steps: Vec<Step> = steps.collect();
-    run_all(&steps, &Packages::Default)?;
+    run_all(&steps, &Packages::Default, yardstick::demo_s()?)?;
     if !plan.without.is_empty() {
         println!("NOT A RELEASE: without {}", plan.without.join(", "));
     }

@@ -9,7 +9,6 @@ use crate::{
     prerequisites::Part,
     process::{Failure, NOT_VALID, failure},
     programs::Packages,
-    yardstick,
 };
 
 /// One check.
@@ -61,8 +60,9 @@ struct Cost {
 }
 
 /// Runs the steps up to the first failure. Prints the cost of each, those over their budgets, and the
-/// steps that were not run. A step that was not valid does not end the others.
-pub(crate) fn run_all(steps: &[Step], packages: &Packages) -> Result<(), Failure> {
+/// steps that were not run. A step that was not valid does not end the others. `demo_s` is the unit of
+/// the costs.
+pub(crate) fn run_all(steps: &[Step], packages: &Packages, demo_s: f64) -> Result<(), Failure> {
     let begin = Instant::now();
     let mut costs: Vec<Cost> = Vec::new();
     let mut not_valid: Vec<&str> = Vec::new();
@@ -89,7 +89,7 @@ pub(crate) fn run_all(steps: &[Step], packages: &Packages) -> Result<(), Failure
         }
     }
     let wall = begin.elapsed();
-    print!("\n{}", table(&costs, wall, yardstick::demo_s()?));
+    print!("\n{}", table(&costs, wall, demo_s));
     let not_run: Vec<&str> = steps[costs.len()..].iter().map(|step| step.name).collect();
     if !not_run.is_empty() {
         println!("NOT RUN: {}", not_run.join(", "));
@@ -183,7 +183,7 @@ mod tests {
                 Ok(())
             }),
         ];
-        let failure = run_all(&steps, &Packages::Default).unwrap_err();
+        let failure = run_all(&steps, &Packages::Default, 100.0).unwrap_err();
         assert_eq!(failure.to_string(), "two failed: broken");
         assert_eq!(*RAN.lock().unwrap(), ["one"]);
     }
@@ -195,7 +195,7 @@ mod tests {
             step("busy", |_| Err(Failure::NotValid("late".to_owned()))),
             step("calm", |_| Ok(())),
         ];
-        let failure = run_all(&steps, &Packages::Default).unwrap_err();
+        let failure = run_all(&steps, &Packages::Default, 100.0).unwrap_err();
         assert!(matches!(failure, Failure::NotValid(_)), "{failure}");
         let text = failure.to_string();
         assert!(

@@ -14,6 +14,7 @@ use crate::{
     },
     target, units, uno,
     workspace::{cargo, root},
+    yardstick,
 };
 
 pub(crate) const USAGE: &str = "\
@@ -61,7 +62,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     target::adopt()?;
     let (chosen, rest): (Vec<Step>, Vec<Step>) =
         STEPS.into_iter().partition(|step| selection.chooses(step));
-    let result = run_all(&chosen, &selection.packages());
+    let result = run_all(&chosen, &selection.packages(), yardstick::demo_s()?);
     if selection.steps.is_empty() && !rest.is_empty() {
         let rest: Vec<&str> = rest.iter().map(|step| step.name).collect();
         let rest = rest.join(", ");
@@ -162,7 +163,7 @@ const STEPS: [Step; 28] = [
         prerequisites::ensure(&prerequisites::of_parts(&parts.collect::<Vec<_>>()))
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
-    row("compile", 3.0, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
+    row("compile", 2.6, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
     row("lints-uno", 0.35, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
     row("packages", 0.4, All, "packages build alone, and those for others can be packed",
         |_| packages::check_alone().and_then(|()| packages::check_published())),
@@ -170,7 +171,7 @@ const STEPS: [Step; 28] = [
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| units::check()),
     // Checks of the programs in virtual time.
-    row("tests", 1.2, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 0.7, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -178,7 +179,7 @@ const STEPS: [Step; 28] = [
         }
         packages.check_with_image(&mut tests)
     }),
-    row("faults", 0.4, Always, "random faults in virtual time violate no invariant",
+    row("faults", 0.35, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
     row("tutorial", 0.02, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
@@ -222,7 +223,7 @@ const STEPS: [Step; 28] = [
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 0.6, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.55, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
     row("hil-uno", 0.4, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),

@@ -242,7 +242,7 @@ impl<'a> Reader<'a> {
                 steps(self.drive)
             }
             (_, "sequence" | "request" | "next_request" | "arm_request") => steps(self.request),
-            ("MotorPulses", "count") | (_, "since_count") => {
+            ("MotorPulses", "count") | (_, "since_count" | "creeping_since_count") => {
                 i64::from(self.pulses.wrapping_sub(value as u16).cast_signed()).clamp(-64, 64)
             }
             (_, "nonce" | "announcement" | "greeting") => {
@@ -294,6 +294,7 @@ fn watch_limit_us(field: &str) -> i64 {
         "jogged" => 10_000_000,
         "failed" => 300_000,
         "rolling" => 3_000_000,
+        "creeping" => 5_000_000,
         _ => 700_000,
     }
 }
