@@ -62,7 +62,7 @@ fn start(
         let mut config = cars[index].config.clone();
         let folder = folder.join(&config.motion_capture.rigid_body);
         std::fs::create_dir(&folder).unwrap();
-        let simulator = RealTimeSimulator::start(RealTimeConfig {
+        let simulated = RealTimeConfig {
             simulation: fleet_simulation(cars, index),
             pty_link: Some(folder.join("board")),
             udp: UdpConfig {
@@ -75,7 +75,14 @@ fn start(
                 index,
             }),
             ..RealTimeConfig::default()
+        };
+        // It stands for hardware, which shares no processor: where that is permitted, its threads
+        // are scheduled in real time.
+        let simulator = thread::spawn(|| {
+            let _ = singletrackd::realtime::make_punctual(1);
+            RealTimeSimulator::start(simulated).unwrap()
         })
+        .join()
         .unwrap();
         config.serial.port = simulator.pty_path().to_owned();
         let mut cameras = simulator.command_address().port();
