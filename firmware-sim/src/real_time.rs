@@ -262,7 +262,7 @@ impl RealTimeSimulator {
         })
     }
 
-    /// As [`unplug`](Self::unplug), but the board keeps its power.
+    /// Cuts the serial line alone: unlike after [`unplug`](Self::unplug), the board keeps its power.
     ///
     /// # Errors
     ///

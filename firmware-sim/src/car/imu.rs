@@ -146,7 +146,7 @@ pub enum ImuFault {
     Saturated,
     /// Every other sample has its signs reversed.
     Erratic,
-    /// One of so many samples has a wrong bit on its way over the bus, which has no checksum: one of
+    /// Single samples get a wrong bit on the bus, which has no checksum: one of
     /// the two highest of the angular velocities or of the quaternion.
     WrongBit {
         /// From one such sample to the next.

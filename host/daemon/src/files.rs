@@ -33,7 +33,7 @@ pub(crate) enum ProofChange {
 pub(crate) struct Files {
     /// Where proved configurations are kept.
     pub(crate) state: StateFile,
-    /// Of the record; `None` without one.
+    /// Free space for the record; `None` without a record.
     pub(crate) space: Option<FreeSpace>,
     pub(crate) status: Arc<SharedStatus>,
     /// Entries for the record.

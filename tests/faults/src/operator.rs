@@ -40,7 +40,7 @@ pub(crate) enum Renewal {
 /// When the daemon was last sent a renewal, in µs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Renewed {
-    /// Of any kind: each renews a held drive.
+    /// A request of any kind: each renews a held drive.
     pub(crate) drive_us: Option<u64>,
     /// Pulses, which alone renew a jog.
     pub(crate) jog_us: Option<u64>,

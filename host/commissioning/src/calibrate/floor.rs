@@ -293,7 +293,7 @@ fn size(config: &Config) -> String {
     )
 }
 
-/// As [`lacks_room`](super::lacks_room).
+/// Why the geofence lacks room, if it does: [`lacks_room`](super::lacks_room).
 pub(super) fn lacks_room(config: &Config) -> Option<String> {
     /// The places that are looked at along each side of the geofence.
     const PLACES: usize = 24;

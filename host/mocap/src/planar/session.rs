@@ -180,7 +180,7 @@ impl PlanarSession {
         self.tracker.neighbour()
     }
 
-    /// As [`PoseSource::unreadable`](crate::PoseSource::unreadable).
+    /// Error of a definition that could not be read: [`PoseSource::unreadable`](crate::PoseSource::unreadable).
     #[must_use]
     pub fn unreadable(&self) -> Option<DecodeError> {
         self.source.unreadable()
