@@ -55,8 +55,8 @@ pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
     check_programs.args(INSTALLED).args(CHECKED);
     check(&mut check_programs)?;
-    let folder = build("release", &TRAJECTORY)?;
-    let emulated = || ARMHF.emulated(folder.join("examples/trajectory"));
+    let folder = build("dev", &TRAJECTORY)?;
+    let emulated = || ARMHF.emulated(folder.join("trajectory"));
     compare(
         ("this machine", &packages.trajectory()?),
         ("ARMv7", &emulated),

@@ -118,8 +118,8 @@ impl Packages {
 
     /// A command that simulates a scenario, by the build of the tests.
     pub(crate) fn trajectory(&self) -> Result<impl Fn() -> Command, Failure> {
-        self.build(&["--example", "trajectory"])?;
-        let program = target::folder()?.join("debug/examples/trajectory");
+        self.build(&["--bins"])?;
+        let program = target::folder()?.join("debug/trajectory");
         Ok(move || {
             let mut command = Command::new(&program);
             command.current_dir(root());
@@ -246,7 +246,7 @@ fn needs_image(arguments: &[String]) -> bool {
 pub(crate) const TRAJECTORY: [&str; 7] = [
     "--package",
     "singletrack-scenario",
-    "--example",
+    "--bin",
     "trajectory",
     "--no-default-features",
     "--features",

@@ -246,7 +246,7 @@ fn compare_release(packages: &Packages) -> Result<(), Failure> {
     let (mut build, folder) = release_build()?;
     check(build.args(TRAJECTORY))?;
     let simulate = || {
-        let mut simulate = Command::new(folder.join("examples/trajectory"));
+        let mut simulate = Command::new(folder.join("trajectory"));
         simulate.current_dir(root());
         simulate
     };

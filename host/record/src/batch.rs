@@ -4,7 +4,17 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::{Channel, ClockMapping, EncodeError, cdr};
+use crate::{Channel, ClockMapping, cdr};
+
+/// A message can't be encoded, because a text in it is longer than 4 GB.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("can't encode a message of {topic}: {reason}")]
+pub struct EncodeError {
+    /// Its topic.
+    pub topic: &'static str,
+    /// Why it failed.
+    pub reason: String,
+}
 
 /// A message on a channel. Times are on the wall clock, in ns since 1970, by the mapping
 /// taken when the record began.

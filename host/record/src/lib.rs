@@ -24,42 +24,34 @@
 mod batch;
 mod cdr;
 mod channel;
-mod chunk;
-mod container;
 mod derive;
 mod encoder;
 mod entry;
-mod error;
-mod feed;
+#[cfg(feature = "files")]
+mod file;
 mod json;
 mod message;
 mod meta;
-mod parse;
-mod reader;
-mod recorder;
-mod recover;
 mod replay;
-mod span;
 mod standard;
 mod tick;
 mod tick_feed;
 mod topic;
 mod value;
 
-pub use batch::Publication;
+pub use batch::{EncodeError, Publication};
 pub use channel::Channel;
-pub use container::part_path;
 pub use encoder::Encoder;
 pub use entry::{
     ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord, seconds_since,
 };
-pub use error::{EncodeError, RecordError};
-pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
+#[cfg(feature = "files")]
+pub use file::{
+    Ending, FeedInput, FeedOutput, Finished, Reader, RecordError, Recorded, Recorder,
+    RecorderThread, Recovery, feed, part_path, recover,
+};
 pub use json::{ParseEntryError, Shown, write_json_object};
 pub use meta::{ClockMapping, Meta, RECORD_VERSION};
-pub use reader::{Ending, Reader, Recorded};
-pub use recorder::{Finished, Recorder};
-pub use recover::{Recovery, recover};
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};

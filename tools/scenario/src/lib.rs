@@ -10,4 +10,5 @@ pub mod simulated;
 pub mod tracking;
 pub mod virtual_drive;
 pub mod virtual_fleet;
+#[cfg_attr(not(feature = "records"), path = "no_record.rs")]
 pub mod virtual_record;

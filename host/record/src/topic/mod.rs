@@ -148,13 +148,6 @@ impl Topic {
         self as usize
     }
 
-    /// The topic with this channel, if there is one.
-    pub(crate) fn of_channel(channel: &str) -> Option<Self> {
-        Self::ALL
-            .into_iter()
-            .find(|topic| topic.channel() == channel)
-    }
-
     /// The time of [`Entry::time_ns`] in one of its messages; none if it is no message of this topic.
     #[must_use]
     pub fn time_ns(self, message: &[u8]) -> Option<u64> {
@@ -181,6 +174,17 @@ impl Topic {
         let mut paths = Paths::default();
         with_message!(self, M => M::absent().visit(&mut paths));
         paths.paths
+    }
+}
+
+/// What reads messages from a file.
+#[cfg(feature = "files")]
+impl Topic {
+    /// The topic with this channel, if there is one.
+    pub(crate) fn of_channel(channel: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|topic| topic.channel() == channel)
     }
 
     /// Adds the fields of the message that `bytes` encode to `values`.

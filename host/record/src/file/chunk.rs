@@ -5,7 +5,7 @@ use mcap::{
     records::{ChunkHeader, Record, op},
 };
 
-use crate::parse::parse_record;
+use super::parse::parse_record;
 
 /// The largest length of a part of a record. A larger one is damage, and must not be
 /// allocated.

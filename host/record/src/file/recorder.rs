@@ -7,7 +7,11 @@ use std::{
 
 use mcap::records::MessageHeader;
 
-use crate::{Channel, Encoder, Entry, Meta, RecordError, container::Container, part_path};
+use super::{
+    RecordError,
+    container::{Container, part_path},
+};
+use crate::{Channel, Encoder, Entry, Meta};
 
 /// A killed process loses the entries since the last flush. The documented limit is one
 /// second; this leaves half of it for a slow disk.

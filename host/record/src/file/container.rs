@@ -11,7 +11,8 @@ use std::{
 
 use mcap::{Compression, McapError, WriteOptions, Writer};
 
-use crate::{Channel, RecordError};
+use super::RecordError;
+use crate::Channel;
 
 /// The profile in the header of the file: readers then expect ROS 2 messages.
 pub(crate) const PROFILE: &str = "ros2";

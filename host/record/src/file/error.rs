@@ -2,6 +2,8 @@
 
 use std::{io, path::PathBuf};
 
+use crate::EncodeError;
+
 /// A record can't be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
@@ -111,14 +113,4 @@ pub enum RecordError {
         /// What happened.
         what: String,
     },
-}
-
-/// A message can't be encoded, because a text in it is longer than 4 GB.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("can't encode a message of {topic}: {reason}")]
-pub struct EncodeError {
-    /// Its topic.
-    pub topic: &'static str,
-    /// Why it failed.
-    pub reason: String,
 }

@@ -8,7 +8,7 @@ use std::{
 
 use mcap::records::op;
 
-use crate::chunk::MAX_PART_LENGTH;
+use crate::file::chunk::MAX_PART_LENGTH;
 
 /// Opcode and length of a record.
 const HEAD_LENGTH: u64 = 1 + 8;

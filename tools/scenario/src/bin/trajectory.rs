@@ -1,10 +1,6 @@
 //! Simulates a scenario and prints the trajectory, as `singletrack simulate` does. It needs a
-//! third of the packages, so that a debug build of it shows soon whether debug and release builds
-//! simulate the same bits.
-//!
-//! ```sh
-//! cargo run -p singletrack-scenario --example trajectory -- tools/scenarios/circle.toml
-//! ```
+//! third of the packages, so that builds with other profiles and for other computers show soon
+//! whether they simulate the same bits.
 
 use std::{
     env,

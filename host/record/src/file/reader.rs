@@ -17,14 +17,15 @@ use mcap::{
     sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
 };
 
-use crate::{
-    Entry, Meta, RecordError, Topic, Value,
+use super::{
+    RecordError,
     chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
     container::{PROFILE, failure, part_path},
-    meta::{CONFIGURATION_NAME, METADATA_NAME, check_version},
+    metadata::{CONFIGURATION_NAME, METADATA_NAME, check_version},
     parse::{is_data_part, parse_record},
     span::{message_count, span_wall_ns},
 };
+use crate::{Entry, Meta, Topic, Value};
 
 /// Bytes of the length of a list.
 const LENGTH: usize = size_of::<u32>();

@@ -17,13 +17,14 @@ use mcap::{
 };
 use scan::{Found, Scan};
 
-use crate::{
-    Channel, RecordError, Topic,
+use super::{
+    RecordError,
     chunk::{Chunk, ChunkError},
     container::{Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, with_suffix},
-    meta::{CONFIGURATION_NAME, METADATA_NAME},
+    metadata::{CONFIGURATION_NAME, METADATA_NAME},
     parse::{is_data_part, parse_record},
 };
+use crate::{Channel, Topic};
 
 /// What was saved of a record, and what was lost.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

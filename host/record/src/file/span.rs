@@ -8,7 +8,8 @@ use std::{
 
 use mcap::records::{Record, Statistics, op};
 
-use crate::{Topic, parse::parse_record};
+use super::parse::parse_record;
+use crate::Topic;
 
 /// The footer: opcode, length and contents, and the bytes after which a file ends.
 const FOOTER: usize = 1 + 8 + 20;

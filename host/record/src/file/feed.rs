@@ -11,7 +11,8 @@ use std::{
     time::Duration,
 };
 
-use crate::{Drops, Entry, Finished, RecordError, Recorder};
+use super::{Finished, RecordError, Recorder};
+use crate::{Drops, Entry};
 
 /// How long the thread sleeps when there is nothing to write.
 const IDLE: Duration = Duration::from_millis(5);
