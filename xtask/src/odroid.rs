@@ -49,13 +49,19 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     }
 }
 
-/// Checks that the Odroid's programs compile, and that the same bits are simulated there as here:
-/// records of the car are replayed here. The programs themselves are built and run by `cargo deb`.
+/// Checks that the Odroid's programs compile, and that the tested profile simulates the same bits
+/// there as here. The programs themselves are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
     check_programs.args(INSTALLED).args(CHECKED);
     check(&mut check_programs)?;
-    let folder = build("dev", &TRAJECTORY)?;
+    compare_bits(packages, "dev")
+}
+
+/// Checks that a profile simulates the same bits there as the tests here: records of the car are
+/// replayed here.
+pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result<(), Failure> {
+    let folder = build(profile, &TRAJECTORY)?;
     let emulated = || ARMHF.emulated(folder.join("trajectory"));
     compare(
         ("this machine", &packages.trajectory()?),

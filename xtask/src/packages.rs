@@ -27,15 +27,13 @@ pub(crate) const PUBLISHED: [&str; 3] = [
 /// without any.
 const FEATURES: [(&str, &str); 2] = [("singletrack", "demo"), ("singletrack-logs", "")];
 
-/// Checks that each pure package builds alone, and others without some of their features.
+/// Checks that the pure packages build without the others, and these without some of their features.
 pub(crate) fn check_alone() -> Result<(), Failure> {
-    let check_package = |package| ["check", "--quiet", "--package", package];
-    for package in PURE {
-        check(cargo().args(check_package(package)))?;
-    }
+    let pure = PURE.iter().flat_map(|package| ["--package", package]);
+    check(cargo().args(["check", "--quiet"]).args(pure))?;
     for (package, features) in FEATURES {
         let mut cargo = cargo();
-        cargo.args(check_package(package));
+        cargo.args(["check", "--quiet", "--package", package]);
         check(cargo.args(["--no-default-features", "--features", features]))?;
     }
     Ok(())

@@ -7,7 +7,7 @@ use std::{
 };
 
 use crate::{
-    changelog, deb, libraries, packages,
+    changelog, deb, libraries, odroid, packages,
     prerequisites::{self, GIT, PODMAN},
     process::{Failure, check, failure, silent, text},
     programs::{INSTALLED, NODE, Packages, release_build},
@@ -25,8 +25,8 @@ const USAGE: &str = "\
 usage: cargo release [--tag TAG] [--without STEP[,STEP...]]
 
 Make the files of a release in target/release-VERSION/: notes, licences, crates, book, Debian
-packages, container image, wheels and checksums; and drive with them. Needs Debian 12 on x86-64, and installs missing
-packages. Publishes nothing.
+packages, container image, wheels and checksums; and drive with them. Needs Debian 12 on x86-64,
+and installs missing packages. Publishes nothing.
 
   --tag TAG       make the release of this tag, such as v0.1.0: the version, the changelog and a
                   clean checkout are required, and all steps
@@ -50,7 +50,9 @@ const STEPS: [Step; 8] = [
     row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
     row("book", 0.63, All, "the site", book),
     row("debian", 14.2, All, "the Debian packages", debian),
-    row("drive", 3.0, All, "the packaged daemon drives a simulated board", drive),
+    row("drive", 3.9, All,
+        "the packaged daemon drives a simulated board; optimised for the Odroid, the bits are the same",
+        drive),
     row("image", 0.16, All, "the container image of the simulator", image),
     row("wheels", 5.3, All, "the Python package", wheels),
     row("checksums", 0.03, Always, "SHA256SUMS", checksums),
@@ -197,7 +199,8 @@ fn debian(_: &Packages) -> Result<(), Failure> {
 }
 
 /// The daemon of this machine's package, in the suite that else has that of the tests.
-fn drive(_: &Packages) -> Result<(), Failure> {
+fn drive(packages: &Packages) -> Result<(), Failure> {
+    odroid::compare_bits(packages, "release")?;
     let (_, programs) = release_build()?;
     let mut suite = Packages::Default.tests(Some("hil"))?;
     suite.arg("--daemon").arg(programs.join("singletrackd"));
