@@ -35,6 +35,7 @@ mod clock;
 mod defaults;
 mod epoch;
 mod floor;
+pub mod integrator;
 mod loss;
 mod natnet_server;
 mod parameters;

@@ -5,7 +5,7 @@ use pythonize::{depythonize, pythonize};
 use singletrack_campaign::{Experiment as _, run_units, thread_count};
 use singletrack_control::Reference;
 use singletrack_core::{setpoint::SetpointCommand, state_stream::States};
-use singletrack_paper::compare::{
+use singletrack_lab::compare::{
     Comparison, Condition, ControllerName, OwnPoint, PathName, csv, lines_with, markdown,
 };
 use singletrack_scenario::virtual_drive::VirtualTick;

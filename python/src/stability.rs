@@ -3,7 +3,7 @@
 use numpy::{Complex64, PyArray1};
 use pyo3::{prelude::*, types::PyDict};
 use singletrack_analysis::stability::{self, Belief, ClosedLoop, Law, MarginLimits, SampledLoop};
-use singletrack_paper::stability::Subject;
+use singletrack_lab::stability::Subject;
 
 use crate::{
     argument::{choice, refuse},

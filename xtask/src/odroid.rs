@@ -16,16 +16,8 @@ Build singletrackd and singletrack for the Odroid and print their paths.
 Installs missing Debian packages.
 ";
 
-/// Without the commands that reproduce the paper, which are not for the car.
-const INSTALLED: &[&str] = &[
-    "--package",
-    "singletrackd",
-    "--package",
-    "singletrack",
-    "--no-default-features",
-    "--features",
-    "singletrack/desk,singletrack/live,singletrack/page",
-];
+/// The programs of the car.
+const INSTALLED: [&str; 4] = ["--package", "singletrackd", "--package", "singletrack"];
 
 /// The daemon and the operator's commands, as they are installed there. This combination of features
 /// is linted only here.
@@ -35,7 +27,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
         [] => {
             prerequisites::ensure(&prerequisites::ODROID)?;
-            let folder = build("release", INSTALLED)?;
+            let folder = build("release", &INSTALLED)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }

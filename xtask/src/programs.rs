@@ -27,9 +27,10 @@ const OF_PARTS: [(Part, &str); 4] = [
 ];
 
 /// The packages with programs that are installed, and those programs.
-pub(crate) const INSTALLED: [(&str, &str); 4] = [
+pub(crate) const INSTALLED: [(&str, &str); 5] = [
     ("singletrackd", "singletrackd"),
     ("singletrack", "singletrack"),
+    ("singletrack-lab", "singletrack-lab"),
     ("singletrack-sim", "singletrack-sim"),
     ("singletrack-newcomer", "singletrack-hil"),
 ];
@@ -168,7 +169,7 @@ pub(crate) struct Runner {
 /// `cargo demo`: only what it runs is built. With the option `--live`, also what that serves.
 pub(crate) const DEMO: Runner = Runner {
     package: "singletrack",
-    options: &["--no-default-features", "--features", "demo"],
+    options: &["--no-default-features"],
     first: &["demo"],
 };
 

@@ -28,7 +28,6 @@ mod plot;
 mod procedure;
 mod question;
 pub mod report;
-mod teach;
 
 pub use bench::{
     Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
@@ -39,4 +38,3 @@ pub use parameter::{Interval, Parameter};
 pub use plot::{Plot, PlotKind, PlotLine};
 pub use procedure::{Journal, Step, run};
 pub use question::{Answer, Answers, Live, Question};
-pub use teach::{Place, Taught, TeachError, TeachOptions, taught_path};

@@ -51,8 +51,7 @@ angular_velocity_rad_s = 0.5
 # this one:
 #   kind = \"waypoints\"
 #   file = \"waypoints.csv\"
-# Or smoothly through points, from a CSV file with the columns x_m,y_m, which
-# singletrack teach writes:
+# Or smoothly through points, from a CSV file with the columns x_m,y_m:
 #   kind = \"path\"
 #   file = \"path.csv\"
 #   closed = false

@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, io, path::Path, time::Duration};
 
 use clap::Parser;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use singletrack::dump::{DumpArgs, Format, dump};
+use singletrack::operator::dump::{DumpArgs, Format, dump};
 use singletrack_control::{
     Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
 };

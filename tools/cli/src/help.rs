@@ -7,13 +7,15 @@ use clap::Command;
 use crate::wrap::wrap;
 
 /// What the commands are for, and their names.
-pub const GROUPS: [(&str, &str); 5] = [
-    ("Drive", "arm disarm stop fleet drive tune setpoint"),
+pub const GROUPS: [(&str, &str); 4] = [
+    (
+        "Drive",
+        "arm disarm stop fleet drive tune setpoint set-reference",
+    ),
     (
         "Set up a car",
         "cameras doctor bring-up calibrate accept jog",
     ),
-    ("Teach a reference", "teach set-reference"),
     ("Look", "status page live dump plot"),
     (
         "Simulate and analyse",

@@ -10,11 +10,9 @@ use std::{
 };
 
 use clap::Args;
-#[cfg(feature = "page")]
 use singletrack_api::{Fleet, FleetCar};
 use singletrack_core::{Config, config::SocketSection};
 use singletrack_figures::output::print;
-#[cfg(feature = "page")]
 use singletrack_viewers::page::{OtherCar, Page};
 use tracing_subscriber::{
     filter::{LevelFilter, Targets},
@@ -60,7 +58,6 @@ impl ViewerArgs {
 }
 
 /// Options of `singletrack page`.
-#[cfg(feature = "page")]
 #[derive(Clone, Debug, Args)]
 pub struct PageArgs {
     #[command(flatten)]
@@ -84,24 +81,11 @@ pub struct PageArgs {
     token_file: Option<PathBuf>,
 }
 
-/// Options of `singletrack live`.
-#[cfg(feature = "live")]
-#[derive(Clone, Debug, Args)]
-pub struct LiveArgs {
-    #[command(flatten)]
-    viewer: ViewerArgs,
-
-    /// Port to listen on; 0 takes any free port [default: that of --config, or 8765]
-    #[arg(long, value_name = "PORT")]
-    port: Option<u16>,
-}
-
 /// Serves the page until Ctrl-C.
 ///
 /// # Errors
 ///
 /// The configuration is invalid, or the page can't be served.
-#[cfg(feature = "page")]
 pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     let interrupt = Interrupt::listen()?;
     let (mut socket, mut section) = args.viewer.settings(|config| config.page)?;
@@ -137,24 +121,6 @@ pub fn page(args: &PageArgs) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Serves the live view until Ctrl-C.
-///
-/// # Errors
-///
-/// The configuration is invalid, or the live view can't be served.
-#[cfg(feature = "live")]
-pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
-    let interrupt = Interrupt::listen()?;
-    let (socket, mut section) = args.viewer.settings(|config| config.live)?;
-    section.address = args.viewer.address.unwrap_or(section.address);
-    section.port = args.port.unwrap_or(section.port);
-    start_log();
-    let live = singletrack_viewers::live::Live::start(socket, section)?;
-    print(&format!("Live view: ws://{}\n", live.address()))?;
-    wait(&interrupt);
-    Ok(())
-}
-
 /// The log on standard error: the daemon lost and found again.
 fn start_log() {
     let no_colour = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
@@ -174,5 +140,47 @@ fn start_log() {
 fn wait(interrupt: &Interrupt) {
     while !interrupt.is_raised() {
         thread::sleep(POLL);
+    }
+}
+
+#[cfg(feature = "live")]
+pub use live::{LiveArgs, live};
+
+#[cfg(feature = "live")]
+mod live {
+    use std::error::Error;
+
+    use clap::Args;
+    use singletrack_figures::output::print;
+
+    use super::{ViewerArgs, start_log, wait};
+    use crate::interrupt::Interrupt;
+
+    /// Options of `singletrack live`.
+    #[derive(Clone, Debug, Args)]
+    pub struct LiveArgs {
+        #[command(flatten)]
+        viewer: ViewerArgs,
+
+        /// Port to listen on; 0 takes any free port [default: that of --config, or 8765]
+        #[arg(long, value_name = "PORT")]
+        port: Option<u16>,
+    }
+
+    /// Serves the live view until Ctrl-C.
+    ///
+    /// # Errors
+    ///
+    /// The configuration is invalid, or the live view can't be served.
+    pub fn live(args: &LiveArgs) -> Result<(), Box<dyn Error>> {
+        let interrupt = Interrupt::listen()?;
+        let (socket, mut section) = args.viewer.settings(|config| config.live)?;
+        section.address = args.viewer.address.unwrap_or(section.address);
+        section.port = args.port.unwrap_or(section.port);
+        start_log();
+        let live = singletrack_viewers::live::Live::start(socket, section)?;
+        print(&format!("Live view: ws://{}\n", live.address()))?;
+        wait(&interrupt);
+        Ok(())
     }
 }

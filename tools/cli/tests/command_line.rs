@@ -5,7 +5,6 @@
 
 #[allow(dead_code, reason = "status is tried with keys as well")]
 use std::{
-    fs,
     io::{BufRead, BufReader, Write},
     os::unix::net::UnixListener,
     process::{Command, Output},
@@ -50,12 +49,11 @@ fn the_help_lists_the_commands_by_what_they_are_for() {
         let headings = help.lines().filter(|line| line.ends_with(':'));
         let headings: Vec<_> = headings.filter(|line| !line.starts_with(' ')).collect();
         assert_eq!(
-            headings.get(..6),
+            headings.get(..5),
             Some(
                 &[
                     "Drive:",
                     "Set up a car:",
-                    "Teach a reference:",
                     "Look:",
                     "Simulate and analyse:",
                     "Options:"
@@ -188,80 +186,6 @@ fn no_message_has_colours_where_they_are_not_wanted() {
     assert!(
         !plain.contains('\x1b') && plain.contains("--colour"),
         "{plain:?}"
-    );
-}
-
-#[test]
-fn completions_and_manual_pages_name_every_command() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().to_str().unwrap();
-    let output = run(&["install-files", "--out", out]);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let read = |path: &str| {
-        let file = folder.path().join(path);
-        let text = fs::read_to_string(&file).unwrap_or_default();
-        assert!(text.len() > 300, "{path} has {} bytes", text.len());
-        text
-    };
-    let commands = commands();
-    assert!(commands.len() >= 20, "{commands:?}");
-    let page = read("man/singletrack.1");
-    for shell in [
-        "bash/singletrack.bash",
-        "zsh/_singletrack",
-        "fish/singletrack.fish",
-    ] {
-        let completions = read(shell);
-        assert!(!completions.contains("install-files"), "it is for packages");
-        for command in &commands {
-            assert!(completions.contains(command.as_str()), "{shell}: {command}");
-        }
-    }
-    for command in &commands {
-        // A hyphen is escaped on a page.
-        let escaped = command.replace('-', "\\-");
-        assert!(
-            page.contains(&format!("singletrack\\-{escaped}(1)")),
-            "{command}"
-        );
-        let own = read(&format!("man/singletrack-{command}.1"));
-        assert!(own.contains(".SH SYNOPSIS"), "{command}");
-    }
-    assert!(!page.contains("install\\-files"), "it is for packages");
-    for daemon in [
-        "man/singletrackd.1",
-        "bash/singletrackd.bash",
-        "zsh/_singletrackd",
-        "fish/singletrackd.fish",
-    ] {
-        let text = read(daemon).replace("\\-", "-");
-        for option in ["config", "check", "log-format"] {
-            assert!(text.contains(option), "{daemon}: {option}");
-        }
-    }
-    for simulator in [
-        "man/singletrack-sim.1",
-        "bash/singletrack-sim.bash",
-        "zsh/_singletrack-sim",
-        "fish/singletrack-sim.fish",
-    ] {
-        assert!(read(simulator).contains("hands"), "{simulator}");
-    }
-    // Again, over those of another release.
-    assert!(run(&["install-files", "--out", out]).status.success());
-}
-
-#[test]
-fn a_folder_that_can_not_be_written_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("file");
-    fs::write(&file, "").unwrap();
-    let output = run(&["install-files", "--out", file.to_str().unwrap()]);
-    assert_eq!(output.status.code(), Some(1));
-    let error = text(&output.stderr);
-    assert!(
-        error.contains("file/bash") && error.contains("--out"),
-        "{error}"
     );
 }
 

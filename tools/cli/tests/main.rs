@@ -20,8 +20,8 @@ mod control_command;
 mod daemon;
 mod demo_command;
 mod fleet_command;
-mod identify_command;
 mod import_command;
+#[allow(dead_code, reason = "other tests use the rest")]
 #[path = "../../figures/tests/picture/mod.rs"]
 mod picture;
 mod plot_animation;
@@ -30,10 +30,7 @@ mod pty;
 mod recorded;
 mod recover_command;
 mod replay_command;
-mod reproduce_command;
 mod setpoint_command;
 mod simulate_command;
-mod stability_command;
-mod stability_figures;
 mod status_command;
 mod viewers_command;

@@ -1,4 +1,3 @@
-//! Logs of cars: foreign ones become records, and what the pilot would have said of a drive.
+//! Logs of foreign cars become records.
 
 pub mod import;
-pub mod judge;

@@ -1,4 +1,4 @@
-//! Imports of small logs that the tests write, and what is judged of them; and of real ones, where they are.
+//! Imports of small logs that the tests write.
 
 #![allow(
     clippy::disallowed_methods,
@@ -14,7 +14,13 @@ mod bag;
 mod bench;
 mod dart;
 mod errors;
-mod judge;
 mod record;
 mod sensors;
 mod steering;
+
+/// A file of the repository.
+fn in_repository(path: &str) -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../..")
+        .join(path)
+}

@@ -27,6 +27,5 @@ mod pulse_distance;
 mod rare_poses;
 mod scenario_page;
 mod start;
-mod taught_path;
 mod tracking;
 mod tuning;

@@ -21,7 +21,6 @@ mod port;
 mod process;
 mod proving;
 mod stop;
-mod teach;
 mod tuning;
 mod viewers;
 
@@ -168,7 +167,6 @@ fn main() -> ExitCode {
         arm::SCENARIOS,
         pad::SCENARIOS,
         port::SCENARIOS,
-        teach::SCENARIOS,
         tuning::SCENARIOS,
         proving::SCENARIOS,
         stop::SCENARIOS,

@@ -41,10 +41,6 @@ pub enum DemoError {
     /// The page can't be served.
     #[error(transparent)]
     Page(#[from] singletrack_viewers::page::PageError),
-    /// The live view can't be served.
-    #[cfg(feature = "live")]
-    #[error(transparent)]
-    Live(#[from] singletrack_viewers::live::LiveError),
     /// There are no figures of the drive.
     #[error(transparent)]
     Plot(#[from] PlotError),

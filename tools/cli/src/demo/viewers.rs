@@ -1,23 +1,18 @@
 //! What shows the drive while it goes on, as a client of the daemon's socket.
 
-use std::path::{Path, PathBuf};
+use std::{
+    any::Any,
+    path::{Path, PathBuf},
+};
 
-#[cfg(feature = "live")]
-use singletrack_core::config::LiveSection;
 use singletrack_core::config::PageSection;
-#[cfg(feature = "live")]
-use singletrack_viewers::live::Live;
 use singletrack_viewers::page::{OtherCar, Page};
 
 use super::{arguments::DemoArgs, error::DemoError};
 
 /// The servers that the options ask for. They end when this value is dropped.
 #[derive(Default)]
-pub(super) struct Viewers {
-    _page: Option<Page>,
-    #[cfg(feature = "live")]
-    _live: Option<Live>,
-}
+pub(super) struct Viewers(Vec<Box<dyn Any>>);
 
 impl Viewers {
     /// Starts them for the daemon at `socket`, the page with the cars of `others`, and prints their
@@ -40,21 +35,22 @@ impl Viewers {
             let others = others.iter().map(other).collect();
             let page = Page::start(socket.to_owned(), others, &section)?;
             eprintln!("Watch the drive in a browser: http://{}", page.address());
-            viewers._page = Some(page);
+            viewers.0.push(Box::new(page));
         }
         #[cfg(feature = "live")]
         if let Some(port) = args.live {
-            let section = LiveSection {
+            let section = singletrack_core::config::LiveSection {
                 port,
-                ..LiveSection::default()
+                ..Default::default()
             };
-            let live = Live::start(socket.to_owned(), section)?;
+            let live = singletrack_viewers::live::Live::start(socket.to_owned(), section)
+                .map_err(|error| DemoError::Other(error.to_string()))?;
             eprintln!(
                 "Live view: ws://{} (open a WebSocket connection in Foxglove, Lichtblick or \
                  PlotJuggler)",
                 live.address()
             );
-            viewers._live = Some(live);
+            viewers.0.push(Box::new(live));
         }
         Ok(viewers)
     }

@@ -7,7 +7,6 @@ use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng as _, SeedableRng as _},
 };
-use singletrack_logs::judge::judge;
 use singletrack_mocap::{PoseState, RejectReason};
 use singletrack_pilot::{BoardState, Mode};
 
@@ -16,7 +15,7 @@ use super::build::{
 };
 use crate::{
     bench::{Imported, since_ms},
-    judge::{dart, in_repository},
+    in_repository,
 };
 
 const TOPICS: [(&str, &str); 6] = [
@@ -480,63 +479,6 @@ delay_s = 0.02
         }
         assert_eq!(from_bag.entries.len(), from_csv.entries.len());
     }
-}
-
-/// A car that stands, starts off, and drives on a circle, with the geometry of DART.
-fn circle(seed: u64) -> impl Fn(f64) -> Moment {
-    const RADIUS: f64 = 1.3;
-    move |time_s| {
-        let mut random = ChaCha8Rng::seed_from_u64(seed + (time_s * 1e3).round() as u64);
-        let mut normal = |deviation: f64| {
-            let sum: f64 = (0..12)
-                .map(|_| f64::from(random.next_u32()) / 2_f64.powi(32))
-                .sum();
-            deviation * (sum - 6.0)
-        };
-        let speed = (0.8 * (time_s - 5.0)).clamp(0.0, 1.2);
-        let ahead = (time_s - 5.0).clamp(0.0, 1.5);
-        let angle = (0.4 * ahead * ahead + 1.2 * (time_s - 6.5).max(0.0)) / RADIUS;
-        let forward = if (5.0..6.5).contains(&time_s) {
-            0.8
-        } else {
-            0.0
-        };
-        let sideslip = (0.0930 / RADIUS).asin();
-        let yaw = angle + TAU / 4.0 - sideslip;
-        let (s, c) = yaw.sin_cos();
-        let (before, left) = (0.022, -0.010);
-        let rate = speed / RADIUS;
-        let (slip_s, slip_c) = sideslip.sin_cos();
-        let across = speed * rate;
-        let vibration = 0.05 + 0.6 * speed;
-        Moment {
-            pose: [
-                RADIUS * angle.cos() + c * before - s * left + normal(1e-4),
-                RADIUS * angle.sin() + s * before + c * left + normal(1e-4),
-                yaw - 0.0077 + normal(1.2e-3),
-            ],
-            inertial: [
-                slip_c * forward - slip_s * across + normal(vibration),
-                slip_s * forward + slip_c * across + normal(vibration),
-                1.025 * rate + normal(0.02 + 0.03 * speed),
-            ],
-            speed: speed * slip_c + normal(0.01),
-            steering: if time_s > 5.0 { 0.13 } else { 0.0 },
-            speed_command: speed,
-            driven: time_s > 1.0,
-        }
-    }
-}
-
-#[test]
-fn a_drive_in_a_bag_can_be_judged() {
-    let folder = Folder::new(&f1tenth_map());
-    let log = folder.write(&[f1tenth_bag(20_000, circle(7))], Storage::Mcap);
-    folder.import(&log).unwrap();
-    let (verdict, _) = judge(&folder.path("out.mcap"), &dart(), |_, _| {}).unwrap();
-    let reasons: Vec<_> = verdict.stops.iter().map(|stop| stop.reason).collect();
-    assert_eq!(reasons, Vec::<&str>::new());
-    assert!(verdict.duration_s > 18.0, "{}", verdict.duration_s);
 }
 
 #[test]

@@ -1,13 +1,13 @@
 //! Outer loop and law on the paper's model: no estimator, supervisor, limits,
 //! lag or noise.
 
-use singletrack_analysis::integrator::{IntegrationError, Integrator};
 use singletrack_control::{
     FrontPointLaw, Motion, OuterLoop as _, Position, Reference, ReferencePoint, SingleTrack,
     SingleTrackState, Singularity, TrackingInput, TrackingLoop, Velocity, VelocityPointLaw,
     direction, front_point, velocity_point,
 };
 use singletrack_core::config::LawKind;
+use singletrack_sim::integrator::{IntegrationError, Integrator};
 
 use super::{
     error::ScenarioError,

@@ -22,7 +22,7 @@ pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
     SteeringHold,
 };
-pub use singletrack_analysis::integrator::IntegrationError;
+pub use singletrack_sim::integrator::IntegrationError;
 pub use summary::{CalibrationLine, Summary};
 pub use tune::TuneSection;
 

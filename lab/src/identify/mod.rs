@@ -1,0 +1,421 @@
+//! `singletrack identify`: the car's parameters from its drives.
+
+mod collect;
+mod drives;
+mod figures;
+mod output;
+pub mod plan;
+mod report;
+pub mod study;
+mod table;
+
+use std::{
+    fs,
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use singletrack_analysis::identification::{self, IdentificationError, Parameter, Settings, Tyres};
+use singletrack_core::{Config, ConfigError};
+use singletrack_figures::{
+    output::{WriteError, make_folder, print, write as write_file},
+    plot::PlotError,
+};
+use singletrack_record::RecordError;
+use singletrack_scenario::simulate::CarError;
+
+use crate::vehicle_file::{self, VehicleFileError};
+
+pub use collect::{Collector, RecordedDrive, read};
+use drives::Drives;
+pub use figures::figures;
+pub use report::{Identified, LogScore, Report};
+
+/// Options of `singletrack identify`.
+#[derive(Clone, Debug, Args)]
+pub struct IdentifyArgs {
+    /// The records of drives (*.mcap), a minute of weaving at 1.5 m/s or more; of several, one fit.
+    #[arg(required_unless_present = "plan")]
+    pub record: Vec<PathBuf>,
+
+    /// Drive paths in the geofence of a scenario, simulated, and print the least standard deviation
+    /// of each parameter of the online calibration after them.
+    ///
+    /// The noise is that of the scenario. No record is read.
+    #[arg(
+        long,
+        value_name = "SCENARIO",
+        conflicts_with_all = [
+            "record", "validate", "config", "vehicle", "parameters", "tyres", "drive",
+            "least_speed", "out",
+        ]
+    )]
+    pub plan: Option<PathBuf>,
+
+    /// Another drive, to validate the identified parameters. May be given several times.
+    #[arg(long, value_name = "RECORD")]
+    pub validate: Vec<PathBuf>,
+
+    /// The car's configuration [default: the one in each record].
+    ///
+    /// A record that was imported has none of its own car.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+
+    /// The nominal car: mass, wheelbase, friction, and where the fit starts
+    /// [default: the one in the configuration].
+    #[arg(long, value_name = "FILE")]
+    pub vehicle: Option<PathBuf>,
+
+    /// Parameters to estimate: some of `c_f`, `c_r`, `i_z`, `l_f`, `friction` and `steering_gain`.
+    ///
+    /// Lag, delay and trim of the steering, and delay and bias of the IMU and the scale of its gyro are
+    /// always estimated jointly.
+    #[arg(
+        long,
+        value_name = "NAMES",
+        value_delimiter = ',',
+        default_value = "c_f,c_r,i_z"
+    )]
+    pub parameters: Vec<Parameter>,
+
+    /// The tyres' force over their slip.
+    #[arg(long, value_enum, default_value_t = TyreKind::Saturating)]
+    pub tyres: TyreKind,
+
+    /// Which drive of each record, from 1 [default: the longest].
+    #[arg(long, value_name = "N")]
+    pub drive: Option<usize>,
+
+    /// Leave out slower driving, in m/s: there the tyres hardly slip.
+    #[arg(long, value_name = "SPEED", default_value_t = 0.5)]
+    pub least_speed: f64,
+
+    /// Folder for figures, identification.json and identified.toml, a vehicle file.
+    #[arg(long, alias = "output", value_name = "DIR")]
+    pub out: Option<PathBuf>,
+
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
+    pub format: IdentifyFormat,
+}
+
+/// The tyres' force over their slip.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum TyreKind {
+    /// Linear for small slip, at most the friction's share of the load.
+    #[default]
+    Saturating,
+    /// Linear throughout, as in the paper.
+    Linear,
+    /// Pacejka's magic formula with C = 1.3: beyond its peak the force falls.
+    MagicFormula,
+}
+
+impl TyreKind {
+    const fn tyres(self) -> Tyres {
+        match self {
+            Self::Saturating => Tyres::Saturating,
+            Self::Linear => Tyres::Linear,
+            Self::MagicFormula => Tyres::MagicFormula,
+        }
+    }
+}
+
+/// How to print the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum IdentifyFormat {
+    /// For a person.
+    Table,
+    /// For a program, every digit.
+    Json,
+    /// A row for each parameter; of `--plan` only.
+    Csv,
+}
+
+/// Why the identification failed.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentifyError {
+    /// The record has no such drive.
+    #[error(transparent)]
+    Drive(#[from] PlotError),
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The configuration that was given can't be used.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The configuration in the record can't be used.
+    #[error(
+        "the configuration in {}, which has the servo's calibration, is not one that this version \
+         of singletrack takes: {source}",
+        path.display()
+    )]
+    Configuration {
+        /// The record.
+        path: PathBuf,
+        /// Why the daemon rejects it.
+        source: Box<ConfigError>,
+    },
+    /// A record is given twice.
+    #[error("{} is given twice: a drive that is counted twice makes the intervals too narrow, and one that is fitted does not validate", .0.display())]
+    Twice(PathBuf),
+    /// An imported record has no configuration.
+    #[error("{} was imported and holds no configuration of a car: give it with --config CAR.toml", .0.display())]
+    Imported(PathBuf),
+    /// The record does not hold the configuration of the drive.
+    #[error(
+        "{} does not hold the configuration that drive {drive} was driven with: choose another with --drive",
+        path.display()
+    )]
+    NoConfiguration {
+        /// The record.
+        path: PathBuf,
+        /// The drive's number, from 1.
+        drive: usize,
+    },
+    /// The vehicle file.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleFileError),
+    /// No record is given.
+    #[error("give the record of a drive")]
+    NoRecord,
+    /// An invalid speed.
+    #[error("--least-speed is {0}: it must be between 0 and 100 m/s")]
+    LeastSpeed(f64),
+    /// The drive does not determine the parameters.
+    #[error("{records}: {source}")]
+    Identification {
+        /// The records, and which drives in them.
+        records: String,
+        /// Why.
+        source: IdentificationError,
+    },
+    /// A path can't be planned.
+    #[error(transparent)]
+    Plan(#[from] CarError),
+    /// The result has no such format.
+    #[error("--format {0}: {1}")]
+    Format(&'static str, &'static str),
+    /// A file can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The car has no TOML.
+    #[error("can't write a vehicle file: {0}")]
+    Toml(#[from] toml::ser::Error),
+    /// The folder has a vehicle file that this command did not write.
+    #[error(
+        "{} is not of an earlier identification; choose another folder with --out, or rename it",
+        .0.display()
+    )]
+    Foreign(PathBuf),
+    /// Standard output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(#[from] io::Error),
+}
+
+/// Identifies, prints and writes the result. Progress and warnings go to standard
+/// error.
+///
+/// # Errors
+///
+/// When a record can't be used, or a file can't be written.
+pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
+    if let Some(scenario) = &args.plan {
+        if args.format == IdentifyFormat::Json {
+            return Err(IdentifyError::Format("json", "--plan prints table or csv"));
+        }
+        let wait = wait(format!("driving paths in {}", scenario.display()));
+        let paths = plan::plan(scenario)?;
+        wait.finish_and_clear();
+        let is_csv = args.format == IdentifyFormat::Csv;
+        return Ok(print(&plan::table(&paths, is_csv))?);
+    }
+    if args.format == IdentifyFormat::Csv {
+        return Err(IdentifyError::Format(
+            "csv",
+            "use table or json; csv is of --plan",
+        ));
+    }
+    if let Some(folder) = &args.out {
+        prepare(folder)?;
+    }
+    let report = identify(args)?;
+    for warning in &report.identified.identification.warnings {
+        print_note(&format!("warning: {warning}"));
+    }
+    for validated in &report.validated {
+        let logs = validated
+            .logs
+            .iter()
+            .map(|log| log.path.display().to_string());
+        let logs = logs.collect::<Vec<_>>().join(", ");
+        for warning in &validated.identification.warnings {
+            print_note(&format!("warning: validation on {logs}: {warning}"));
+        }
+    }
+    for error in &report.not_validated {
+        print_note(&format!("warning: not validated: {error}"));
+    }
+    let text = match args.format {
+        IdentifyFormat::Json => output::json(&report),
+        _ => table::table(&report),
+    };
+    print(&text)?;
+    if let Some(folder) = &args.out {
+        for path in write(&report, folder)? {
+            print_note(&format!("wrote {}", path.display()));
+        }
+    }
+    Ok(())
+}
+
+/// Identifies without printing anything but progress.
+///
+/// # Errors
+///
+/// As [`run`].
+pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
+    if !(0.0..=100.0).contains(&args.least_speed) {
+        return Err(IdentifyError::LeastSpeed(args.least_speed));
+    }
+    let given = args
+        .vehicle
+        .as_deref()
+        .map(vehicle_file::read)
+        .transpose()?;
+    let config = args.config.as_deref().map(Config::read).transpose()?;
+    let mut given_before = Vec::new();
+    for path in args.record.iter().chain(&args.validate) {
+        // The same file by another name is the same.
+        let file = path.canonicalize().unwrap_or_else(|_| path.clone());
+        if given_before.contains(&file) {
+            return Err(IdentifyError::Twice(path.clone()));
+        }
+        given_before.push(file);
+    }
+    let read_all = |paths: &[PathBuf], number| {
+        let drives = paths.iter();
+        let drives = drives.map(|path| read(path, number, config.as_ref()).map(told));
+        drives.collect::<Result<Vec<_>, IdentifyError>>()
+    };
+    let mut recorded = read_all(&args.record, args.drive)?.into_iter();
+    let first = recorded.next().ok_or(IdentifyError::NoRecord)?;
+    let drives = Drives::of(first, recorded.collect());
+    let vehicle = given.unwrap_or(drives.vehicle);
+    let settings = Settings {
+        tyres: args.tyres.tyres(),
+        least_speed: args.least_speed,
+        frames: drives.frames,
+        ..Settings::of(&args.parameters)
+    };
+    let validation = read_all(&args.validate, None)?;
+
+    let names = args.record.iter().map(|path| path.display().to_string());
+    let wait = wait(format!(
+        "identifying from {}",
+        names.collect::<Vec<_>>().join(", ")
+    ));
+    let identification = identification::identify(&drives.data, &vehicle, &settings)
+        .map_err(|source| drives.failed(source))?;
+    wait.finish_and_clear();
+    let (mut validated, mut not_validated) = (Vec::new(), Vec::new());
+    for other in validation {
+        let other = Drives::of(other, Vec::new());
+        let settings = Settings {
+            frames: other.frames,
+            ..settings.clone()
+        };
+        match identification::validate(&other.data, &identification, &settings) {
+            Ok(found) => validated.push(other.identified(found)),
+            // What was identified stands.
+            Err(source) => not_validated.push(other.failed(source)),
+        }
+    }
+    Ok(Report {
+        vehicle,
+        tyres: settings.tyres,
+        identified: drives.identified(identification),
+        validated,
+        not_validated,
+    })
+}
+
+/// Checks, before anything is computed, that `folder` can be written to and has no
+/// vehicle file of the user's that would be lost.
+fn prepare(folder: &Path) -> Result<(), IdentifyError> {
+    make_folder(folder)?;
+    tempfile::tempfile_in(folder).map_err(WriteError::of(folder))?;
+    let vehicle = folder.join(VEHICLE_FILE);
+    match fs::read(&vehicle) {
+        Ok(text) if !text.starts_with(output::VEHICLE_FILE_BEGINS.as_bytes()) => {
+            Err(IdentifyError::Foreign(vehicle))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The vehicle file that is written.
+const VEHICLE_FILE: &str = "identified.toml";
+
+/// Writes figures and files into `folder`, and returns their paths.
+///
+/// # Errors
+///
+/// When one can't be written.
+pub fn write(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, IdentifyError> {
+    make_folder(folder)?;
+    // Figures of validations that this one does not have.
+    if folder.join("identification.json").exists() {
+        for entry in fs::read_dir(folder)
+            .map_err(WriteError::of(folder))?
+            .flatten()
+        {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let ours = ["inputs.svg", "states.svg"]
+                .iter()
+                .any(|end| name.ends_with(end));
+            if name.starts_with("validation-") && ours {
+                fs::remove_file(entry.path()).map_err(WriteError::of(&entry.path()))?;
+            }
+        }
+    }
+    let mut files = vec![
+        (VEHICLE_FILE.to_owned(), output::vehicle_file(report)?),
+        ("identification.json".to_owned(), output::json(report)),
+    ];
+    files.extend(
+        figures::figures(report)
+            .into_iter()
+            .map(|(name, figure)| (format!("{name}.svg"), figure.to_svg())),
+    );
+    let mut paths = Vec::new();
+    for (name, text) in files {
+        let path = folder.join(name);
+        write_file(&path, &text)?;
+        paths.push(path);
+    }
+    Ok(paths)
+}
+
+fn told(recorded: RecordedDrive) -> RecordedDrive {
+    for note in &recorded.notes {
+        print_note(&format!("{}: {note}", recorded.path.display()));
+    }
+    recorded
+}
+
+/// Prints a line on standard error, which may be closed.
+fn print_note(what: &str) {
+    let _ = writeln!(io::stderr().lock(), "singletrack: {what}");
+}
+
+/// Hidden when standard error is no terminal.
+fn wait(what: String) -> ProgressBar {
+    let bar = ProgressBar::new_spinner().with_message(what);
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}

@@ -1,0 +1,365 @@
+//! The accuracy of the identification: the same drive under many seeds of the simulator's
+//! noise, compared with the truth and with the Cramér-Rao bound.
+
+#![deny(clippy::disallowed_methods, reason = "simulated drives begin here")]
+
+use std::{
+    error::Error,
+    path::Path,
+    sync::atomic::{AtomicUsize, Ordering},
+};
+
+use serde::{Deserialize, Serialize};
+use singletrack_analysis::identification::{
+    self, DriveData, NoiseLevels, Parameter, Settings, Values,
+};
+use singletrack_campaign::{Experiment, run_units, thread_count};
+use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
+use singletrack_scenario::simulate::{Scenario, ScenarioError, drive_entries};
+use singletrack_sim::{CameraParameters, CarTruth, ImuParameters, ServoParameters};
+
+use super::Collector;
+
+/// The drive for the identification.
+pub const SCENARIO: &str = include_str!("../../../tools/scenarios/identify-car.toml");
+/// Another one, for validation.
+pub const VALIDATION: &str = include_str!("../../../tools/scenarios/identify-car-validation.toml");
+
+/// The study: the same drive under consecutive seeds.
+///
+/// Each unit simulates the drive for identification, identifies the car from it and
+/// validates that on the other drive under another seed. Every fit starts from a car that is
+/// wrong by 30 to 40 %. The car that is driven may have another structure than the model that
+/// is fitted, whose slip angles are small.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyPlan {
+    /// The first seed.
+    pub first_seed: u64,
+    /// The number of seeds.
+    pub count: u64,
+    /// The tyres of the car that is driven.
+    #[serde(default)]
+    pub tyre_curve: Tyres,
+    /// The slip angles of the car that is driven.
+    #[serde(default)]
+    pub slip_angles: SlipAngles,
+    /// The tyres of the model that is fitted.
+    #[serde(default)]
+    pub fitted_tyres: Tyres,
+}
+
+/// The results of the study.
+#[derive(Clone, Debug)]
+pub struct Study {
+    /// The car that was driven.
+    pub truth: VehicleParameters,
+    /// Each seed, in the given order.
+    pub seeds: Vec<SeedResult>,
+}
+
+/// The result of one seed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeedResult {
+    /// The seed.
+    pub seed: u64,
+    /// The identified parameters.
+    pub estimates: Vec<SeedEstimate>,
+    /// The smallest standard deviations of `C_f`, `C_r` and `I_z` (Cramér and Rao), with
+    /// the simulator's noise.
+    pub bounds: [f64; 3],
+    /// Normalised mean prediction error on the drive for identification.
+    pub nmpe: f64,
+    /// Normalised mean prediction error on the drive for validation.
+    pub validation_nmpe: f64,
+    /// The warnings of the fit.
+    pub warnings: Vec<String>,
+}
+
+/// An identified parameter of one seed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeedEstimate {
+    /// The parameter's name.
+    pub parameter: String,
+    /// The estimate.
+    pub value: f64,
+    /// Its standard deviation.
+    pub standard_deviation: f64,
+    /// The 95 % confidence interval.
+    pub interval: [f64; 2],
+}
+
+/// The statistics of a parameter over all seeds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Summary {
+    /// Which.
+    pub parameter: Parameter,
+    /// The truth.
+    pub truth: f64,
+    /// Mean of the estimates.
+    pub mean: f64,
+    /// Standard deviation of the estimates from the truth.
+    pub deviation: f64,
+    /// Largest error over the truth.
+    pub worst_relative_error: f64,
+    /// How many intervals of 95 % hold the truth.
+    pub covered: usize,
+    /// Mean of the standard deviations that the fits state.
+    pub stated_deviation: f64,
+    /// Mean of the Cramér-Rao bounds.
+    pub bound: f64,
+}
+
+/// Why there is no study.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// A scenario is invalid.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// A drive can't be simulated, or does not determine the parameters.
+    #[error("seed {seed}: {source}")]
+    Seed {
+        /// Under which seed.
+        seed: u64,
+        /// Why.
+        source: Box<dyn Error + Send + Sync>,
+    },
+}
+
+impl StudyError {
+    fn under(seed: u64, source: impl Error + Send + Sync + 'static) -> Self {
+        Self::Seed {
+            seed,
+            source: Box::new(source),
+        }
+    }
+}
+
+impl Experiment for StudyPlan {
+    const NAME: &'static str = "identify-study";
+    type Result = SeedResult;
+    type Error = StudyError;
+
+    fn units(&self) -> u64 {
+        self.count
+    }
+
+    fn run(&self, unit: u64) -> Result<SeedResult, StudyError> {
+        one(self, self.first_seed.wrapping_add(unit))
+    }
+}
+
+/// Runs the study on all cores. `progress` gets the number of completed seeds, on any thread.
+///
+/// # Errors
+///
+/// The first drive that does not determine the parameters.
+pub fn run_study(plan: &StudyPlan, progress: impl Fn(usize) + Sync) -> Result<Study, StudyError> {
+    let done = AtomicUsize::new(0);
+    let units: Vec<u64> = (0..plan.count).collect();
+    let run = |unit| plan.run(unit);
+    let results = run_units(&units, thread_count(), run, || {
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+    })?;
+    Study::of(results.into_iter().map(|(_, result)| result).collect())
+}
+
+fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
+    let truth = scenario(SCENARIO, 0)?.vehicle;
+    let start = start(truth);
+    let settings = Settings {
+        tyres: plan.fitted_tyres,
+        ..Settings::default()
+    };
+    let failed = |source| StudyError::under(seed, source);
+    let data = simulated(plan, SCENARIO, seed)?;
+    let identification = identification::identify(&data, &start, &settings).map_err(failed)?;
+    let bounds = identification::cramer_rao(
+        &data,
+        &true_values(&truth, &identification.values),
+        &simulated_noise(usual_speed(&data)),
+        identification.frames,
+        &settings,
+    )
+    .map_err(failed)?;
+    // A seed that no other drive of the study has.
+    let other = simulated(plan, VALIDATION, seed ^ 1 << 40)?;
+    let validation =
+        identification::validate(&other, &identification, &settings).map_err(failed)?;
+    let mut of_vehicle = bounds.into_iter();
+    let estimates = identification.estimates.iter();
+    let warnings = identification.warnings.iter();
+    Ok(SeedResult {
+        seed,
+        estimates: estimates
+            .map(|estimate| SeedEstimate {
+                parameter: estimate.parameter.name().to_owned(),
+                value: estimate.value,
+                standard_deviation: estimate.standard_deviation,
+                interval: estimate.interval,
+            })
+            .collect(),
+        bounds: Parameter::VEHICLE.map(|_| of_vehicle.next().unwrap_or(f64::NAN)),
+        nmpe: identification.score.nmpe,
+        validation_nmpe: validation.score.nmpe,
+        warnings: warnings.map(ToString::to_string).collect(),
+    })
+}
+
+/// Where a fit starts: a car that is wrong by 30 to 40 %.
+pub(crate) fn start(truth: VehicleParameters) -> VehicleParameters {
+    VehicleParameters {
+        front_cornering_stiffness_n_rad: 1.4 * truth.front_cornering_stiffness_n_rad,
+        rear_cornering_stiffness_n_rad: 0.7 * truth.rear_cornering_stiffness_n_rad,
+        yaw_inertia_kg_m2: 1.4 * truth.yaw_inertia_kg_m2,
+        ..truth
+    }
+}
+
+fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
+    let mut scenario = Scenario::from_toml(text, Path::new("identify-car"))?;
+    scenario.run.seed = seed;
+    Ok(scenario)
+}
+
+/// The data that a record of the drive would have, without a file.
+fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData, StudyError> {
+    let mut scenario = scenario(text, seed)?;
+    let mut truth = CarTruth::default();
+    truth.vehicle.tyre_curve = Some(plan.tyre_curve);
+    truth.vehicle.slip_angles = Some(plan.slip_angles);
+    scenario.truth = Some(truth);
+    // The car differs, and yet it has proved its configuration.
+    let proved = [("prove_first_metre".to_owned(), false.into())];
+    scenario.supervisor.get_or_insert_default().extend(proved);
+    let mut entries = Vec::new();
+    let config = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()))
+        .map_err(|source| StudyError::under(seed, source))?;
+    let mut collector =
+        Collector::new(&config, 0).map_err(|source| StudyError::under(seed, source))?;
+    for entry in &entries {
+        collector.take(entry);
+    }
+    Ok(collector.until(u64::MAX >> 1))
+}
+
+/// The true car, with the estimated delays and biases.
+fn true_values(truth: &VehicleParameters, estimated: &Values) -> Values {
+    let servo = ServoParameters::default();
+    let mut values = Values::of(truth).with(Parameter::ServoLag, servo.lag_s);
+    for parameter in [
+        Parameter::SteeringDelay,
+        Parameter::InertialDelay,
+        Parameter::LateralBias,
+    ] {
+        values = values.with(parameter, estimated.get(parameter));
+    }
+    values
+}
+
+/// The median speed of a drive, in m/s.
+fn usual_speed(data: &DriveData) -> f64 {
+    let mut speeds: Vec<f64> = data
+        .poses
+        .windows(2)
+        .map(|pair| {
+            let way = libm::hypot(pair[1].x_m - pair[0].x_m, pair[1].y_m - pair[0].y_m);
+            way / (pair[1].time_s - pair[0].time_s)
+        })
+        .collect();
+    speeds.sort_by(f64::total_cmp);
+    speeds.get(speeds.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The simulator's noise at this speed, as the identification counts it.
+fn simulated_noise(speed: f64) -> NoiseLevels {
+    let cameras = CameraParameters::default();
+    let imu = ImuParameters::default();
+    let period_s = imu.period_us as f64 * 1e-6;
+    let vibration_rad_s = imu.vibration_rad_s + imu.vibration_rad_s_per_m_s * speed;
+    let vibration_m_s2 = imu.vibration_m_s2 + imu.vibration_m_s2_per_m_s * speed;
+    let acceleration_m_s2 = libm::hypot(imu.acceleration_noise_m_s2, vibration_m_s2);
+    NoiseLevels {
+        position_m: cameras.position_noise_m,
+        yaw_rad: cameras.orientation_noise_rad,
+        yaw_rate_rad_s: libm::hypot(imu.gyro_noise_rad_s, vibration_rad_s),
+        left_m_s2: acceleration_m_s2,
+        forward_density: acceleration_m_s2 * period_s.sqrt(),
+        gyro_walk: imu.gyro_walk_rad_s,
+        ..NoiseLevels::exact()
+    }
+}
+
+impl SeedResult {
+    /// The estimate of a parameter, if it was identified.
+    #[must_use]
+    pub fn estimate(&self, parameter: Parameter) -> Option<&SeedEstimate> {
+        let mut estimates = self.estimates.iter();
+        estimates.find(|estimate| estimate.parameter == parameter.name())
+    }
+}
+
+impl Study {
+    /// Of these results.
+    ///
+    /// # Errors
+    ///
+    /// The scenario with the true car is invalid.
+    pub fn of(seeds: Vec<SeedResult>) -> Result<Self, StudyError> {
+        let truth = scenario(SCENARIO, 0)?.vehicle;
+        Ok(Self { truth, seeds })
+    }
+
+    /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
+    #[must_use]
+    pub fn summaries(&self) -> [Summary; 3] {
+        let values = Values::of(&self.truth);
+        let count = self.seeds.len().max(1) as f64;
+        let mut index = 0;
+        Parameter::VEHICLE.map(|parameter| {
+            let truth = values.get(parameter);
+            let mut summary = Summary {
+                parameter,
+                truth,
+                mean: 0.0,
+                deviation: 0.0,
+                worst_relative_error: 0.0,
+                covered: 0,
+                stated_deviation: 0.0,
+                bound: 0.0,
+            };
+            for result in &self.seeds {
+                let Some(estimate) = result.estimate(parameter) else {
+                    continue;
+                };
+                let error = estimate.value - truth;
+                let [low, high] = estimate.interval;
+                summary.mean += estimate.value / count;
+                summary.deviation += error * error / count;
+                summary.worst_relative_error =
+                    summary.worst_relative_error.max(error.abs() / truth);
+                summary.covered += usize::from((low..=high).contains(&truth));
+                summary.stated_deviation += estimate.standard_deviation / count;
+                summary.bound += result.bounds.get(index).copied().unwrap_or(f64::NAN) / count;
+            }
+            summary.deviation = summary.deviation.sqrt();
+            index += 1;
+            summary
+        })
+    }
+
+    /// Mean of the normalised mean prediction errors on the drives for identification
+    /// and for validation.
+    #[must_use]
+    pub fn nmpe(&self) -> [f64; 2] {
+        let count = self.seeds.len().max(1) as f64;
+        let mean =
+            |value: fn(&SeedResult) -> f64| self.seeds.iter().map(value).sum::<f64>() / count;
+        [
+            mean(|result| result.nmpe),
+            mean(|result| result.validation_nmpe),
+        ]
+    }
+}

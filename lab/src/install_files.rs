@@ -1,0 +1,74 @@
+//! `singletrack-lab install-files`: completions for shells and manual pages of all programs, from
+//! the description of the options itself.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use clap::{Args, Command, CommandFactory as _};
+use clap_complete::{Shell, generate_to};
+
+/// Options of `singletrack-lab install-files`.
+#[derive(Clone, Debug, Args)]
+pub struct InstallFilesArgs {
+    /// The folder for them; it gets one each for bash, zsh, fish and man
+    #[arg(long, value_name = "DIR", default_value = "target/install-files")]
+    out: PathBuf,
+}
+
+/// Writes the files for `singletrack`, with the commands of the laboratory, which `command`
+/// describes, for `singletrackd` and for `singletrack-sim`.
+///
+/// # Errors
+///
+/// When a file can't be written.
+pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), String> {
+    let commands = command.get_subcommands().cloned();
+    let singletrack = singletrack::program::command().subcommands(commands);
+    for command in [
+        &shown(&singletrack),
+        &singletrackd::Arguments::command(),
+        &singletrack_sim::Arguments::command(),
+    ] {
+        let name = command.get_name();
+        for (shell, folder) in [
+            (Shell::Bash, "bash"),
+            (Shell::Zsh, "zsh"),
+            (Shell::Fish, "fish"),
+        ] {
+            write_to(&args.out.join(folder), |folder| {
+                generate_to(shell, &mut command.clone(), name, folder).map(drop)
+            })?;
+        }
+        write_to(&args.out.join("man"), |folder| {
+            clap_mangen::generate_to(command.clone(), folder)
+        })?;
+    }
+    Ok(())
+}
+
+/// The command without the subcommands that its help does not show, which completions do.
+fn shown(command: &Command) -> Command {
+    let subcommands = command.get_subcommands().filter(|one| !one.is_hide_set());
+    let mut shown = Command::new("singletrack")
+        .version(env!("CARGO_PKG_VERSION"))
+        .args(command.get_arguments().cloned())
+        .subcommands(subcommands.cloned());
+    if let Some(about) = command.get_about() {
+        shown = shown.about(about.clone());
+    }
+    if let Some(text) = command.get_after_long_help() {
+        shown = shown.after_long_help(text.clone());
+    }
+    shown
+}
+
+fn write_to(folder: &Path, write: impl FnOnce(&Path) -> io::Result<()>) -> Result<(), String> {
+    fs::create_dir_all(folder)
+        .and_then(|()| write(folder))
+        .map_err(|error| {
+            let folder = folder.display();
+            format!("can't write to {folder}: {error}; choose another folder with --out")
+        })
+}

@@ -1,0 +1,16 @@
+//! What a desk needs and a car does not: stability, identification, the reproduction of the paper's
+//! experiments, the comparison of controllers, and the judgement of logs.
+
+#![allow(
+    clippy::disallowed_methods,
+    reason = "figures and tables; the modules that plan simulated drives forbid it"
+)]
+
+pub mod compare;
+pub mod identify;
+pub mod install_files;
+pub mod judge;
+pub mod reproduce;
+pub mod stability;
+pub mod table;
+pub mod vehicle_file;

@@ -1,0 +1,411 @@
+//! `singletrack dump`: a record, the running daemon or the serial line, as a table, as
+//! lines of JSON, as CSV, or as statistics.
+
+mod error;
+mod filter;
+mod format;
+mod kind;
+mod moment;
+mod range;
+mod source;
+mod span;
+mod stats;
+mod words;
+
+use std::{
+    fs::File,
+    io::{self, IsTerminal, Write},
+    os::fd::AsFd as _,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use singletrack_core::config::SerialSection;
+use singletrack_record::{Topic, Value};
+
+use crate::operator::control::ControlArgs;
+use crate::{arguments::parse_duration, interrupt::Interrupt};
+use filter::{Filter, Verdict};
+use format::Printer;
+use kind::Kind;
+use range::Range;
+use source::{Close, Line, Live, Next, Place, Record, Row, Source};
+use stats::Stats;
+
+pub use error::DumpError;
+pub use filter::Condition;
+pub use format::Format;
+pub use moment::{Moment, ParseTimeError};
+pub use source::Direction;
+
+/// Options of `singletrack dump`.
+#[derive(Clone, Debug, Args)]
+#[command(after_long_help = EXAMPLES)]
+pub struct DumpArgs {
+    /// The source: a record, the running daemon, a serial port, or a capture of its bytes.
+    ///
+    /// drive.mcap, drive.mcap.part   a record, finished or not
+    /// live                          the running daemon
+    /// /dev/ttyUSB0                  a serial port: what the board sends, frame by frame
+    /// line.bin, -                   a capture of the line's bytes, or standard input
+    #[arg(required_unless_present = "serial", verbatim_doc_comment)]
+    pub source: Option<PathBuf>,
+
+    /// What to print, several with commas [default: telemetry of a record or of live, all of a
+    /// line; of a record on a terminal, without other options, a summary].
+    ///
+    /// Of a record or live: tick, telemetry, status, pose, log, configuration, drops. Of a line:
+    /// hello, telemetry, status, acknowledgement, refusal, and broken for bytes that are not a
+    /// frame (to the board: hello, configure, arm, disarm, drive, emergency-stop, broken).
+    #[arg(long, value_delimiter = ',')]
+    pub topic: Vec<String>,
+
+    /// How to print it [default: table on a terminal, csv elsewhere].
+    #[arg(long, value_enum)]
+    pub format: Option<Format>,
+
+    /// Which fields, such as `index,estimate.yaw_rad` [default: all; in a table, those that
+    /// matter most].
+    ///
+    /// `time_s` is there for every topic: seconds since the record began, since dump began to
+    /// listen, or, in a capture, since the board's first record by the board's clock.
+    #[arg(long, value_delimiter = ',')]
+    pub fields: Vec<String>,
+
+    /// Only rows that meet a condition: `mode=driving`, `'lateness_ns>500000'`.
+    ///
+    /// Operators: = != < <= > >= (put < and > in quotes, for the shell). An absent value equals
+    /// `none`. Of several conditions, all must be met.
+    #[arg(long = "where", value_name = "CONDITION")]
+    pub conditions: Vec<Condition>,
+
+    /// Only from this time on: seconds since the start, or 2026-11-21T12:00:00Z.
+    #[arg(long, value_name = "TIME")]
+    pub from: Option<Moment>,
+
+    /// Only until this time.
+    #[arg(long, value_name = "TIME")]
+    pub to: Option<Moment>,
+
+    /// Count instead of printing: rates, gaps, losses, errors, latencies, modes.
+    ///
+    /// Counts all topics, or those of --topic. A source without an end is counted until Ctrl-C
+    /// or for the time of --for.
+    #[arg(long)]
+    pub stats: bool,
+
+    /// Wait for more at the end of a record or a capture that is being written.
+    #[arg(long)]
+    pub follow: bool,
+
+    /// Stop after this time, such as `10s`.
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_duration)]
+    pub duration: Option<Duration>,
+
+    /// Listen to this serial port.
+    ///
+    /// dump writes nothing to the port and does not change its control lines. But Linux raises
+    /// DTR when it opens a port that was closed, and DTR resets an Arduino UNO. A port that
+    /// singletrackd uses is busy: use `live` instead.
+    #[arg(long, value_name = "PORT", conflicts_with = "source")]
+    pub serial: Option<PathBuf>,
+
+    /// Rate of the serial port, in baud.
+    #[arg(long, default_value_t = SerialSection::new("").baud)]
+    pub baud: u32,
+
+    /// The direction of the bytes on the line.
+    #[arg(long, value_enum, default_value_t)]
+    pub direction: Direction,
+
+    /// Read SOURCE as a capture of the line's bytes, whatever its name and contents.
+    #[arg(long)]
+    pub raw: bool,
+
+    /// Where `live` is.
+    #[command(flatten)]
+    pub control: ControlArgs,
+
+    /// Whether --stats leaves out the distributions.
+    #[arg(skip)]
+    pub brief: bool,
+}
+
+impl DumpArgs {
+    /// What is to be read.
+    fn place(&self) -> Place {
+        match (&self.serial, &self.source) {
+            (Some(port), _) => Place::Serial(port.clone()),
+            (None, Some(path)) => Place::of(path, self.raw),
+            (None, None) => Place::Stdin,
+        }
+    }
+
+    /// Whether the source is all that was said.
+    fn is_bare(&self) -> bool {
+        self.topic.is_empty()
+            && self.fields.is_empty()
+            && self.conditions.is_empty()
+            && self.format.is_none()
+            && self.from.is_none()
+            && self.to.is_none()
+            && self.duration.is_none()
+            && !self.stats
+            && !self.follow
+    }
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  singletrack dump drive.mcap
+          on a terminal: how much of what, how long, modes and their reasons
+  singletrack dump drive.mcap --stats
+          one page: rates, gaps, losses, latencies, modes and their reasons
+  singletrack dump drive.mcap --topic tick --format csv > ticks.csv
+          every field of every tick, for a spreadsheet or Python
+  singletrack dump drive.mcap --topic tick --where mode!=driving --fields time_s,mode,reason
+          when and why the car did not drive
+  singletrack dump drive.mcap --topic tick,log --format json --from 12 --to 13.5
+          a second and a half, with all recorded fields
+  singletrack dump live --topic tick
+          the ticks of the running daemon
+  singletrack dump /dev/ttyUSB0 --stats --for 10s
+          the quality of the line from the board (stop the daemon first)
+  singletrack dump line.bin --topic broken
+          the damaged places of a capture of the line";
+
+/// Prints to standard output. A closed pipe is no error.
+///
+/// # Errors
+///
+/// When the source can't be read, or a topic or a field does not exist.
+pub fn run(args: &DumpArgs) -> Result<(), DumpError> {
+    let stdout = io::stdout();
+    // Thousands of rows are of no use to a person.
+    if stdout.is_terminal() && args.is_bare() && matches!(args.place(), Place::Record(_)) {
+        let summarised = DumpArgs {
+            stats: true,
+            brief: true,
+            ..args.clone()
+        };
+        return dump(&summarised, Format::Table, stdout.lock());
+    }
+    let format = args
+        .format
+        .unwrap_or(if args.stats || stdout.is_terminal() {
+            Format::Table
+        } else {
+            Format::Csv
+        });
+    match dump(args, format, stdout.lock()) {
+        Err(DumpError::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        other => other,
+    }
+}
+
+/// Prints what is asked for to `output`.
+///
+/// # Errors
+///
+/// When the source can't be read, a topic or a field does not exist, or the
+/// output can't be written.
+pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), DumpError> {
+    if args.stats && format == Format::Csv {
+        let text = "--stats has no csv: use --format table or --format json";
+        return Err(DumpError::Other(text.to_owned()));
+    }
+    let place = args.place();
+    let of_record = matches!(place, Place::Record(_) | Place::Live);
+    let kinds = if of_record {
+        Kind::topics()
+    } else {
+        source::kinds(args.direction)
+    };
+    let chosen = if !args.topic.is_empty() {
+        kind::choose(&kinds, &topic_names(&args.topic))?
+    } else if of_record && !args.stats {
+        kind::choose(&kinds, &[Topic::Telemetry.name().to_owned()])?
+    } else {
+        (0..kinds.len()).collect()
+    };
+    // Mistakes on the command line are reported before anything is opened.
+    let mut sink = if args.stats {
+        let stats = Stats::new(&kinds, &chosen);
+        Sink::Count(Box::new(stats.brief(args.brief)), output)
+    } else {
+        let fields = &args.fields;
+        Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
+    };
+    let range = Range {
+        from: args.from,
+        to: args.to,
+    };
+    // A port may reset its board when it is opened. A record says which times it has.
+    if !matches!(place, Place::Record(_)) {
+        range.check_order(None)?;
+    }
+    let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
+    let mut source = open(args, &place, kinds, &chosen)?;
+    let source = source.as_mut();
+    let (from_ns, to_ns) = range.since(source, &place.to_string())?;
+    let filter = filter.within(from_ns, to_ns);
+    let end = args.duration.map(|duration| Instant::now() + duration);
+    let interrupt = if args.stats {
+        Interrupt::listen()
+            .map_err(|error| DumpError::Other(format!("can't listen for Ctrl-C: {error}")))?
+    } else {
+        // Ctrl-C ends the process, as it ends others.
+        Interrupt::default()
+    };
+    let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
+    sink.begin()?;
+    let pumped = pump(source, &mut sink, &chosen, &filter, is_over);
+    // The rows before a failure are printed as well.
+    let close = source.close();
+    sink.end(format, &place.to_string(), &close)?;
+    pumped?;
+    if let Some(note) = close.note {
+        eprintln!("singletrack: {note}");
+    }
+    Ok(())
+}
+
+/// The topics, without the folder of their channels in a record (`/singletrack/tick`).
+fn topic_names(topics: &[String]) -> Vec<String> {
+    topics
+        .iter()
+        .map(|name| {
+            Topic::ALL
+                .into_iter()
+                .find(|topic| topic.channel() == name)
+                .map_or_else(|| name.clone(), |topic| topic.name().to_owned())
+        })
+        .collect()
+}
+
+/// Receives the rows.
+enum Sink<W: Write> {
+    Print(Printer<W>),
+    Count(Box<Stats>, W),
+}
+
+impl<W: Write> Sink<W> {
+    fn begin(&mut self) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.begin(),
+            Self::Count(..) => Ok(()),
+        }
+    }
+
+    fn needs_values(&self) -> bool {
+        match self {
+            Self::Print(printer) => printer.needs_values(),
+            Self::Count(..) => true,
+        }
+    }
+
+    fn take(
+        &mut self,
+        row: &Row,
+        values: &[Value],
+        source: &mut dyn Source,
+    ) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.print(row, values, source),
+            Self::Count(stats, _) => {
+                stats.add(row, values);
+                Ok(())
+            }
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.flush(),
+            Self::Count(..) => Ok(()),
+        }
+    }
+
+    fn end(&mut self, format: Format, name: &str, close: &Close) -> Result<(), DumpError> {
+        match self {
+            Self::Print(printer) => printer.flush(),
+            Self::Count(stats, output) => {
+                let report = stats.report(name, close);
+                let text = match format {
+                    Format::Json => serde_json::to_string_pretty(&report)
+                        .map_err(|error| DumpError::Output(error.into()))?,
+                    Format::Table | Format::Csv => report.to_string(),
+                };
+                output.write_all(text.as_bytes())?;
+                output.write_all(b"\n")?;
+                Ok(output.flush()?)
+            }
+        }
+    }
+}
+
+/// Passes the rows of the source to the sink, until its end or until `is_over`.
+fn pump<W: Write>(
+    source: &mut dyn Source,
+    sink: &mut Sink<W>,
+    chosen: &[usize],
+    filter: &Filter,
+    is_over: impl Fn() -> bool,
+) -> Result<(), DumpError> {
+    let needs_values = sink.needs_values() || filter.needs_values();
+    let mut values = Vec::new();
+    loop {
+        if is_over() {
+            return Ok(());
+        }
+        match source.next()? {
+            Next::End => return Ok(()),
+            Next::Pending => {
+                sink.flush()?;
+                source.wait()?;
+            }
+            Next::Row(row) => {
+                if !chosen.contains(&row.kind) {
+                    continue;
+                }
+                match filter.judge_time(&row) {
+                    Verdict::Stop => return Ok(()),
+                    Verdict::Leave => continue,
+                    Verdict::Take => {}
+                }
+                if needs_values {
+                    source.read_values(&mut values)?;
+                }
+                if filter.accepts(&row, &values) {
+                    sink.take(&row, &values, source)?;
+                }
+            }
+        }
+    }
+}
+
+fn open(
+    args: &DumpArgs,
+    place: &Place,
+    kinds: Vec<Kind>,
+    chosen: &[usize],
+) -> Result<Box<dyn Source>, DumpError> {
+    let (direction, follow, name) = (args.direction, args.follow, place.to_string());
+    Ok(match place {
+        Place::Record(path) => Box::new(Record::open(path, chosen, follow)?),
+        Place::Live => Box::new(Live::connect(&args.control.socket, &kinds, chosen)?),
+        Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
+        Place::Raw(path) => Box::new(Line::capture(
+            name,
+            File::open(path),
+            direction,
+            kinds,
+            follow,
+        )?),
+        Place::Stdin => {
+            let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
+            Box::new(Line::capture(name, file, direction, kinds, false)?)
+        }
+    })
+}

@@ -1,0 +1,151 @@
+//! `singletrack fleet`: one command for several cars, each with a daemon of its own.
+
+mod arm;
+mod cameras;
+
+use std::{
+    error::Error,
+    io::{self, IsTerminal as _, Write as _},
+    path::PathBuf,
+    process::ExitCode,
+    thread,
+    time::Duration,
+};
+
+use clap::{Args, Subcommand};
+use singletrack_api::{ClockOffset, Fleet, NotObeyed, Request, Status};
+use singletrackd::monotonic_ns;
+
+use crate::interrupt::Interrupt;
+use crate::operator::control::{ControlError, print};
+
+/// Interval of `status --watch`.
+const WATCH: Duration = Duration::from_millis(500);
+
+/// Options of `singletrack fleet`.
+#[derive(Clone, Debug, Args)]
+pub struct FleetArgs {
+    /// The cars
+    #[arg(
+        long,
+        value_name = "FILE.toml",
+        default_value = "fleet.toml",
+        global = true
+    )]
+    fleet: PathBuf,
+    #[command(subcommand)]
+    command: FleetCommand,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+enum FleetCommand {
+    /// Print a line for each car: mode, reason, place and speed.
+    ///
+    /// The exit status is 1 if a daemon does not answer.
+    Status {
+        /// Print them again twice a second, until Ctrl-C
+        #[arg(long)]
+        watch: bool,
+    },
+    /// Arm all cars and hold their drives: all stop when this command ends.
+    ///
+    /// No car is armed if one of them is not ready. The exit status is 0 if all drives ended as
+    /// wanted, 1 if the cars were not armed, and 3 if something else stopped one of them.
+    Arm(arm::FleetArmArgs),
+    /// Slow all cars down, stop and disarm them.
+    Disarm,
+    /// Emergency stop of all cars: neutral at once, until their boards are reset.
+    Stop,
+    /// Hear a NatNet server once for all daemons of this computer, until Ctrl-C.
+    ///
+    /// For unicast: a server may send to one client of a computer only. With multicast, each daemon
+    /// hears the one stream.
+    Cameras(cameras::FleetCamerasArgs),
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// There is no fleet, or a car did not obey; all others were asked all the same.
+pub fn run(args: &FleetArgs) -> Result<ExitCode, Box<dyn Error>> {
+    let fleet = || Fleet::read(&args.fleet);
+    match &args.command {
+        FleetCommand::Status { watch: false } => {
+            let (lines, failures) = status(&fleet()?);
+            print(&lines.join("\n"))?;
+            if !failures.is_empty() {
+                return Err(NotObeyed(failures).into());
+            }
+        }
+        FleetCommand::Status { watch: true } => watch(&fleet()?)?,
+        FleetCommand::Arm(args) => return arm::run(&fleet()?, args),
+        FleetCommand::Disarm => {
+            fleet()?.tell(&Request::DISARM)?;
+            print("disarming: all cars slow down and stop")?;
+        }
+        FleetCommand::Stop => {
+            fleet()?.tell(&Request::Stop {})?;
+            print("stopped: neutral until the boards are reset")?;
+        }
+        FleetCommand::Cameras(args) => return cameras::run(args),
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A line for each car that answers, and what failed of the others.
+fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
+    let (mut lines, mut failures) = (Vec::new(), Vec::new());
+    let names = fleet.cars.iter().map(|car| car.name.as_str());
+    let width = names.clone().map(str::len).max().unwrap_or(0);
+    for (answer, name) in fleet.status(monotonic_ns).into_iter().zip(names) {
+        match answer {
+            Ok((status, offset)) => {
+                lines.push(format!("{name:width$}  {}", line(&status, &offset)));
+            }
+            Err(failure) => failures.push(failure),
+        }
+    }
+    (lines, failures)
+}
+
+/// What one car does, in a line.
+fn line(status: &Status, clock: &ClockOffset) -> String {
+    let place = status.estimate.as_ref().map_or_else(
+        || "no pose".to_owned(),
+        |estimate| {
+            format!(
+                "({:6.2}, {:6.2}) m {:5.2} m/s",
+                estimate.x_m, estimate.y_m, estimate.speed_m_s
+            )
+        },
+    );
+    let filtering = status.filtering.as_deref().filter(|word| *word != "none");
+    let reason = status.reason.as_deref().or(filtering).unwrap_or("");
+    let [offset_ms, bound_ms] = [clock.offset_ns as f64, clock.bound_ns as f64].map(|ns| ns / 1e6);
+    format!(
+        "{:12} {place}  clock {offset_ms:+.3} ms ± {bound_ms:.3}  {reason}",
+        status.mode
+    )
+    .trim_end()
+    .to_owned()
+}
+
+fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let is_terminal = io::stdout().is_terminal();
+    let mut drawn = 0;
+    while !interrupt.is_raised() {
+        let (mut lines, failures) = status(fleet);
+        lines.extend(failures);
+        if is_terminal && drawn > 0 {
+            // Over the last ones.
+            let up = write!(io::stdout(), "\x1b[{drawn}A\x1b[J");
+            up.map_err(ControlError::Output)?;
+        }
+        drawn = lines.len();
+        print(&lines.join("\n"))?;
+        thread::sleep(WATCH);
+    }
+    Ok(())
+}

@@ -1,0 +1,137 @@
+//! The operator's terminal, taken over for a while.
+
+use std::{
+    env,
+    io::{self, IsTerminal as _, Write as _},
+    os::fd::AsFd as _,
+    time::Duration,
+};
+
+use rustix::termios::{
+    LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcgetwinsize,
+    tcsetattr,
+};
+
+use crate::operator::readable::wait_to_read;
+
+/// A terminal that gives every key at once. Dropping it restores its settings. What was typed before
+/// either is dropped.
+pub(crate) struct RawTerminal {
+    input: io::Stdin,
+    before: Termios,
+}
+
+impl RawTerminal {
+    /// Takes over standard input; none if it is not a terminal.
+    pub(crate) fn open() -> io::Result<Option<Self>> {
+        let input = io::stdin();
+        if !input.is_terminal() {
+            return Ok(None);
+        }
+        let before = tcgetattr(&input)?;
+        let mut raw = before.clone();
+        // Ctrl-C still interrupts.
+        raw.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
+        set(&input, &raw)?;
+        Ok(Some(Self { input, before }))
+    }
+
+    /// Adds what has been typed, without waiting.
+    pub(crate) fn read(&self, bytes: &mut Vec<u8>) -> io::Result<()> {
+        while wait_to_read([self.input.as_fd()], Duration::ZERO)? {
+            let mut buffer = [0; 256];
+            let count = rustix::io::read(&self.input, &mut buffer)?;
+            if count == 0 {
+                return Err(io::Error::other("the terminal is gone"));
+            }
+            bytes.extend(buffer.iter().take(count));
+        }
+        Ok(())
+    }
+}
+
+impl Drop for RawTerminal {
+    fn drop(&mut self) {
+        let _ = set(&self.input, &self.before);
+    }
+}
+
+/// Sets it at once and not after its output: one that is stopped must not hold up the end of a drive.
+fn set(input: &io::Stdin, settings: &Termios) -> io::Result<()> {
+    tcsetattr(input, OptionalActions::Now, settings)?;
+    Ok(tcflush(input, QueueSelector::IFlush)?)
+}
+
+/// The whole window of the terminal on standard output, for a view that is drawn again and
+/// again. Dropping it brings back what was there before.
+pub(crate) struct Screen {
+    keys: Option<RawTerminal>,
+    typed: Vec<u8>,
+}
+
+/// Another screen than that of the shell, without a cursor; and back.
+const ENTER: &str = "\x1b[?1049h\x1b[?25l";
+const LEAVE: &str = "\x1b[?25h\x1b[?1049l";
+
+impl Screen {
+    /// Takes over standard output; none if it is not a terminal that can move its cursor.
+    pub(crate) fn open() -> io::Result<Option<Self>> {
+        let is_dumb = env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
+        if is_dumb || !io::stdout().is_terminal() {
+            return Ok(None);
+        }
+        let screen = Self {
+            keys: RawTerminal::open()?,
+            typed: Vec::new(),
+        };
+        put(ENTER)?;
+        Ok(Some(screen))
+    }
+
+    /// Columns and rows.
+    pub(crate) fn size() -> (usize, usize) {
+        tcgetwinsize(io::stdout())
+            .ok()
+            .map(|size| (usize::from(size.ws_col), usize::from(size.ws_row)))
+            .filter(|(columns, rows)| *columns > 0 && *rows > 0)
+            .unwrap_or((80, 24))
+    }
+
+    /// Draws these lines over those of before. What finds no room is left out.
+    pub(crate) fn draw(&self, lines: &[String]) -> io::Result<()> {
+        let (columns, rows) = Self::size();
+        let mut text = String::from("\x1b[H");
+        for (index, line) in lines.iter().take(rows).enumerate() {
+            if index > 0 {
+                text.push_str("\r\n");
+            }
+            text.extend(line.chars().take(columns));
+            text.push_str("\x1b[K");
+        }
+        text.push_str("\x1b[J");
+        put(&text)
+    }
+
+    /// Whether this key has been pressed since the last call.
+    pub(crate) fn has_key(&mut self, key: u8) -> io::Result<bool> {
+        let Some(keys) = &self.keys else {
+            return Ok(false);
+        };
+        self.typed.clear();
+        keys.read(&mut self.typed)?;
+        Ok(self.typed.contains(&key))
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        // A terminal that has gone takes no output.
+        let _ = put(LEAVE);
+    }
+}
+
+fn put(text: &str) -> io::Result<()> {
+    let mut output = io::stdout().lock();
+    output.write_all(text.as_bytes())?;
+    output.flush()
+}

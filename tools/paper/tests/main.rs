@@ -1,7 +1,0 @@
-//! The studies.
-
-mod compare;
-mod cycles;
-mod limit_cycles;
-mod other_structure;
-mod plan;
