@@ -201,7 +201,7 @@ fn words(motion: HandMotion) -> (&'static str, Vec<f64>) {
 
 /// What a person sees of the car. Nothing of it is misread.
 ///
-/// As text it is `key value` pairs on one line.
+/// Its text is `key value` pairs on one line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Seen {
     /// Angle of the front wheels, in degrees; positive is to the left.
@@ -216,9 +216,9 @@ pub struct Seen {
     pub esc: bool,
     /// Voltage of the battery, in V.
     pub battery_v: f64,
-    /// Position of the centre of mass, in m.
+    /// Position of the centre of mass along x, in m.
     pub x_m: f64,
-    /// As `x_m`.
+    /// Position of the centre of mass along y, in m.
     pub y_m: f64,
     /// Yaw of the car, in degrees.
     pub yaw_deg: f64,

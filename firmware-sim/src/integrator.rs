@@ -15,7 +15,8 @@ impl<D: DualNum<Primitive = f64> + Copy> Dual for D {}
 
 /// Largest local error of a component in one step, absolute and relative.
 const TOLERANCE: f64 = 1e-12;
-/// The same of its derivatives: where a slope has a corner, they have a jump.
+/// Largest local error of a component's derivatives in one step: where a slope has a corner, they
+/// have a jump.
 const DERIVATIVE_TOLERANCE: f64 = 1e-10;
 
 /// Smaller steps than this, in s, mean that the equations have no solution here.
@@ -144,7 +145,7 @@ impl Integrator {
     ///
     /// # Errors
     ///
-    /// As of [`Integrator::advance`].
+    /// Those of [`Integrator::advance`].
     pub fn step<D: Bounded, E: From<IntegrationError>, const N: usize>(
         &mut self,
         state: &mut State<D, N>,

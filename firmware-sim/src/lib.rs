@@ -32,8 +32,6 @@ mod by_hand;
 mod cameras;
 mod car;
 mod clock;
-mod defaults;
-mod epoch;
 mod floor;
 pub mod integrator;
 mod loss;
@@ -79,16 +77,16 @@ pub use car::{
     ServoParameters, StartPose, Truth, WIDE_US, crooked_steering,
 };
 pub use clock::SkewedClock;
-pub use defaults::default_board_configuration;
 pub use floor::Floor;
 pub use loss::{LossPattern, LossPatternError, LossWindow, parse_duration_us};
 pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
+pub use parameters::{
+    ConfigError, SimulationConfig, SimulationFileError, default_board_configuration,
+};
 #[cfg(feature = "real-time")]
-pub use parameters::SimulationFileError;
-pub use parameters::{ConfigError, SimulationConfig};
 #[cfg(feature = "real-time")]
 pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};

@@ -157,7 +157,7 @@ truth! {
         stuck_from_s: f64, in 0.0 to 86400.0 => car.servo.stuck_from_s;
         /// From this time on its horn has slipped, by `slip_deg`.
         slips_at_s: f64, in 0.0 to 86400.0 => car.servo.slips_at_s;
-        /// By how much the wheels are turned to the left by that.
+        /// Angle of the wheels, to the left, by which its horn slips.
         slip_deg: f64, in -45.0 to 45.0 => |c, v| c.car.servo.slip_rad = v.to_radians();
     }
 
@@ -329,7 +329,7 @@ truth! {
         position_noise_m: f64, in 0.0 to 1.0 => cameras.position_noise_m;
         /// The wrong body is streamed under the car's name, one that stands still.
         other_body: bool => cameras.other_body;
-        /// The same, from this time on.
+        /// From this time on the wrong body is streamed under the car's name.
         other_body_from_s: f64, in 0.0 to 86400.0 => cameras.other_body_from_s;
         /// From this time on the car's pose repeats bit by bit, in new frames.
         frozen_from_s: f64, in 0.0 to 86400.0 => cameras.frozen_from_s;

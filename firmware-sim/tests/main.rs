@@ -5,9 +5,8 @@
     reason = "what a test expects is compared within a tolerance"
 )]
 
-mod determinism;
 mod hands;
-mod hostile_input;
 mod natnet_server;
 mod other_cars;
 mod physics;
+mod world;

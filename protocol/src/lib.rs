@@ -25,36 +25,26 @@
 #[cfg(test)]
 extern crate std;
 
-mod budget;
 mod codec;
 mod command;
 mod configuration;
 mod crc;
 mod frame;
-mod hello;
 mod message;
 mod report;
-mod validation;
 mod wire;
 
-pub use budget::RECEIVE_BUFFER_LENGTH;
+pub use message::{Configure, DecodeError, Hello, Identity, Message, MessageType, RECEIVE_BUFFER_LENGTH, ToBoard, ToHost, UNNAMED, UNSOLICITED};
 
 pub use command::{Arm, Disarm, Drive, EmergencyStop, Jog, Sequence};
-pub use configuration::{
-    Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, ServoCalibration,
-    SpeedLoop,
-};
+pub use configuration::{Configuration, ConfigurationError, ConfigurationField, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, ServoCalibration, SpeedLoop};
 pub use frame::{
     Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length,
 };
-pub use hello::{Hello, Identity, UNNAMED, UNSOLICITED};
-pub use message::{Configure, DecodeError, Message, MessageType, ToBoard, ToHost};
 pub use report::{
     Acknowledgement, BoardMode, ImuState, Refusal, RefusalReason, Request, ResetCause, Status,
     StopCause, Telemetry,
 };
-
-pub use validation::{ConfigurationError, ConfigurationField};
 
 /// The protocol version; see the crate's version policy.
 pub const VERSION: u16 = 3;

@@ -4,9 +4,9 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Identity, Jog,
-    Refusal, Sequence, Status, Telemetry,
+    Refusal, STATUS_PERIOD_US, Sequence, Status, TELEMETRY_PERIOD_US, Telemetry,
     codec::{Field, Reader, structure},
-    frame::{Frame, MAX_PAYLOAD_LENGTH, Packet},
+    frame::{Frame, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length},
 };
 
 structure! {
@@ -256,3 +256,67 @@ direction! {
         Identity,
     }
 }
+
+/// The nonce of the [`Hello`] that the board sends at its start, unsolicited.
+pub const UNSOLICITED: u32 = 0;
+
+structure! {
+    /// Who is speaking, in a layout that never changes.
+    ///
+    /// The host sends it with a non-zero nonce; the board answers with its own
+    /// versions and the same nonce. The board also sends one with the nonce
+    /// [`UNSOLICITED`] when it starts, from which the host learns that all state on the
+    /// board is lost.
+    pub struct Hello {
+        /// The speaker's [`crate::VERSION`].
+        pub protocol_version: u16,
+        /// The speaker's software version: major, minor, patch.
+        pub software_version: [u8; 3],
+        /// Chosen by the host, repeated by the board; [`UNSOLICITED`] at start-up.
+        pub nonce: u32,
+    }
+}
+
+/// The number of a board that has been given none.
+pub const UNNAMED: u16 = 0;
+
+structure! {
+    /// Which car the board is built into: sent right after every [`Hello`] of the
+    /// board, whose own layout never changes.
+    pub struct Identity {
+        /// The number that the image was built with; [`UNNAMED`] for none.
+        pub car_id: u16,
+    }
+}
+
+/// 115200 baud, a start and a stop bit around every byte.
+const LINE_BYTES_PER_S: u32 = 11_520;
+
+/// Largest share of the line for periodic traffic. The rest is for answers, for a
+/// clock that is 2 % off, and for catching up after a gap.
+const LOAD_LIMIT_PERCENT: u32 = 40;
+
+/// The board's receive buffer, in bytes.
+pub const RECEIVE_BUFFER_LENGTH: usize = 128;
+
+// In `u32`: `usize` has 16 bits on the board.
+const fn bytes_per_s(payload_length: usize, period_us: u32) -> u32 {
+    frame_length(payload_length) as u32 * (1_000_000 / period_us)
+}
+
+const TO_HOST_BYTES_PER_S: u32 = bytes_per_s(Telemetry::PAYLOAD_LENGTH, TELEMETRY_PERIOD_US)
+    + bytes_per_s(Status::PAYLOAD_LENGTH, STATUS_PERIOD_US);
+
+// The host commands once per telemetry record.
+const TO_BOARD_BYTES_PER_S: u32 = bytes_per_s(Drive::PAYLOAD_LENGTH, TELEMETRY_PERIOD_US);
+
+// A jog takes the place of a drive command.
+const _: () = assert!(Jog::PAYLOAD_LENGTH <= Drive::PAYLOAD_LENGTH);
+
+const _: () = assert!(TO_HOST_BYTES_PER_S * 100 <= LINE_BYTES_PER_S * LOAD_LIMIT_PERCENT);
+const _: () = assert!(TO_BOARD_BYTES_PER_S * 100 <= LINE_BYTES_PER_S * LOAD_LIMIT_PERCENT);
+
+// The longest frame, and the bytes that arrive in 5 ms, the longest time that an
+// IMU transfer and a telemetry record keep the main loop busy.
+const _: () =
+    assert!(RECEIVE_BUFFER_LENGTH >= MAX_FRAME_LENGTH + (LINE_BYTES_PER_S * 5 / 1_000) as usize);

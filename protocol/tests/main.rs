@@ -5,5 +5,4 @@ mod damage;
 mod golden_v1;
 mod golden_v2;
 mod golden_v3;
-mod round_trip;
 mod samples;

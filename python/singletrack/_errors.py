@@ -8,7 +8,15 @@ class SingletrackError(Exception):
 
 
 class ArmError(SingletrackError):
-    """The car was not armed; the text is the supervisor's reason."""
+    """The car was not armed; the text is the supervisor's reason.
+
+    ``code`` is the daemon's word for it, such as ``not-ready`` or ``not-commissioned``; ``None`` if
+    the reason is not the daemon's.
+    """
+
+    def __init__(self, text: str, code: str | None = None) -> None:
+        super().__init__(text)
+        self.code = code
 
 
 class Rejected(SingletrackError):

@@ -112,7 +112,7 @@ class SocketCar(Backend):
                     return self._arm()
                 except ArmError as error:
                     # The mode has changed meanwhile, for example because the board restarts.
-                    if "arm: mode" not in str(error) or time.monotonic() > deadline:
+                    if error.code != "not-ready" or time.monotonic() > deadline:
                         raise
                     self._let_go()
         except BaseException:
@@ -181,7 +181,7 @@ class SocketCar(Backend):
             if answer.get("ok") is True:
                 return
             if "error" in answer:
-                raise ArmError(answer["error"])
+                raise ArmError(answer["error"], answer.get("code"))
             if "ended" in answer:
                 raise ArmError(f"the drive has ended: {answer['ended'].get('reason')}")
 

@@ -13,7 +13,7 @@ use pyo3::{
 use pythonize::{depythonize, pythonize};
 use singletrack_control::Velocity;
 use singletrack_core::{config::ReferenceSection, setpoint::SetpointCommand, state_stream::States};
-use singletrack_pilot::{PilotRequest, Tuning};
+use singletrack_pilot::{Arming, PilotRequest, Tuning};
 use singletrack_scenario::{
     virtual_drive::{VirtualDrive, VirtualTick},
     virtual_record::VirtualRecord,
@@ -130,7 +130,7 @@ impl Simulator {
     /// Requests something of the pilot, with the next tick.
     fn request(&self, request: &str) -> PyResult<()> {
         let request = match request {
-            "arm" => PilotRequest::Arm,
+            "arm" => PilotRequest::Arm(Arming::Unattended),
             "disarm" => PilotRequest::Disarm,
             "stop" => PilotRequest::EmergencyStop,
             "halt" => PilotRequest::Halt,
@@ -182,7 +182,7 @@ impl Simulator {
         let last = simulation.last.as_ref();
         let last = last.ok_or_else(|| fail("run a tick before the first set-point"))?;
         let command = SetpointCommand::of(depythonize(keys).map_err(refuse)?, last.now)
-            .map_err(|rejected| PyValueError::new_err((rejected.text, rejected.why.name())))?;
+            .map_err(|rejected| PyValueError::new_err((rejected.text, rejected.code.name())))?;
         simulation.drive.pass_setpoint(&command);
         Ok(())
     }

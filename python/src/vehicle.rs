@@ -5,7 +5,7 @@ use singletrack_control::{
     Actuation, LimitedLaw, Motion, Setpoint, SpeedDemand, SteeringDemand, SteeringMap, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
-use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_pilot::{Arming, Mode, PilotRequest};
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualTick};
 use singletrack_sim::{Car, SERVO_FRAME_US, SimulationConfig, Truth};
 
@@ -225,7 +225,7 @@ impl System {
             }
             if !armed && drive.mode() == Mode::Ready {
                 // The ring is empty: every tick takes all requests.
-                armed = drive.request(PilotRequest::Arm).is_ok();
+                armed = drive.request(PilotRequest::Arm(Arming::Unattended)).is_ok();
             }
             // Standstill is a set-point too; without one the car is not armed.
             send(&drive, &last, Command::PointVelocity([0.0; 2]));

@@ -7,18 +7,17 @@ use std::{
 };
 
 use crate::{
-    changelog,
-    image::{self, Image},
-    libraries,
-    prerequisites::{ARM64, EMULATOR, ODROID, PACKAGE, Part},
-    process::{Failure, check, failure, silent, text},
+    notes, options as parsed_options,
+    prerequisites::Part,
+    process::{At as _, Failure, check, command, failure, silent, text},
     programs::{INSTALLED, NODE, Packages, options, release_build},
     target,
     toolchain::{AARCH64, ARMHF, Target},
+    uno::{self, Image},
     workspace::root,
 };
 
-pub(crate) const USAGE: &str = "\
+const USAGE: &str = "\
 usage: cargo deb [--target ARCHITECTURE]
 
 Build the Debian packages singletrack and singletrack-ros, check them with lintian, run their
@@ -37,21 +36,6 @@ const FAST: &str = "1";
 /// Debian's build profile that leaves out the package of the node.
 const WITHOUT_NODE: &str = "pkg.singletrack.noros";
 
-/// Copies `packaging` to the folder $1, with debhelper's changelog: version $4, of the date $5. Empties
-/// the folder of packages $2 of those for $3, also of other versions, which an installation by a
-/// pattern would take too.
-const LAY_OUT: &str = r#"
-    rm -rf "$1" "$2"/*_"$3".deb
-    mkdir -p "$2" "$1/singletrack" "$1/singletrack-ros"
-    cp -r packaging/. "$1"
-    cat >"$1/debian/changelog" <<END
-singletrack ($4) bookworm; urgency=medium
-
-  * CHANGELOG.md of the sources lists the changes.
-
- -- $(sed -n 's/^Maintainer: //p' packaging/debian/control)  $(date --utc --rfc-email --date "$5")
-END"#;
-
 /// What a package is made for.
 struct Architecture {
     /// Debian's name.
@@ -63,7 +47,7 @@ struct Architecture {
 impl Architecture {
     /// The one of this name, or that of this machine.
     fn find(name: Option<&str>) -> Result<Self, Failure> {
-        let this = text(Command::new("dpkg").arg("--print-architecture"))?;
+        let this = text(&mut command("dpkg --print-architecture"))?;
         let this = this.trim().to_owned();
         let name = name.unwrap_or(&this).to_owned();
         let mut others = [ARMHF, AARCH64].into_iter();
@@ -105,11 +89,9 @@ impl Architecture {
         let packages = folder.join("debian");
         let stage = folder.join("debian-stage").join(&self.name);
         let version = env!("CARGO_PKG_VERSION");
-        let date = changelog::newest()?.date;
-        let mut lay_out = Command::new("sh");
-        lay_out
-            .args(["-ec", LAY_OUT, "sh"])
-            .args([&stage, &packages]);
+        let date = notes::newest()?.date;
+        let mut lay_out = Command::new(root().join("xtask/src/debian.sh"));
+        lay_out.args([&stage, &packages]);
         lay_out.args([&self.name, version, date.as_deref().unwrap_or("now")]);
         silent(lay_out.current_dir(root()))?;
         let mut contents = vec![("singletrack", &INSTALLED[..])];
@@ -118,12 +100,12 @@ impl Architecture {
         }
         let triples = self.foreign.map(|foreign| foreign.triple);
         for (package, programs) in &contents {
-            let notices = libraries::notices(programs, triples.as_slice())?;
+            let licences = notes::licences(programs, triples.as_slice())?;
             let file = stage.join(package).join("libraries.txt");
-            fs::write(&file, notices).map_err(|error| failure!("{}: {error}", file.display()))?;
+            fs::write(&file, licences).at(&file)?;
         }
         let profiles = if has_node { "" } else { WITHOUT_NODE };
-        let emulator = self.foreign.map(|foreign| foreign.emulator().join(" "));
+        let emulator = self.foreign.map(|foreign| foreign.emulator());
         silent(
             Command::new("dpkg-architecture")
                 .current_dir(&stage)
@@ -160,24 +142,22 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 /// Makes the packages for an architecture, or for this machine, and returns their paths.
 pub(crate) fn make(name: Option<&str>) -> Result<Vec<PathBuf>, Failure> {
     let architecture = Architecture::find(name)?;
-    let mut required = PACKAGE.to_vec();
-    match architecture.foreign {
-        None => {}
-        Some(ARMHF) => required.extend(ODROID.into_iter().chain([EMULATOR])),
-        Some(_) => required.extend(ARM64),
-    }
-    let image = image::ensure(0, &required)?;
+    let foreign = match architecture.foreign {
+        None => None,
+        Some(ARMHF) => Some("odroid"),
+        Some(_) => Some("arm64"),
+    };
+    let required: Vec<&str> = ["debian"].into_iter().chain(foreign).collect();
+    let image = uno::ensure(0, &required)?;
     architecture.pack(&architecture.build()?, Some(&image), true)
 }
 
 /// The architecture; `None` for help.
 fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    match arguments[..] {
+    match parsed_options(arguments, &["--target"])[..] {
         [] => Ok(Some(None)),
-        ["--help" | "-h"] => Ok(None),
-        ["--target", name] => Ok(Some(Some(name))),
-        [one] if one.starts_with("--target=") => Ok(Some(one.strip_prefix("--target="))),
+        [("--help" | "-h", None)] => Ok(None),
+        [("--target", Some(name))] => Ok(Some(Some(name))),
         _ => Err(failure!("unexpected arguments {arguments:?}\n\n{USAGE}")),
     }
 }

@@ -4,25 +4,19 @@
 //!
 //! It has no dependencies, so that it is built in seconds.
 
-mod changelog;
 mod deb;
 mod gates;
-mod image;
-mod libraries;
+mod notes;
 mod odroid;
 mod once;
-mod packages;
 mod prerequisites;
 mod process;
 mod programs;
 mod python;
 mod release;
-mod ros;
-mod shell;
 mod step;
 mod target;
 mod toolchain;
-mod units;
 mod uno;
 mod verify;
 mod workspace;
@@ -31,6 +25,7 @@ mod yardstick;
 use std::process::ExitCode;
 
 use process::{Failure, NOT_VALID};
+use programs::become_program;
 
 const COMMANDS: &str =
     "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify";
@@ -46,10 +41,10 @@ fn main() -> ExitCode {
     };
     let result = workspace::find().and_then(|_| match command.as_str() {
         "deb" => deb::main(arguments),
-        "demo" => programs::DEMO.run(arguments),
-        "explore" => programs::EXPLORE.run(arguments),
-        "faults" => programs::FAULTS.run(arguments),
-        "onboard" => programs::ONBOARD.run(arguments),
+        "demo" => programs::demo(arguments),
+        "explore" => become_program("singletrack-exploration", &["--"], arguments),
+        "faults" => become_program("singletrack-faults", &["--"], arguments),
+        "onboard" => become_program("singletrack-onboard", &["--"], arguments),
         "uno" => uno::main(arguments),
         "odroid" => odroid::main(arguments),
         "release" => release::main(arguments),
@@ -68,4 +63,22 @@ fn main() -> ExitCode {
             }
         }
     }
+}
+
+/// Options with their values, if any, and other words. The options in `valued` have a value, after `=` or
+/// as the next argument.
+pub(crate) fn options<'a>(
+    arguments: &'a [String],
+    valued: &[&str],
+) -> Vec<(&'a str, Option<&'a str>)> {
+    let mut rest = arguments.iter().map(String::as_str);
+    let mut options = Vec::new();
+    while let Some(argument) = rest.next() {
+        options.push(match argument.split_once('=') {
+            Some((option, value)) if valued.contains(&option) => (option, Some(value)),
+            _ if valued.contains(&argument) => (argument, rest.next()),
+            _ => (argument, None),
+        });
+    }
+    options
 }

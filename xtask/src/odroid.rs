@@ -1,33 +1,45 @@
-//! Daemon and tools for the Odroid XU4: 32-bit ARM with hard float (Debian's armhf).
+//! `cargo odroid`: daemon and tools for the Odroid XU4, 32-bit ARM with hard float (Debian's armhf).
+//! Its programs, and those of a release, simulate the same bits as the tested ones.
 
-use std::{path::PathBuf, process::Stdio};
+use std::{
+    path::PathBuf,
+    process::{Command, Stdio},
+};
 
 use crate::{
     prerequisites,
-    process::{Failure, check, failure},
-    programs::{Packages, TRAJECTORY, compare},
+    process::{Failure, check, command, failure, output},
+    programs::{Packages, release_build},
     toolchain::ARMHF,
+    workspace::root,
 };
 
-pub(crate) const USAGE: &str = "\
+const USAGE: &str = "\
 usage: cargo odroid
 
 Build singletrackd and singletrack for the Odroid and print their paths.
 Installs missing Debian packages.
 ";
 
-/// The programs of the car.
-const INSTALLED: [&str; 4] = ["--package", "singletrackd", "--package", "singletrack"];
+/// Cargo's options for the programs of the car.
+const INSTALLED: &str = "--package singletrackd --package singletrack";
 
-/// The daemon and the operator's commands, as they are installed there. This combination of features
-/// is linted only here.
-const CHECKED: [&str; 3] = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
+/// Cargo's options for a program that simulates a scenario, and nothing else.
+const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
+                          --features singletrack-scenario/files";
+
+/// One scenario per plant.
+const SCENARIOS: [&str; 3] = [
+    "tools/scenarios/circle.toml",
+    "tools/scenarios/circle-sampled.toml",
+    "tools/scenarios/circle-car.toml",
+];
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     match arguments {
         [] => {
-            prerequisites::ensure(&prerequisites::ODROID)?;
-            let folder = build("release", &INSTALLED)?;
+            prerequisites::ensure(&["armhf"])?;
+            let folder = build("release", INSTALLED)?;
             for program in ["singletrackd", "singletrack"] {
                 println!("{}", folder.join(program).display());
             }
@@ -45,25 +57,92 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 /// there as here. The programs themselves are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
-    check_programs.args(INSTALLED).args(CHECKED);
-    check(&mut check_programs)?;
+    check_programs.args(INSTALLED.split(' '));
+    // This combination of features is linted only here.
+    check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
     compare_bits(packages, "dev")
 }
 
 /// Checks that a profile simulates the same bits there as the tests here: records of the car are
 /// replayed here.
 pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result<(), Failure> {
-    let folder = build(profile, &TRAJECTORY)?;
-    let emulated = || ARMHF.emulated(folder.join("trajectory"));
-    compare(
-        ("this machine", &packages.trajectory()?),
-        ("ARMv7", &emulated),
-    )
+    let emulated = build(profile, TRAJECTORY)?.join("trajectory");
+    let run = || {
+        let mut run = command(&ARMHF.emulator());
+        run.arg(&emulated);
+        run
+    };
+    compare(packages, "this machine", ("ARMv7", &run))
+}
+
+/// Checks that a release build simulates the same bits as the tests. The programs themselves are
+/// built by `cargo deb` and `cargo release`.
+pub(crate) fn compare_release(packages: &Packages) -> Result<(), Failure> {
+    let (mut build, folder) = release_build()?;
+    check(build.args(TRAJECTORY.split(' ')))?;
+    let run = || Command::new(folder.join("trajectory"));
+    compare(packages, "the tested build", ("the release build", &run))
 }
 
 /// Builds programs, and returns their folder.
-fn build(profile: &str, options: &[&str]) -> Result<PathBuf, Failure> {
+fn build(profile: &str, options: &str) -> Result<PathBuf, Failure> {
     let (mut cargo, folder) = ARMHF.cargo("build", profile)?;
-    check(cargo.args(options).stdout(Stdio::null()))?;
+    check(cargo.args(options.split(' ')).stdout(Stdio::null()))?;
     Ok(folder)
+}
+
+/// Checks that another build simulates the same bits as that of the tests; otherwise, records of the
+/// car's computer could not be replayed on another.
+fn compare(
+    packages: &Packages,
+    tested_name: &str,
+    (name, other): (&str, &dyn Fn() -> Command),
+) -> Result<(), Failure> {
+    let tested = packages.path("trajectory")?;
+    for scenario in SCENARIOS {
+        let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
+        let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
+        if let Some(place) = first_difference(&tested, &other) {
+            return Err(failure!(
+                "{scenario}: {tested_name} and {name} differ first in {place}"
+            ));
+        }
+        if tested.is_empty() {
+            return Err(failure!("{scenario}: nothing was simulated"));
+        }
+        println!("{scenario}: {} bytes, the same", tested.len());
+    }
+    Ok(())
+}
+
+fn first_difference(one: &[u8], other: &[u8]) -> Option<String> {
+    if one == other {
+        return None;
+    }
+    let is_end = |byte: &u8| *byte == b'\n';
+    let mut lines = one.split(is_end).zip(other.split(is_end));
+    let line = lines.position(|(one, other)| one != other);
+    Some(line.map_or("its length".to_owned(), |line| format!("line {}", line + 1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::first_difference;
+
+    #[test]
+    fn the_first_different_line_is_reported() {
+        assert_eq!(first_difference(b"a\nb\n", b"a\nb\n"), None);
+        assert_eq!(
+            first_difference(b"a\nb\n", b"a\nc\n").as_deref(),
+            Some("line 2")
+        );
+        assert_eq!(
+            first_difference(b"a\nb\n", b"a\nb\nc\n").as_deref(),
+            Some("line 3")
+        );
+        assert_eq!(
+            first_difference(b"a\nb", b"a\nb\nc").as_deref(),
+            Some("its length")
+        );
+    }
 }

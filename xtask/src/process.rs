@@ -1,7 +1,7 @@
 //! Running programs.
 
 use std::{
-    fmt,
+    fmt, io,
     path::Path,
     process::{Child, Command, Output, Stdio},
 };
@@ -34,17 +34,33 @@ macro_rules! failure {
 }
 pub(crate) use failure;
 
+/// Names the file of an error of the operating system.
+pub(crate) trait At<T> {
+    fn at(self, path: &Path) -> Result<T, Failure>;
+}
+
+impl<T> At<T> for io::Result<T> {
+    fn at(self, path: &Path) -> Result<T, Failure> {
+        self.map_err(|error| failure!("{}: {error}", path.display()))
+    }
+}
+
+/// A command without blanks in its words; further arguments may follow.
+pub(crate) fn command(line: &str) -> Command {
+    let mut words = line.split(' ');
+    let mut command = Command::new(words.next().unwrap_or_default());
+    command.args(words);
+    command
+}
+
 /// Runs a command with inherited output.
 pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
-    let output = finish(command)?;
-    succeed(command, &output, "")
+    run(command, |_| String::new()).map(drop)
 }
 
 /// Runs a command and returns its output.
 pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
-    let output = finish(command.stdout(Stdio::piped()))?;
-    succeed(command, &output, "")?;
-    Ok(output.stdout)
+    run(command.stdout(Stdio::piped()), |_| String::new())
 }
 
 /// Runs a command and returns its output, which is text.
@@ -54,25 +70,23 @@ pub(crate) fn text(command: &mut Command) -> Result<String, Failure> {
 
 /// Runs a command, and shows its output only if it fails.
 pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
-    let output = finish(command.stdout(Stdio::piped()).stderr(Stdio::piped()))?;
-    let text = [&output.stdout[..], &output.stderr].concat();
-    let text = format!("\n{}", String::from_utf8_lossy(&text));
-    succeed(command, &output, &text)
+    let show = |output: &Output| {
+        let text = [&output.stdout[..], &output.stderr].concat();
+        format!("\n{}", String::from_utf8_lossy(&text))
+    };
+    run(command.stdout(Stdio::piped()).stderr(Stdio::piped()), show).map(drop)
 }
 
-/// Runs a command, and takes what it writes to pipes.
-fn finish(command: &mut Command) -> Result<Output, Failure> {
+/// Runs a command and returns what it writes to a pipe. The failure ends with a text of the output.
+fn run(command: &mut Command, show: impl Fn(&Output) -> String) -> Result<Vec<u8>, Failure> {
     let child = command.stdin(Stdio::null()).spawn();
-    child
+    let output = child
         .and_then(Child::wait_with_output)
-        .map_err(|error| failure!("{} does not start: {error}", text_of(command)))
-}
-
-fn succeed(command: &Command, output: &Output, text: &str) -> Result<(), Failure> {
+        .map_err(|error| failure!("{} does not start: {error}", text_of(command)))?;
     if output.status.success() {
-        return Ok(());
+        return Ok(output.stdout);
     }
-    let text = format!("{}: {}{text}", text_of(command), output.status);
+    let text = format!("{}: {}{}", text_of(command), output.status, show(&output));
     Err(match output.status.code() {
         Some(code) if code == i32::from(NOT_VALID) => Failure::NotValid(text),
         _ => Failure::Failed(text),
@@ -83,12 +97,9 @@ fn succeed(command: &Command, output: &Output, text: &str) -> Result<(), Failure
 fn text_of(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let name = program.file_name().unwrap_or(program.as_os_str());
-    let mut text = name.to_string_lossy().into_owned();
-    for argument in command.get_args() {
-        text.push(' ');
-        text.push_str(&argument.to_string_lossy());
-    }
-    text
+    let words = [name].into_iter().chain(command.get_args());
+    let words: Vec<_> = words.map(|word| word.to_string_lossy()).collect();
+    words.join(" ")
 }
 
 #[cfg(test)]

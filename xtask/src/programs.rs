@@ -1,4 +1,4 @@
-//! The programs of the workspace: one build serves all checks.
+//! The packages and programs of the workspace: one build serves all checks.
 //!
 //! A package built alone has dependencies with other features than in the workspace, which are then
 //! compiled again. All checks therefore name the same packages and targets, and cargo builds nothing
@@ -7,11 +7,11 @@
 use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 
 use crate::{
-    image::{self, Image},
     once,
     prerequisites::Part,
-    process::{Failure, check, failure, output},
+    process::{Failure, check, failure},
     target,
+    uno::{self, Image},
     workspace::{cargo, cargo_here, root},
 };
 
@@ -58,9 +58,9 @@ impl Packages {
 
     /// Cargo, with the options that name the packages. What it compiles is linted and documented, too.
     pub(crate) fn cargo(&self, command: &str) -> Result<Command, Failure> {
-        let mut cargo = cargo();
+        let mut cargo = cargo(command);
         once::wrap(&mut cargo)?;
-        cargo.arg(command).args(self.options());
+        cargo.args(self.options());
         Ok(cargo)
     }
 
@@ -117,20 +117,9 @@ impl Packages {
         Ok(target::folder()?.join("debug"))
     }
 
-    /// A command that simulates a scenario, by the build of the tests.
-    pub(crate) fn trajectory(&self) -> Result<impl Fn() -> Command, Failure> {
-        self.build(&["--bins"])?;
-        let program = target::folder()?.join("debug/trajectory");
-        Ok(move || {
-            let mut command = Command::new(&program);
-            command.current_dir(root());
-            command
-        })
-    }
-
     /// This source's image, with its simulator of this build.
     pub(crate) fn image(&self) -> Result<Image, Failure> {
-        image::build(0, || self.build(&["--bins"]))
+        uno::build(0, || self.build(&["--bins"]))
     }
 
     /// Runs a command with this source's image, if the checks include it: a step that runs alone
@@ -146,81 +135,51 @@ impl Packages {
 
 /// `cargo build` for this machine as for an installation, and the folder of the programs.
 pub(crate) fn release_build() -> Result<(Command, PathBuf), Failure> {
-    let mut build = cargo();
-    build.args(["build", "--release", "--locked"]);
-    Ok((build, target::folder()?.join("release")))
+    let folder = target::folder()?.join("release");
+    Ok((cargo("build --release --locked"), folder))
 }
 
 /// Cargo's options that name programs and their packages.
 pub(crate) fn options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
-    let options = programs.iter();
-    options
-        .flat_map(|(program, package)| ["--package", package, "--bin", program])
-        .collect()
+    let options = |(program, package)| ["--package", package, "--bin", program];
+    programs.iter().copied().flat_map(options).collect()
 }
 
-/// A command of the project that builds a program and becomes it.
-pub(crate) struct Runner {
-    package: &'static str,
-    options: &'static [&'static str],
-    first: &'static [&'static str],
+/// Builds the program of a package, and the Arduino's image if the arguments ask for it, and replaces
+/// this process by the program; returns only on failure. The program starts in the current folder, from
+/// which its files are named, and has stdout for itself.
+pub(crate) fn become_program(
+    package: &str,
+    options: &[&str],
+    arguments: &[String],
+) -> Result<(), Failure> {
+    let mut cargo = cargo_here();
+    if needs_image(arguments) {
+        let image = uno::ensure(0, &[])?;
+        cargo.env("SINGLETRACK_UNO", image.folder);
+    }
+    let is_first = !target::folder()?.join("debug").join(package).is_file();
+    if is_first {
+        eprintln!("Building {package}: the first build takes some minutes");
+    }
+    cargo
+        .args(["run", "--package", package, "--bin", package])
+        .args(uno::quiet().filter(|_| !is_first))
+        .args(options)
+        .args(arguments);
+    Err(failure!("cargo does not start: {}", cargo.exec()))
 }
 
 /// `cargo demo`: only what it runs is built. With the option `--live`, also what that serves.
-pub(crate) const DEMO: Runner = Runner {
-    package: "singletrack",
-    options: &["--no-default-features"],
-    first: &["demo"],
-};
-
-/// `cargo explore`: every interleaving of board, link and supervisor.
-pub(crate) const EXPLORE: Runner = Runner::of("singletrack-exploration");
-
-/// `cargo faults`: the fault campaign.
-pub(crate) const FAULTS: Runner = Runner::of("singletrack-faults");
-
-/// `cargo onboard`: the onboarding campaign.
-pub(crate) const ONBOARD: Runner = Runner::of("singletrack-onboard");
-
-impl Runner {
-    /// The program of this package, as it is.
-    const fn of(package: &'static str) -> Self {
-        Self {
-            package,
-            options: &[],
-            first: &[],
-        }
-    }
-
-    /// Builds the program, and the Arduino's image if the arguments ask for it, and replaces this
-    /// process by the program; returns only on failure. The program starts in the current folder,
-    /// from which its files are named, and has stdout for itself.
-    pub(crate) fn run(&self, arguments: &[String]) -> Result<(), Failure> {
-        let mut cargo = cargo_here();
-        if needs_image(arguments) {
-            let image = image::ensure(0, &[])?;
-            cargo.env("SINGLETRACK_UNO", image.folder);
-        }
-        let program = target::folder()?.join("debug").join(self.package);
-        let is_first = !program.is_file();
-        if is_first {
-            eprintln!(
-                "Building {}: the first build takes some minutes",
-                self.package
-            );
-        }
-        let is_live = arguments.iter().any(|one| one.starts_with("--live"));
-        let live = is_live.then_some(["--features", "live"]);
-        cargo
-            .args(["run", "--package", self.package, "--bin", self.package])
-            .args(self.options)
-            .args(live.iter().flatten())
-            .args(image::quiet().filter(|_| !is_first))
-            .arg("--")
-            .args(self.first)
-            .args(arguments);
-        Err(failure!("cargo does not start: {}", cargo.exec()))
-    }
+pub(crate) fn demo(arguments: &[String]) -> Result<(), Failure> {
+    let is_live = arguments.iter().any(|one| one.starts_with("--live"));
+    let live: &[&str] = if is_live {
+        &["--features", "live"]
+    } else {
+        &[]
+    };
+    let options = [&["--no-default-features"], live, &["--", "demo"]].concat();
+    become_program("singletrack", &options, arguments)
 }
 
 /// Whether arguments ask for the Arduino's image: as the board, or by a schedule to replay, given as
@@ -243,62 +202,58 @@ fn needs_image(arguments: &[String]) -> bool {
         })
 }
 
-/// Cargo's options for a program that simulates a scenario, and nothing else.
-pub(crate) const TRAJECTORY: [&str; 7] = [
-    "--package",
-    "singletrack-scenario",
-    "--bin",
-    "trajectory",
-    "--no-default-features",
-    "--features",
-    "singletrack-scenario/files",
+/// The packages without I/O that are built alone, without those of [`PUBLISHED`]: in the workspace's
+/// build, a package has the features that all others ask for, which hides missing ones.
+const PURE: [&str; 5] = [
+    "singletrack-protocol",
+    "singletrack-board",
+    "singletrack-pilot",
+    "singletrack-link",
+    "singletrack-analysis",
 ];
 
-/// One scenario per plant.
-const SCENARIOS: [&str; 3] = [
-    "tools/scenarios/circle.toml",
-    "tools/scenarios/circle-sampled.toml",
-    "tools/scenarios/circle-car.toml",
+/// The packages with `publish = true`, each after those that it depends on.
+pub(crate) const PUBLISHED: [&str; 3] = [
+    "singletrack-words",
+    "singletrack-control",
+    "singletrack-mocap",
 ];
 
-/// Checks that two builds simulate the same bits; otherwise, records of the car's computer could not
-/// be replayed on another. A command gets the name of a scenario as its last argument.
-pub(crate) fn compare(
-    (one_name, one): (&str, &dyn Fn() -> Command),
-    (other_name, other): (&str, &dyn Fn() -> Command),
-) -> Result<(), Failure> {
-    for scenario in SCENARIOS {
-        let run = |build: &dyn Fn() -> Command| output(build().arg(scenario));
-        let (one, other) = (run(one)?, run(other)?);
-        if let Some(place) = first_difference(&one, &other) {
-            return Err(failure!(
-                "{scenario}: {one_name} and {other_name} differ first in {place}"
-            ));
-        }
-        if one.is_empty() {
-            return Err(failure!("{scenario}: nothing was simulated"));
-        }
-        println!("{scenario}: {} bytes, the same", one.len());
+/// Packages with fewer features than the workspace builds them with: as `cargo demo` does, and
+/// without any.
+const FEATURES: [(&str, &str); 2] = [("singletrack", ""), ("singletrack-logs", "")];
+
+/// Checks that the pure packages build without the others, and these without some of their features.
+pub(crate) fn check_alone() -> Result<(), Failure> {
+    let pure = PURE.iter().flat_map(|package| ["--package", package]);
+    check(cargo("check --quiet").args(pure))?;
+    for (package, features) in FEATURES {
+        let mut check_package = cargo("check --quiet --no-default-features");
+        check(check_package.args(["--package", package, "--features", features]))?;
     }
     Ok(())
 }
 
-fn first_difference(one: &[u8], other: &[u8]) -> Option<String> {
-    if one == other {
-        return None;
-    }
-    let line = one
-        .split(|byte| *byte == b'\n')
-        .zip(other.split(|byte| *byte == b'\n'))
-        .position(|(one, other)| one != other);
-    Some(line.map_or_else(
-        || "its length".to_owned(),
-        |line| format!("line {}", line + 1),
-    ))
+/// Checks that the packages for others can be published: `cargo package` packs each from its
+/// `include` list and builds the result outside of the workspace. A file that is not packed, and a
+/// dependency without a version, are errors there only.
+pub(crate) fn check_published() -> Result<(), Failure> {
+    let packages = PUBLISHED.iter().flat_map(|package| ["--package", package]);
+    // The working tree may hold changes. Offline, the versions are those of the workspace, and nothing
+    // waits for the registry: `check_alone` has downloaded what they need.
+    let mut package = cargo("package --quiet --offline --allow-dirty");
+    // A packed package is a workspace of its own. Its dependencies are built once for all of them, and
+    // kept.
+    let folder = target::folder()?;
+    check(package.args(packages).env("CARGO_TARGET_DIR", folder))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
+    use crate::workspace;
+
     use super::*;
 
     #[test]
@@ -336,19 +291,30 @@ mod tests {
     }
 
     #[test]
-    fn the_first_different_line_is_reported() {
-        assert_eq!(first_difference(b"a\nb\n", b"a\nb\n"), None);
-        assert_eq!(
-            first_difference(b"a\nb\n", b"a\nc\n").as_deref(),
-            Some("line 2")
-        );
-        assert_eq!(
-            first_difference(b"a\nb\n", b"a\nb\nc\n").as_deref(),
-            Some("line 3")
-        );
-        assert_eq!(
-            first_difference(b"a\nb", b"a\nb\nc").as_deref(),
-            Some("its length")
-        );
+    fn every_package_that_may_be_published_is_checked() {
+        let root = workspace::find().unwrap();
+        let workspace = fs::read_to_string(root.join("Cargo.toml")).unwrap();
+        let (_, members) = workspace.split_once("\nmembers = [").unwrap();
+        let (members, _) = members.split_once(']').unwrap();
+        let mut publishable: Vec<String> = members
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix('"')?.strip_suffix("\","))
+            .filter_map(|member| {
+                let manifest = root.join(member).join("Cargo.toml");
+                let manifest = fs::read_to_string(manifest).unwrap();
+                let name = manifest
+                    .lines()
+                    .find_map(|line| line.strip_prefix("name = "))
+                    .unwrap()
+                    .trim_matches('"')
+                    .to_owned();
+                let publish = manifest.lines().any(|line| line == "publish = true");
+                publish.then_some(name)
+            })
+            .collect();
+        publishable.sort();
+        let mut published = PUBLISHED;
+        published.sort_unstable();
+        assert_eq!(publishable, published);
     }
 }

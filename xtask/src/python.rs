@@ -1,15 +1,14 @@
-//! Checks with Python: the package, and the readers of records in other labs' tools.
+//! Checks with Python: the package, the readers of records in other labs' tools, and the node of ROS 2.
 
 use std::{
-    fs, io,
+    fs,
     path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
 use crate::{
-    libraries,
-    prerequisites::{self, ARM64},
-    process::{Failure, check as run, failure, silent},
+    notes, prerequisites,
+    process::{At as _, Failure, check, command, failure, silent},
     programs::Packages,
     target,
     toolchain::AARCH64,
@@ -41,12 +40,11 @@ impl Environment {
         more: &dyn Fn(&Path) -> Result<(), Failure>,
     ) -> Result<PathBuf, Failure> {
         let folder = target::folder()?.join(self.name);
-        let failed = |path: &Path, error: io::Error| failure!("{}: {error}", path.display());
         let requirements = self.source.join("requirements.txt");
         let mut required = Vec::new();
         for file in ["requirements.txt"].iter().chain(self.also) {
             let file = self.source.join(file);
-            required.extend(fs::read(&file).map_err(|error| failed(&file, error))?);
+            required.extend(fs::read(&file).at(&file)?);
         }
         let python = folder.join("bin/python");
         // Written after the last successful installation.
@@ -65,7 +63,7 @@ impl Environment {
         }
         silent(pip(&python).arg("-r").arg(&requirements))?;
         more(&python)?;
-        fs::write(&installed, required).map_err(|error| failed(&installed, error))?;
+        fs::write(&installed, required).at(&installed)?;
         Ok(python)
     }
 }
@@ -96,13 +94,13 @@ pub(crate) const MODULE: (&str, &str) = ("_native", "singletrack-python");
 
 /// Makes the wheels for x86-64 and ARM64 in a folder, and drives with the one for this machine.
 pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
-    prerequisites::ensure(&ARM64)?;
+    prerequisites::ensure(&["arm64"])?;
     let source = root().join("python");
     let target = target::folder()?;
     // maturin packs the file with the licences.
     let notices = source.join("NOTICES");
-    let text = libraries::notices(&[MODULE], &libraries::TARGETS)?;
-    fs::write(&notices, text).map_err(|error| failure!("{}: {error}", notices.display()))?;
+    let text = notes::licences(&[MODULE], &notes::TARGETS)?;
+    fs::write(&notices, text).at(&notices)?;
     let python = environment()?;
     let maturin = || Command::new(python.with_file_name("maturin"));
     let mut native = maturin();
@@ -117,20 +115,20 @@ pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
             .arg(folder)
             .current_dir(&source)
             .env("PATH", path_with(&python)?);
-        run(&mut maturin)?;
+        check(&mut maturin)?;
     }
     let installed = target.join("wheel");
-    empty(&installed)?;
+    target::empty(&installed)?;
     let mut install = pip(&python);
     install.args(["--no-deps", "--no-index", "--find-links"]);
     install.arg(folder).arg("--target").arg(&installed);
     silent(install.arg(concat!("singletrack==", env!("CARGO_PKG_VERSION"))))?;
-    run(Command::new(&python)
-        .args([
-            "-c",
-            "import singletrack; singletrack.Simulator().step(100)",
-        ])
-        .env("PYTHONPATH", installed))
+    let mut simulate = Command::new(&python);
+    simulate.args([
+        "-c",
+        "import singletrack; singletrack.Simulator().step(100)",
+    ]);
+    check(simulate.env("PYTHONPATH", installed))
 }
 
 /// Runs the tests of the package, with the examples and notebooks, and the type checker. The package
@@ -140,10 +138,9 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
     let source = root().join("python");
     let python = environment()?;
     let folder = target::folder()?.join("python-package");
-    empty(&folder)?;
-    let mut lay_out = Command::new("cp");
-    lay_out.args(["-r", "singletrack"]).arg(&folder);
-    run(lay_out.current_dir(&source))?;
+    target::empty(&folder)?;
+    let mut lay_out = command("cp -r singletrack");
+    check(lay_out.arg(&folder).current_dir(&source))?;
     target::put(
         &packages.libraries()?.join("lib_native.so"),
         &folder.join("singletrack/_native.abi3.so"),
@@ -164,7 +161,7 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
         .env("SINGLETRACKD", packages.path("singletrackd")?)
         .env("SINGLETRACK_SIM", packages.path("singletrack-sim")?);
     // The types are those of the sources: they need no build.
-    run(&mut in_source("-m mypy singletrack examples tests"))?;
+    check(&mut in_source("-m mypy singletrack examples tests"))?;
     packages.check_with_image(&mut tests)
 }
 
@@ -189,27 +186,73 @@ pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
     .ensure(&|_| Ok(()))?;
     let singletrack = packages.path("singletrack")?;
     let folder = target::folder()?.join("readers");
-    empty(&folder)?;
+    target::empty(&folder)?;
     let record = folder.join("circle.mcap");
-    run(Command::new(&singletrack)
-        .arg("simulate")
-        .arg(source.join("circle.toml"))
-        .arg("--record")
-        .arg(&record)
-        .stdout(Stdio::null()))?;
-    run(Command::new(&python)
-        .arg(source.join("check.py"))
-        .args([&singletrack, &record]))?;
-    run(Command::new(python)
-        .arg(source.join("cameras.py"))
-        .arg(packages.path("singletrack-sim")?))
+    let mut simulate = Command::new(&singletrack);
+    simulate.arg("simulate").arg(source.join("circle.toml"));
+    simulate.arg("--record").arg(&record).stdout(Stdio::null());
+    check(&mut simulate)?;
+    let script = |name: &str| {
+        let mut script = Command::new(&python);
+        script.arg(source.join(name));
+        script
+    };
+    check(script("check.py").args([&singletrack, &record]))?;
+    check(script("cameras.py").arg(packages.path("singletrack-sim")?))
 }
 
-/// Creates or empties a folder.
-pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
-    match fs::remove_dir_all(folder) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => fs::create_dir_all(folder),
+/// A check of the node that was not valid is tried again.
+const TRIES: usize = 3;
+
+/// Packages of messages that are on no package index, and those that they use.
+const MESSAGES: [(&str, &str); 2] = [
+    ("ackermann_msgs", "std_msgs"),
+    ("tf2_msgs", "geometry_msgs"),
+];
+
+/// Checks the node of ROS 2 with rclpy, in a network of its own: the daemon drives the simulated car in
+/// real time.
+pub(crate) fn check_node(packages: &Packages) -> Result<(), Failure> {
+    let source = root().join("tests/ros");
+    let builder = source.join("messages.py");
+    let build = target::folder()?.join("ros-venv/build");
+    let python = Environment {
+        name: "ros-venv",
+        source: source.clone(),
+        // The wheels of ROS write into the environment and start its Python again.
+        options: &["--copies"],
+        first: &["wheel==0.48.0"],
+        probe: "import rclpy, ackermann_msgs.msg, tf2_msgs.msg",
+        also: &["messages.py"],
     }
-    .map_err(|error| failure!("{}: {error}", folder.display()))
+    .ensure(&|python| {
+        MESSAGES.into_iter().try_for_each(|(package, used)| {
+            let mut make = Command::new(python);
+            make.arg(&builder).arg(source.join(package));
+            silent(make.args([&build, Path::new(used)]))
+        })
+    })?;
+    let programs = packages.path("")?;
+    let folder = target::folder()?.join("ros");
+    let mut drive = Command::new(root().join("xtask/src/isolated.sh"));
+    drive
+        .arg(python)
+        .arg(source.join("check.py"))
+        .args([&programs, &folder])
+        .arg("--configuration")
+        .arg(root().join("host/daemon/singletrackd.example.toml"))
+        // The variables of an installed ROS do not count.
+        .env_clear()
+        .envs(std::env::vars_os().filter(|(name, _)| name == "PATH" || name == "HOME"));
+    for _ in 1..TRIES {
+        target::empty(&folder)?;
+        match check(&mut drive) {
+            Err(Failure::NotValid(_)) => {
+                println!("Again: this machine was too busy for real time");
+            }
+            done => return done,
+        }
+    }
+    target::empty(&folder)?;
+    check(&mut drive)
 }

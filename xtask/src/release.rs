@@ -7,10 +7,9 @@ use std::{
 };
 
 use crate::{
-    changelog, deb, libraries, odroid, packages,
-    prerequisites::{self, GIT, PODMAN},
-    process::{Failure, check, failure, silent, text},
-    programs::{INSTALLED, NODE, Packages, release_build},
+    deb, notes, odroid, options, prerequisites,
+    process::{At as _, Failure, check, command, failure, silent, text},
+    programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published, release_build},
     python,
     step::{
         Scope::{All, Always},
@@ -46,7 +45,7 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 /// What is made, in order. The image is made of a Debian package.
 #[rustfmt::skip]
 const STEPS: [Step; 8] = [
-    row("notes", 0.03, Always, "release notes, and the licences of all libraries", notes),
+    row("notes", 0.03, Always, "release notes, and the licences of all libraries", write_notes),
     row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
     row("book", 0.63, All, "the site", book),
     row("debian", 14.2, All, "the Debian packages", debian),
@@ -71,15 +70,15 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         return Ok(());
     }
     let plan = parse(arguments)?;
-    let newest = changelog::newest()?;
-    let git = plan.tag.as_ref().map(|_| GIT);
-    let podman = plan.has("image").then_some(PODMAN);
+    let newest = notes::newest()?;
+    let git = plan.tag.as_ref().map(|_| "git");
+    let podman = plan.has("image").then_some("podman");
     prerequisites::ensure(&git.into_iter().chain(podman).collect::<Vec<_>>())?;
     if let Some(tag) = &plan.tag {
         newest.check_tag(tag)?;
         check_clean()?;
     }
-    python::empty(&folder()?)?;
+    target::empty(&folder()?)?;
     let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
     let steps: Vec<Step> = steps.collect();
     run_all(&steps, &Packages::Default, yardstick::demo_s()?)?;
@@ -97,23 +96,19 @@ impl Plan {
 
 pub(crate) fn parse(arguments: &[String]) -> Result<Plan, Failure> {
     let mut plan = Plan::default();
-    let mut arguments = arguments.iter().map(String::as_str);
-    while let Some(option) = arguments.next() {
-        let (option, value) = match option.split_once('=') {
-            Some((option, value)) => (option, Some(value)),
-            None => (option, arguments.next()),
-        };
-        match (option, value) {
+    for option in options(arguments, &["--tag", "--without"]) {
+        match option {
             ("--tag", Some(tag)) => plan.tag = Some(tag.to_owned()),
             ("--without", Some(names)) => plan.without.extend(names.split(',').map(str::to_owned)),
-            _ => return Err(failure!("unexpected argument {option:?}\n\n{USAGE}")),
+            (option, _) => return Err(failure!("unexpected argument {option:?}\n\n{USAGE}")),
         }
     }
-    let can_be_left_out = |name: &&String| {
-        let mut steps = STEPS.iter();
-        steps.any(|step| step.scope == All && step.name == **name)
-    };
-    if let Some(unknown) = plan.without.iter().find(|name| !can_be_left_out(name)) {
+    let optional = STEPS.iter().filter(|step| step.scope == All);
+    if let Some(unknown) = plan
+        .without
+        .iter()
+        .find(|name| optional.clone().all(|step| step.name != **name))
+    {
         return Err(failure!("--without {unknown:?} is no such step\n\n{USAGE}"));
     }
     if plan.tag.is_some() && !plan.without.is_empty() {
@@ -127,8 +122,7 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Plan, Failure> {
 /// Checks that the files are those of a commit.
 fn check_clean() -> Result<(), Failure> {
     // In a container, the checkout belongs to another user.
-    let mut git = Command::new("git");
-    git.args(["-c", "safe.directory=*", "status", "--porcelain"]);
+    let mut git = command("git -c safe.directory=* status --porcelain");
     let changes = text(git.current_dir(root()))?;
     if changes.is_empty() {
         return Ok(());
@@ -145,7 +139,7 @@ fn folder() -> Result<PathBuf, Failure> {
 
 fn write(name: &str, text: &str) -> Result<(), Failure> {
     let path = folder()?.join(name);
-    fs::write(&path, text).map_err(|error| failure!("{}: {error}", path.display()))
+    fs::write(&path, text).at(&path)
 }
 
 /// Copies a file into the folder.
@@ -154,18 +148,20 @@ fn take(file: &Path) -> Result<(), Failure> {
     target::put(file, &folder()?.join(name))
 }
 
-fn notes(_: &Packages) -> Result<(), Failure> {
+fn write_notes(_: &Packages) -> Result<(), Failure> {
     let programs = [&INSTALLED[..], &[NODE, python::MODULE]].concat();
-    let licences = libraries::notices(&programs, &libraries::TARGETS)?;
-    write("LICENCES.txt", &licences)?;
-    write("notes.md", &changelog::newest()?.text)
+    write(
+        "LICENCES.txt",
+        &notes::licences(&programs, &notes::TARGETS)?,
+    )?;
+    write("notes.md", &notes::newest()?.text)
 }
 
 fn crates(_: &Packages) -> Result<(), Failure> {
     // The list of the licences has downloaded what they need.
-    packages::check_published()?;
+    check_published()?;
     let packed = target::folder()?.join("package");
-    for package in packages::PUBLISHED {
+    for package in PUBLISHED {
         take(&packed.join(format!("{package}-{VERSION}.crate")))?;
     }
     Ok(())
@@ -174,19 +170,16 @@ fn crates(_: &Packages) -> Result<(), Failure> {
 fn book(_: &Packages) -> Result<(), Failure> {
     let target = target::folder()?;
     let tools = target.join("tools");
-    let mut install = cargo();
-    install.args(["install", "--quiet", "--locked", "--root"]);
-    install.arg(&tools).args(["--version", MDBOOK, "mdbook"]);
-    check(install.args(["--no-default-features", "--features", "search"]))?;
+    let mut install = cargo("install --quiet --locked --no-default-features --features search");
+    install.args(["--version", MDBOOK, "mdbook", "--root"]);
+    check(install.arg(&tools))?;
     let site = target.join("book");
     let mut mdbook = Command::new(tools.join("bin/mdbook"));
     mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
     check(mdbook.current_dir(root()))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
-    let mut tar = Command::new("tar");
-    tar.arg("--directory").arg(&site);
-    tar.args(["--create", "--gzip", "--file"]).arg(archive);
-    silent(tar.arg("."))
+    let mut tar = command("tar --create --gzip --file");
+    silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))
 }
 
 fn debian(_: &Packages) -> Result<(), Failure> {
@@ -209,18 +202,14 @@ fn drive(packages: &Packages) -> Result<(), Failure> {
 
 fn image(_: &Packages) -> Result<(), Failure> {
     let name = format!("singletrack-sim:{VERSION}");
-    let mut build = Command::new("podman");
     // In a container, and for root without all rights, no other isolation works.
-    build.args(["build", "--quiet", "--isolation", "chroot", "--squash"]);
-    build.args(["--tag", &name]);
-    build.args(["--file", "packaging/Containerfile.simulator"]);
+    let mut build = command("podman build --quiet --isolation chroot --squash --tag");
+    build.args([&name, "--file", "packaging/Containerfile.simulator"]);
     build.arg(target::folder()?.join("debian"));
     check(build.current_dir(root()))?;
     let file = format!("singletrack-sim_{VERSION}_{}.tar", ARCHITECTURES[0]);
-    let file = folder()?.join(file);
-    let mut save = Command::new("podman");
-    save.args(["save", "--quiet", "--format", "oci-archive", "--output"]);
-    silent(save.arg(&file).arg(&name))
+    let mut save = command("podman save --quiet --format oci-archive --output");
+    silent(save.arg(folder()?.join(file)).arg(&name))
 }
 
 fn wheels(_: &Packages) -> Result<(), Failure> {
@@ -228,12 +217,13 @@ fn wheels(_: &Packages) -> Result<(), Failure> {
 }
 
 fn checksums(_: &Packages) -> Result<(), Failure> {
-    let mut sum = Command::new("sh");
-    sum.args(["-ec", "sha256sum *"]).current_dir(folder()?);
-    write("SHA256SUMS", &text(&mut sum)?)?;
-    let mut list = Command::new("du");
-    list.args(["--apparent-size", "--human-readable", "--all"]);
-    check(list.arg(folder()?))
+    let folder = folder()?;
+    let files = fs::read_dir(&folder).at(&folder)?.flatten();
+    let mut names: Vec<_> = files.map(|file| file.file_name()).collect();
+    names.sort();
+    let mut sum = command("sha256sum");
+    write("SHA256SUMS", &text(sum.args(names).current_dir(&folder))?)?;
+    check(command("du --apparent-size --human-readable --all").arg(&folder))
 }
 
 #[cfg(test)]

@@ -6,15 +6,15 @@ use std::{
 };
 
 use crate::{
-    process::{Failure, check, failure, text},
+    process::{At as _, Failure, check, failure, text},
     workspace::{cargo, root},
 };
 
 /// The target folder, with environment and configuration applied.
 pub(crate) fn folder() -> Result<PathBuf, Failure> {
-    let metadata = text(cargo().args(["metadata", "--no-deps", "--format-version", "1"]))?;
-    target_directory(&metadata)
-        .ok_or_else(|| failure!("`cargo metadata` does not report the target folder"))
+    let metadata = text(&mut cargo("metadata --no-deps --format-version 1"))?;
+    let found = paths(&metadata, "target_directory").into_iter().next();
+    found.ok_or_else(|| failure!("`cargo metadata` does not report the target folder"))
 }
 
 /// Rebuilds the workspace's programs if the target folder came from another
@@ -27,17 +27,11 @@ pub(crate) fn adopt() -> Result<(), Failure> {
     if fs::read_to_string(&note).is_ok_and(|from| from != here) {
         println!("The target folder came from another checkout: building the workspace again");
         for profile in ["dev", "release"] {
-            check(cargo().args(["clean", "--workspace", "--profile", profile]))?;
+            check(cargo("clean --workspace --profile").arg(profile))?;
         }
     }
-    fs::create_dir_all(&folder)
-        .and_then(|()| fs::write(&note, here))
-        .map_err(|error| failure!("can't write {}: {error}", note.display()))
-}
-
-/// The target folder in cargo's JSON.
-fn target_directory(metadata: &str) -> Option<PathBuf> {
-    paths(metadata, "target_directory").into_iter().next()
+    fs::create_dir_all(&folder).at(&folder)?;
+    fs::write(&note, here).at(&note)
 }
 
 /// The paths of this name in cargo's JSON.
@@ -64,6 +58,15 @@ fn text_up_to_quote(rest: &str) -> Option<String> {
             character => text.push(character),
         }
     }
+}
+
+/// Creates or empties a folder.
+pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => fs::create_dir_all(folder),
+    }
+    .at(folder)
 }
 
 /// Copies a program atomically to its place, unless it is already there.
@@ -93,12 +96,10 @@ mod tests {
     #[test]
     fn the_target_folder_is_found_in_the_metadata() {
         let metadata = r#"{"packages":[],"target_directory":"/tmp/a \"b\" c","version":1}"#;
-        assert_eq!(
-            target_directory(metadata),
-            Some(PathBuf::from("/tmp/a \"b\" c"))
-        );
-        assert_eq!(target_directory("{}"), None);
-        assert_eq!(target_directory(r#"{"target_directory":"/tmp"#), None);
+        let found = |metadata| paths(metadata, "target_directory");
+        assert_eq!(found(metadata), [PathBuf::from("/tmp/a \"b\" c")]);
+        assert!(found("{}").is_empty());
+        assert!(found(r#"{"target_directory":"/tmp"#).is_empty());
     }
 
     #[test]

@@ -3,20 +3,22 @@
 
 use std::{
     env,
-    ffi::OsStr,
     path::{Path, PathBuf},
     process::Command,
 };
 
 use crate::{
+    prerequisites,
     process::Failure,
-    shell::{answer, shell},
     target,
     workspace::{cargo_here, root},
 };
 
 /// Searches the compiler for the Arduino's processor.
 pub(crate) const AVR: &str = "compiler avr-none core";
+
+/// The same, with clippy of the same release.
+pub(crate) const AVR_CLIPPY: &str = "compiler avr-none core clippy";
 
 /// A processor with Linux.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,9 +62,9 @@ pub(crate) struct Compiler {
 
 impl Compiler {
     /// The first that works: the one that `SINGLETRACK_RUSTC` names, a nightly of rustup with
-    /// `rust-src`, Debian's. The script is one such as [`AVR`].
+    /// `rust-src`, Debian's. The probe is one such as [`AVR`].
     pub(crate) fn find(probe: &str) -> Result<Self, Failure> {
-        let found = answer(&mut shell(probe)).map_err(Failure::Failed)?;
+        let found = prerequisites::find(probe)?;
         let mut paths = found.lines().skip(1).map(PathBuf::from);
         Ok(Self {
             rustc: paths.next().unwrap_or_default(),
@@ -103,35 +105,16 @@ impl Compiler {
 
 /// Whether an environment variable could change the program.
 fn changes_a_build(name: &str) -> bool {
-    const HARMLESS: [&str; 7] = [
-        "CARGO_HOME",
-        "CARGO_HTTP_",
-        "CARGO_NET_",
-        "CARGO_REGISTR",
-        "CARGO_SOURCE_",
-        "CARGO_TERM_",
-        "CARGO_BUILD_JOBS",
-    ];
+    const HARMLESS: &str = "HOME HTTP_ NET_ REGISTR SOURCE_ TERM_ BUILD_JOBS";
+    let of_cargo = name.strip_prefix("CARGO_");
     name == "RUSTFLAGS"
-        || (name.starts_with("CARGO_") && !HARMLESS.iter().any(|start| name.starts_with(start)))
+        || of_cargo.is_some_and(|name| !HARMLESS.split(' ').any(|start| name.starts_with(start)))
 }
 
 impl Target {
     /// The words before a program that let it run in the emulator: where it finds the C library.
-    pub(crate) fn emulator(&self) -> [String; 3] {
-        [
-            self.qemu.to_owned(),
-            "-L".to_owned(),
-            format!("/usr/{}", self.gnu),
-        ]
-    }
-
-    /// A command that runs a program in the emulator.
-    pub(crate) fn emulated(&self, program: impl AsRef<OsStr>) -> Command {
-        let [qemu, options @ ..] = self.emulator();
-        let mut command = Command::new(qemu);
-        command.current_dir(root()).args(options).arg(program);
-        command
+    pub(crate) fn emulator(&self) -> String {
+        format!("{} -L /usr/{}", self.qemu, self.gnu)
     }
 
     /// A command of cargo for this processor, and the folder of the programs of a profile.
@@ -158,11 +141,9 @@ impl Target {
         let folder = target::folder()?.join("odroid");
         let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);
+        let linker = format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase());
         command
-            .env(
-                format!("CARGO_TARGET_{}_LINKER", triple.to_uppercase()),
-                &gcc,
-            )
+            .env(linker, &gcc)
             // zstd is C.
             .env(format!("CC_{triple}"), &gcc)
             .args(["--locked", "--profile", profile])

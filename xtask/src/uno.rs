@@ -1,21 +1,23 @@
-//! `cargo uno`: builds, checks and flashes the Arduino's image.
+//! `cargo uno`: builds, checks and flashes the Arduino's image. It and the program that runs it are
+//! placed where the simulator searches them: in `uno` in the target folder.
 
 use std::{
     fs,
+    io::{self, IsTerminal},
     os::unix::fs::FileTypeExt,
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, Stdio},
 };
 
 use crate::{
-    gates,
-    image::{self, Image},
-    prerequisites::PROGRAMMER,
-    process::{Failure, check, failure, text},
-    workspace::cargo,
+    gates, options, prerequisites,
+    process::{Failure, check, command, failure, text},
+    target,
+    toolchain::{AVR, AVR_CLIPPY, Compiler},
+    workspace::{cargo, root},
 };
 
-pub(crate) const USAGE: &str = "\
+const USAGE: &str = "\
 usage: cargo uno [--car-id N] [--flash PORT]
 
 Build the image for the Arduino UNO, run it in simavr, and print its use of flash,
@@ -44,12 +46,9 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
         check_port(port)?;
     }
     let car_id = options.car_id.unwrap_or(0);
-    let programmer = options.flash.as_ref().map(|_| PROGRAMMER);
-    let image = image::ensure(car_id, programmer.as_slice())?;
-    let mut figures = cargo();
-    figures
-        .args(["run", "--package", "singletrack-sim"])
-        .args(["--bin", "uno-figures"]);
+    let programmer = options.flash.as_ref().map(|_| "flash");
+    let image = ensure(car_id, programmer.as_slice())?;
+    let mut figures = cargo("run --package singletrack-sim --bin uno-figures");
     check_image(&image, car_id, &mut figures)?;
     options
         .flash
@@ -58,41 +57,110 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// `None` for help.
 pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
-    let refused = |reason: &str| failure!("{reason}\n\n{USAGE}");
-    if let [help] = arguments
-        && (help == "--help" || help == "-h")
-    {
-        return Ok(None);
-    }
-    let words: Vec<&str> = arguments
-        .iter()
-        .flat_map(|word| match word.split_once('=') {
-            Some((name, value)) if name.starts_with("--") => vec![name, value],
-            _ => vec![word.as_str()],
-        })
-        .collect();
-    let mut options = Options::default();
-    for option in words.chunks(2) {
+    let refused = |reason: &str| Err(failure!("{reason}\n\n{USAGE}"));
+    let mut found = Options::default();
+    for option in options(arguments, &["--flash", "--car-id"]) {
         match option {
-            ["--flash", port] if !port.is_empty() && options.flash.is_none() => {
-                options.flash = Some(PathBuf::from(port));
+            ("--help" | "-h", None) if arguments.len() == 1 => return Ok(None),
+            ("--flash", None | Some("")) => {
+                return refused("--flash needs the UNO's port, such as /dev/ttyACM0");
             }
-            ["--flash"] | ["--flash", ""] => {
-                let reason = "--flash needs the UNO's port, such as /dev/ttyACM0";
-                return Err(refused(reason));
-            }
-            ["--car-id", rest @ ..] if options.car_id.is_none() => {
-                let value = rest.concat();
-                let number = value.parse().ok().filter(|number| *number > 0);
-                options.car_id = Some(number.ok_or_else(|| {
+            ("--flash", Some(port)) if found.flash.is_none() => found.flash = Some(port.into()),
+            ("--car-id", value) if found.car_id.is_none() => {
+                let value = value.unwrap_or_default();
+                found.car_id = value.parse().ok().filter(|number| *number > 0);
+                if found.car_id.is_none() {
                     let wanted = "--car-id needs a number from 1 to 65535";
-                    refused(&format!("{wanted}, not {value:?}"))
-                })?);
+                    return refused(&format!("{wanted}, not {value:?}"));
+                }
             }
-            _ => return Err(refused(&format!("unexpected argument {:?}", option[0]))),
+            (option, _) => return refused(&format!("unexpected argument {option:?}")),
         }
     }
-    Ok(Some(options))
+    Ok(Some(found))
+}
+
+/// The variable with the car's number, which the image's source reads.
+const CAR_ID: &str = "SINGLETRACK_CAR_ID";
+
+/// Paths of the image.
+pub(crate) struct Image {
+    /// Folder of all files.
+    pub(crate) folder: PathBuf,
+    /// The image to flash.
+    pub(crate) elf: PathBuf,
+    /// The benchmark for the simulator.
+    pub(crate) cycles_elf: PathBuf,
+}
+
+/// Cargo's option for builds on the way to something else: progress is shown on a terminal only.
+pub(crate) fn quiet() -> Option<&'static str> {
+    (!io::stderr().is_terminal()).then_some("--quiet")
+}
+
+/// Installs the prerequisites of the image and others, builds simulator and image, for this car or
+/// for none (zero), and places them.
+pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<Image, Failure> {
+    prerequisites::ensure(&[&["image"], others].concat())?;
+    build(car_id, || {
+        let mut build = cargo("build --package singletrack-simavr-process");
+        check(build.args(quiet()).stdout(Stdio::null()))
+    })
+}
+
+/// Builds the image and the simulator, and places both.
+pub(crate) fn build(
+    car_id: u16,
+    build_simulator: impl FnOnce() -> Result<(), Failure>,
+) -> Result<Image, Failure> {
+    let target = target::folder()?;
+    let mut build = uno_cargo(&Compiler::find(AVR)?, "build", &target);
+    build.args(quiet()).env(CAR_ID, car_id.to_string());
+    check(build.stdout(Stdio::null()))?;
+    build_simulator()?;
+    let folder = target.join("uno");
+    let place = |from: &str, name: &str| {
+        let to = folder.join(name);
+        target::put(&target.join(from).join(name), &to).map(|()| to)
+    };
+    let elf = place("uno-build/avr-none/release", "singletrack-uno.elf")?;
+    let cycles_elf = place("uno-build/avr-none/release", "singletrack-uno-cycles.elf")?;
+    place("debug", "singletrack-simavr")?;
+    Ok(Image {
+        folder,
+        elf,
+        cycles_elf,
+    })
+}
+
+/// Checks that the image builds without warnings of compiler and clippy.
+pub(crate) fn lint() -> Result<(), Failure> {
+    let compiler = Compiler::find(AVR_CLIPPY)?;
+    let target = target::folder()?;
+    // RUSTFLAGS would replace the image's own flags.
+    let deny = ["-Zwarnings", "--config", "build.warnings=\"deny\""];
+    check(uno_cargo(&compiler, "build", &target).args(deny))?;
+    let mut clippy = uno_cargo(&compiler, "check", &target);
+    clippy.env("RUSTC_WORKSPACE_WRAPPER", compiler.clippy());
+    check(clippy.args(deny))
+}
+
+/// The image's crate, which is not a member of the workspace.
+pub(crate) fn folder() -> PathBuf {
+    root().join("firmware/uno")
+}
+
+/// The common part of all commands. The image's `.cargo/config.toml` has the other
+/// options.
+fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
+    let mut cargo = compiler.cargo(&folder());
+    cargo
+        // Suppresses the warning that AVR's linker does not support -no-pie.
+        .env("RUSTC_LOG", "error")
+        .env(CAR_ID, "0")
+        .args([command, "--release", "--locked", "--target-dir"])
+        .arg(target.join("uno-build"));
+    cargo
 }
 
 /// Checks the image for a car against its budgets, with the measuring program.
@@ -146,14 +214,11 @@ fn check_port(port: &Path) -> Result<(), Failure> {
 /// Writes the image to the board's flash and verifies it.
 fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
     let hex = elf.with_extension("hex");
-    let mut convert = Command::new("avr-objcopy");
-    convert.args(["-O", "ihex", "-R", ".eeprom"]);
-    check(convert.args([elf, &hex]))?;
+    check(command("avr-objcopy -O ihex -R .eeprom").args([elf, &hex]))?;
     let mut write = std::ffi::OsString::from("flash:w:");
     write.push(&hex);
     write.push(":i");
-    let mut program = Command::new("avrdude");
-    program.args("-p atmega328p -c arduino -b 115200 -D -P".split(' '));
+    let mut program = command("avrdude -p atmega328p -c arduino -b 115200 -D -P");
     check(program.arg(port).arg("-U").arg(write)).map_err(|failure| {
         failure!(
             "{failure}. Does another program have {} open, the daemon perhaps? Is it an UNO with \

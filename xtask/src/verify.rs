@@ -3,21 +3,21 @@
 use std::process::Command;
 
 use crate::{
-    deb, image, odroid, packages,
+    deb, odroid, options,
     prerequisites::{self, Part},
     process::{Failure, check, failure},
-    programs::{Packages, TRAJECTORY, compare, release_build},
-    python, ros,
+    programs::{Packages, check_alone, check_published},
+    python,
     step::{
         Scope::{All, Always, Of},
         Step, row, run_all,
     },
-    target, units, uno,
+    target, uno,
     workspace::{cargo, root},
     yardstick,
 };
 
-pub(crate) const USAGE: &str = "\
+const USAGE: &str = "\
 usage: cargo verify [--all] [--without PART[,PART...]] [STEP...]
 
 Run the checks that need nothing but Rust and a C compiler, or the named steps. Prints the time,
@@ -40,10 +40,7 @@ struct Selection {
 }
 
 pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
-    if arguments
-        .iter()
-        .any(|argument| argument == "--help" || argument == "-h")
-    {
+    if arguments.iter().any(|one| one == "--help" || one == "-h") {
         print!(
             "{USAGE}\nSteps, those of --all alone with a +, and the part that each belongs to:\n"
         );
@@ -72,6 +69,20 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 }
 
 impl Selection {
+    /// Leaves out parts, whose names are separated by commas.
+    fn leave_out(&mut self, names: &str) -> Result<(), Failure> {
+        for name in names.split(',') {
+            let part = Part::named(name).ok_or_else(|| {
+                let known = Part::ALL.map(Part::name).join(", ");
+                failure!("--without {name:?}: the parts are {known}")
+            })?;
+            if !self.without.contains(&part) {
+                self.without.push(part);
+            }
+        }
+        Ok(())
+    }
+
     fn names(&self, step: &Step) -> bool {
         self.steps.iter().any(|name| name == step.name)
     }
@@ -122,33 +133,17 @@ impl Selection {
 
 fn parse(arguments: &[String]) -> Result<Selection, Failure> {
     let mut selection = Selection::default();
-    let mut arguments = arguments.iter().map(String::as_str);
-    while let Some(argument) = arguments.next() {
-        let list = match argument.strip_prefix("--without") {
-            Some("") => arguments
-                .next()
-                .ok_or_else(|| failure!("--without needs the names of parts\n\n{USAGE}"))?,
-            Some(list) if list.starts_with('=') => &list[1..],
-            _ if argument == "--all" => {
-                selection.all = true;
-                continue;
+    for option in options(arguments, &["--without"]) {
+        match option {
+            ("--all", None) => selection.all = true,
+            ("--without", None) => {
+                return Err(failure!("--without needs the names of parts\n\n{USAGE}"));
             }
-            _ if argument.starts_with('-') => {
-                return Err(failure!("unknown option {argument:?}\n\n{USAGE}"));
+            ("--without", Some(names)) => selection.leave_out(names)?,
+            (unknown, _) if unknown.starts_with('-') => {
+                return Err(failure!("unknown option {unknown:?}\n\n{USAGE}"));
             }
-            _ => {
-                selection.steps.push(argument.to_owned());
-                continue;
-            }
-        };
-        for name in list.split(',') {
-            let part = Part::named(name).ok_or_else(|| {
-                let known = Part::ALL.map(Part::name).join(", ");
-                failure!("--without {name:?}: the parts are {known}")
-            })?;
-            if !selection.without.contains(&part) {
-                selection.without.push(part);
-            }
+            (step, _) => selection.steps.push(step.to_owned()),
         }
     }
     Ok(selection)
@@ -160,16 +155,16 @@ const STEPS: [Step; 28] = [
     // Static checks.
     row(PREREQUISITES, 0.1, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
-        prerequisites::ensure(&prerequisites::of_parts(&parts.collect::<Vec<_>>()))
+        prerequisites::ensure(&["base"].into_iter().chain(parts.map(Part::name)).collect::<Vec<_>>())
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
     row("compile", 2.6, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
-    row("lints-uno", 0.35, Of(Part::Uno), "no warning in the Arduino's image", |_| image::lint()),
+    row("lints-uno", 0.35, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
     row("packages", 0.4, All, "packages build alone, and those for others can be packed",
-        |_| packages::check_alone().and_then(|()| packages::check_published())),
+        |_| check_alone().and_then(|()| check_published())),
     row("units", 0.02, Of(Part::Units),
         "systemd accepts the services' units without warnings and rates their exposure as low",
-        |_| units::check()),
+        |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
     row("tests", 0.7, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
@@ -207,13 +202,14 @@ const STEPS: [Step; 28] = [
         python::check_readers),
     row("slurm", 0.1, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
         |packages| {
-        let mut job_array = Command::new(root().join("tests/slurm/job-array.sh"));
+        let mut job_array = script("tests/slurm/job-array.sh");
         // A Slurm that is installed does not count.
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
     row("book", 0.5, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book"))?)),
-    row("release", 0.8, All, "a release build simulates the bits of the tested one", compare_release),
+    row("release", 0.8, All, "a release build simulates the bits of the tested one",
+        odroid::compare_release),
     row("debian", 0.15, Of(Part::Debian),
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
@@ -237,23 +233,15 @@ const STEPS: [Step; 28] = [
     row("browser", 0.1, Of(Part::Browser),
         "the page shows a drive in Chromium, at a desk and on a telephone",
         |packages| check(suite(packages, "native")?.args(["--browser", "in_a_browser"]))),
-    row("ros", 0.3, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it", ros::check),
+    row("ros", 0.3, Of(Part::Ros), "a node of ROS 2 in Python reads the car and drives it",
+        python::check_node),
 ];
 
-/// Optimised as the installed programs are, the same bits are simulated. The programs themselves are
-/// built by `cargo deb` and `cargo release`.
-fn compare_release(packages: &Packages) -> Result<(), Failure> {
-    let (mut build, folder) = release_build()?;
-    check(build.args(TRAJECTORY))?;
-    let simulate = || {
-        let mut simulate = Command::new(folder.join("trajectory"));
-        simulate.current_dir(root());
-        simulate
-    };
-    compare(
-        ("the tested build", &packages.trajectory()?),
-        ("the release build", &simulate),
-    )
+/// A script of this checkout, to be started in the workspace's root.
+fn script(path: &str) -> Command {
+    let mut script = Command::new(root().join(path));
+    script.current_dir(root());
+    script
 }
 
 /// The hardware-in-the-loop suite with the tested daemon; its own arguments follow.
@@ -265,7 +253,7 @@ fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
 }
 
 fn two_computers(packages: &Packages, options: &[&str]) -> Result<(), Failure> {
-    let mut cars = Command::new(root().join("tests/hil/two_computers.py"));
+    let mut cars = script("tests/hil/two_computers.py");
     check(cars.arg(packages.path("")?).args(options))
 }
 
@@ -282,10 +270,8 @@ fn real_logs(packages: &Packages) -> Result<(), Failure> {
 
 /// Checks the format of the workspace and of the image, which is not a member.
 fn format() -> Result<(), Failure> {
-    check(cargo().args(["fmt", "--all", "--check"]))?;
-    let mut format = cargo();
-    format.current_dir(image::folder());
-    check(format.args(["fmt", "--check"]))
+    check(&mut cargo("fmt --all --check"))?;
+    check(cargo("fmt --check").current_dir(uno::folder()))
 }
 
 #[cfg(test)]
@@ -351,7 +337,6 @@ mod tests {
         }
         assert_eq!(parsed("").unwrap().packages(), Packages::Default);
         assert_eq!(parsed("compile hil").unwrap().packages(), Packages::Default);
-        assert!(prerequisites::of_parts(&[]).len() < 4);
     }
 
     #[test]

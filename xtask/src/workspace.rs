@@ -37,10 +37,10 @@ fn is_root(folder: &Path) -> bool {
     folder.join("xtask/Cargo.toml").is_file() && folder.join("firmware/uno/Cargo.toml").is_file()
 }
 
-/// The cargo that runs this program, in the workspace's root.
-pub(crate) fn cargo() -> Command {
+/// The cargo that runs this program, in the workspace's root, with arguments without blanks.
+pub(crate) fn cargo(arguments: &str) -> Command {
     let mut command = cargo_here();
-    command.current_dir(root());
+    command.current_dir(root()).args(arguments.split(' '));
     // Otherwise programs would be in that target's folder, and older ones be found.
     command.env_remove("CARGO_BUILD_TARGET");
     // A fresh clone is built only once, so incremental data is useless.

@@ -21,7 +21,7 @@ const SAMPLES_IN_A_DEMO: f64 = 198.0;
 /// Processor time of `cargo demo` from nothing on this machine, estimated by compiling a sample.
 pub(crate) fn demo_s() -> Result<f64, Failure> {
     let folder = target::folder()?.join("yardstick");
-    crate::python::empty(&folder)?;
+    target::empty(&folder)?;
     let file = folder.join("sample.rs");
     fs::write(&file, sample()).map_err(|error| failure!("{}: {error}", file.display()))?;
     let before_s = processor_s();

@@ -1,7 +1,27 @@
 //! Runs the UNO image in simavr for the simulator. The library of this package
 //! describes the protocol on standard input and output.
+//!
+//! The Arduino UNO is the ATmega328P and what is connected to its pins.
+//! simavr 1.6 runs the instructions, timers 0 and 2, the ADC, the ports' registers
+//! and the interrupt priorities. The modules that it models too loosely for this
+//! board are modelled here after the data sheet (Atmel 8271, ATmega328P):
+//!
+//! | Module   | simavr 1.6                                                          |
+//! |----------|---------------------------------------------------------------------|
+//! | UART     | 64 bytes of buffer, 11 bits a byte, no overrun                      |
+//! | TWI      | 9 us a byte for any TWBR, wrong status after SLA+W                  |
+//! | Timer 1  | OCR1x not double-buffered, mode 14 wrong, widths rounded in floats  |
+//! | Watchdog | resets the processor without notice                                 |
 
-mod uno;
+mod board;
+mod devices;
+mod elf;
+mod figures;
+mod machine;
+mod timer1;
+mod twi;
+mod uart;
+mod watchdog;
 
 use std::{
     fs::File,
@@ -12,7 +32,11 @@ use std::{
 };
 
 use singletrack_simavr::{PipeError, Request, receive, send};
-use uno::{Board, Image, ImageError};
+
+use crate::{
+    board::Board,
+    elf::{Image, ImageError},
+};
 
 const USAGE: &str = "\
 Run the UNO image in simavr, instruction by instruction.
@@ -61,7 +85,7 @@ fn run() -> Result<(), Error> {
         .as_fd()
         .try_clone_to_owned()
         .map_err(Error::Output)?;
-    uno::silence_stdout();
+    machine::silence_stdout();
     let image = Image::read(&path)?;
     let mut board = Board::new(&image).ok_or(Error::Processor)?;
     let mut input = BufReader::new(io::stdin().lock());

@@ -32,12 +32,10 @@
 mod bno055;
 mod message;
 mod motion;
-mod pipe;
 
 pub use bno055::{Bno055, ImuRegisters};
 pub use message::{
-    BusFault, CYCLES_PER_US, Figures, Hang, Interrupt, Pin, Pulse, Reply, Report, Request,
-    ResetFlags, Run,
+    BusFault, CYCLES_PER_US, Figures, Hang, Interrupt, Pin, PipeError, Pulse, Reply, Report,
+    Request, ResetFlags, Run, receive, send,
 };
 pub use motion::Motion;
-pub use pipe::{PipeError, receive, send};

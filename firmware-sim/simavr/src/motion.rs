@@ -14,7 +14,7 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The same motion with the axes remapped as by the registers `AXIS_MAP_CONFIG` and
+    /// This motion with the axes remapped as by the registers `AXIS_MAP_CONFIG` and
     /// `AXIS_MAP_SIGN`. Values that name no rotation leave it as it is.
     #[must_use]
     pub fn remapped(&self, [map, signs]: [u8; 2]) -> Self {

@@ -3,24 +3,22 @@
 
 mod frames;
 mod image;
-mod monitor;
 mod native;
-mod process;
+
 #[cfg(feature = "real-time")]
 mod size;
 
+use std::collections::VecDeque;
+
 use singletrack_board::Board;
-use singletrack_protocol::{ResetCause, Telemetry, UNNAMED};
+use singletrack_protocol::{
+    COMMAND_TIME_TO_LIVE_US, Decoder, ResetCause, Telemetry, ToBoard, ToHost, UNNAMED,
+};
 use singletrack_settings::section;
 use singletrack_simavr::{BusFault, Figures, Hang};
 use singletrack_words::words;
 
-pub use image::{Installation, UnoError};
-pub use monitor::ReceivedMessage;
-#[cfg(feature = "real-time")]
-pub use size::ImageSize;
-
-use self::{image::Image, monitor::Monitor, native::Native};
+use self::{image::Image, native::Native};
 use crate::{
     car::{BatteryParameters, Car, ImuReading},
     clock::SkewedClock,
@@ -28,6 +26,11 @@ use crate::{
     random::{Random, Stream},
     wire::SerialWire,
 };
+
+pub use image::{Installation, UnoError};
+
+#[cfg(feature = "real-time")]
+pub use size::ImageSize;
 
 /// Time from one servo pulse to the next, on the board's clock, in µs.
 pub const SERVO_FRAME_US: u64 = 20_000;
@@ -432,4 +435,78 @@ fn battery_mv(car: &Car, p: &BatteryParameters, noise: &mut Random) -> u16 {
 
 fn supply_mv(p: &BatteryParameters) -> u16 {
     (p.supply_v * 1e3).round() as u16
+}
+
+/// A message of the host that reached the board, accepted or not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReceivedMessage {
+    /// Simulation time, in µs.
+    pub time_us: u64,
+    /// Board time, in µs, wrapping.
+    pub board_time_us: u32,
+    /// The decoded message.
+    pub message: ToBoard,
+}
+
+/// Number of messages kept.
+const CAPACITY: usize = 64;
+
+/// Decodes both directions.
+#[derive(Debug, Default)]
+struct Monitor {
+    inbound: Decoder,
+    outbound: Decoder,
+    telemetry: Option<Telemetry>,
+    last_command_us: Option<u32>,
+    received: VecDeque<ReceivedMessage>,
+}
+
+impl Monitor {
+    fn next_received(&mut self) -> Option<ReceivedMessage> {
+        self.received.pop_front()
+    }
+
+    const fn telemetry(&self) -> Option<&Telemetry> {
+        self.telemetry.as_ref()
+    }
+
+    const fn last_command_us(&self) -> Option<u32> {
+        self.last_command_us
+    }
+
+    /// Processes a byte to the board.
+    fn host_byte(&mut self, byte: u8, time_us: u64, board_time_us: u32) {
+        let Some(Ok(packet)) = self.inbound.push(byte) else {
+            return;
+        };
+        let Ok(message) = ToBoard::decode(packet) else {
+            return;
+        };
+        if self.received.len() >= CAPACITY {
+            self.received.pop_front();
+        }
+        self.received.push_back(ReceivedMessage {
+            time_us,
+            board_time_us,
+            message,
+        });
+        let telemetry_time_us = match message {
+            ToBoard::Drive(drive) => drive.telemetry_time_us,
+            ToBoard::Jog(jog) => jog.telemetry_time_us,
+            _ => return,
+        };
+        // Other commands are refused.
+        if board_time_us.wrapping_sub(telemetry_time_us) <= COMMAND_TIME_TO_LIVE_US {
+            self.last_command_us = Some(telemetry_time_us);
+        }
+    }
+
+    /// Processes a byte from the board.
+    fn board_byte(&mut self, byte: u8) {
+        if let Some(Ok(packet)) = self.outbound.push(byte)
+            && let Ok(ToHost::Telemetry(telemetry)) = ToHost::decode(packet)
+        {
+            self.telemetry = Some(telemetry);
+        }
+    }
 }

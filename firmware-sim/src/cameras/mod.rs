@@ -12,8 +12,7 @@ use singletrack_mocap::codec::{CameraTicks, RigidBody};
 use crate::{
     attitude,
     car::Truth,
-    clock::SkewedClock,
-    epoch::Epoch,
+    clock::{Epoch, SkewedClock},
     loss::{LossPattern, LossWindow},
     random::{Random, Stream},
 };
@@ -111,7 +110,7 @@ pub struct Cameras {
     decoy_noise: Random,
     latency: Random,
     faults: CameraFaults,
-    /// Of the first decoys; the others stand.
+    /// Motions of the first decoys; the others stand.
     motions: Vec<DecoyMotion>,
     last_decoys: Vec<RigidBody>,
     loss_epoch_us: Option<u64>,

@@ -64,7 +64,7 @@ section! {
     /// The stream's poses of the car are those of another body: the first of `decoys`, or
     /// one at the origin.
     other_body: bool = false;
-    /// The same from this time on, in s.
+    /// From this time on the poses of the car are those of another body, in s.
     other_body_from_s: Option<f64> = None, in NOT_NEGATIVE;
     /// From this time on, for `frozen_ms`, the pose of the car repeats bit by bit in new
     /// frames, in s.

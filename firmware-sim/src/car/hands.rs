@@ -28,7 +28,7 @@ pub enum HandMotion {
     },
     /// Turns it about a point.
     Turn {
-        /// By how much, in rad; positive is to the left.
+        /// Angle of the turn, in rad; positive is to the left.
         angle_rad: f64,
         /// The point, from the centre of mass: forward, left, in m.
         about_m: [f64; 2],
@@ -82,7 +82,7 @@ const TILT_SHARE: f64 = 0.3;
 
 /// Where a car is in hands.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct HandledPose {
     /// The centre of mass, in m.
     pub(crate) position: [f64; 2],
     pub(crate) yaw: f64,
@@ -92,7 +92,7 @@ pub(crate) struct Place {
     pub(crate) height: f64,
 }
 
-impl Place {
+impl HandledPose {
     fn numbers(&self) -> [f64; 6] {
         let [x, y] = self.position;
         [x, y, self.yaw, self.roll, self.pitch, self.height]
@@ -101,8 +101,8 @@ impl Place {
 
 /// How a car moves in hands.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Motion {
-    pub(crate) place: Place,
+pub(crate) struct HandledMotion {
+    pub(crate) place: HandledPose,
     /// Velocity of the centre of mass: forward, left, in m/s.
     pub(crate) velocity: [f64; 2],
     /// Its acceleration: forward, left, in m/s².
@@ -125,7 +125,7 @@ pub(crate) struct Hands {
 struct UnderWay {
     motion: HandMotion,
     begin_us: u64,
-    from: Place,
+    from: HandledPose,
 }
 
 impl Hands {
@@ -134,17 +134,17 @@ impl Hands {
         self.under_way = Some(UnderWay {
             motion,
             begin_us: now_us,
-            from: Place {
+            from: HandledPose {
                 position,
                 yaw,
                 height: self.stand,
-                ..Place::default()
+                ..HandledPose::default()
             },
         });
     }
 
     /// Ends a motion whose time is over. Returns where it left the car.
-    pub(crate) fn end(&mut self, now_us: u64) -> Option<Place> {
+    pub(crate) fn end(&mut self, now_us: u64) -> Option<HandledPose> {
         let under_way = self.under_way?;
         let since = under_way.since(now_us);
         if since < under_way.duration() {
@@ -189,7 +189,7 @@ impl Hands {
     }
 
     /// How the car moves, if its pose is that of the hands. A rolled car has its own.
-    pub(crate) fn motion(&self, now_us: u64) -> Option<Motion> {
+    pub(crate) fn motion(&self, now_us: u64) -> Option<HandledMotion> {
         let under_way = self.under_way?;
         let since = under_way.since(now_us);
         under_way
@@ -242,7 +242,7 @@ impl UnderWay {
         Some([top * speed, top * slope * sign])
     }
 
-    fn place(&self, since: f64) -> Place {
+    fn place(&self, since: f64) -> HandledPose {
         let mut place = self.from;
         let share = (since / self.duration()).clamp(0.0, 1.0);
         let done = smooth(share);
@@ -295,8 +295,8 @@ impl UnderWay {
         place
     }
 
-    /// By differences over 2 ms: the motions are smooth, and no sample of the IMU is finer.
-    fn motion(&self, since: f64) -> Motion {
+    /// Velocities and accelerations by differences over 2 ms: the motions are smooth, and no sample of the IMU is finer.
+    fn motion(&self, since: f64) -> HandledMotion {
         const STEP: f64 = 1e-3;
         let place = self.place(since);
         let [before, now, after] =
@@ -305,7 +305,7 @@ impl UnderWay {
         let acceleration = |i: usize| (after[i] - 2.0 * now[i] + before[i]) / (STEP * STEP);
         let (c, s) = (cos(place.yaw), sin(place.yaw));
         let along = |[x, y]: [f64; 2]| [c * x + s * y, c * y - s * x];
-        Motion {
+        HandledMotion {
             place,
             velocity: along([rate(0), rate(1)]),
             acceleration: along([acceleration(0), acceleration(1)]),
@@ -316,7 +316,7 @@ impl UnderWay {
     }
 }
 
-impl Place {
+impl HandledPose {
     /// Turns it about a point of the car, from the centre of mass, that moves by `wander`.
     fn turn(&mut self, angle: f64, [forward, left]: [f64; 2], wander: [f64; 2]) {
         let point = |yaw: f64| {

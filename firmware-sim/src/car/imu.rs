@@ -75,7 +75,7 @@ section! {
 }
 
 impl ImuParameters {
-    /// The same sensor on a car that does not vibrate.
+    /// This sensor on a car that does not vibrate.
     #[must_use]
     pub const fn without_vibration(mut self) -> Self {
         self.vibration_m_s2 = 0.0;
@@ -114,7 +114,7 @@ pub struct ImuReading {
 }
 
 impl ImuReading {
-    /// As the sensor's registers hold it.
+    /// The motion as the sensor's registers hold it.
     pub(crate) const fn motion(&self) -> Motion {
         Motion {
             linear_acceleration_mm_s2: self.linear_acceleration_mm_s2,

@@ -1,6 +1,5 @@
 //! The car: actuators, dynamics and sensors.
 
-mod battery;
 mod hands;
 mod imu;
 mod motor;
@@ -8,10 +7,9 @@ mod motor_sensor;
 mod servo;
 mod vehicle;
 
-pub use battery::BatteryParameters;
 pub use hands::HandMotion;
 pub use imu::{ImuFault, ImuParameters, ImuReading};
-pub use motor::{EscKind, MotorParameters, Push};
+pub use motor::{BatteryParameters, EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
 pub use servo::{ServoParameters, WIDE_US, crooked_steering};
 pub use vehicle::{Car, CarParameters, StartPose, Truth};

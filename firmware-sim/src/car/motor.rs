@@ -1,11 +1,12 @@
-//! The electronic speed controller, the motor and the gears.
+//! The electronic speed controller, the motor, the gears and the battery, whose voltage drops under
+//! load and as it discharges.
 
 use libm::{cos, sin};
 use serde::{Deserialize, Serialize};
 use singletrack_settings::section;
 
 use crate::{
-    epoch::Epoch,
+    clock::Epoch,
     parameters::ranges::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
 };
 
@@ -22,7 +23,7 @@ pub enum EscKind {
     /// A VESC on its pulse input, with current control without reverse: a pulse below
     /// neutral brakes. Its time-out is 1 s if nothing else is written.
     Vesc,
-    /// As [`EscKind::Car`], but its neutral is the mean of the first
+    /// An ESC like [`EscKind::Car`] whose neutral is the mean of the first
     /// `LEARNED_PULSES` pulses after it has been switched on.
     LearnsNeutral,
 }
@@ -39,7 +40,7 @@ impl EscKind {
 }
 
 /// Number of pulses from which an ESC learns its neutral.
-pub(crate) const LEARNED_PULSES: u32 = 10;
+const LEARNED_PULSES: u32 = 10;
 
 section! {
     /// A push of the car along its axis.
@@ -122,7 +123,7 @@ section! {
 
 /// Action of the ESC on the motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Drive {
+pub(crate) enum MotorAction {
     /// No drive or brake.
     Free,
     /// Drives towards this wheel speed at nominal voltage, in m/s.
@@ -137,7 +138,7 @@ pub(crate) struct SpeedController {
     neutral_since_us: Option<u64>,
     armed: bool,
     reverse_ready: bool,
-    drive: Drive,
+    drive: MotorAction,
     /// Number and sum of the pulses from which neutral is learned, in µs.
     learned: u32,
     learned_sum_us: u32,
@@ -155,13 +156,13 @@ impl SpeedController {
             neutral_since_us: None,
             armed: false,
             reverse_ready: false,
-            drive: Drive::Free,
+            drive: MotorAction::Free,
             learned: 0,
             learned_sum_us: 0,
         }
     }
 
-    pub(crate) const fn drive(&self) -> Drive {
+    pub(crate) const fn drive(&self) -> MotorAction {
         self.drive
     }
 
@@ -173,7 +174,7 @@ impl SpeedController {
     pub(crate) fn release(&mut self) {
         self.neutral_since_us = None;
         self.reverse_ready = false;
-        self.drive = Drive::Free;
+        self.drive = MotorAction::Free;
     }
 
     /// Processes a pulse at `now_us` with the wheels at `speed`.
@@ -187,7 +188,7 @@ impl SpeedController {
             let since = *self.neutral_since_us.get_or_insert(now_us);
             self.armed |= now_us.saturating_sub(since) >= p.arming_us;
             self.reverse_ready = speed < STANDING;
-            self.drive = Drive::Free;
+            self.drive = MotorAction::Free;
             return;
         }
         self.neutral_since_us = None;
@@ -195,17 +196,17 @@ impl SpeedController {
         let driving = (beyond - p.breakaway_us).max(0.0);
         let settled = p.gain_m_s_per_us * driving / (1.0 + driving / p.saturation_us);
         self.drive = if !self.armed {
-            Drive::Free
+            MotorAction::Free
         } else if deflection > 0.0 {
-            Drive::Towards(settled)
+            MotorAction::Towards(settled)
         } else if match p.kind {
             EscKind::ForwardReverse => true,
             EscKind::Vesc => false,
             EscKind::Car | EscKind::LearnsNeutral => p.reverse && self.reverse_ready,
         } {
-            Drive::Towards(-settled)
+            MotorAction::Towards(-settled)
         } else {
-            Drive::Brake((p.brake_m_s2_per_us * beyond).min(p.max_brake_m_s2))
+            MotorAction::Brake((p.brake_m_s2_per_us * beyond).min(p.max_brake_m_s2))
         };
     }
 
@@ -250,18 +251,18 @@ impl MotorParameters {
     }
 
     /// Whether friction and brakes hold a standing car against `downhill` (m/s²).
-    pub(crate) fn holds(&self, drive: Drive, downhill: f64) -> bool {
+    pub(crate) fn holds(&self, drive: MotorAction, downhill: f64) -> bool {
         let brake = match drive {
-            Drive::Towards(settled) if settled != 0.0 => return false,
-            Drive::Brake(brake) => brake,
-            Drive::Towards(_) | Drive::Free => 0.0,
+            MotorAction::Towards(settled) if settled != 0.0 => return false,
+            MotorAction::Brake(brake) => brake,
+            MotorAction::Towards(_) | MotorAction::Free => 0.0,
         };
         downhill.abs() <= self.coasting_m_s2 + brake
     }
 
     /// The part of the wheels' rotation that moves the car.
-    pub(crate) fn grip(&self, drive: Drive, epoch: Epoch, now_us: u64) -> f64 {
-        let driven = matches!(drive, Drive::Towards(settled) if settled != 0.0);
+    pub(crate) fn grip(&self, drive: MotorAction, epoch: Epoch, now_us: u64) -> f64 {
+        let driven = matches!(drive, MotorAction::Towards(settled) if settled != 0.0);
         let slips = self.slip_from_s.is_none() || epoch.has_come(self.slip_from_s, now_us);
         if driven && slips {
             1.0 - self.slip
@@ -272,12 +273,12 @@ impl MotorParameters {
 
     /// Acceleration of the wheels without gravity, in m/s²; `voltage_share` is the
     /// battery's voltage over the nominal one.
-    pub(crate) fn acceleration(&self, drive: Drive, speed: f64, voltage_share: f64) -> f64 {
+    pub(crate) fn acceleration(&self, drive: MotorAction, speed: f64, voltage_share: f64) -> f64 {
         // Friction is continuous over 5 mm/s, which the integrator requires.
         let direction = (speed / 0.005).clamp(-1.0, 1.0);
         let rolling = self.coasting_m_s2 * direction + self.viscous_per_s * speed;
         match drive {
-            Drive::Towards(settled) => {
+            MotorAction::Towards(settled) => {
                 let driven = (settled * voltage_share - speed) / self.lag_s;
                 // A motor that turns faster than its target does not brake: the car rolls.
                 if settled * direction >= 0.0 && driven * direction < -rolling.abs() {
@@ -286,8 +287,102 @@ impl MotorParameters {
                     driven.clamp(-self.max_acceleration_m_s2, self.max_acceleration_m_s2)
                 }
             }
-            Drive::Free => -rolling,
-            Drive::Brake(brake) => -rolling - brake * direction,
+            MotorAction::Free => -rolling,
+            MotorAction::Brake(brake) => -rolling - brake * direction,
         }
+    }
+}
+
+section! {
+    /// A two-cell battery.
+    "car.battery" => pub BatteryParameters: Copy;
+    [default];
+
+    /// Voltage without load at the start, in V.
+    start_v: f64 = 7.9;
+    /// Voltage for which the motor's gain is specified, in V.
+    nominal_v: f64 = 7.4, in POSITIVE;
+    /// Internal resistance, in Ω.
+    resistance_ohm: f64 = 0.05;
+    /// Current of the electronics, in A.
+    idle_a: f64 = 0.6;
+    /// Motor current per m/s² of driven acceleration, in A.
+    motor_a_per_m_s2: f64 = 2.0;
+    /// Motor current per m/s of speed, in A.
+    motor_a_per_m_s: f64 = 2.5;
+    /// Voltage drop per ampere-hour drawn, in V.
+    fall_v_per_ah: f64 = 0.5;
+    /// Standard deviation of the measured voltage, in V.
+    noise_v: f64 = 0.01;
+    /// Voltage that supplies the board's processor and is its converter's reference, in
+    /// V; USB is between 4.4 and 5.25.
+    supply_v: f64 = 5.0, in POSITIVE;
+    /// The divider is not connected: the board's input floats.
+    divider_open: bool = false;
+    /// Begin of a dip of the ESC's own supply (BEC), which feeds servo and IMU, in s.
+    /// Without it the wheels keep their angle and the IMU restarts.
+    dip_at_s: Option<f64> = None, in NOT_NEGATIVE;
+    /// Duration of the dip, in ms.
+    dip_ms: f64 = 150.0, in POSITIVE;
+    /// Voltage of the battery during the dip, in V; it stays as it is if left out.
+    dip_v: Option<f64> = None;
+}
+
+/// The battery's charge.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Battery {
+    drawn_ah: f64,
+    current_a: f64,
+    /// A dip is underway.
+    dips: bool,
+    is_unplugged: bool,
+}
+
+impl Battery {
+    /// Draws the charge of this motion over `seconds`.
+    pub(crate) fn draw(
+        &mut self,
+        p: &BatteryParameters,
+        driven: bool,
+        speed: f64,
+        acceleration: f64,
+        seconds: f64,
+    ) {
+        self.current_a = p.idle_a;
+        if driven {
+            self.current_a += p.motor_a_per_m_s * speed.abs()
+                + p.motor_a_per_m_s2 * (acceleration * speed.signum()).max(0.0);
+        }
+        self.drawn_ah += self.current_a * seconds / 3600.0;
+    }
+
+    /// Draws a charge, in Ah.
+    pub(crate) fn drain(&mut self, charge_ah: f64) {
+        self.drawn_ah += charge_ah;
+    }
+
+    /// Begins or ends a dip.
+    pub(crate) const fn set_dip(&mut self, dips: bool) {
+        self.dips = dips;
+    }
+
+    /// Unplugs the battery, or plugs it in.
+    pub(crate) const fn set_plugged(&mut self, plugged: bool) {
+        self.is_unplugged = !plugged;
+    }
+
+    pub(crate) const fn is_plugged(&self) -> bool {
+        !self.is_unplugged
+    }
+
+    /// Voltage at the terminals, in V.
+    pub(crate) fn voltage(&self, p: &BatteryParameters) -> f64 {
+        if self.is_unplugged {
+            return 0.0;
+        }
+        if let (true, Some(dip_v)) = (self.dips, p.dip_v) {
+            return dip_v;
+        }
+        (p.start_v - p.fall_v_per_ah * self.drawn_ah - p.resistance_ohm * self.current_a).max(0.0)
     }
 }

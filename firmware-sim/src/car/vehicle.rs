@@ -12,12 +12,11 @@ use singletrack_control::{
 use super::{
     BatteryParameters, ImuParameters, MotorParameters, MotorPulses, MotorSensorFault,
     MotorSensorParameters, ServoParameters,
-    battery::Battery,
     hands::{HandMotion, Hands},
-    motor::{Drive, SpeedController},
+    motor::{Battery, MotorAction, SpeedController},
     motor_sensor::MotorSensor,
 };
-use crate::epoch::Epoch;
+use crate::clock::Epoch;
 
 /// Parameters of the car.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -125,13 +124,13 @@ impl Truth {
 
 /// The integrated state.
 #[derive(Clone, Copy, Debug, Default)]
-struct State {
+struct CarState {
     track: SingleTrackState,
     steering: f64,
     wheel_speed: f64,
 }
 
-impl State {
+impl CarState {
     fn plus(&self, d: &Self, h: f64) -> Self {
         let (a, b) = (&self.track, &d.track);
         Self {
@@ -167,7 +166,7 @@ pub struct Car {
     parameters: CarParameters,
     model: RelaxedSingleTrack,
     now_us: u64,
-    state: State,
+    state: CarState,
     servo_target: f64,
     /// The pulse that the wheels stand for, in µs: differs from the last one by the play.
     servo_held_us: f64,
@@ -194,12 +193,12 @@ pub struct Car {
 #[derive(Clone, Copy, Debug, Default)]
 struct Happened {
     servo_is_stuck: bool,
-    /// By how much the horn has slipped, in rad.
+    /// Angle by which the horn has slipped, in rad.
     slip: f64,
     supply_dips: bool,
     esc_reboots: bool,
     /// The action at which the throttle is stuck.
-    throttle: Option<Drive>,
+    throttle: Option<MotorAction>,
     blown: bool,
     /// The speed at which the car is being moved, in m/s.
     moved_at: Option<f64>,
@@ -209,7 +208,7 @@ struct Happened {
 
 /// What acts on the motor throughout a step.
 struct StepInputs {
-    drive: Drive,
+    drive: MotorAction,
     /// The battery's voltage over the nominal one.
     voltage_share: f64,
 }
@@ -222,7 +221,7 @@ impl Car {
         let mut car = Self {
             model: parameters.model(),
             now_us: 0,
-            state: State::default(),
+            state: CarState::default(),
             servo_target: 0.0,
             servo_held_us: parameters.servo.centre_us,
             servo_pending: VecDeque::new(),
@@ -261,14 +260,14 @@ impl Car {
     /// Places the car at rest with straight wheels. Pulses within the dead times
     /// still act.
     pub fn place(&mut self, pose: StartPose) {
-        self.state = State {
+        self.state = CarState {
             track: SingleTrackState {
                 x: pose.x_m,
                 y: pose.y_m,
                 yaw: pose.yaw_rad,
                 ..SingleTrackState::default()
             },
-            ..State::default()
+            ..CarState::default()
         };
         self.servo_target = 0.0;
         self.servo_held_us = self.parameters.servo.centre_us;
@@ -388,16 +387,16 @@ impl Car {
     }
 
     /// What the ESC does to the motor.
-    fn drive(&self) -> Drive {
+    fn drive(&self) -> MotorAction {
         if self.esc_has_power() {
             self.happened.throttle.unwrap_or_else(|| self.esc.drive())
         } else {
-            Drive::Free
+            MotorAction::Free
         }
     }
 
     fn is_driven(&self) -> bool {
-        matches!(self.drive(), Drive::Towards(settled) if settled != 0.0)
+        matches!(self.drive(), MotorAction::Towards(settled) if settled != 0.0)
     }
 
     /// Applies the events of the parameters that have come.
@@ -533,7 +532,7 @@ impl Car {
     /// The present ground truth.
     #[must_use]
     pub fn truth(&self) -> Truth {
-        let State {
+        let CarState {
             track,
             steering,
             wheel_speed,
@@ -700,14 +699,14 @@ impl Car {
         }
     }
 
-    fn derivative(&self, s: &State, inputs: &StepInputs) -> State {
+    fn derivative(&self, s: &CarState, inputs: &StepInputs) -> CarState {
         let d = if self.hands.holds() && self.happened.moved_at.is_none() {
             SingleTrackDerivative::default()
         } else {
             let speed = course_speed(s.wheel_speed, s.track.sideslip);
             self.model.derivative(&s.track, speed, s.steering)
         };
-        State {
+        CarState {
             track: SingleTrackState {
                 x: d.x,
                 y: d.y,
@@ -726,7 +725,7 @@ impl Car {
     }
 
     /// Acceleration of the wheels, in m/s².
-    fn wheel_acceleration(&self, s: &State, inputs: &StepInputs) -> f64 {
+    fn wheel_acceleration(&self, s: &CarState, inputs: &StepInputs) -> f64 {
         if self.happened.moved_at.is_some() {
             return self.happened.moved_rate;
         }

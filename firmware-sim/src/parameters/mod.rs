@@ -1,11 +1,15 @@
-//! The configuration of a simulation.
+//! The configuration of a simulation, and of the board on its default car.
+
+pub(crate) mod ranges;
 
 #[cfg(feature = "real-time")]
 mod file;
-pub(crate) mod ranges;
 
 use singletrack_control::VehicleParameterError;
-use singletrack_protocol::Configuration;
+use singletrack_protocol::{
+    Configuration, EscCalibration, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS, ServoCalibration,
+    SpeedLoop,
+};
 use singletrack_settings::{ValueError, section};
 
 use crate::{
@@ -77,6 +81,49 @@ impl SimulationConfig {
         car.motor_sensor.pulse_distance_um = board.speed.pulse_distance_um.into();
         car.imu.mounting_deg = mounting_deg(board.imu_axes);
         self.board.car_id = board.car_id;
+    }
+}
+
+/// The board's configuration for the default [`crate::CarParameters`], as from a
+/// calibration of that car.
+#[must_use]
+pub const fn default_board_configuration() -> Configuration {
+    Configuration {
+        servo: ServoCalibration {
+            centre_us: 1_500,
+            gain_us_per_rad: -800,
+            min_us: 1_080,
+            max_us: 1_920,
+            // 6 rad/s, close to the servo's limit.
+            slew_us_per_20ms: 96,
+        },
+        esc: EscCalibration {
+            kind: singletrack_protocol::EscKind::Car,
+            neutral_us: 1_500,
+            deadband_us: 30,
+            min_us: 1_200,
+            max_us: 1_700,
+            slew_us_per_20ms: 40,
+            brake_us: 1_350,
+        },
+        speed: SpeedLoop {
+            pulse_distance_um: 3_000,
+            // Less than the car needs (98): the proportional term saturates before
+            // the car moves, and the sum would overshoot.
+            feed_forward_us_per_m_s: 80,
+            proportional_us_per_m_s: 80,
+            integral_us_per_m: 250,
+            integral_limit_us: 60,
+            max_forward_mm_s: 1_500,
+            max_reverse_mm_s: 0,
+        },
+        failsafe: FailsafeAction::Coast,
+        max_pose_age_ms: 950,
+        stop_input: false,
+        kill_output: false,
+        max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+        car_id: 0,
+        imu_axes: ImuAxes::AS_PRINTED,
     }
 }
 

@@ -10,7 +10,6 @@
 mod electronics;
 mod equivalence;
 mod faults;
-mod load;
 mod program;
 #[path = "../closed_loop/scenarios.rs"]
 mod scenarios;

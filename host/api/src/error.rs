@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use crate::RequestError;
+use crate::{Refused, RequestError};
 
 /// Why a request failed.
 #[derive(Debug, thiserror::Error)]
@@ -56,8 +56,8 @@ pub enum ClientError {
     #[error(transparent)]
     Request(#[from] RequestError),
     /// The daemon refuses.
-    #[error("{0}")]
-    Refused(String),
+    #[error(transparent)]
+    Refused(#[from] Refused),
 }
 
 impl ClientError {

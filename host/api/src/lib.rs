@@ -8,6 +8,7 @@ mod connection;
 mod error;
 mod explain;
 mod fleet;
+mod held;
 mod messages;
 mod reply;
 mod request;
@@ -19,8 +20,9 @@ pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
 pub use explain::explain;
 pub use fleet::{Fleet, FleetArm, FleetCar, FleetDrive, FleetEnd, FleetFileError, NotObeyed};
+pub use held::{HeldDrive, RENEWAL};
 pub use messages::{Clocks, Message, MessageStream, Received};
-pub use reply::{Answer, Drive, Ended, Reply, Tuning, TuningBounds, Word};
+pub use reply::{Answer, Code, Drive, Ended, Refused, Reply, Tuning, TuningBounds, Word};
 pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
 };

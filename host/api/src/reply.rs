@@ -41,12 +41,124 @@ pub enum Reply {
     },
 }
 
+/// Why a request is refused, for programs: control flow rests on it, never on the text beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Code {
+    /// The line, a key or a value is wrong.
+    Invalid,
+    /// A number of a set-point is not finite.
+    NotFinite,
+    /// A value is out of its range.
+    OutOfRange,
+    /// A set-point was decided later than now.
+    Future,
+    /// A set-point is older than the time-out.
+    Old,
+    /// A set-point has a number that is not above the last one.
+    Sequence,
+    /// Another connection gives the set-points.
+    OtherSource,
+    /// The reference takes no set-points.
+    NotExternal,
+    /// The mode does not allow it: the car is not ready, is driven already, or stopped meanwhile.
+    NotReady,
+    /// Another client has armed, or is being judged.
+    OtherClient,
+    /// Doctor, bring-up or calibrate has not passed.
+    NotCommissioned,
+    /// The car can't drive its reference from where it stands.
+    NotFeasible,
+    /// Another request or configuration came meanwhile.
+    Superseded,
+    /// The connection holds no drive.
+    NoDrive,
+    /// The connection holds a drive, or jogs, and takes other requests.
+    Occupied,
+    /// The change needs a restart of the daemon.
+    NeedsRestart,
+    /// The daemon has no such file, or can't write it.
+    File,
+    /// The control loop does not answer.
+    Stalled,
+    /// Too many clients.
+    Busy,
+    /// The token is wrong or missing.
+    Token,
+    /// A word of a newer daemon.
+    #[serde(other)]
+    Other,
+}
+
+impl Code {
+    /// Those of a set-point that has no effect.
+    pub const OF_SETPOINTS: [Self; 8] = [
+        Self::Invalid,
+        Self::NotFinite,
+        Self::OutOfRange,
+        Self::Future,
+        Self::Old,
+        Self::Sequence,
+        Self::OtherSource,
+        Self::NotExternal,
+    ];
+
+    /// Its word.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Invalid => "invalid",
+            Self::NotFinite => "not-finite",
+            Self::OutOfRange => "out-of-range",
+            Self::Future => "future",
+            Self::Old => "old",
+            Self::Sequence => "sequence",
+            Self::OtherSource => "other-source",
+            Self::NotExternal => "not-external",
+            Self::NotReady => "not-ready",
+            Self::OtherClient => "other-client",
+            Self::NotCommissioned => "not-commissioned",
+            Self::NotFeasible => "not-feasible",
+            Self::Superseded => "superseded",
+            Self::NoDrive => "no-drive",
+            Self::Occupied => "occupied",
+            Self::NeedsRestart => "needs-restart",
+            Self::File => "file",
+            Self::Stalled => "stalled",
+            Self::Busy => "busy",
+            Self::Token => "token",
+            Self::Other => "other",
+        }
+    }
+}
+
+/// A refused request.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
+pub struct Refused {
+    /// For programs.
+    pub code: Code,
+    /// For people: why, and what to do.
+    pub text: String,
+}
+
+impl Refused {
+    /// A refusal with this text.
+    pub fn new(code: Code, text: impl fmt::Display) -> Self {
+        let text = text.to_string();
+        Self { code, text }
+    }
+}
+
 /// The answer to a request.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
     /// To `messages`: how to map their stamps. To `clock`: now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clocks: Option<Clocks>,
+    /// Why the request is refused, for programs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub code: Option<Code>,
     /// The number of the configuration that is in force now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub configuration: Option<u32>,
@@ -143,12 +255,19 @@ impl Answer {
 
     /// The request is refused.
     #[must_use]
-    pub fn failure(error: impl fmt::Display) -> Self {
+    pub fn refusal(refused: Refused) -> Self {
         Self {
             ok: false,
-            error: Some(error.to_string()),
+            code: Some(refused.code),
+            error: Some(refused.text),
             ..Self::done()
         }
+    }
+
+    /// The request is refused, with this text.
+    #[must_use]
+    pub fn failure(code: Code, text: impl fmt::Display) -> Self {
+        Self::refusal(Refused::new(code, text))
     }
 
     /// This answer, unless it is a refusal.
@@ -160,8 +279,10 @@ impl Answer {
         if self.ok {
             return Ok(self);
         }
-        let error = self.error.unwrap_or_else(|| "without a reason".to_owned());
-        Err(ClientError::Refused(error))
+        Err(ClientError::Refused(Refused {
+            code: self.code.unwrap_or(Code::Other),
+            text: self.error.unwrap_or_else(|| "without a reason".to_owned()),
+        }))
     }
 }
 

@@ -40,14 +40,10 @@ pub struct Status {
     pub learned: Option<Learned>,
     /// The phase of the session with the board.
     pub link: Option<Word>,
-    /// Of daemons that served a live view.
-    pub live: Option<Value>,
     /// How far ahead the state was predicted for the last command, in s.
     pub looked_ahead_s: Option<f64>,
     /// The pilot's mode.
     pub mode: Word,
-    /// Of daemons that served a page.
-    pub page: Option<Value>,
     /// The path parameter of the reference, in s.
     pub path_s: Option<f64>,
     /// P, in m.

@@ -24,16 +24,12 @@ extern crate std;
 struct Readme;
 
 mod actuation;
-mod angle;
-mod axles;
 mod calibration;
 mod compensation;
 mod convex_area;
-mod estimate;
 mod estimator;
 mod governor;
 mod law;
-mod lqi;
 mod measurement;
 mod mpc;
 mod neighbours;
@@ -41,49 +37,45 @@ mod number;
 mod outer_loop;
 mod point;
 mod reference;
-mod relaxed_single_track;
 mod riccati;
 mod safety_filter;
 mod setpoint;
 mod single_track;
 mod steering_map;
-mod time;
 mod tracking;
 mod vehicle;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
-pub use angle::{unwrap_near, wrap};
-pub use axles::{AxleForces, Axles, SlipAngles, Tyres};
 pub use calibration::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
     CalibrationTick,
 };
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};
-pub use estimate::Estimate;
 pub use estimator::{CarPose, Estimator, EstimatorConfig, MarkerLoss, PoseVerdict};
 pub use governor::{Governor, GovernorConfig, Room, SlowedBy};
 pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
-pub use lqi::{LqiAxis, LqiConfig, LqiError, LqiLoop};
-pub use measurement::{InertialSample, PoseSample};
+pub use measurement::{Estimate, InertialSample, PoseSample, Time};
 pub use mpc::{DelayedMpc, MAX_DELAY_TICKS, MPC_STAGES, MpcConfig, MpcError, MpcLoop, MpcVerdict};
 pub use neighbours::{
     Expected, MAX_NEIGHBOURS, NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours,
 };
 pub use number::{Functions, Libm, Number};
-pub use outer_loop::{OpenLoop, ProportionalLoop, TrackingLoop};
+pub use outer_loop::{
+    LqiAxis, LqiConfig, LqiError, LqiLoop, OpenLoop, OuterLoop, ProportionalLoop, TrackingInput,
+};
 pub use point::{
-    Position, Velocity, angle_between, direction, front_point, front_point_velocity, velocity_point,
+    Position, Velocity, angle_between, direction, front_point, front_point_velocity, unwrap_near,
+    velocity_point, wrap,
 };
 pub use reference::{
     Circle, External, FigureOfEight, MAX_PATH_POINTS, MAX_VELOCITY_STEPS, MAX_WAYPOINTS, Path,
     PathSpeed, Reference, ReferenceError, ReferencePoint, Start, VelocityStep, VelocitySteps,
     Waypoint, Waypoints,
 };
-pub use relaxed_single_track::RelaxedSingleTrack;
 pub use riccati::{QuadraticRegulator, Regulated, RiccatiError};
 pub use safety_filter::{
     Filtered, FilteredDemand, MAX_STEERING_TICKS, SafetyConfig, SafetyConfigError, SafetyFilter,
@@ -94,11 +86,11 @@ pub use setpoint::{
     SteeringDemand, Trajectory, TrajectoryPiece, TrajectoryPoint,
 };
 pub use single_track::{
-    LateralMotion, LateralRate, SingleTrack, SingleTrackDerivative, SingleTrackState,
+    AxleForces, Axles, LateralMotion, LateralRate, RelaxedSingleTrack, SingleTrack,
+    SingleTrackDerivative, SingleTrackState, SlipAngles, Tyres,
 };
 pub use steering_map::{
     MAX_STEERING_PAIRS, SteeringMap, SteeringTable, SteeringTableError, interpolate,
 };
-pub use time::Time;
-pub use tracking::{OuterLoop, TrackingInput};
+pub use tracking::TrackingLoop;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

@@ -1,6 +1,38 @@
-//! Measurements of the car.
+//! Times, measurements of the car, and the state that is estimated from them.
 
-use crate::{Position, Time};
+use crate::{Motion, Position};
+
+/// Nanoseconds on the host's monotonic clock (`CLOCK_MONOTONIC` in the daemon,
+/// simulated time elsewhere).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Time(pub u64);
+
+/// Nanoseconds in a second.
+const SECOND: f64 = 1e9;
+
+impl Time {
+    /// Seconds from `earlier` to this time; negative if `earlier` is later.
+    #[must_use]
+    pub fn seconds_since(self, earlier: Self) -> f64 {
+        if self >= earlier {
+            (self.0 - earlier.0) as f64 / SECOND
+        } else {
+            -((earlier.0 - self.0) as f64 / SECOND)
+        }
+    }
+
+    /// The time `seconds` after this one, rounded down to a nanosecond.
+    #[must_use]
+    pub fn after(self, seconds: f64) -> Self {
+        Self(self.0.saturating_add((seconds * SECOND) as u64))
+    }
+
+    /// The time `seconds` before this one, but not before the clock's zero.
+    #[must_use]
+    pub fn before(self, seconds: f64) -> Self {
+        Self(self.0.saturating_sub((seconds * SECOND) as u64))
+    }
+}
 
 /// A valid pose of the rigid body, from the motion capture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,4 +60,41 @@ pub struct InertialSample {
     pub forward_acceleration: f64,
     /// Acceleration to the left, without gravity, in m/s².
     pub left_acceleration: f64,
+}
+
+/// The estimated state of the car at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The time of the state.
+    pub time: Time,
+    /// Position of the centre of mass G, world frame, in m.
+    pub position: Position,
+    /// Yaw, in rad, not wrapped.
+    pub yaw: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate: f64,
+    /// Sideslip, in rad.
+    pub sideslip: f64,
+    /// Speed of G, in m/s; negative in reverse.
+    pub speed: f64,
+    /// Mid-exposure of the last accepted pose.
+    pub pose_time: Time,
+}
+
+impl Estimate {
+    /// The part of the state that the laws use.
+    #[must_use]
+    pub const fn motion(&self) -> Motion {
+        Motion {
+            yaw: self.yaw,
+            yaw_rate: self.yaw_rate,
+            sideslip: self.sideslip,
+        }
+    }
+
+    /// Age of the last accepted pose at the estimate's time, in s.
+    #[must_use]
+    pub fn pose_age(&self) -> f64 {
+        self.time.seconds_since(self.pose_time)
+    }
 }

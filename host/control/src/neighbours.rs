@@ -59,7 +59,7 @@ pub struct NeighbourConfig {
 
 /// Where a body was seen, and when.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Place {
+struct Sighting {
     since: Time,
     at: Time,
     position: Position,
@@ -67,7 +67,7 @@ struct Place {
     before: [(Time, Position); 2],
 }
 
-impl Place {
+impl Sighting {
     const fn new(at: Time, position: Position) -> Self {
         Self {
             since: at,
@@ -132,19 +132,20 @@ struct Neighbour {
     heard: Time,
     seen: Option<Time>,
     /// Where it was seen last; none if it never was.
-    place: Option<Place>,
+    place: Option<Sighting>,
     /// Where it was seen since, if it can't have come there.
-    doubted: Option<Place>,
+    doubted: Option<Sighting>,
 }
 
 impl Neighbour {
     fn see(&mut self, at: Time, position: Position, config: &NeighbourConfig) {
         // Cameras measure noise: a pose that repeats to the bit is an old one.
-        let is_old = |place: &Option<Place>| place.is_some_and(|place| place.position == position);
+        let is_old =
+            |place: &Option<Sighting>| place.is_some_and(|place| place.position == position);
         if is_old(&self.place) || is_old(&self.doubted) {
             return;
         }
-        let is_fresh = |place: &Place| at.seconds_since(place.at) < SETTLES;
+        let is_fresh = |place: &Sighting| at.seconds_since(place.at) < SETTLES;
         match (&mut self.place, &mut self.doubted) {
             (Some(place), doubted) if place.continues(at, &position, config) => {
                 place.advance(at, position);
@@ -157,8 +158,8 @@ impl Neighbour {
                     self.doubted = None;
                 }
             }
-            (Some(_), doubted) => *doubted = Some(Place::new(at, position)),
-            (place @ None, _) => *place = Some(Place::new(at, position)),
+            (Some(_), doubted) => *doubted = Some(Sighting::new(at, position)),
+            (place @ None, _) => *place = Some(Sighting::new(at, position)),
         }
     }
 }
@@ -240,7 +241,7 @@ impl Neighbours {
     /// car's centre of mass must stop before it.
     #[must_use]
     pub fn sides(&self, now: Time, from: &Position, expected: Expected) -> NeighbourSides {
-        let side = |place: Place, expected| {
+        let side = |place: Sighting, expected| {
             let way = place.position - from;
             let distance = sqrt(way.norm_squared());
             let outward = if distance > 0.0 {

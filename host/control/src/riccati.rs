@@ -51,7 +51,7 @@ pub enum RiccatiError {
 impl<const N: usize, const M: usize> QuadraticRegulator<N, M> {
     /// Solves A'XA - X - A'XB (R + B'XB)⁻¹ B'XA + Q = 0 for the stabilising X.
     ///
-    /// By the structure-preserving doubling algorithm (Chu, Fan, Lin, Wang 2004): each
+    /// The structure-preserving doubling algorithm (Chu, Fan, Lin, Wang 2004): each
     /// iteration doubles the number of steps that the cost covers. The closed loop after all
     /// those steps comes out as well, and that it vanishes proves the gain to be stabilising.
     ///

@@ -1,28 +1,72 @@
-//! What an outer loop is: from P and its reference to the velocity of P, once per tick.
+//! The choice between the outer loops.
 
-use crate::{Position, ReferencePoint, Velocity};
+use crate::{
+    DelayedMpc, LqiLoop, OpenLoop, Position, ProportionalLoop, ReferencePoint, Velocity,
+    outer_loop::{OuterLoop, TrackingInput},
+};
 
-/// What an outer loop is given at a tick.
-#[derive(Clone, Copy)]
-pub struct TrackingInput<'a> {
-    /// The position of P, in m.
-    pub point: Position,
-    /// The reference, by the time from now in s: at 0, and ahead for a loop that looks ahead.
-    pub reference: &'a dyn Fn(f64) -> ReferencePoint,
-    /// The velocity that P was given in the last tick, after every limit (m/s). It differs from
-    /// the loop's own answer where something limited it, and the loop must not wind up then.
-    pub applied: Velocity,
-    /// The time until the next tick, in s.
-    pub period: f64,
+/// The outer loop that the configuration selects.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "a controller has one or two of them, and without an allocator it can't be boxed"
+)]
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum TrackingLoop {
+    /// See [`ProportionalLoop`].
+    Proportional(ProportionalLoop),
+    /// See [`LqiLoop`].
+    Lqi(LqiLoop),
+    /// See [`MpcLoop`](crate::MpcLoop).
+    Mpc(DelayedMpc),
+    /// See [`OpenLoop`].
+    OpenLoop(OpenLoop),
 }
 
-/// A controller of two integrators: it moves P to its reference.
-///
-/// It has a state, allocates nothing, and the same inputs give the same bits.
-pub trait OuterLoop {
-    /// One tick: the commanded velocity of P, in m/s.
-    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity;
+impl TrackingLoop {
+    /// The commanded velocity of P (m/s) when P is at `point` (m); none for a loop with a state,
+    /// which needs a tick.
+    #[must_use]
+    pub fn velocity(&self, reference: &ReferencePoint, point: &Position) -> Option<Velocity> {
+        match self {
+            Self::Proportional(tracking) => Some(tracking.velocity(reference, point)),
+            Self::OpenLoop(tracking) => Some(tracking.velocity(reference, point)),
+            Self::Lqi(_) | Self::Mpc(_) => None,
+        }
+    }
 
-    /// Forgets the past: the car stands, and a drive begins.
-    fn reset(&mut self);
+    /// The proportional gains, per second; none for a loop without such gains.
+    #[must_use]
+    pub const fn gain(&self) -> Option<Velocity> {
+        match self {
+            Self::Proportional(tracking) => Some(tracking.gain),
+            Self::Lqi(_) | Self::Mpc(_) | Self::OpenLoop(_) => None,
+        }
+    }
+
+    /// Replaces the proportional gains, per second; without effect on a loop that has none.
+    pub const fn set_gain(&mut self, gain: Velocity) {
+        if let Self::Proportional(tracking) = self {
+            tracking.gain = gain;
+        }
+    }
+
+    fn kind(&mut self) -> &mut dyn OuterLoop {
+        match self {
+            Self::Proportional(tracking) => tracking,
+            Self::Lqi(tracking) => tracking,
+            Self::Mpc(tracking) => tracking,
+            Self::OpenLoop(tracking) => tracking,
+        }
+    }
+}
+
+impl OuterLoop for TrackingLoop {
+    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
+        self.kind().step(input)
+    }
+
+    fn reset(&mut self) {
+        self.kind().reset();
+    }
 }

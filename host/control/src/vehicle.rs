@@ -77,7 +77,7 @@ impl VehicleParameters {
         WIDTH_PER_LENGTH * self.body_length_m()
     }
 
-    /// The same car with another centre of mass: `l_f` is `front_axle_distance_m`, and
+    /// This car with another centre of mass: `l_f` is `front_axle_distance_m`, and
     /// `l_r` is the rest of the wheelbase.
     #[must_use]
     pub const fn with_centre_of_mass_at(&self, front_axle_distance_m: f64) -> Self {

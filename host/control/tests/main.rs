@@ -11,8 +11,6 @@ mod laws;
 mod lqi;
 mod mpc;
 mod references;
-mod riccati;
 mod safety_answers;
 mod safety_filter;
-mod turn_round;
 mod vehicle_models;

@@ -6,7 +6,7 @@ use rtrb::{Consumer, Producer, PushError};
 use singletrack_control::{NeighbourSample, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
+use singletrack_pilot::{Arming, Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
 use singletrack_protocol::BoardMode;
 use singletrack_record::{DriveWrite, TickInput, TickRecord};
 
@@ -255,7 +255,9 @@ impl<L: Line> ControlLoop<L> {
         }
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
-            Mode::Ready if self.arm_when_ready => self.request(PilotRequest::Arm),
+            Mode::Ready if self.arm_when_ready => {
+                self.request(PilotRequest::Arm(Arming::Unattended))
+            }
             // Once only: a later stop is not overruled.
             Mode::Arming | Mode::Driving => self.arm_when_ready = false,
             _ => {}
@@ -414,24 +416,19 @@ impl<L: Line> ControlLoop<L> {
     fn take_requests(&mut self, now_ns: u64) {
         while let Ok(request) = self.rings.requests.pop() {
             match request {
-                ControlRequest::Pilot(
-                    PilotRequest::Arm
-                    | PilotRequest::ArmHeld
-                    | PilotRequest::ArmWaiting
-                    | PilotRequest::ArmJog,
-                ) if self.ending != Ending::Running => {}
+                ControlRequest::Pilot(PilotRequest::Arm(_)) if self.ending != Ending::Running => {}
                 ControlRequest::Pilot(request) => {
                     // A stop before the first arming cancels that as well.
                     self.arm_when_ready &= matches!(
                         request,
-                        PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::Hold
+                        PilotRequest::Arm(Arming::Unattended | Arming::Held) | PilotRequest::Hold
                     );
                     self.request(request);
                 }
                 ControlRequest::ArmAt(begin_ns) => {
                     if self.ending == Ending::Running {
                         self.begin_ns = Some(begin_ns);
-                        self.request(PilotRequest::ArmWaiting);
+                        self.request(PilotRequest::Arm(Arming::Waiting));
                     }
                 }
                 ControlRequest::Learned(learned) => {

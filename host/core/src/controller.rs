@@ -226,17 +226,10 @@ impl Controller {
     ) -> Result<(), ReconfigureError> {
         let mode = self.pilot.mode();
         // The new configuration would apply to an arm request that came before it.
-        let asked = self.events.iter().any(|event| {
-            matches!(
-                event,
-                Event::Request(
-                    PilotRequest::Arm
-                        | PilotRequest::ArmHeld
-                        | PilotRequest::ArmWaiting
-                        | PilotRequest::ArmJog
-                )
-            )
-        });
+        let asked = self
+            .events
+            .iter()
+            .any(|event| matches!(event, Event::Request(PilotRequest::Arm(_))));
         if mode.is_underway() || asked {
             return Err(Underway(mode).into());
         }

@@ -95,13 +95,7 @@ impl ControlRequest {
     /// The bit of a request that ends a drive; `None` for any other.
     const fn stop(&self) -> Option<u8> {
         Some(match self {
-            Self::Pilot(
-                PilotRequest::Arm
-                | PilotRequest::ArmHeld
-                | PilotRequest::ArmJog
-                | PilotRequest::ArmWaiting
-                | PilotRequest::Hold,
-            )
+            Self::Pilot(PilotRequest::Arm(_) | PilotRequest::Hold)
             | Self::ArmAt(_)
             | Self::Learned(_)
             | Self::Reconfigure(_) => return None,

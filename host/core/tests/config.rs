@@ -140,7 +140,7 @@ fn a_closed_reference_begins_nearest_unless_told_otherwise_and_an_open_one_refus
         assert_eq!(config.pilot().unwrap().start, start, "{keys}{more}");
         // What a record has.
         let recorded = config.to_toml().unwrap();
-        assert_eq!(Config::from_record(&recorded).unwrap(), config);
+        assert_eq!(Config::from_toml(&recorded).unwrap(), config);
     }
     let waypoints = "kind = \"waypoints\"\nwaypoints = [{ t_s = 0.0, x_m = 0.0, y_m = 0.0 }]\n";
     for (keys, why) in [
@@ -158,10 +158,4 @@ fn a_closed_reference_begins_nearest_unless_told_otherwise_and_an_open_one_refus
             .to_string();
         assert!(error.contains(why), "{error}");
     }
-}
-
-#[test]
-fn a_record_without_the_key_began_at_the_beginning() {
-    let old = Config::from_record(EXAMPLE).unwrap();
-    assert_eq!(old.reference.start(), Start::Beginning);
 }

@@ -87,7 +87,7 @@ reference | kind = "square" | reference.kind | "square" | figure-of-eight
 reference | kind = "circel" | reference.kind | "circel" | did you mean "circle"?
 reference | radius_m = "wide" | reference.radius_m | "wide" | a number
 law | kind = "frontpoint" | law.kind | "frontpoint" | did you mean "front-point"?
-estimator | marker_loss = "guess" | estimator.marker_loss | "guess" | "hold", "coast" or "dead-reckon"
+estimator | marker_loss = "guess" | estimator.marker_loss | "guess" | "hold" or "dead-reckon"
 supervisor | hold_ms = -5 | supervisor.hold_ms | -5 | not negative
 supervisor | hold_ms = 0.3 | supervisor.hold_ms | 0.3 | a whole number
 supervisor | hold_ms = 300 ms | supervisor.hold_ms | 300 ms | the example
@@ -209,7 +209,7 @@ board.speed | max_forward_m_s = 1 | board.speed.max_forward_m_s |  | did you mea
 control | period_us = 10000 | control.period_us |  | did you mean period_ms?
 record | folder = "x" | record.folder |  | remove it
 socket | paths = "x" | socket.paths |  | did you mean path?
-live | enable = true | live.enable |  | did you mean enabled?
+live | prt = 8765 | live.prt |  | did you mean port?
 reference | waypoint = [] | reference.waypoint |  | did you mean waypoints?
 "#;
 

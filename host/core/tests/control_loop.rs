@@ -17,7 +17,7 @@ use singletrack_core::{
 };
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::{Observation, PoseState};
-use singletrack_pilot::{Event, Mode, Pilot, PilotRequest, RealTimeState, Reason};
+use singletrack_pilot::{Arming, Event, Mode, Pilot, PilotRequest, RealTimeState, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ToBoard};
 
 use crate::simulated_drive::{PERIOD_US, SimulatedDrive};
@@ -116,7 +116,7 @@ fn a_disarm_before_ready_cancels_arming_at_the_start() {
     assert_eq!(modes, [Mode::Disconnected, Mode::Idle, Mode::Ready]);
 
     // An end in the same tick as an arm request leaves nothing armed.
-    drive.request(ControlRequest::Pilot(PilotRequest::Arm));
+    drive.request(ControlRequest::Pilot(PilotRequest::Arm(Arming::Unattended)));
     drive.request(ControlRequest::Finish);
     for index in 600..640 {
         drive.step(index);
@@ -172,7 +172,7 @@ fn after_a_long_pause_a_stop_finds_room_among_other_events() {
         controller.port_closed(Time(1), &mut |_| {});
     }
     for _ in 0..12 {
-        controller.push(Event::Request(PilotRequest::Arm));
+        controller.push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
     }
     controller.push(Event::Request(PilotRequest::EmergencyStop));
     let tick = controller.tick(Time(1), &mut |_| Sent::Whole, &mut |_| {});
@@ -232,7 +232,7 @@ fn a_configuration_is_taken_over_between_two_ticks_and_its_box_is_returned() {
 
     // Pilot and board are as before, only slower.
     run(&mut drive, 302, 200);
-    drive.request(ControlRequest::Pilot(PilotRequest::Arm));
+    drive.request(ControlRequest::Pilot(PilotRequest::Arm(Arming::Unattended)));
     run(&mut drive, 502, 300);
     assert_eq!(drive.board_mode(), Some(BoardMode::Driving));
     let speed = drive.world.truth().speed;
@@ -242,9 +242,9 @@ fn a_configuration_is_taken_over_between_two_ticks_and_its_box_is_returned() {
 #[test]
 fn a_configuration_does_not_overtake_a_request_to_arm_of_the_same_tick() {
     for request in [
-        PilotRequest::Arm,
-        PilotRequest::ArmHeld,
-        PilotRequest::ArmJog,
+        PilotRequest::Arm(Arming::Unattended),
+        PilotRequest::Arm(Arming::Held),
+        PilotRequest::Arm(Arming::Jog),
     ] {
         let mut drive = SimulatedDrive::new();
         drive.request(ControlRequest::Pilot(PilotRequest::Disarm));

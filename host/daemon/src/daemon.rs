@@ -161,13 +161,6 @@ impl Daemon {
             },
         )?;
         let config = host.configurations.in_force().clone();
-        for (is_enabled, name) in [(config.page.enabled, "page"), (config.live.enabled, "live")] {
-            if is_enabled {
-                info!(
-                    "{name}.enabled: `singletrack {name} --config FILE` serves it, not the daemon"
-                );
-            }
-        }
         let mut refusals = Vec::new();
         let memory_locked = options.lock_memory
             && realtime::lock_memory()

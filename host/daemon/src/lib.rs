@@ -62,7 +62,5 @@ pub use realtime::RealTimeStatus;
 pub use recording::RecordingError;
 pub use singletrack_statistics::Percentiles;
 pub use snapshot::Snapshot;
-pub use socket::{
-    Arm, Attendance, Command, ParseError, SetpointFigures, SimpleRequest, SocketError,
-};
+pub use socket::{Arm, Attendance, Command, ParseError, SetpointFigures, SocketError};
 pub use summary::{Dropped, Figures, Frames, MocapFigures, Summary};

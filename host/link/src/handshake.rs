@@ -1,8 +1,16 @@
 //! From an open port to a configured board.
+//!
+//! Requests that wait for an answer.
+//!
+//! A request without an answer is dropped after some attempts ([`Pending`]); a stop is
+//! repeated without end ([`Stop`]). A late request must not start the car, and a late
+//! stop must still stop it.
 
-use singletrack_protocol::{RefusalReason, Sequence, UNSOLICITED};
+use singletrack_protocol::{
+    BoardMode, Disarm, EmergencyStop, RefusalReason, Request, Sequence, ToBoard, UNSOLICITED,
+};
 
-use crate::{event::VersionMismatch, request::Pending};
+use crate::event::VersionMismatch;
 
 /// Time between two greetings. Opening the port resets the board, and its bootloader
 /// discards the first greetings.
@@ -90,6 +98,132 @@ impl Nonces {
             UNSOLICITED.wrapping_add(1)
         } else {
             nonce
+        }
+    }
+}
+
+/// Time between two attempts.
+pub const RETRY_INTERVAL_NS: u64 = 50_000_000;
+
+/// How often a request is sent before it is dropped.
+pub const ATTEMPTS: u8 = 3;
+
+/// A request that is dropped after [`ATTEMPTS`].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pending {
+    pub(crate) sequence: Sequence,
+    attempts: u8,
+    next_ns: u64,
+}
+
+impl Pending {
+    /// A request to be sent first at `first_ns`.
+    pub(crate) const fn new(sequence: Sequence, first_ns: u64) -> Self {
+        Self {
+            sequence,
+            attempts: 0,
+            next_ns: first_ns,
+        }
+    }
+
+    /// When it is due to be sent or dropped.
+    pub(crate) const fn deadline_ns(&self) -> u64 {
+        self.next_ns
+    }
+
+    pub(crate) const fn was_sent(&self) -> bool {
+        self.attempts > 0
+    }
+
+    /// Whether to send it now; if so, that is one attempt.
+    pub(crate) fn take_due(&mut self, now_ns: u64) -> bool {
+        let due = self.attempts < ATTEMPTS && now_ns >= self.next_ns;
+        if due {
+            self.attempts += 1;
+            self.next_ns = now_ns.saturating_add(RETRY_INTERVAL_NS);
+        }
+        due
+    }
+
+    /// Whether the time to answer the last attempt has passed.
+    pub(crate) const fn is_exhausted(&self, now_ns: u64) -> bool {
+        self.attempts >= ATTEMPTS && now_ns >= self.next_ns
+    }
+}
+
+/// The two ways to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StopKind {
+    Disarm,
+    EmergencyStop,
+}
+
+impl StopKind {
+    pub(crate) const fn request(self) -> Request {
+        match self {
+            Self::Disarm => Request::Disarm,
+            Self::EmergencyStop => Request::EmergencyStop,
+        }
+    }
+}
+
+/// A stop, repeated until telemetry shows its effect.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stop {
+    pub(crate) kind: StopKind,
+    pub(crate) sequence: Sequence,
+    next_ns: u64,
+    answered: bool,
+}
+
+impl Stop {
+    pub(crate) const fn new(kind: StopKind, sequence: Sequence, now_ns: u64) -> Self {
+        Self {
+            kind,
+            sequence,
+            next_ns: now_ns,
+            answered: false,
+        }
+    }
+
+    pub(crate) const fn deadline_ns(&self) -> u64 {
+        self.next_ns
+    }
+
+    pub(crate) fn take_due(&mut self, now_ns: u64) -> Option<ToBoard> {
+        if now_ns < self.next_ns {
+            return None;
+        }
+        self.next_ns = now_ns.saturating_add(RETRY_INTERVAL_NS);
+        let request = self.sequence;
+        Some(match self.kind {
+            StopKind::Disarm => Disarm { request }.into(),
+            StopKind::EmergencyStop => EmergencyStop { request }.into(),
+        })
+    }
+
+    /// The board has just begun to listen: the stop is due at once.
+    pub(crate) const fn hurry(&mut self, now_ns: u64) {
+        self.next_ns = now_ns;
+    }
+
+    /// Takes an answer; true when it is the first one to this request.
+    pub(crate) fn answer(&mut self, request: Request, sequence: Sequence) -> bool {
+        let matches = request == self.kind.request() && sequence == self.sequence;
+        let first = matches && !self.answered;
+        self.answered |= matches;
+        first
+    }
+
+    /// Whether telemetry with this mode shows that the stop had its effect.
+    ///
+    /// A board may have been neutral before the request, with an earlier request to
+    /// arm still on its way. Telemetry that follows the answer on the line was made
+    /// after it, so the answer comes first.
+    pub(crate) fn is_confirmed_by(&self, mode: BoardMode) -> bool {
+        match self.kind {
+            StopKind::Disarm => self.answered && !mode.is_armed(),
+            StopKind::EmergencyStop => mode == BoardMode::EmergencyStopped,
         }
     }
 }

@@ -10,8 +10,7 @@ use crate::{
     counters::QualityWindow,
     drive::NewestTelemetry,
     event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch},
-    handshake::{Phase, SLOW_RETRY_NS},
-    request::Pending,
+    handshake::{Pending, Phase, SLOW_RETRY_NS},
     session::Session,
 };
 

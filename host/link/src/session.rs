@@ -9,11 +9,10 @@ use singletrack_protocol::{
 use crate::{
     clock::BoardClock,
     counters::{BoardQuality, Counters, LineQuality, QualityWindow},
-    drive::{self, DriveCommand, DriveError, JogCommand, NewestTelemetry, NotReady},
+    drive,
+    drive::{DriveCommand, DriveError, JogCommand, Latency, NewestTelemetry, NotReady, RoundTrip},
     event::{Event, LossCause, State},
-    handshake::{Greeting, Nonces, Phase},
-    latency::{Latency, RoundTrip},
-    request::{Pending, Stop, StopKind},
+    handshake::{Greeting, Nonces, Pending, Phase, Stop, StopKind},
 };
 
 /// The configuration of a [`Session`].

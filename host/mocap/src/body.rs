@@ -1,9 +1,32 @@
-//! The rigid bodies of a frame, with whole poses.
+//! The rigid bodies of a frame, with whole poses in the world frame; and when the frame was captured,
+//! in local time.
 
-use crate::{
-    axes::UpAxis,
-    codec::{RigidBodies, RigidBody},
-};
+use singletrack_words::words;
+
+use crate::codec::{RigidBodies, RigidBody};
+
+words! {
+    /// The axis that points up in the server's stream: a setting of the server that
+    /// is not on the wire.
+    pub enum UpAxis: serde {
+        /// y points up (Motive's default). World x is the stream's x, world y its -z.
+        Y = "y",
+        /// z points up, as in the world frame.
+        Z = "z",
+    }
+}
+
+impl UpAxis {
+    /// A vector of the stream in the world frame. The vector part of a quaternion
+    /// turns in the same way.
+    #[must_use]
+    pub const fn to_z_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Y => [x, -z, y],
+            Self::Z => [x, y, z],
+        }
+    }
+}
 
 /// Where a rigid body is, in the right-handed world frame with z up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -177,3 +200,51 @@ impl Iterator for Bodies<'_> {
 }
 
 impl ExactSizeIterator for Bodies<'_> {}
+
+/// The capture time of a frame on the local clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CaptureTime {
+    /// The middle of the exposure, in nanoseconds of the local clock. It is never
+    /// after the frame's arrival.
+    pub time_ns: u64,
+    /// Bound on the error of `time_ns`, in nanoseconds.
+    pub uncertainty_ns: u64,
+    /// How `time_ns` was found.
+    pub source: CaptureTimeSource,
+}
+
+impl CaptureTime {
+    /// The capture of a frame that arrived at `now_ns`, less a constant error of the stamps: never
+    /// after it arrived, with whether it had to be moved back for that. `None` if it exceeds the
+    /// arrival by more than its uncertainty.
+    pub(crate) const fn at_arrival(mut self, now_ns: u64, offset_ns: i64) -> Option<(Self, bool)> {
+        self.time_ns = self.time_ns.saturating_sub_signed(offset_ns);
+        if self.time_ns <= now_ns {
+            return Some((self, false));
+        }
+        if self.time_ns - now_ns > self.uncertainty_ns {
+            return None;
+        }
+        self.time_ns = now_ns;
+        Some((self, true))
+    }
+}
+
+words! {
+    /// How a capture time was found, best first.
+    ///
+    /// This enum is exhaustive: a new source is a breaking change, because every user
+    /// must decide whether it trusts it.
+    pub enum CaptureTimeSource {
+        /// Mid-exposure time, mapped by echo exchanges. The uncertainty is a bound. With VRPN it
+        /// is the server's stamp of the report: what it stamps is the server's business.
+        MidExposureEcho = "mid-exposure-echo",
+        /// Mid-exposure time, mapped by the least delay observed between sending and
+        /// receiving. The uncertainty rests on an assumed network delay.
+        MidExposureMinDelay = "mid-exposure-min-delay",
+        /// The frame's timestamp, mapped by the least delay observed: the server does
+        /// not send mid-exposure time. The uncertainty rests on an assumed latency.
+        FrameTimestamp = "frame-timestamp",
+    }
+}

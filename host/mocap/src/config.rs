@@ -2,7 +2,10 @@
 
 use core::net::{IpAddr, Ipv4Addr};
 
-use crate::{axes::UpAxis, body::BodyReading, codec::BitstreamVersion};
+use crate::{
+    body::{BodyReading, UpAxis},
+    codec::BitstreamVersion,
+};
 
 /// The command port of a NatNet server, unless configured otherwise.
 pub const DEFAULT_COMMAND_PORT: u16 = 1510;

@@ -79,33 +79,29 @@ pub mod planar;
 pub mod qualisys;
 pub mod vrpn;
 
-mod axes;
-mod binding;
 mod body;
-mod capture;
 mod clock;
 mod config;
 mod consistency;
-mod counters;
-mod order;
+mod names;
 mod pose_source;
 mod session;
 mod source;
 mod stream;
 
-pub use axes::UpAxis;
-pub use binding::{Binding, BodyNames, NameText};
-pub use body::{Bodies, Body, BodyPose, BodyState, InvalidBody};
-pub use capture::{CaptureTime, CaptureTimeSource};
+pub use body::{
+    Bodies, Body, BodyPose, BodyState, CaptureTime, CaptureTimeSource, InvalidBody, UpAxis,
+};
 pub use config::{
     DEFAULT_COMMAND_PORT, DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DEFAULT_QUALISYS_PORT,
     DEFAULT_QUATERNION_NORM_TOLERANCE, DEFAULT_VRPN_PORT, Protocol, SessionConfig,
     SessionConfigError, Timing, Transport,
 };
-pub use counters::SessionCounters;
-pub use pose_source::{Input, LocalEnd, Names, Output, PoseSource, Stream};
+pub use names::{Binding, BodyNames, NameText, Names};
+pub use pose_source::{Input, LocalEnd, Output, PoseSource, Stream};
 pub use session::{
-    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionEvent, Transmit,
+    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Session, SessionCounters,
+    SessionEvent, Transmit,
 };
 pub use source::Source;
 pub use stream::StreamSession;

@@ -3,11 +3,9 @@
 use core::net::{IpAddr, SocketAddr};
 
 use crate::{
-    codec::{DecodeError, ModelDefinitions},
-    counters::SessionCounters,
-    qualisys::body_list::BodyList,
-    session::{Phase, PoseFrame, SessionEvent, Transmit},
-    vrpn::senders::Senders,
+    codec::DecodeError,
+    names::Names,
+    session::{Phase, PoseFrame, SessionCounters, SessionEvent, Transmit},
 };
 
 /// A session with a server of poses, without I/O.
@@ -118,37 +116,4 @@ pub enum Output<'a> {
     Names(Names<'a>),
     /// The newest frame.
     Frame(PoseFrame<'a>),
-}
-
-/// The names of a server's bodies.
-#[derive(Clone, Debug)]
-pub enum Names<'a> {
-    /// As NatNet defines them.
-    Definitions(ModelDefinitions<'a>),
-    /// As VRPN's server describes its senders.
-    Senders(&'a Senders),
-    /// As QTM lists them.
-    Listed(BodyList<'a>),
-}
-
-impl Names<'_> {
-    /// Passes each body's id and name to `visit`, in the order of the server. A name is bytes until
-    /// it is shown: see [`NameText`](crate::NameText).
-    pub fn for_each(&self, visit: &mut dyn FnMut(i32, &[u8])) {
-        match self {
-            Self::Definitions(definitions) => definitions
-                .rigid_bodies()
-                .for_each(|definition| visit(definition.id, definition.name)),
-            Self::Senders(senders) => senders.iter().for_each(|(id, name)| visit(id, name)),
-            Self::Listed(list) => (0..)
-                .zip(list.clone())
-                .for_each(|(id, name)| visit(id, &name)),
-        }
-    }
-}
-
-impl<'a> From<ModelDefinitions<'a>> for Names<'a> {
-    fn from(definitions: ModelDefinitions<'a>) -> Self {
-        Self::Definitions(definitions)
-    }
 }

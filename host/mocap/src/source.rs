@@ -5,10 +5,9 @@ use core::net::IpAddr;
 use crate::{
     codec::DecodeError,
     config::{Protocol, SessionConfig, SessionConfigError},
-    counters::SessionCounters,
     pose_source::{Input, Output, PoseSource, Stream},
     qualisys,
-    session::{DatagramOutcome, Phase, Session, Transmit},
+    session::{DatagramOutcome, Phase, Session, SessionCounters, Transmit},
     vrpn,
 };
 

@@ -49,7 +49,7 @@ pub enum Event {
     /// Other values of what can be tuned, from the operator. Without effect outside the bounds of
     /// [`crate::PilotConfig::tuning`].
     Tuning(Tuning),
-    /// A car that was armed by [`PilotRequest::ArmWaiting`] follows its reference, which began at this
+    /// A car that was armed by [`PilotRequest::Arm(Arming::Waiting)`] follows its reference, which began at this
     /// time. One that is not armed yet is not armed any more.
     Begin(Time),
     /// What a learner has learned of the car by now. Without effect unless
@@ -219,35 +219,100 @@ impl BoardState {
 }
 
 words! {
-    /// What a person or a program asks of the pilot.
-    pub enum PilotRequest {
-        /// Start to follow the reference. It is refused unless every arming check passes.
-        Arm = 1 "arm",
-        /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
-        Disarm = 2 "disarm",
-        /// Put the motor to neutral now, until the board is reset.
-        EmergencyStop = 3 "emergency-stop",
-        /// As [`Arm`](Self::Arm), with a dead-man switch: the drive ends unless
-        /// [`Hold`](Self::Hold) renews it at least every 0.5 s.
-        ArmHeld = 4 "arm-held",
-        /// Renews a drive that was armed with [`ArmHeld`](Self::ArmHeld); without effect
-        /// on any other.
-        Hold = 5 "hold",
-        /// The operator who holds the drive has let go of it: slow down, stop and disarm.
-        OperatorGone = 6 "operator-gone",
-        /// The time of the drive is over: slow down, stop and disarm.
-        TimeUp = 7 "time-up",
-        /// Arm to jog: bare pulses to servo and ESC, for as long as [`Event::Jog`] renews
-        /// them at least every 0.25 s. It needs neither poses nor the IMU.
-        ArmJog = 8 "arm-jog",
-        /// The operator's dead-man switch is lost: disarm at once, without the ramp of
-        /// [`OperatorGone`](Self::OperatorGone).
-        Halt = 9 "halt",
-        /// [`Disarm`](Self::Disarm), and the operator's word that the body which the cameras show is
-        /// the car: it was carried out of their sight. Without effect on an estimate that has not
-        /// lost the car, and while the board is commanded. No program says it by itself.
-        Carried = 10 "carried",
-        /// As [`ArmHeld`](Self::ArmHeld). The armed car stands until [`Event::Begin`].
-        ArmWaiting = 11 "arm-waiting",
+    /// Who attends an armed car, and what it does.
+    pub enum Arming {
+        /// It follows the reference; the drive goes on by itself.
+        Unattended = 1 "arm",
+        /// It follows the reference, with a dead-man switch: the drive ends unless
+        /// [`PilotRequest::Hold`] renews it at least every 0.5 s.
+        Held = 4 "arm-held",
+        /// It takes bare pulses to servo and ESC, for as long as [`Event::Jog`] renews them at
+        /// least every 0.25 s. It needs neither poses nor the IMU.
+        Jog = 8 "arm-jog",
+        /// It is held, and stands until [`Event::Begin`].
+        Waiting = 11 "arm-waiting",
+    }
+}
+
+/// What a person or a program asks of the pilot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PilotRequest {
+    /// Arm. It is refused unless every arming check passes.
+    Arm(Arming),
+    /// Slow down, stop and disarm; also leaves [`crate::Mode::Fault`].
+    Disarm,
+    /// Put the motor to neutral now, until the board is reset.
+    EmergencyStop,
+    /// Renews a drive that is held; without effect on any other.
+    Hold,
+    /// The operator who holds the drive has let go of it: slow down, stop and disarm.
+    OperatorGone,
+    /// The time of the drive is over: slow down, stop and disarm.
+    TimeUp,
+    /// The operator's dead-man switch is lost: disarm at once, without the ramp of
+    /// [`OperatorGone`](Self::OperatorGone).
+    Halt,
+    /// [`Disarm`](Self::Disarm), and the operator's word that the body which the cameras show is
+    /// the car: it was carried out of their sight. Without effect on an estimate that has not
+    /// lost the car, and while the board is commanded. No program says it by itself.
+    Carried,
+}
+
+impl PilotRequest {
+    /// All requests.
+    pub const ALL: [Self; 11] = [
+        Self::Arm(Arming::Unattended),
+        Self::Disarm,
+        Self::EmergencyStop,
+        Self::Arm(Arming::Held),
+        Self::Hold,
+        Self::OperatorGone,
+        Self::TimeUp,
+        Self::Arm(Arming::Jog),
+        Self::Halt,
+        Self::Carried,
+        Self::Arm(Arming::Waiting),
+    ];
+
+    /// Its number in a record, which never changes.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        match self {
+            Self::Arm(arming) => arming as u8,
+            Self::Disarm => 2,
+            Self::EmergencyStop => 3,
+            Self::Hold => 5,
+            Self::OperatorGone => 6,
+            Self::TimeUp => 7,
+            Self::Halt => 9,
+            Self::Carried => 10,
+        }
+    }
+
+    /// Its word in log and record.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Arm(arming) => arming.name(),
+            Self::Disarm => "disarm",
+            Self::EmergencyStop => "emergency-stop",
+            Self::Hold => "hold",
+            Self::OperatorGone => "operator-gone",
+            Self::TimeUp => "time-up",
+            Self::Halt => "halt",
+            Self::Carried => "carried",
+        }
+    }
+
+    /// Whether it ends a drive.
+    #[must_use]
+    pub const fn is_stop(self) -> bool {
+        !matches!(self, Self::Arm(_) | Self::Hold)
+    }
+}
+
+impl core::fmt::Display for PilotRequest {
+    fn fmt(&self, formatter: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        formatter.write_str(self.name())
     }
 }

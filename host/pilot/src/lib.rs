@@ -23,7 +23,7 @@ extern crate std;
 /// The number of the controller's arithmetic. It changes with whatever changes a bit of an output, and a
 /// record names the one that made it: only the same one repeats it. Records before it was counted are
 /// of controller 1.
-pub const CONTROLLER: u32 = 14;
+pub const CONTROLLER: u32 = 15;
 
 mod event;
 mod fence;
@@ -35,8 +35,8 @@ mod tuning;
 mod watch;
 
 pub use event::{
-    AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth, LinkState,
-    PilotRequest, PoseMissing, RealTimeState, Tilt,
+    Arming, AttitudeSample, BoardHealth, BoardSample, BoardState, Event, Jog, LineHealth,
+    LinkState, PilotRequest, PoseMissing, RealTimeState, Tilt,
 };
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use learned::Learned;

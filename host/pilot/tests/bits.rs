@@ -5,7 +5,7 @@
 use singletrack_control::{
     ActuatorModel, Circle, FigureOfEight, Position, Reference, VehicleParameters,
 };
-use singletrack_pilot::{CONTROLLER, Compensation, Mode, PilotConfig, PilotRequest};
+use singletrack_pilot::{Arming, CONTROLLER, Compensation, Mode, PilotConfig, PilotRequest};
 
 use crate::bench::{Bench, config};
 
@@ -23,7 +23,7 @@ fn outputs(config: PilotConfig) -> u64 {
         bench.gyro_bias = 0.002;
         bench.speed *= 0.998;
         let request = match tick {
-            100 | 1_100 => Some(PilotRequest::Arm),
+            100 | 1_100 => Some(PilotRequest::Arm(Arming::Unattended)),
             900 => Some(PilotRequest::Disarm),
             _ => None,
         };

@@ -6,7 +6,7 @@ use singletrack_control::{
     Circle, External, Position, Reference, Setpoint, SpeedDemand, SteeringDemand, Velocity,
     VelocityStep, VelocitySteps, direction,
 };
-use singletrack_pilot::{Event, Fence, Mode, Output, PilotConfig, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Event, Fence, Mode, Output, PilotConfig, PilotRequest, Reason};
 
 use crate::bench::{Bench, Pose, config};
 
@@ -177,7 +177,7 @@ fn follow(bench: &mut Bench, steering: f64, speed: f64, request: Option<PilotReq
 /// Arms it, and follows until the drive ends.
 fn until_stopping(bench: &mut Bench, speed: f64) -> Output {
     for tick in 0..1_500 {
-        let request = (tick == 100).then_some(PilotRequest::Arm);
+        let request = (tick == 100).then_some(PilotRequest::Arm(Arming::Unattended));
         let output = follow(bench, 0.0, speed, request);
         if tick > 110 && output.mode != Mode::Driving {
             return output;
@@ -201,7 +201,7 @@ fn a_bend_that_is_commanded_counts_for_the_geofence_before_the_wheels_have_turne
     let mut bench = outside();
     bench.position = Position::new(0.0, 1.99);
     for tick in 0..200 {
-        let request = (tick == 100).then_some(PilotRequest::Arm);
+        let request = (tick == 100).then_some(PilotRequest::Arm(Arming::Unattended));
         follow(&mut bench, 0.0, 0.5, request);
     }
     assert_eq!(bench.pilot.mode(), Mode::Driving);
@@ -221,7 +221,7 @@ fn an_unproved_car_stops_before_the_geofence_with_its_lower_braking() {
     let mut bench = Bench::with(config);
     bench.position = Position::new(3.4, 0.0);
     bench.run(100);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     let mut output = bench.run(4);
     for _ in 0..600 {
         if output.mode != Mode::Driving {

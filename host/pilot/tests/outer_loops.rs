@@ -11,7 +11,7 @@ use singletrack_control::{
     Circle, DelayedMpc, LqiAxis, LqiConfig, LqiLoop, MpcConfig, OuterLoop as _, Position,
     Reference, TrackingInput, TrackingLoop, Velocity,
 };
-use singletrack_pilot::{Mode, Output, PilotConfig, PilotRequest};
+use singletrack_pilot::{Arming, Mode, Output, PilotConfig, PilotRequest};
 
 const PERIOD: f64 = 0.01;
 
@@ -77,7 +77,7 @@ fn first_answer(tracking: &TrackingLoop, output: &Output) -> Velocity {
 /// Arms; the first tick of the drive.
 fn begin(bench: &mut Bench) -> Output {
     assert_eq!(bench.run(100).mode, Mode::Ready);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     for _ in 0..10 {
         let output = bench.step();
         if output.mode == Mode::Driving {

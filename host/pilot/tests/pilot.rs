@@ -9,7 +9,7 @@ use singletrack_control::{
     TrajectoryPoint, VehicleParameters, Velocity, VelocityStep, VelocitySteps,
 };
 use singletrack_pilot::{
-    BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
+    Arming, BoardRequest, BoardSample, BoardState, Event, LinkState, Mode, Pilot, PilotConfig,
     PilotRequest, Reason, SetpointRefusal, Underway,
 };
 
@@ -30,7 +30,7 @@ fn an_arm_request_that_comes_too_early_is_refused_with_a_reason_and_not_kept() {
     let mut bench = Bench::new();
     bench.pose = Pose::Missing;
     bench.run(100);
-    let output = bench.step_with(Some(PilotRequest::Arm));
+    let output = bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     assert_eq!(
         (output.mode, output.reason),
         (Mode::Idle, Some(Reason::NoPose))
@@ -45,7 +45,7 @@ fn an_arm_request_that_comes_too_early_is_refused_with_a_reason_and_not_kept() {
 fn an_armed_car_that_waits_stands_until_its_reference_begins() {
     let mut bench = Bench::new();
     bench.run(100);
-    bench.step_with(Some(PilotRequest::ArmWaiting));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Waiting)));
     let mut output = bench.run(3);
     for _ in 0..40 {
         output = bench.step();
@@ -60,7 +60,7 @@ fn an_armed_car_that_waits_stands_until_its_reference_begins() {
     );
     let mut plain = Bench::new();
     plain.run(100);
-    plain.step_with(Some(PilotRequest::Arm));
+    plain.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     while output.drive_time != Some(0.0) {
         output = plain.step();
     }
@@ -76,13 +76,13 @@ fn an_armed_car_that_waits_stands_until_its_reference_begins() {
 #[test]
 fn a_request_to_arm_does_not_begin_the_drive_of_a_car_that_waits() {
     for request in [
-        PilotRequest::Arm,
-        PilotRequest::ArmHeld,
-        PilotRequest::ArmJog,
+        PilotRequest::Arm(Arming::Unattended),
+        PilotRequest::Arm(Arming::Held),
+        PilotRequest::Arm(Arming::Jog),
     ] {
         let mut bench = Bench::new();
         bench.run(100);
-        bench.step_with(Some(PilotRequest::ArmWaiting));
+        bench.step_with(Some(PilotRequest::Arm(Arming::Waiting)));
         bench.run(3);
         bench.step_with(Some(request));
         for _ in 0..40 {
@@ -99,7 +99,7 @@ fn a_request_to_arm_does_not_begin_the_drive_of_a_car_that_waits() {
 fn after_ticks_that_were_left_out_its_reference_begins_with_the_tick() {
     let mut bench = Bench::new();
     bench.run(100);
-    bench.step_with(Some(PilotRequest::ArmWaiting));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Waiting)));
     bench.run(3);
     bench
         .extra
@@ -112,7 +112,7 @@ fn a_car_that_waits_is_held_and_watched_as_one_that_drives() {
     let waiting = || {
         let mut bench = Bench::new();
         bench.run(100);
-        bench.step_with(Some(PilotRequest::ArmWaiting));
+        bench.step_with(Some(PilotRequest::Arm(Arming::Waiting)));
         assert_eq!(bench.run(3).mode, Mode::Driving);
         bench
     };
@@ -130,7 +130,7 @@ fn a_car_that_waits_is_held_and_watched_as_one_that_drives() {
     // The next drive does not wait.
     unseen.pose = Pose::Seen;
     assert_eq!(unseen.run(100).mode, Mode::Ready);
-    unseen.step_with(Some(PilotRequest::Arm));
+    unseen.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     assert!(unseen.run(3).drive_time.is_some());
 }
 
@@ -138,7 +138,7 @@ fn a_car_that_waits_is_held_and_watched_as_one_that_drives() {
 fn a_car_that_is_not_armed_when_its_reference_begins_is_not_armed_later() {
     let mut bench = Bench::new();
     bench.run(100);
-    bench.step_with(Some(PilotRequest::ArmWaiting));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Waiting)));
     bench.board = BoardState::PoweringUp;
     assert_eq!(bench.run(3).mode, Mode::Arming);
     bench.extra.push(Event::Begin(bench.now()));
@@ -151,7 +151,9 @@ fn a_car_that_is_not_armed_when_its_reference_begins_is_not_armed_later() {
     bench.run(100);
     bench.extra.push(Event::Begin(bench.now()));
     assert_eq!(
-        bench.step_with(Some(PilotRequest::ArmWaiting)).mode,
+        bench
+            .step_with(Some(PilotRequest::Arm(Arming::Waiting)))
+            .mode,
         Mode::Ready
     );
 }
@@ -209,7 +211,7 @@ fn the_reason_of_a_stop_stays_until_the_next_drive() {
         (Mode::Ready, Some(Reason::Requested))
     );
     assert_eq!(bench.pilot.reason(), Some(Reason::Requested));
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     let output = bench.run(3);
     assert_eq!((output.mode, output.reason), (Mode::Driving, None));
 }
@@ -297,7 +299,12 @@ fn a_car_that_loses_board_and_cameras_has_no_speed_and_its_stop_no_deceleration(
         bench.extra.extend(AT_START);
         let output = bench.run(200);
         assert_eq!(output.preflight, None);
-        assert_eq!(bench.step_with(Some(PilotRequest::Arm)).mode, Mode::Arming);
+        assert_eq!(
+            bench
+                .step_with(Some(PilotRequest::Arm(Arming::Unattended)))
+                .mode,
+            Mode::Arming
+        );
     }
 }
 
@@ -368,7 +375,12 @@ fn an_emergency_stop_while_driving_goes_to_the_board_and_latches() {
     let output = bench.step_with(Some(PilotRequest::Disarm));
     assert_eq!(output.mode, Mode::Fault, "the board is still stopped");
     for _ in 0..100 {
-        assert!(bench.step_with(Some(PilotRequest::Arm)).command.is_none());
+        assert!(
+            bench
+                .step_with(Some(PilotRequest::Arm(Arming::Unattended)))
+                .command
+                .is_none()
+        );
     }
 }
 
@@ -407,7 +419,7 @@ fn a_car_without_poses_slows_down_and_drives_on_when_poses_return() {
 fn a_blind_car_does_not_speed_up() {
     let mut bench = Bench::new();
     bench.run(100);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     bench.run(12);
     bench.pose = Pose::Missing;
     bench.run(6);
@@ -479,7 +491,7 @@ fn a_stop_measures_by_the_slower_of_motor_and_cameras_if_they_contradict_each_ot
         );
         bench.pulses = 1.0;
         bench.run(100);
-        bench.step_with(Some(PilotRequest::Arm));
+        bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         let output = bench.run(2);
         assert_eq!(output.reason, refused, "{pulses}");
         assert_eq!(output.mode.is_underway(), refused.is_none(), "{pulses}");
@@ -516,13 +528,13 @@ fn a_reversed_gyro_ends_the_drive_of_a_proved_car_until_a_person_has_looked() {
     bench.position = Position::new(-0.35, 0.0);
     bench.gyro_gain = -1.0;
     assert_eq!(bench.run(100).mode, Mode::Ready);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     let (output, _) = bench.run_until_idle();
     assert_eq!(output.reason, Some(Reason::GyroDiffers));
     let turned = bench.yaw.abs();
     assert!((0.06..0.3).contains(&turned), "{turned} rad");
     bench.run(100);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     assert_ne!(bench.run(5).mode, Mode::Driving);
 }
 
@@ -536,7 +548,7 @@ fn the_next_drive_waits_until_the_last_stop_is_measured() {
     let mut words = Vec::new();
     while output.braking_measured.is_none() {
         words.extend(output.preflight);
-        output = bench.step_with(Some(PilotRequest::Arm));
+        output = bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         assert_ne!(output.mode, Mode::Arming, "before the stop was measured");
         refused += 1;
         assert!(refused < 100, "never measured");
@@ -544,7 +556,12 @@ fn the_next_drive_waits_until_the_last_stop_is_measured() {
     assert!(refused > 5, "{refused}");
     assert_eq!(words.last(), Some(&Reason::Moving));
     bench.step();
-    assert_eq!(bench.step_with(Some(PilotRequest::Arm)).mode, Mode::Arming);
+    assert_eq!(
+        bench
+            .step_with(Some(PilotRequest::Arm(Arming::Unattended)))
+            .mode,
+        Mode::Arming
+    );
 }
 
 #[test]
@@ -578,7 +595,9 @@ fn external_set_points_are_followed_until_the_last_one_is_too_old() {
     let mut outputs = Vec::new();
     for tick in 0..200 {
         if tick == 10 {
-            bench.extra.push(Event::Request(PilotRequest::Arm));
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let event = setpoint(&bench, Velocity::new(0.5, 0.0), None);
         bench.extra.push(event);
@@ -643,7 +662,9 @@ fn demanded_steering_and_speed_replace_the_law_within_the_limits() {
     let mut last = None;
     for tick in 0..400 {
         if tick == 100 {
-            bench.extra.push(Event::Request(PilotRequest::Arm));
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let now = Time((bench.tick + 1) * TICK_NS);
         let (steering, speed) = (SteeringDemand::Angle(1.5), SpeedDemand::Acceleration(50.0));
@@ -689,7 +710,9 @@ fn set_points_that_must_not_be_obeyed_keep_no_car_driving() {
         let mut modes = Vec::new();
         for tick in 0..300 {
             if tick == 100 {
-                bench.extra.push(Event::Request(PilotRequest::Arm));
+                bench
+                    .extra
+                    .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
             }
             let now = Time((bench.tick + 1) * TICK_NS);
             let mut setpoint = Setpoint::point(now, None, Velocity::new(0.5, 0.0));
@@ -720,7 +743,9 @@ fn a_trajectory_is_followed_by_the_outer_loop_and_ends_the_drive_at_its_end() {
     let begin = bench.now();
     for tick in 0..600 {
         if tick == 20 {
-            bench.extra.push(Event::Request(PilotRequest::Arm));
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let now = Time((bench.tick + 1) * TICK_NS);
         let trajectory = Trajectory {
@@ -776,7 +801,9 @@ fn the_position_loop_approaches_an_external_position() {
     let target = Position::new(2.0, 0.3);
     for tick in 0..1_500 {
         if tick == 100 {
-            bench.extra.push(Event::Request(PilotRequest::Arm));
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let event = setpoint(&bench, Velocity::zeros(), Some(target));
         bench.extra.push(event);
@@ -812,7 +839,7 @@ fn the_configuration_is_replaced_only_while_no_drive_is_underway() {
     let output = bench.step();
     assert_eq!(output.mode, Mode::Idle);
     assert_eq!(bench.run(100).mode, Mode::Ready);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     bench.run(200);
     assert!((bench.speed - 0.2).abs() < 0.01, "{}", bench.speed);
 }
@@ -840,7 +867,7 @@ fn a_disarm_in_the_same_tick_as_an_arm_wins() {
     let output = bench.pilot.step(
         bench.now(),
         &[
-            Event::Request(PilotRequest::Arm),
+            Event::Request(PilotRequest::Arm(Arming::Unattended)),
             Event::Request(PilotRequest::Disarm),
         ],
     );
@@ -866,7 +893,7 @@ fn an_emergency_stop_requested_without_a_link_is_not_forgotten() {
     bench.tick += 1;
     bench.pilot.step(bench.now(), &AT_START);
     for _ in 0..200 {
-        let output = bench.step_with(Some(PilotRequest::Arm));
+        let output = bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         assert_eq!(output.mode, Mode::Fault);
         assert_eq!(output.reason, Some(Reason::EmergencyStop));
     }

@@ -8,7 +8,8 @@ use singletrack_control::{
     VelocityStep, VelocitySteps, direction,
 };
 use singletrack_pilot::{
-    Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason, SupervisorConfig,
+    Arming, Event, Fence, Filtering, Mode, Output, PilotConfig, PilotRequest, Reason,
+    SupervisorConfig,
 };
 
 use crate::bench::{Bench, Pose, config};
@@ -78,7 +79,9 @@ impl Outside {
             let setpoint = Setpoint::point(bench.now(), None, Velocity::zeros());
             bench.extra.push(Event::Setpoint(setpoint));
             if tick == 100 {
-                bench.extra.push(Event::Request(PilotRequest::Arm));
+                bench
+                    .extra
+                    .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
             }
             bench.step();
         }
@@ -143,7 +146,7 @@ fn a_drive_well_inside_has_the_same_bits_with_and_without_it() {
             });
             (bench.position, bench.yaw) = (position, yaw);
             bench.run(100);
-            bench.step_with(Some(PilotRequest::Arm));
+            bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
             let outputs: Vec<_> = (0..1_000).map(|_| bench.step()).collect();
             (outputs, bench.position)
         };
@@ -224,7 +227,10 @@ fn its_interventions_are_counted_for_each_drive() {
     for _ in 0..400 {
         armed |= drive.bench.pilot.mode() == Mode::Ready;
         if drive.bench.pilot.mode() == Mode::Ready {
-            drive.bench.extra.push(Event::Request(PilotRequest::Arm));
+            drive
+                .bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let output = drive.velocity(Velocity::zeros());
         let expected = if output.mode == Mode::Driving {
@@ -281,7 +287,9 @@ fn a_demand_that_passes_no_trial_stops_the_car_and_at_standstill_the_drive() {
         let setpoint = Setpoint::point(bench.now(), None, Velocity::new(0.5, 0.0));
         bench.extra.push(Event::Setpoint(setpoint));
         if tick == 100 {
-            bench.extra.push(Event::Request(PilotRequest::Arm));
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
         }
         let output = bench.step();
         if output.mode == Mode::Driving {
@@ -310,7 +318,9 @@ fn the_first_metre_is_filtered_with_the_braking_of_an_unproved_car() {
             let setpoint = Setpoint::point(bench.now(), None, Velocity::new(0.3, 0.0));
             bench.extra.push(Event::Setpoint(setpoint));
             if tick == 100 {
-                bench.extra.push(Event::Request(PilotRequest::Arm));
+                bench
+                    .extra
+                    .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
             }
             let output = bench.step();
             if output.filtering != Filtering::None && limited_at.is_none() {
@@ -336,7 +346,7 @@ fn a_velocity_that_is_not_finite_stops_the_car_with_its_reason() {
             ..with(circle.clone(), filter)
         });
         bench.run(100);
-        bench.step_with(Some(PilotRequest::Arm));
+        bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         let outputs: Vec<_> = (0..50).map(|_| bench.step()).collect();
         let end = outputs
             .iter()

@@ -11,7 +11,7 @@ use singletrack_control::{
     Circle, Limits, Position, ProportionalLoop, Reference, TrackingLoop, Velocity,
 };
 use singletrack_pilot::{
-    Event, Fence, Mode, Output, POINT_DISTANCE_RATE, PilotConfig, PilotRequest, Tuning,
+    Arming, Event, Fence, Mode, Output, POINT_DISTANCE_RATE, PilotConfig, PilotRequest, Tuning,
     TuningBounds,
 };
 
@@ -50,7 +50,7 @@ const fn distance(distance: f64) -> Tuning {
 fn drive(config: PilotConfig) -> Bench {
     let mut bench = Bench::with(config);
     bench.run(100);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     // P has come to its reference by then.
     assert_eq!(bench.run(1_000).mode, Mode::Driving);
     bench
@@ -173,7 +173,7 @@ fn tuned_values_last_from_drive_to_drive() {
     bench.step_with(Some(PilotRequest::Disarm));
     bench.run_until_idle();
     bench.run(200);
-    bench.step_with(Some(PilotRequest::Arm));
+    bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
     let tuned = bench.run(20).tuned.unwrap();
     assert_eq!(tuned.gain, gain(2.0).gain);
     assert_eq!(tuned.point_distance, 0.36);
@@ -243,7 +243,7 @@ proptest! {
         let fence = Fence::rectangle(Position::new(0.5, 1.5), Velocity::new(4.2, 4.2), 0.1).unwrap();
         let mut bench = Bench::with(PilotConfig { fence: fence.clone(), ..tunable(Some(BOUNDS)) });
         bench.run(100);
-        bench.step_with(Some(PilotRequest::Arm));
+        bench.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         let mut last = bench.run(100);
         // P is beside its reference, so that the gains matter.
         bench.position += Velocity::new(away.0, away.1) * 0.1;

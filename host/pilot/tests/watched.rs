@@ -4,7 +4,7 @@
 
 use singletrack_control::{PoseSample, Velocity};
 use singletrack_pilot::{
-    BoardHealth, BoardState, Event, Jog, LinkState, Mode, Output, PilotRequest, Reason,
+    Arming, BoardHealth, BoardState, Event, Jog, LinkState, Mode, Output, PilotRequest, Reason,
 };
 
 use crate::bench::{Bench, Pose};
@@ -96,7 +96,7 @@ fn pulses_that_were_given_before_the_board_was_armed_are_not_sent() {
         if tick == 3 {
             bench.board = BoardState::Armed;
         }
-        let output = bench.step_with((tick == 0).then_some(PilotRequest::ArmJog));
+        let output = bench.step_with((tick == 0).then_some(PilotRequest::Arm(Arming::Jog)));
         if tick < 3 {
             bench.board = BoardState::Neutral;
         }

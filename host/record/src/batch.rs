@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::{Channel, ClockMapping, cdr};
+use crate::{Channel, ClockMapping, message::declare};
 
 /// A message can't be encoded, because a text in it is longer than 4 GB.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -22,7 +22,6 @@
 //! no effect.
 
 mod batch;
-mod cdr;
 mod channel;
 mod derive;
 mod encoder;

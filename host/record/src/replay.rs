@@ -6,8 +6,8 @@ use std::{collections::BTreeMap, fmt};
 use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
 use crate::{
-    Entry, TickRecord, Topic, Value, cdr,
-    message::{Represents, TickMessage},
+    Entry, TickRecord, Topic, Value,
+    message::{Represents, TickMessage, declare},
 };
 
 /// A pilot that steps through the ticks of a record.

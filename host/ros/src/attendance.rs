@@ -10,12 +10,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use singletrack_api::{Arm, ClientError, Connection, Reply, Request, ask};
+use singletrack_api::{ClientError, HeldDrive, Reply, Request, ask};
 
 use crate::node::start;
-
-/// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
-const RENEWAL: Duration = Duration::from_millis(100);
 
 /// The longest wait for a line, so that renewals are not late.
 const WAIT: Duration = Duration::from_millis(20);
@@ -93,9 +90,10 @@ impl Attendance {
             state.is_held = true;
         }
         let held = Held(self.clone());
-        let mut drive = Drive::arm(&self.socket).map_err(|error| error.to_string())?;
+        let mut drive =
+            HeldDrive::arm(&self.socket, PATIENCE, WAIT).map_err(|error| error.to_string())?;
         start("hold", move || {
-            let ended = drive.hold();
+            let ended = hold(&mut drive);
             drop(held);
             match ended {
                 Ok(ended) => tracing::info!("the drive has ended: {ended}"),
@@ -145,47 +143,12 @@ impl Drop for Held {
     }
 }
 
-/// A connection that holds a drive.
-struct Drive {
-    connection: Connection,
-    renewed: Instant,
-}
-
-impl Drive {
-    /// Arms; returns once the car drives.
-    fn arm(socket: &std::path::Path) -> Result<Self, ClientError> {
-        let mut drive = Self {
-            connection: Connection::open(socket, PATIENCE)?,
-            renewed: Instant::now(),
-        };
-        drive.connection.send(&Request::Arm(Arm {
-            attendance: Some(singletrack_api::Attendance::Hold),
-            ..Arm::default()
-        }))?;
-        loop {
-            if let Some(reply) = drive.next()? {
-                reply.agreed()?;
-                return Ok(drive);
-            }
+/// Renews a drive until it has ended; returns how.
+fn hold(drive: &mut HeldDrive) -> Result<String, ClientError> {
+    loop {
+        if let Some(Reply::Ended { ended, .. }) = drive.next(WAIT)? {
+            return Ok(ended.to_string());
         }
-    }
-
-    /// Renews the drive until it has ended; returns how.
-    fn hold(&mut self) -> Result<String, ClientError> {
-        loop {
-            if let Some(Reply::Ended { ended, .. }) = self.next()? {
-                return Ok(ended.to_string());
-            }
-        }
-    }
-
-    /// The next line, if one comes soon. Renews the drive.
-    fn next(&mut self) -> Result<Option<Reply>, ClientError> {
-        if self.renewed.elapsed() >= RENEWAL {
-            self.renewed = Instant::now();
-            self.connection.send(&Request::Hold {})?;
-        }
-        self.connection.receive_within(WAIT)
     }
 }
 

@@ -24,8 +24,8 @@
 /// [`Display`](core::fmt::Display). The numbers may be left out.
 ///
 /// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on;
-/// `"brake" or "halt"` also reads an older word. Such values may have other attributes than their
-/// documentation, which is no data then.
+/// The values may have other
+/// attributes than their documentation, which is no data then.
 #[macro_export]
 macro_rules! words {
     (
@@ -79,13 +79,13 @@ macro_rules! words {
     (
         @serde $(#[$about:meta])*
         $vis:vis enum $name:ident {
-            $( $(#[$attribute:meta])* $value:ident = $word:literal $(or $older:literal)?, )+
+            $( $(#[$attribute:meta])* $value:ident = $word:literal, )+
         }
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
         $vis enum $name {
-            $( $(#[$attribute])* #[serde(rename = $word $(, alias = $older)?)] $value, )+
+            $( $(#[$attribute])* #[serde(rename = $word)] $value, )+
         }
 
         $crate::words! { @words $vis $name $($value = $word,)+ }

@@ -8,7 +8,7 @@ use singletrack_core::{
     setpoint::SetpointCommand,
     state_stream::States,
 };
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config, follow, start_of},
     virtual_drive::{VirtualDrive, VirtualDriveError, VirtualTick},
@@ -300,7 +300,10 @@ impl<'a> Run<'a> {
         let mut armed = false;
         while self.drive.next_tick_us() as f64 * 1e-6 < START_S {
             if !armed && self.drive.mode() == Mode::Ready {
-                armed = self.drive.request(PilotRequest::Arm).is_ok();
+                armed = self
+                    .drive
+                    .request(PilotRequest::Arm(Arming::Unattended))
+                    .is_ok();
             }
             self.stand();
             let tick = self.drive.step();

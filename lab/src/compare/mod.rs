@@ -68,12 +68,12 @@ pub struct CompareArgs {
     pub first_seed: u64,
 
     /// Number of seeds of each row, the same for all.
-    #[arg(long = "count", alias = "seeds", value_name = "M", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long = "count", value_name = "M", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
 
     /// Number of seeds with which the added delay is searched, where --count is more: a search
     /// takes some ten drives.
-    #[arg(long = "delay-count", alias = "delay-seeds", value_name = "M", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long = "delay-count", value_name = "M", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
     pub delay_seeds: u64,
 
     /// How to print the result.

@@ -95,7 +95,7 @@ pub struct IdentifyArgs {
     pub least_speed: f64,
 
     /// Folder for figures, identification.json and identified.toml, a vehicle file.
-    #[arg(long, alias = "output", value_name = "DIR")]
+    #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
     /// How to print the result.

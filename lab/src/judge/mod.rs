@@ -179,7 +179,7 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
 /// The configuration in a record.
 fn recorded(record: &Path) -> Result<Config, JudgeError> {
     let toml = Reader::open(record)?.meta().configuration.clone();
-    Config::from_record(&toml).map_err(|source| JudgeError::Recorded {
+    Config::from_toml(&toml).map_err(|source| JudgeError::Recorded {
         path: record.to_owned(),
         source: Box::new(source),
     })

@@ -40,7 +40,6 @@ pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
     #[arg(
         long,
-        alias = "output",
         value_name = "DIR",
         default_value = "singletrack-reproduction"
     )]

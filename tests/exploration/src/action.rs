@@ -1,6 +1,6 @@
 //! What can happen in a tick.
 
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Arming, PilotRequest};
 
 use crate::line::Passage;
 
@@ -79,7 +79,7 @@ impl Theme {
     pub fn actions(self) -> Vec<Action> {
         const DRIVE: &[Action] = &[
             Action::Calm,
-            Action::Event(Event::Request(PilotRequest::Arm)),
+            Action::Event(Event::Request(PilotRequest::Arm(Arming::Unattended))),
             Action::Event(Event::Request(PilotRequest::Disarm)),
             Action::Event(Event::Request(PilotRequest::EmergencyStop)),
             Action::Event(Event::BoardRestart),
@@ -103,8 +103,8 @@ impl Theme {
             Action::Event(Event::HangUp),
         ];
         const OPERATOR: &[Action] = &[
-            Action::Event(Event::Request(PilotRequest::ArmHeld)),
-            Action::Event(Event::Request(PilotRequest::ArmJog)),
+            Action::Event(Event::Request(PilotRequest::Arm(Arming::Held))),
+            Action::Event(Event::Request(PilotRequest::Arm(Arming::Jog))),
             Action::Event(Event::Request(PilotRequest::Halt)),
             Action::Event(Event::Hand),
             Action::Event(Event::Reconfigure),

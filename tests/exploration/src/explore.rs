@@ -6,7 +6,7 @@ use std::{
     hash::{DefaultHasher, Hasher as _},
 };
 
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_protocol::BoardMode;
 
 use crate::{
@@ -407,7 +407,10 @@ impl<'a> Explorer<'a> {
         }
         world.apply(Event::Request(PilotRequest::Disarm), self.setting)?;
         self.rest(&mut world)?;
-        world.apply(Event::Request(PilotRequest::Arm), self.setting)?;
+        world.apply(
+            Event::Request(PilotRequest::Arm(Arming::Unattended)),
+            self.setting,
+        )?;
         for _ in 0..WAITS {
             if world.board.mode() == BoardMode::Driving {
                 return Ok(());

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use singletrack_pilot::PilotRequest;
+use singletrack_pilot::{Arming, PilotRequest};
 
 use crate::{
     action::{Action, Event},
@@ -36,7 +36,9 @@ impl Trace {
         for &(at_ms, action) in &self.actions {
             let entry = match action {
                 Action::Event(Event::Request(request)) => match request {
-                    PilotRequest::Arm | PilotRequest::ArmHeld => format!("ask arm at {at_ms}"),
+                    PilotRequest::Arm(Arming::Unattended | Arming::Held) => {
+                        format!("ask arm at {at_ms}")
+                    }
                     PilotRequest::EmergencyStop => format!("ask stop at {at_ms}"),
                     PilotRequest::Disarm | PilotRequest::Halt => format!("ask disarm at {at_ms}"),
                     _ => continue,

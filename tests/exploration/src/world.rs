@@ -4,7 +4,7 @@ use singletrack_board::{Board, ImuSample, Inputs, Outputs};
 use singletrack_control::Time;
 use singletrack_core::Config;
 use singletrack_link::SessionConfig;
-use singletrack_pilot::{Mode, PilotRequest, SupervisorConfig};
+use singletrack_pilot::{Arming, Mode, PilotRequest, SupervisorConfig};
 use singletrack_protocol::{BoardMode, Configuration, ResetCause, ToBoard, ToHost};
 
 use crate::{
@@ -166,14 +166,14 @@ impl World {
     fn ask(&mut self, request: PilotRequest) {
         let configuration = *self.host.session.configuration();
         match request {
-            PilotRequest::Arm | PilotRequest::ArmHeld => {
-                self.host.hand |= request == PilotRequest::ArmHeld;
+            PilotRequest::Arm(arming @ (Arming::Unattended | Arming::Held)) => {
+                self.host.hand |= arming == Arming::Held;
                 // One that drives or jogs already is not asked anything.
                 if !self.host.supervisor.mode().is_underway() {
                     self.claims.wished(Wish::Drive, configuration);
                 }
             }
-            PilotRequest::ArmJog => {
+            PilotRequest::Arm(Arming::Jog) => {
                 self.host.hand = true;
                 if !self.host.supervisor.mode().is_underway() {
                     self.claims.wished(Wish::Jog, configuration);
@@ -186,7 +186,9 @@ impl World {
             _ => self.claims.end(Ended::Ramp),
         }
         let passed = match request {
-            PilotRequest::Disarm if self.planted == Some(Planted::DisarmArms) => PilotRequest::Arm,
+            PilotRequest::Disarm if self.planted == Some(Planted::DisarmArms) => {
+                PilotRequest::Arm(Arming::Unattended)
+            }
             request => request,
         };
         self.host.supervisor.handle_request(passed);

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use singletrack_control::{Position, Time};
 use singletrack_core::config::Config;
-use singletrack_pilot::{Filtering, Learned, Mode, Output, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Filtering, Learned, Mode, Output, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, Decoder, ResetCause, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::{BoardKind, HandMotion, ReceivedMessage, World};
@@ -501,9 +501,9 @@ impl<'a> Drive<'a> {
                     }
                     continue;
                 }
-                OperatorRequest::Arm if situation.attended => PilotRequest::ArmHeld,
-                OperatorRequest::Arm => PilotRequest::Arm,
-                OperatorRequest::Jog | OperatorRequest::JogOn => PilotRequest::ArmJog,
+                OperatorRequest::Arm if situation.attended => PilotRequest::Arm(Arming::Held),
+                OperatorRequest::Arm => PilotRequest::Arm(Arming::Unattended),
+                OperatorRequest::Jog | OperatorRequest::JogOn => PilotRequest::Arm(Arming::Jog),
                 OperatorRequest::Disarm => PilotRequest::Disarm,
                 OperatorRequest::Stop => PilotRequest::EmergencyStop,
                 OperatorRequest::Gone => PilotRequest::OperatorGone,
@@ -532,10 +532,7 @@ impl<'a> Drive<'a> {
             };
             if let Some(daemon) = &mut self.daemon {
                 let is_taken = daemon.request(request);
-                let arms = matches!(
-                    request,
-                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog
-                );
+                let arms = matches!(request, PilotRequest::Arm(_));
                 // A stop may not be refused.
                 if is_taken || !arms {
                     self.pending_requests.push(request);

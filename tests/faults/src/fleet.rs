@@ -11,7 +11,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use singletrack_campaign::Experiment;
 use singletrack_core::config::{ReferenceSection, Start};
-use singletrack_pilot::{Filtering, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Filtering, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
     virtual_drive::VirtualDriveError,
@@ -236,7 +236,7 @@ fn change(fleet: &mut VirtualFleet, index: usize, fault: Fault, begins: bool) {
             let request = if begins {
                 PilotRequest::Disarm
             } else {
-                PilotRequest::Arm
+                PilotRequest::Arm(Arming::Unattended)
             };
             // A stalled loop takes no requests.
             let _ = car.request(request);

@@ -8,7 +8,7 @@ use singletrack_commissioning::{
 };
 use singletrack_control::{Position, Setpoint, Time, Velocity};
 use singletrack_core::{Config, ConfigError, config::ReferenceSection};
-use singletrack_pilot::{PilotRequest, Reason};
+use singletrack_pilot::{Arming, PilotRequest, Reason};
 use singletrack_record::{Entry, LinkPhase};
 use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualDriveError};
 use toml_edit::Value;
@@ -287,8 +287,8 @@ impl Bench for VirtualBench {
         }
         self.stand_still();
         self.request(match attendance {
-            Attendance::Jog => PilotRequest::ArmJog,
-            Attendance::Drive => PilotRequest::ArmHeld,
+            Attendance::Jog => PilotRequest::Arm(Arming::Jog),
+            Attendance::Drive => PilotRequest::Arm(Arming::Held),
         })?;
         self.step(&mut unseen);
         let mode = self.drive.mode();

@@ -4,7 +4,7 @@ use singletrack_core::{
     Config,
     config::{OuterLoopSection, ReferenceSection, Start},
 };
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_scenario::virtual_drive::VirtualDrive;
 use singletrack_sim::StartPose;
 
@@ -61,7 +61,7 @@ pub(crate) fn drive(car: &OnboardCar, file: &str) -> Option<Circle> {
     loop {
         let now_s = drive.next_tick_us() as f64 * 1e-6;
         if !armed && drive.mode() == Mode::Ready {
-            armed = drive.request(PilotRequest::Arm).is_ok();
+            armed = drive.request(PilotRequest::Arm(Arming::Unattended)).is_ok();
         }
         let tick = drive.step();
         let output = &tick.tick.output;

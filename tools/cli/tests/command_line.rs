@@ -146,28 +146,6 @@ fn a_request_to_tune_takes_both_quantities_and_refuses_what_is_no_number() {
 }
 
 #[test]
-fn former_spellings_still_work_and_are_not_shown() {
-    for (command, new, old) in [
-        ("recover", "--out", "--output"),
-        ("plot", "--out", "--output"),
-        ("demo", "--out", "--output"),
-        ("demo", "--for", "--duration"),
-        ("compare", "--count", "--seeds"),
-        ("compare", "--delay-count", "--delay-seeds"),
-    ] {
-        let help = text(&run(&[command, "--help"]).stdout);
-        let shown = |option: &str| help.contains(&format!("{option} <"));
-        assert!(shown(new) && !shown(old), "{command} {new} {old}");
-        // The value is missing: the option itself is known.
-        let error = text(&run(&[command, old]).stderr);
-        assert!(
-            error.contains(&format!("'{new} <")),
-            "{command} {old}: {error}"
-        );
-    }
-}
-
-#[test]
 fn no_message_has_colours_where_they_are_not_wanted() {
     let error = |no_color: &str| {
         let mut command = singletrack(&["status", "--colour"]);

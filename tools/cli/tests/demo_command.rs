@@ -245,7 +245,7 @@ fn the_car_that_is_made_of_a_real_ones_logs_drives_too() {
 #[test]
 fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
-    let output = demo(folder.path(), &["--duration", "4s", "--loss", "900ms@1s"]);
+    let output = demo(folder.path(), &["--for", "4s", "--loss", "900ms@1s"]);
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(!output.status.success());
     assert!(said.contains("pose-too-old"), "{said}");

@@ -79,7 +79,7 @@ fn a_truncated_record_is_renamed_with_a_report_of_saved_and_lost_data() {
     assert!(told.contains("drive.mcap exists already"), "{told}");
     let output = recover(
         folder.path(),
-        &["drive.mcap.part", "--output", "other.mcap"],
+        &["drive.mcap.part", "--out", "other.mcap"],
     );
     assert!(output.status.success(), "{output:?}");
     let output = recover(folder.path(), &["other.mcap"]);

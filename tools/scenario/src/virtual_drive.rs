@@ -19,7 +19,7 @@ use singletrack_core::{
     reconfigure::ChangeError,
     setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Jog, Learned, Mode, PilotRequest, Reason, Tuning};
+use singletrack_pilot::{Arming, Jog, Learned, Mode, PilotRequest, Reason, Tuning};
 use singletrack_record::{ConfigurationRecord, Entry, TickRecord};
 use singletrack_sim::{Destination, SimulationConfig, Truth, World};
 
@@ -343,7 +343,7 @@ impl VirtualDrive {
         while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
             if !armed && self.mode() == Mode::Ready {
                 // The ring is empty: every tick takes all requests.
-                armed = self.request(PilotRequest::Arm).is_ok();
+                armed = self.request(PilotRequest::Arm(Arming::Unattended)).is_ok();
             }
             let tick = self.step();
             if tick.tick.output.mode == Mode::Driving {

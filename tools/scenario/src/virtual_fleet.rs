@@ -1,7 +1,7 @@
 //! Several cars in one world, each with a host and a board of its own, in virtual time.
 
 use singletrack_core::config::Config;
-use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_pilot::{Arming, Mode, PilotRequest};
 pub use singletrack_sim::Sight;
 use singletrack_sim::{DecoyBody, Floor, SimulationConfig, StartPose};
 
@@ -82,7 +82,7 @@ impl VirtualFleet {
             if wanted == Mode::Ready {
                 for car in &self.cars {
                     // The ring is empty: every tick takes all requests.
-                    let _ = car.request(PilotRequest::Arm);
+                    let _ = car.request(PilotRequest::Arm(Arming::Unattended));
                 }
             }
         }

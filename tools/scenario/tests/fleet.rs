@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_core::config::{NeighboursSection, ReferenceSection, Start};
-use singletrack_pilot::{Filtering, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Filtering, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
     virtual_fleet::{FleetCar, Sight, VirtualFleet},
@@ -125,7 +125,9 @@ fn a_car_is_not_armed_without_one_that_it_expects() {
     let mut fleet = VirtualFleet::new(&[lonely]).unwrap();
     advance(&mut fleet, 3.0);
     let drive = &fleet.cars()[0];
-    drive.request(PilotRequest::Arm).unwrap();
+    drive
+        .request(PilotRequest::Arm(Arming::Unattended))
+        .unwrap();
     advance(&mut fleet, 0.5);
     let pilot = fleet.cars()[0].controller().pilot();
     assert_eq!(

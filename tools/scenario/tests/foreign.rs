@@ -16,7 +16,7 @@ use singletrack_core::{
     config::{Config, FenceSection, OuterLoopSection, ReferenceSection},
     setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Mode, Reason};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_record::{Entry, Replay};
 use singletrack_scenario::{
     simulated::{BRAKING_M_S2, Drive, daemon_config},
@@ -80,7 +80,9 @@ fn drive(hostile: Controller) -> Ended {
             }
         }
         if drive.mode() == Mode::Ready && driven == 0 {
-            drive.request(singletrack_pilot::PilotRequest::Arm).unwrap();
+            drive
+                .request(PilotRequest::Arm(Arming::Unattended))
+                .unwrap();
         }
         let tick = drive.step();
         let output = &tick.tick.output;

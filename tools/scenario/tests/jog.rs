@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 use singletrack_core::config::{ReferenceSection, Start};
-use singletrack_pilot::{Jog, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Jog, Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, JOG_LIMIT_US, StopCause};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -40,7 +40,7 @@ fn start_jogging(drive: &mut VirtualDrive) {
     while drive.mode() != Mode::Jogging {
         assert!(drive.next_tick_us() < until_us, "{:?}", drive.mode());
         match drive.mode() {
-            Mode::Idle | Mode::Ready => drive.request(PilotRequest::ArmJog).unwrap(),
+            Mode::Idle | Mode::Ready => drive.request(PilotRequest::Arm(Arming::Jog)).unwrap(),
             Mode::Arming => drive.request(PilotRequest::Hold).unwrap(),
             _ => {}
         }
@@ -315,7 +315,7 @@ fn after_jogging_the_car_drives_and_its_braking_is_not_judged() {
     wait(&mut drive, 2_000);
     assert_eq!(drive.mode(), Mode::Driving);
     // Neither pulses nor a request to jog disturb a drive.
-    drive.request(PilotRequest::ArmJog).unwrap();
+    drive.request(PilotRequest::Arm(Arming::Jog)).unwrap();
     hold(&mut drive, pulses(1_100, 1_650), 500);
     assert_eq!(drive.mode(), Mode::Driving);
 }
@@ -385,7 +385,7 @@ impl Hand {
     fn tick(&mut self) {
         let now_us = self.drive.world().now_us();
         if matches!(self.drive.mode(), Mode::Idle | Mode::Ready) && self.random.below(20) == 0 {
-            self.drive.request(PilotRequest::ArmJog).unwrap();
+            self.drive.request(PilotRequest::Arm(Arming::Jog)).unwrap();
         }
         if now_us >= self.until_us {
             let servo_us = self.random.below(3_000) as u16;

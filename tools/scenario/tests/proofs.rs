@@ -10,7 +10,7 @@ use singletrack_core::{
     HostOptions, Proof, Proofs,
     config::{Config, ReferenceSection, Start},
 };
-use singletrack_pilot::{Event, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Event, Mode, PilotRequest, Reason};
 use singletrack_record::{Entry, Replay};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -185,7 +185,9 @@ fn a_contradiction_of_a_proved_car_makes_its_next_drive_slow_again() {
             again = true;
             drive.request(PilotRequest::Disarm).unwrap();
         } else if again && output.mode == Mode::Ready {
-            drive.request(PilotRequest::Arm).unwrap();
+            drive
+                .request(PilotRequest::Arm(Arming::Unattended))
+                .unwrap();
         }
         if elapsed > 8.0 {
             break;

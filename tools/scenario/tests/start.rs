@@ -10,7 +10,7 @@ use singletrack_core::{
     config::{Config, ReferenceSection, Start},
     feasibility::{Severity, Stand, judge_reference},
 };
-use singletrack_pilot::{Mode, Output, PilotRequest};
+use singletrack_pilot::{Arming, Mode, Output, PilotRequest};
 use singletrack_record::{Entry, Replay};
 use singletrack_scenario::{
     simulated::{Drive, daemon_config},
@@ -80,7 +80,9 @@ fn drives(config: &Config, start: StartPose, times: &[f64]) -> Vec<Entry> {
         let from = stand(&ready.tick.output);
         let judged = judge_reference(config, Some(from), None).unwrap();
         assert!(judged.is_possible(), "{from}: {:?}", judged.findings);
-        drive.request(PilotRequest::Arm).unwrap();
+        drive
+            .request(PilotRequest::Arm(Arming::Unattended))
+            .unwrap();
         let first = until(&mut drive, Mode::Driving);
         let output = &first.tick.output;
         let wanted = output.reference.unwrap().position.unwrap();

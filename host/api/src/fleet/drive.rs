@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::{Fleet, NotObeyed};
-use crate::{Arm, Attendance, ClientError, ClockOffset, Connection, Ended, Reply, Request};
+use crate::{Arm, Attendance, ClientError, ClockOffset, Ended, HeldDrive, Reply, Request};
 
 /// How all cars are armed.
 #[derive(Clone, Copy, Debug)]
@@ -16,7 +16,7 @@ pub struct FleetArm {
     pub uncalibrated: bool,
 }
 
-/// Interval of the renewals.
+/// Interval of the renewals: shorter than that of one car, as the hold is.
 const RENEWAL: Duration = Duration::from_millis(50);
 
 /// All cars are armed so long before the start, or none drives.
@@ -43,7 +43,6 @@ pub struct FleetDrive {
     cars: Vec<Held>,
     together: bool,
     start: Instant,
-    renewed: Instant,
     disarmed: Option<Instant>,
 }
 
@@ -60,7 +59,7 @@ pub struct FleetEnd {
 #[derive(Debug)]
 struct Held {
     name: String,
-    connection: Connection,
+    drive: HeldDrive,
     clock: ClockOffset,
     /// The last line of an armed car.
     heard: Option<Instant>,
@@ -96,7 +95,7 @@ impl FleetDrive {
                 }
                 Ok((connection, clock)) => cars.push(Held {
                     name: car.name.clone(),
-                    connection,
+                    drive: HeldDrive::new(connection, RENEWAL),
                     clock,
                     heard: None,
                     ended: None,
@@ -122,7 +121,6 @@ impl FleetDrive {
             cars,
             together: options.together,
             start: now + options.start_in,
-            renewed: now,
             disarmed: None,
         })
     }
@@ -160,9 +158,8 @@ impl FleetDrive {
         }
         let disarmed = self.disarmed;
         let driving = self.cars.iter_mut().filter(|car| car.ended.is_none());
-        if disarmed.is_none() && self.renewed.elapsed() >= RENEWAL {
-            self.renewed = Instant::now();
-            driving.for_each(|car| car.send(&Request::Hold {}));
+        if disarmed.is_none() {
+            driving.for_each(Held::renew);
         }
         let must_be_armed = self.start.saturating_duration_since(Instant::now()) < ARMED_BEFORE;
         for car in self.cars.iter_mut().filter(|car| car.ended.is_none()) {
@@ -223,7 +220,14 @@ impl Fleet {
 impl Held {
     /// A lost connection ends the drive.
     fn send(&mut self, request: &Request) {
-        if let Err(error) = self.connection.send(request) {
+        if let Err(error) = self.drive.send(request) {
+            self.lose(&error.to_string());
+        }
+    }
+
+    /// Renews the drive if that is due.
+    fn renew(&mut self) {
+        if let Err(error) = self.drive.renew() {
             self.lose(&error.to_string());
         }
     }
@@ -242,7 +246,7 @@ impl Held {
 
     /// Takes what the daemon has said.
     fn listen(&mut self) {
-        let received = self.connection.receive_within(WAIT);
+        let received = self.drive.received_within(WAIT);
         if matches!(received, Ok(Some(_))) {
             self.heard = Some(Instant::now());
         } else if self.heard.is_some_and(|heard| heard.elapsed() > HOLD) {

@@ -8,7 +8,9 @@ use std::{thread, time::Duration};
 pub use drive::{FleetArm, FleetDrive, FleetEnd};
 pub use file::{Fleet, FleetCar, FleetFileError};
 
-use crate::{Answer, ClientError, ClockOffset, Connection, Reply, Request, Status, ask_within};
+use crate::{
+    Answer, ClientError, ClockOffset, Code, Connection, Refused, Reply, Request, Status, ask_within,
+};
 
 /// The longest wait for a daemon's answer: the others are asked meanwhile.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -103,9 +105,12 @@ impl FleetCar {
                 };
                 let configured =
                     configured.map_or_else(|| "unknown".to_owned(), ToString::to_string);
-                return Err(ClientError::Refused(format!(
-                    "{name} is {wanted}, and {section}.{key} of its daemon is {configured}: \
+                return Err(ClientError::Refused(Refused::new(
+                    Code::Other,
+                    format_args!(
+                        "{name} is {wanted}, and {section}.{key} of its daemon is {configured}: \
                      correct the {name} or the socket in the fleet's file"
+                    ),
                 )));
             }
         }

@@ -45,11 +45,11 @@ const PER_BLOCK: u64 = 20;
 /// Long windows in such a block.
 const LONG_PER_BLOCK: u64 = 4;
 
-/// By how much the motor's speed is late for its stamp, besides half a pulse, s: the board counts
+/// Delay of the motor's speed against its stamp, besides half a pulse, s: the board counts
 /// pulses between its polls.
 const BOARD_DELAY: f64 = 0.006;
 
-/// By how much the delays of steering and motor sensor may differ from their models, s: lags of
+/// Largest difference of the delays of steering and motor sensor from their models, s: lags of
 /// the servo, and tyres that slip while the car accelerates.
 const DELAY_ERROR: f64 = 0.008;
 
@@ -85,7 +85,7 @@ words! {
         SteeringGain = 1 "steering-gain",
         /// Angle of the front wheels when straight ones are commanded, rad.
         SteeringTrim = 2 "steering-trim",
-        /// By how much the stamps of the poses are late, s.
+        /// Delay of the poses' stamps, s.
         StampOffset = 3 "stamp-offset",
         /// Measured over true yaw rate, as a fraction beyond one.
         GyroScale = 4 "gyro-scale",
@@ -263,7 +263,7 @@ impl Calibration {
         self.odd > 0 || self.steering_change.is_some()
     }
 
-    /// By how much the steering has changed at once while the car drove, as a change of the trim,
+    /// The sudden change of the steering while the car drove, as a change of the trim,
     /// rad: a horn has slipped, a servo is stuck. `None` if it has not. What was known of the
     /// steering before is forgotten.
     #[must_use]

@@ -96,7 +96,7 @@ impl<const N: usize> Regression<N> {
         }
     }
 
-    /// By how much the equations of the open block contradict these parameters, as a change of the
+    /// How the equations of the open block contradict these parameters, as a change of the
     /// one at `index`; `None` if they are too few.
     pub(super) fn contradiction(&self, index: usize, values: &SVector<f64, N>) -> Option<f64> {
         let Block {

@@ -7,7 +7,7 @@
 /// The longest time between two samples of a signal, s.
 const LONGEST_GAP: f64 = 0.08;
 
-/// By how much a sum of weights may differ from their integral, as a fraction.
+/// Largest difference of a sum of weights from their integral, as a fraction.
 const COVERAGE: f64 = 0.05;
 
 /// Windows that are open at a time: they overlap by half, and samples are under way.
@@ -68,7 +68,7 @@ impl<const N: usize> Sums<N> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Windows<const N: usize> {
     length: f64,
-    /// By their number.
+    /// The open windows, each at its number modulo their count.
     open: [Sums<N>; OPEN],
     last: Option<(f64, [f64; N])>,
 }

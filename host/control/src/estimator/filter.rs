@@ -7,8 +7,11 @@
 use libm::{hypot, sincos};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use super::{config::EstimatorConfig, pose::CarPose};
-use crate::{angle::unwrap_near, measurement::InertialSample, point::Position};
+use super::{CarPose, EstimatorConfig};
+use crate::{
+    measurement::InertialSample,
+    point::{Position, unwrap_near},
+};
 
 const STATES: usize = 9;
 /// Position of G, world frame, m.
@@ -27,13 +30,13 @@ const LEFT_BIAS: usize = 7;
 /// What the gyro reads of a yaw rate beyond it, as a fraction.
 const GYRO_SCALE: usize = 8;
 
-type State = SVector<f64, STATES>;
+type StateVector = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
 
 /// Mean and covariance. The caller keeps their time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Filter {
-    mean: State,
+    mean: StateVector,
     covariance: Covariance,
     /// The normalised innovation squared of the last poses, as a running mean.
     usual: f64,
@@ -68,11 +71,11 @@ impl Filter {
 
     /// A filter that starts at a pose, with zero velocity and biases.
     pub(super) fn at_pose(pose: &CarPose, config: &EstimatorConfig) -> Self {
-        let mut mean = State::zeros();
+        let mut mean = StateVector::zeros();
         mean[X] = pose.position.x;
         mean[Y] = pose.position.y;
         mean[YAW] = pose.yaw;
-        let mut variances = State::zeros();
+        let mut variances = StateVector::zeros();
         variances[X] = square(config.position_noise);
         variances[Y] = square(config.position_noise);
         variances[YAW] = square(config.yaw_noise);
@@ -159,7 +162,7 @@ impl Filter {
     /// which it is across.
     pub(super) fn left_variance(&self) -> f64 {
         let (s, c) = sincos(self.mean[YAW]);
-        let mut row = State::zeros();
+        let mut row = StateVector::zeros();
         row[VX] = -s;
         row[VY] = c;
         row[YAW] = -c * self.mean[VX] - s * self.mean[VY];
@@ -220,7 +223,7 @@ impl Filter {
         if let Some(motor_speed) = motor_speed {
             let (s, c) = sincos(self.mean[YAW]);
             let (vx, vy) = (self.mean[VX], self.mean[VY]);
-            let mut row = State::zeros();
+            let mut row = StateVector::zeros();
             row[VX] = c;
             row[VY] = s;
             row[YAW] = -s * vx + c * vy;
@@ -233,7 +236,7 @@ impl Filter {
         let (s, c) = sincos(self.mean[YAW]);
         let (vx, vy) = (self.mean[VX], self.mean[VY]);
         let l_r = config.rear_axle_distance;
-        let mut row = State::zeros();
+        let mut row = StateVector::zeros();
         row[VX] = -s;
         row[VY] = c;
         row[YAW] = -c * vx - s * vy;
@@ -248,7 +251,7 @@ impl Filter {
         self.correct_scalar(&row, innovation, noise);
     }
 
-    fn correct_scalar(&mut self, row: &State, innovation: f64, deviation: f64) {
+    fn correct_scalar(&mut self, row: &StateVector, innovation: f64, deviation: f64) {
         let projected = self.covariance * row;
         let spread = row.dot(&projected) + square(deviation);
         // Wheels that spin, and tyres that slide, count the less the farther they are off.
@@ -303,7 +306,8 @@ const SHARE: f64 = 0.1;
 /// ...and an outlier at most as this multiple of the outlier limit: with each outlier in a row what is
 /// usual grows by a third, so that a jump of the cameras is believed after some twenty, not three.
 const MOST: f64 = 0.5;
-/// The same for motor speed and rear axle, with one degree of freedom: three deviations.
+/// The normalised innovation squared from which motor speed and rear axle are outliers, with one
+/// degree of freedom: three deviations.
 const SLIDING: f64 = 9.0;
 /// The largest error of the gyro's scale: no gyro that works is farther off.
 const GYRO_SCALE_BOUND: f64 = 0.1;

@@ -1,8 +1,10 @@
 //! The leader: a car without slip, whose P is the governed reference.
 
+use core::f64::consts::FRAC_PI_4;
+
 use libm::{atan2, fabs, sin, sqrt};
 
-use super::{GovernorConfig, SPEED_RESERVE, SPEED_RESERVE_PART, STANDS, SlowedBy, USABLE, bend};
+use super::{GovernorConfig, SPEED_RESERVE, SPEED_RESERVE_PART, STANDS, SlowedBy, USABLE};
 use crate::{Position, Reference, ReferencePoint, Velocity, direction};
 
 /// The steps of the leader, s.
@@ -47,7 +49,7 @@ pub(super) struct Leader {
 
 /// The speed of the front axle, m/s, and the angles by which body and wheels turn, rad/s.
 #[derive(Clone, Copy, Debug)]
-struct Motion {
+struct LeaderMotion {
     axle: f64,
     body_turn: f64,
     wheels_turn: f64,
@@ -140,24 +142,24 @@ impl Leader {
     }
 
     /// The motion that gives P this velocity.
-    fn towards(&self, velocity: &Velocity, config: &GovernorConfig) -> Motion {
+    fn towards(&self, velocity: &Velocity, config: &GovernorConfig) -> LeaderMotion {
         let axle = self.wheels.dot(velocity);
-        Motion {
+        LeaderMotion {
             axle,
             body_turn: axle * self.body.perp(&self.wheels) / config.limits.wheelbase,
             wheels_turn: self.wheels.perp(velocity) / config.law.point_distance(),
         }
     }
 
-    /// The same as far as the wheels can be steered, at the same speed of P, forward. Some of the
-    /// steering is left for corrections.
-    fn steered(&self, velocity: &Velocity, config: &GovernorConfig) -> Motion {
+    /// The forward motion nearest to this velocity of P that the wheels can be steered for, at the
+    /// same speed of P. Some of the steering is left for corrections.
+    fn steered(&self, velocity: &Velocity, config: &GovernorConfig) -> LeaderMotion {
         let limits = &config.limits;
         let mut motion = self.towards(velocity, config);
         let speed = sqrt(velocity.norm_squared());
         let p = config.law.point_distance();
         if motion.axle < 0.0 {
-            motion = Motion {
+            motion = LeaderMotion {
                 axle: 0.0,
                 body_turn: 0.0,
                 wheels_turn: (speed / p).copysign(motion.wheels_turn),
@@ -187,7 +189,7 @@ impl Leader {
         motion
     }
 
-    fn point_velocity(&self, motion: &Motion, config: &GovernorConfig) -> Velocity {
+    fn point_velocity(&self, motion: &LeaderMotion, config: &GovernorConfig) -> Velocity {
         let across = config.law.point_distance() * motion.wheels_turn;
         motion.axle * self.wheels + across * left(&self.wheels)
     }
@@ -196,7 +198,7 @@ impl Leader {
     /// it.
     fn takes(
         &self,
-        motion: &Motion,
+        motion: &LeaderMotion,
         speed: f64,
         point: Option<Position>,
         config: &GovernorConfig,
@@ -243,7 +245,7 @@ impl Leader {
     }
 
     /// This car a step later.
-    fn moved(&self, motion: &Motion) -> Self {
+    fn moved(&self, motion: &LeaderMotion) -> Self {
         let body = turned(&self.body, motion.body_turn * STEP);
         let wheels = turned(&self.wheels, motion.wheels_turn * STEP);
         Self {
@@ -271,7 +273,7 @@ impl Leader {
         let speed = sqrt(here.velocity.norm_squared());
         let along = here.velocity / speed;
         let across = left(&along);
-        let wide = bend::offset(reference, path, config.least_radius());
+        let wide = bend_offset(reference, path, config.least_radius());
         let away = here
             .position
             .map_or(0.0, |position| (position - point).dot(&across))
@@ -298,14 +300,14 @@ impl Leader {
         let is_aligned = fabs(sine) < ALIGNED * product && velocity.dot(&here.velocity) > 0.0;
         if away.norm_squared() < JOINS * JOINS
             && is_aligned
-            && bend::offset(reference, path, config.least_radius()) == 0.0
+            && bend_offset(reference, path, config.least_radius()) == 0.0
         {
             self.beside = None;
         }
     }
 }
 
-/// By how much the path parameter advances in a step that ends with P at `point`, s: to the path
+/// The advance of the path parameter in a step that ends with P at `point`, s: to the path
 /// point beside P. It only moves forward, at most in real time.
 fn advance(reference: &Reference, path: f64, here: &ReferencePoint, point: &Position) -> f64 {
     let Some(position) = here.position else {
@@ -319,4 +321,55 @@ fn advance(reference: &Reference, path: f64, here: &ReferencePoint, point: &Posi
     let turn = atan2(along.perp(&next), along.dot(&next)) / STEP;
     let slope = (speed - turn * left(&along).dot(&away)).clamp(0.25 * speed, 4.0 * speed);
     (along.dot(&away) / slope).clamp(0.0, STEP)
+}
+
+/// The path is looked at in this many pieces before and behind a place.
+const PIECES: u32 = 14;
+/// The longest time for a piece, s.
+const LONGEST: f64 = 0.5;
+
+/// The distance of the widened path from the reference at `path` (s), to the left, in m: 0 where
+/// the bend is not too tight.
+///
+/// The bend is that of a quarter of the smallest circle, of this radius (m). A path that turns by
+/// more than a right angle on that way is one of a smaller radius; the widened path goes round the
+/// same centre. A single corner is not: a car goes through it.
+fn bend_offset(reference: &Reference, path: f64, smallest: f64) -> f64 {
+    let half = FRAC_PI_4 * smallest;
+    let (ahead, way_ahead) = turns(reference, path, 1.0, half);
+    let (behind, way_behind) = turns(reference, path, -1.0, half);
+    let turn = ahead + behind;
+    let radius = (way_ahead + way_behind) / fabs(turn);
+    (radius - smallest).min(0.0).copysign(-turn)
+}
+
+/// The angle by which the reference turns on this way (m) after `path` (s), or before it; and the
+/// way, which is shorter at the beginning and where the reference is slow.
+fn turns(reference: &Reference, path: f64, sense: f64, way: f64) -> (f64, f64) {
+    let piece = way / f64::from(PIECES);
+    let mut at = path;
+    let mut velocity = reference.at(at).velocity;
+    let (mut angle, mut covered) = (0.0, 0.0);
+    for _ in 0..PIECES {
+        let speed = sqrt(velocity.norm_squared());
+        let time = (piece / speed).min(LONGEST);
+        at += sense * time;
+        if at < 0.0 {
+            break;
+        }
+        let next = reference.at(at).velocity;
+        if !(moves(&velocity) && moves(&next)) {
+            // It begins or ends here: no bend.
+            covered = way;
+            break;
+        }
+        angle += atan2(velocity.perp(&next), velocity.dot(&next));
+        covered += time * speed;
+        velocity = next;
+    }
+    (sense * angle, covered)
+}
+
+fn moves(velocity: &Velocity) -> bool {
+    velocity.norm_squared() >= STANDS * STANDS
 }

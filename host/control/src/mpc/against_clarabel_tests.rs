@@ -13,9 +13,8 @@ use clarabel::{
 };
 
 use super::{
-    model::{Axis, COMMAND, POSITION, VELOCITY},
     penalties,
-    solver::{Bounded, Bounds, Solver, Weights},
+    solver::{Axis, Bounded, Bounds, COMMAND, POSITION, Solver, VELOCITY, Weights},
 };
 use crate::{ConvexArea, Position, Velocity};
 

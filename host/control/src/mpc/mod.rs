@@ -1,25 +1,20 @@
 //! The predictive outer loop: the best motion of P within bounds, over a horizon.
 
-mod delayed;
-mod model;
 mod solver;
 
 #[cfg(test)]
 mod against_clarabel_tests;
 
-use libm::{ceil, sqrt};
+use libm::{ceil, rint, sqrt};
 
-use self::{
-    model::{Axis, Lag},
-    solver::{Bounded, Bounds, Penalties, Solver, Weights, shorten},
+use self::solver::{
+    Axis, Bounded, Bounds, COMMAND, Lag, POSITION, Penalties, Solver, VELOCITY, Weights, shorten,
 };
 use crate::{
     ConvexArea, Position, ReferencePoint, Velocity,
+    outer_loop::{OuterLoop, TrackingInput},
     riccati::RiccatiError,
-    tracking::{OuterLoop, TrackingInput},
 };
-
-pub use self::delayed::{DelayedMpc, MPC_STAGES};
 
 /// The number of ticks whose commands are kept: the longest delay.
 pub const MAX_DELAY_TICKS: usize = 63;
@@ -119,11 +114,11 @@ pub struct MpcLoop<const N: usize, const H: usize> {
     /// The lag over a tick.
     lag: Lag,
     solver: Solver<N, H>,
-    state: State,
+    state: PlanState,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct State {
+struct PlanState {
     /// The commands that were applied, world frame; the last one first.
     applied: [Velocity; MAX_DELAY_TICKS + 1],
     /// How they deviate from the nominal ones, along and across the reference.
@@ -146,7 +141,7 @@ struct State {
     verdict: MpcVerdict,
 }
 
-impl State {
+impl PlanState {
     const NEW: Self = Self {
         applied: [Velocity::new(0.0, 0.0); MAX_DELAY_TICKS + 1],
         deviations: [Velocity::new(0.0, 0.0); MAX_DELAY_TICKS + 1],
@@ -248,7 +243,7 @@ impl<const N: usize, const H: usize> MpcLoop<N, H> {
         Ok(Self {
             lag: Lag::new(config.lag, config.period),
             solver,
-            state: State::NEW,
+            state: PlanState::NEW,
             config,
         })
     }
@@ -440,10 +435,10 @@ impl<const N: usize, const H: usize> OuterLoop for MpcLoop<N, H> {
         let horizon = self.horizon(input.reference, &last);
         let of_world = |deviation: &Velocity| out_of_frame(&self.state.forward, deviation);
         let start = core::array::from_fn(|index| match index {
-            model::POSITION => error,
-            model::VELOCITY => of_world(&self.state.deviation),
-            model::COMMAND => self.state.applied[0] - last,
-            older => of_world(&self.state.deviations[(older - model::COMMAND) * stage]),
+            POSITION => error,
+            VELOCITY => of_world(&self.state.deviation),
+            COMMAND => self.state.applied[0] - last,
+            older => of_world(&self.state.deviations[(older - COMMAND) * stage]),
         });
         let residual = self.solver.solve(&start, &horizon, self.config.iterations);
         let acceleration = self.solver.plan()[0].acceleration + horizon[0].acceleration;
@@ -456,6 +451,73 @@ impl<const N: usize, const H: usize> OuterLoop for MpcLoop<N, H> {
 
     fn reset(&mut self) {
         self.solver.reset();
-        self.state = State::NEW;
+        self.state = PlanState::NEW;
+    }
+}
+
+/// The stages of the plan of a [`DelayedMpc`].
+pub const MPC_STAGES: usize = 25;
+
+/// [`MpcLoop`] with a model for a dead time, or without one.
+#[expect(
+    clippy::large_enum_variant,
+    reason = "without an allocator they can't be boxed"
+)]
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum DelayedMpc {
+    /// A command acts at once.
+    Prompt(MpcLoop<3, MPC_STAGES>),
+    /// A command acts a stage later.
+    Late(MpcLoop<4, MPC_STAGES>),
+}
+
+impl DelayedMpc {
+    /// The loop for commands that act `dead_time` (s) later. A stage of the plan is as long as
+    /// the dead time then; one below half a stage of `config` counts as a part of the lag.
+    ///
+    /// # Errors
+    ///
+    /// See [`MpcError`].
+    pub fn new(config: MpcConfig, dead_time: f64) -> Result<Self, MpcError> {
+        let stage = config.period * config.ticks_per_stage as f64;
+        if dead_time < 0.5 * stage {
+            return MpcLoop::new(MpcConfig {
+                lag: config.lag + dead_time,
+                ..config
+            })
+            .map(Self::Prompt);
+        }
+        let ticks_per_stage = rint(dead_time / config.period).max(1.0) as usize;
+        MpcLoop::new(MpcConfig {
+            ticks_per_stage,
+            ..config
+        })
+        .map(Self::Late)
+    }
+
+    /// What the last tick came to.
+    #[must_use]
+    pub const fn verdict(&self) -> MpcVerdict {
+        match self {
+            Self::Prompt(tracking) => tracking.verdict(),
+            Self::Late(tracking) => tracking.verdict(),
+        }
+    }
+}
+
+impl OuterLoop for DelayedMpc {
+    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
+        match self {
+            Self::Prompt(tracking) => tracking.step(input),
+            Self::Late(tracking) => tracking.step(input),
+        }
+    }
+
+    fn reset(&mut self) {
+        match self {
+            Self::Prompt(tracking) => tracking.reset(),
+            Self::Late(tracking) => tracking.reset(),
+        }
     }
 }

@@ -446,7 +446,7 @@ fn measured_curvature(estimate: &Estimate) -> Option<f64> {
     (fabs(estimate.speed) > BENDS_FROM).then(|| estimate.yaw_rate / estimate.speed)
 }
 
-/// The same way of a car that goes backward.
+/// The way to standstill of a car that goes backward, mirrored to one that goes forward.
 fn backward(way: &StopWay) -> StopWay {
     let turned = |wheels: &Wheels| Wheels {
         curvatures: wheels.curvatures.mirrored(),

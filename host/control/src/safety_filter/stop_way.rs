@@ -327,7 +327,8 @@ mod tests {
         }
     }
 
-    /// The same distances in real numbers: `outward` is the angle of the side's normal.
+    /// The distances to a side in real numbers, for comparison: `outward` is the angle of the
+    /// normal.
     fn real_distances(way: &StopWay, outward: f64, offset: f64, margin: f64) -> Vec<Interval> {
         let exactly = Interval::exactly;
         let piece = exactly(way.length / PIECES as f64 * (1.0 + ROUNDED));

@@ -209,23 +209,6 @@ impl Config {
         Ok(config)
     }
 
-    /// Reads and checks the configuration of a record. Before references could begin at the place
-    /// that is nearest to P, `reference.start` was no key: they began at their beginning.
-    ///
-    /// # Errors
-    ///
-    /// As for [`Self::from_toml`].
-    pub fn from_record(text: &str) -> Result<Self, ConfigError> {
-        let mut config = Self::from_toml(text)?;
-        let table: toml::Table =
-            toml::from_str(text).map_err(|error| ConfigError::parse(None, text, &error))?;
-        let written = table.get("reference").and_then(|keys| keys.get("start"));
-        if written.is_none() {
-            config.reference.start_at(Start::Beginning);
-        }
-        Ok(config)
-    }
-
     /// The configuration as a file with every key.
     ///
     /// # Errors

@@ -59,9 +59,6 @@ section! {
     "live" => pub LiveSection: Copy, Eq;
     [default];
 
-    /// Of a daemon that served it itself. With `true` the log of the daemon names the command that
-    /// does; the command serves in either case.
-    enabled: bool = false;
     /// Address on which it listens. There is no authentication; bind it to loopback only
     /// (`ssh -L 8765:127.0.0.1:8765` forwards it to a desk).
     address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
@@ -76,8 +73,6 @@ section! {
     "page" => pub PageSection: Eq;
     [default];
 
-    /// Of a daemon that served it itself, as `live.enabled`.
-    enabled: bool = false;
     /// Address on which it listens. Beyond loopback it needs `token_file`.
     address: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
     /// Port on which it listens; 0 takes any free port, which the command prints.
@@ -134,20 +129,12 @@ impl SocketSection {
 }
 
 impl PageSection {
-    pub(super) fn validate(&self) -> Result<(), ConfigError> {
-        // What is off may have been left as it was.
-        if self.enabled {
-            self.check_served()?;
-        }
-        Ok(())
-    }
-
     /// Refuses a page that everyone could see.
     ///
     /// # Errors
     ///
     /// It listens beyond loopback without a token, or the file of the token has no name.
-    pub fn check_served(&self) -> Result<(), ConfigError> {
+    pub fn validate(&self) -> Result<(), ConfigError> {
         match &self.token_file {
             None if !self.address.is_loopback() => Err(ConfigError::value(
                 "page.address",
@@ -172,7 +159,6 @@ mod tests {
     #[test]
     fn beyond_loopback_the_page_takes_a_token() {
         let page = |address: &str, token_file: Option<&str>| PageSection {
-            enabled: true,
             address: address.parse().unwrap(),
             token_file: token_file.map(PathBuf::from),
             ..PageSection::default()
@@ -188,10 +174,5 @@ mod tests {
             page(address, Some("/run/token")).validate().unwrap();
         }
         assert!(page("127.0.0.1", Some("")).validate().is_err());
-        let off = PageSection {
-            enabled: false,
-            ..page("0.0.0.0", None)
-        };
-        off.validate().unwrap();
     }
 }

@@ -1,8 +1,6 @@
 //! The answers to commands that a line asks for and that hold no connection.
 
-use core::fmt::Display;
-
-use singletrack_api::{Answer, Clocks};
+use singletrack_api::{Answer, Clocks, Code, Refused};
 use singletrack_core::{
     ControlRequest,
     commissioned::{Procedure, ProcedureResult},
@@ -12,10 +10,7 @@ use singletrack_core::{
 use singletrack_pilot::{Mode, PilotRequest, Reason};
 use tokio::task::spawn_blocking;
 
-use super::{
-    command::{ParseError, SimpleRequest},
-    setpoint::reject,
-};
+use super::{command::ParseError, setpoint::reject};
 use crate::{
     clock::{monotonic_ns, wall_ns},
     commissioned_file::subject,
@@ -28,49 +23,39 @@ use crate::{
 pub(super) fn no_command(daemon: &DaemonHandle, error: &ParseError) -> Answer {
     match &error.rejected {
         Some(rejected) => reject(daemon, rejected),
-        None => Answer::failure(error),
+        None => Answer::failure(Code::Invalid, error),
     }
 }
 
-pub(super) async fn answer(request: SimpleRequest, daemon: &DaemonHandle) -> Answer {
-    let push = |request| {
-        let pushed = daemon.requests.push(ControlRequest::Pilot(request));
-        pushed.map_err(|error| error.to_string())
-    };
-    if request != SimpleRequest::Status {
-        daemon.drives.stop();
+/// The status of daemon, board and figures.
+pub(super) fn status(daemon: &DaemonHandle) -> Answer {
+    Answer {
+        status: Some(daemon.snapshot().status()),
+        ..Answer::done()
     }
+}
+
+/// Passes a request on that ends a drive. There is no mode in the answer: its effect shows after the
+/// next tick only.
+pub(super) fn end(request: PilotRequest, daemon: &DaemonHandle) -> Answer {
+    daemon.drives.stop();
     let stuck = daemon.control.is_stuck(monotonic_ns());
-    // No mode in an answer: the effect of a request shows after the next tick only.
-    let done = match request {
-        SimpleRequest::Status => {
-            return Answer {
-                status: Some(daemon.snapshot().status()),
-                ..Answer::done()
-            };
-        }
-        SimpleRequest::Carried => push(PilotRequest::Carried),
-        SimpleRequest::Disarm => {
-            match (push(PilotRequest::Disarm), disarm_note(&daemon.snapshot())) {
-                (Ok(()), Some(note)) if !stuck => {
-                    return Answer {
-                        note: Some(note.into()),
-                        ..Answer::done()
-                    };
-                }
-                (result, _) => result,
-            }
-        }
-        SimpleRequest::Halt => push(PilotRequest::Halt),
-        SimpleRequest::Stop => push(PilotRequest::EmergencyStop),
-    };
-    match done {
-        Ok(()) if stuck => Answer::failure(
+    if let Err(error) = daemon.requests.push(ControlRequest::Pilot(request)) {
+        return Answer::failure(Code::Stalled, error);
+    }
+    if stuck {
+        return Answer::failure(
+            Code::Stalled,
             "the control thread is stuck: it does not see this. The board stops the car by itself, \
              95 ms after the last command",
-        ),
-        Ok(()) => Answer::done(),
-        Err(error) => Answer::failure(error),
+        );
+    }
+    let note = (request == PilotRequest::Disarm)
+        .then(|| disarm_note(&daemon.snapshot()))
+        .flatten();
+    Answer {
+        note: note.map(Into::into),
+        ..Answer::done()
     }
 }
 
@@ -100,18 +85,19 @@ pub(super) fn configuration(daemon: &DaemonHandle) -> Answer {
             toml: Some(toml.to_string()),
             ..Answer::done()
         },
-        (_, None) => Answer::failure("the configuration has a path that is not UTF-8"),
+        (_, None) => Answer::failure(Code::File, "the configuration has a path that is not UTF-8"),
     }
 }
 
 /// Reads the configuration's file again, as SIGHUP does.
 pub(super) async fn reload(daemon: &DaemonHandle) -> Answer {
     let Some(path) = daemon.config_path.clone() else {
-        return Answer::failure("this daemon was not started with a file");
+        return Answer::failure(Code::File, "this daemon was not started with a file");
     };
     let changing = daemon.clone();
-    let reloaded = on_own_thread(move || changing.reconfigurer.reload(&path)).await;
-    reloaded.map_or_else(Answer::failure, |number| Answer {
+    let reloaded =
+        on_own_thread(move || changing.reconfigurer.reload(&path).map_err(change_refused)).await;
+    reloaded.map_or_else(Answer::refusal, |number| Answer {
         configuration: Some(number),
         ..Answer::done()
     })
@@ -119,13 +105,25 @@ pub(super) async fn reload(daemon: &DaemonHandle) -> Answer {
 
 /// Does what reads files, waits for the control thread or judges on a thread of its own, where it
 /// does not delay a stop of another client.
-async fn on_own_thread<T: Send + 'static, E: Display + Send + 'static>(
-    work: impl FnOnce() -> Result<T, E> + Send + 'static,
-) -> Result<T, String> {
-    match spawn_blocking(work).await {
-        Ok(result) => result.map_err(|error| error.to_string()),
-        Err(error) => Err(error.to_string()),
-    }
+async fn on_own_thread<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Refused> + Send + 'static,
+) -> Result<T, Refused> {
+    let done = spawn_blocking(work).await;
+    done.unwrap_or_else(|error| Err(Refused::new(Code::Other, error)))
+}
+
+/// Why a change of the configuration is refused.
+fn change_refused(error: ChangeError) -> Refused {
+    let code = match &error {
+        ChangeError::Restart(_) => Code::NeedsRestart,
+        ChangeError::Refused(_) => Code::NotReady,
+        ChangeError::Stalled(_) => Code::Stalled,
+        ChangeError::Foreign { .. } => Code::File,
+        ChangeError::Config(_) | ChangeError::Path(_) | ChangeError::RelativePath(_) => {
+            Code::Invalid
+        }
+    };
+    Refused::new(code, error)
 }
 
 pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHandle) -> Answer {
@@ -133,13 +131,14 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
     let changed = on_own_thread(move || {
         let number = changing
             .reconfigurer
-            .set_reference(reference, changing.config_path.as_deref())?;
+            .set_reference(reference, changing.config_path.as_deref())
+            .map_err(change_refused)?;
         let (_, config) = changing.reconfigurer.in_force();
         let warnings = judgement::warnings(&config, judgement::stand(&changing.snapshot()));
-        Ok::<_, ChangeError>((number, warnings))
+        Ok((number, warnings))
     })
     .await;
-    changed.map_or_else(Answer::failure, |(number, warnings)| Answer {
+    changed.map_or_else(Answer::refusal, |(number, warnings)| Answer {
         configuration: Some(number),
         warnings,
         ..Answer::done()
@@ -158,23 +157,24 @@ pub(super) async fn commissioned(
     // It waits for a change that is under way, and for the disk.
     let noted = on_own_thread(move || {
         let (_, config) = noting.reconfigurer.in_force();
-        let subject = subject(&config).map_err(|error| error.to_string())?;
+        let subject = subject(&config).map_err(|error| Refused::new(Code::File, error))?;
         if config.supervisor.require_calibration
             && !uncalibrated
             && let Some(missing) = noting
                 .commissioned
                 .missing_before(procedure, result, subject)
         {
-            return Err(missing.to_string());
+            return Err(Refused::new(Code::NotCommissioned, missing));
         }
         let noted = noting.commissioned.note(procedure, result, subject);
         noted.map_err(|error| {
-            format!(
-                "can't be kept in {}: {error}",
-                config.state.directory.display()
+            let directory = config.state.directory.display();
+            Refused::new(
+                Code::File,
+                format_args!("can't be kept in {directory}: {error}"),
             )
         })
     })
     .await;
-    noted.map_or_else(Answer::failure, |()| Answer::done())
+    noted.map_or_else(Answer::refusal, |()| Answer::done())
 }

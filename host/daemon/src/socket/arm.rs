@@ -5,9 +5,9 @@
 
 use std::time::Duration;
 
-use singletrack_api::Answer;
+use singletrack_api::{Answer, Code, Refused};
 use singletrack_core::ControlRequest;
-use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
     task::spawn_blocking,
     time::{Instant, MissedTickBehavior, interval, sleep},
@@ -25,7 +25,7 @@ use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
 const RENEWAL: Duration = Duration::from_millis(100);
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
-pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), String> {
+pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Refused> {
     let (ticket, mut watch) = begin(daemon, request).await?;
     if let Attendance::Timed(time) = request.attendance {
         // Renews also while the board arms.
@@ -59,7 +59,7 @@ pub(super) fn drive_begun(daemon: &DaemonHandle) -> Answer {
 pub(super) async fn begin(
     daemon: &DaemonHandle,
     request: Arm,
-) -> Result<(Ticket, DriveWatch), String> {
+) -> Result<(Ticket, DriveWatch), Refused> {
     let Arm {
         attendance,
         uncalibrated,
@@ -67,11 +67,12 @@ pub(super) async fn begin(
         ..
     } = request;
     ready(daemon)?;
-    let judging = daemon
-        .drives
-        .judging()
-        .try_lock_owned()
-        .map_err(|_| "can't arm: the request of another client is being judged")?;
+    let judging = daemon.drives.judging().try_lock_owned().map_err(|_| {
+        Refused::new(
+            Code::OtherClient,
+            "can't arm: the request of another client is being judged",
+        )
+    })?;
     let stops = daemon.drives.stops();
     let judged = daemon.clone();
     let longest = match attendance {
@@ -85,39 +86,54 @@ pub(super) async fn begin(
         let snapshot = judged.snapshot();
         let stand = judgement::stand(&snapshot);
         let tuned = snapshot.output().and_then(|output| output.tuned);
+        let refused = |code| move |why| Refused::new(code, format_args!("can't arm: {why}"));
         let refusal = (!uncalibrated)
             .then(|| judged.commissioned.refusal(&config))
-            .flatten();
+            .flatten()
+            .map(refused(Code::NotCommissioned));
         let refusal = refusal.or_else(|| {
             let config = match tuned {
                 Some(tuned) => config.with_tuning(tuned.gain, tuned.wanted_point_distance),
                 None => config,
             };
-            judgement::refusal(&config, stand, longest)
+            judgement::refusal(&config, stand, longest).map(refused(Code::NotFeasible))
         });
         (number, refusal)
     });
-    let (number, refusal) = judgement.await.map_err(|error| error.to_string())?;
+    let (number, refusal) = judgement
+        .await
+        .map_err(|error| Refused::new(Code::Other, error))?;
     if let Some(refusal) = refusal {
-        return Err(format!("can't arm: {refusal}"));
+        return Err(refusal);
     }
     // From here to the request nothing is waited for: no other client comes between.
     if daemon.drives.stops() != stops {
-        return Err("can't arm: a disarm or a stop has come meanwhile".to_owned());
+        return Err(Refused::new(
+            Code::Superseded,
+            "can't arm: a disarm or a stop has come meanwhile",
+        ));
     }
     if daemon.reconfigurer.view().number != number {
-        return Err("can't arm: the configuration has changed meanwhile; arm again".to_owned());
+        return Err(Refused::new(
+            Code::Superseded,
+            "can't arm: the configuration has changed meanwhile; arm again",
+        ));
     }
     ready(daemon)?;
     if start_ns.is_some_and(|start_ns| start_ns <= monotonic_ns()) {
-        return Err("can't arm: start_ns has passed meanwhile; give a later one".to_owned());
+        return Err(Refused::new(
+            Code::Superseded,
+            "can't arm: start_ns has passed meanwhile; give a later one",
+        ));
     }
     let ticket = daemon.drives.next();
     let request = match (attendance, start_ns) {
         (_, Some(start_ns)) => ControlRequest::ArmAt(start_ns),
-        (Attendance::Unattended, None) => ControlRequest::Pilot(PilotRequest::Arm),
+        (Attendance::Unattended, None) => {
+            ControlRequest::Pilot(PilotRequest::Arm(Arming::Unattended))
+        }
         (Attendance::Hold | Attendance::Timed(_), None) => {
-            ControlRequest::Pilot(PilotRequest::ArmHeld)
+            ControlRequest::Pilot(PilotRequest::Arm(Arming::Held))
         }
     };
     ticket.pass(daemon, request)?;
@@ -125,29 +141,35 @@ pub(super) async fn begin(
 }
 
 /// Checks that the pilot can be armed now, and that no other client has just asked for it.
-fn ready(daemon: &DaemonHandle) -> Result<(), String> {
+fn ready(daemon: &DaemonHandle) -> Result<(), Refused> {
     let snapshot = daemon.snapshot();
     if snapshot.mode() != Mode::Ready {
         return Err(not_ready(&snapshot));
     }
     if daemon.drives.is_open(&snapshot) {
-        return Err("can't arm: another client has just armed".to_owned());
+        return Err(Refused::new(
+            Code::OtherClient,
+            "can't arm: another client has just armed",
+        ));
     }
     Ok(())
 }
 
 /// Passes a request to jog on. There is nothing to judge: poses, geofence and reference do not
 /// matter.
-pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), String> {
+pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), Refused> {
     let snapshot = daemon.snapshot();
     if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
         return Err(cannot_arm(&snapshot, snapshot.reason()));
     }
     if daemon.drives.is_open(&snapshot) {
-        return Err("can't arm: another client has just armed".to_owned());
+        return Err(Refused::new(
+            Code::OtherClient,
+            "can't arm: another client has just armed",
+        ));
     }
     let ticket = daemon.drives.next();
-    ticket.push(daemon, PilotRequest::ArmJog)?;
+    ticket.push(daemon, PilotRequest::Arm(Arming::Jog))?;
     Ok((ticket, DriveWatch::new()))
 }
 

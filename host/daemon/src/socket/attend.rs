@@ -6,7 +6,7 @@
 
 use std::{io, time::Duration};
 
-use singletrack_api::{Answer, Drive, Ended, Reply, SOCKET_VERSION};
+use singletrack_api::{Answer, Code, Drive, Ended, Refused, Reply, SOCKET_VERSION};
 use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
@@ -15,7 +15,7 @@ use tokio::{
 };
 
 use super::{
-    answers::{answer, no_command},
+    answers::{end, no_command, status},
     arm::{begin, begin_jogging, drive_begun},
     command::{Arm, Command},
     drives::Ticket,
@@ -81,14 +81,14 @@ pub(super) async fn hung_up(read: &mut BufReader<ReadHalf>) {
 /// if the connection ended before.
 async fn attend(
     client: &mut Client<'_>,
-    begun: Result<(Ticket, DriveWatch), String>,
+    begun: Result<(Ticket, DriveWatch), Refused>,
     jogs: bool,
     hold: Option<Duration>,
 ) -> io::Result<bool> {
     let (ticket, watch) = match begun {
         Ok(begun) => begun,
-        Err(error) => {
-            send(&mut client.write, &Answer::failure(error)).await?;
+        Err(refused) => {
+            send(&mut client.write, &Answer::refusal(refused)).await?;
             return Ok(true);
         }
     };
@@ -136,8 +136,8 @@ async fn serve_drive(
                 let snapshot = daemon.snapshot();
                 match watch.progress(&snapshot) {
                     Progress::Underway => {}
-                    Progress::Refused(error) => {
-                        send(write, &Answer::failure(error)).await?;
+                    Progress::Refused(refused) => {
+                        send(write, &Answer::refusal(refused)).await?;
                         return Ok(true);
                     }
                     Progress::Ended(mode, reason) => {
@@ -169,7 +169,7 @@ async fn serve_drive(
             if line.len() as u64 >= LONGEST_LINE {
                 skip_line(read).await?;
                 let error = format!("a line is at most {LONGEST_LINE} bytes long");
-                send(write, &Answer::failure(error)).await?;
+                send(write, &Answer::failure(Code::Invalid, error)).await?;
                 line.clear();
             }
             continue;
@@ -178,8 +178,8 @@ async fn serve_drive(
             Ok(Command::Hold) => {
                 if renewed.is_none_or(|renewed| renewed.elapsed() >= LEAST_RENEWAL) {
                     renewed = Some(Instant::now());
-                    if let Err(error) = drive.ticket.push(daemon, PilotRequest::Hold) {
-                        send(write, &Answer::failure(error)).await?;
+                    if let Err(refused) = drive.ticket.push(daemon, PilotRequest::Hold) {
+                        send(write, &Answer::refusal(refused)).await?;
                     }
                 }
             }
@@ -188,9 +188,8 @@ async fn serve_drive(
                     daemon.jogs.send(pulses);
                 }
             }
-            Ok(Command::Simple(request)) => {
-                send(write, &answer(request, daemon).await).await?;
-            }
+            Ok(Command::Status) => send(write, &status(daemon)).await?,
+            Ok(Command::End(request)) => send(write, &end(request, daemon)).await?,
             Ok(Command::Tune(tuning)) if !drive.jogs => {
                 send(write, &tune(tuning, daemon).await).await?;
             }
@@ -206,7 +205,7 @@ async fn serve_drive(
                     "this connection holds a drive: it takes hold, status, disarm, stop, \
                      setpoint and tune"
                 };
-                send(write, &Answer::failure(error)).await?;
+                send(write, &Answer::failure(Code::Occupied, error)).await?;
             }
             Err(error) => send(write, &no_command(daemon, &error)).await?,
         }

@@ -5,6 +5,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering},
 };
 
+use singletrack_api::{Code, Refused};
 use singletrack_core::ControlRequest;
 use singletrack_pilot::PilotRequest;
 use tokio::sync::Mutex;
@@ -74,21 +75,21 @@ impl Ticket {
     }
 
     /// Passes a request on if the drive is still the latest one.
-    pub(super) fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), String> {
+    pub(super) fn push(&self, daemon: &DaemonHandle, request: PilotRequest) -> Result<(), Refused> {
         self.pass(daemon, ControlRequest::Pilot(request))
     }
 
-    /// The same, for any request.
+    /// Passes any request on if the drive is still the latest one.
     pub(super) fn pass(
         &self,
         daemon: &DaemonHandle,
         request: ControlRequest,
-    ) -> Result<(), String> {
+    ) -> Result<(), Refused> {
         if !self.is_latest() {
             return Ok(());
         }
         let pushed = daemon.requests.push(request);
-        pushed.map_err(|error| error.to_string())
+        pushed.map_err(|error| Refused::new(Code::Stalled, error))
     }
 }
 

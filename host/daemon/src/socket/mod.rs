@@ -29,7 +29,7 @@ mod tune;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;
-pub use command::{Arm, Attendance, Command, ParseError, SimpleRequest};
+pub use command::{Arm, Attendance, Command, ParseError};
 pub(crate) use drives::Drives;
 pub use setpoint::SetpointFigures;
 pub(crate) use setpoint::{SetpointCounters, SetpointSource};

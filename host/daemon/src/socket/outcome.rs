@@ -1,5 +1,6 @@
 //! Whether a request to arm is obeyed, and why not.
 
+use singletrack_api::{Code, Refused};
 use singletrack_core::reasons::Why;
 use singletrack_pilot::{Mode, Reason};
 
@@ -21,15 +22,15 @@ pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Opti
 
 /// Why a pilot that is not ready can't be armed: the reason of now, and not the one for which
 /// the last drive ended.
-pub(super) fn not_ready(snapshot: &Snapshot) -> String {
+pub(super) fn not_ready(snapshot: &Snapshot) -> Refused {
     let now = snapshot.output().and_then(|output| output.preflight);
     cannot_arm(snapshot, now.or(snapshot.reason()))
 }
 
 /// Why the car can't be armed, and what to do, in the words of `singletrack status`.
-pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> String {
+pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> Refused {
     let mode = snapshot.mode();
-    match reason {
+    let text = match reason {
         Some(reason) => {
             let why = Why::explain(reason.name(), &snapshot.status());
             format!("can't arm: mode {mode}: {why}")
@@ -38,7 +39,8 @@ pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> String 
             format!("can't arm: the car is driven already (mode {mode}); first end that drive")
         }
         None => format!("can't arm: mode {mode}"),
-    }
+    };
+    Refused::new(Code::NotReady, text)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use singletrack_api::{Code, Refused};
 use singletrack_pilot::{Mode, Reason};
 use tokio::time::Instant;
 
@@ -21,7 +22,7 @@ pub(super) enum Progress {
     /// It is still being armed, or drives.
     Underway,
     /// It did not begin.
-    Refused(String),
+    Refused(Refused),
     /// It has ended, and the car stands or is out of control.
     Ended(Mode, Option<Reason>),
 }
@@ -59,7 +60,10 @@ impl DriveWatch {
             Some(true) => self.has_driven = true,
             Some(false) => return Progress::Refused(cannot_arm(snapshot, reason)),
             None if self.asked.elapsed() > ARM_TIMEOUT => {
-                return Progress::Refused("can't arm: the control thread does not answer".into());
+                return Progress::Refused(Refused::new(
+                    Code::Stalled,
+                    "can't arm: the control thread does not answer",
+                ));
             }
             None => {}
         }

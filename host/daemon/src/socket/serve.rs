@@ -3,7 +3,7 @@
 use std::{io, time::Duration};
 
 use singletrack_access::Place;
-use singletrack_api::{Answer, Clocks, Reply, SOCKET_VERSION};
+use singletrack_api::{Answer, Clocks, Code, Reply, SOCKET_VERSION};
 use singletrack_record::{Channel, Topic};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader},
@@ -13,10 +13,12 @@ use tokio::{
 };
 
 use super::{
-    answers::{answer, clocks, commissioned, configuration, no_command, reload, set_reference},
+    answers::{
+        clocks, commissioned, configuration, end, no_command, reload, set_reference, status,
+    },
     arm::{arm, drive_begun},
     attend::{Client, hold, hung_up, jog},
-    command::{Attendance, Command, SimpleRequest},
+    command::{Attendance, Command},
     lines::{LONGEST_LINE, send, skip_line},
     setpoint::SetpointStream,
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
@@ -49,16 +51,11 @@ pub(super) async fn refuse(
     let first_line = timeout(REFUSAL_TIMEOUT, read.read_until(b'\n', &mut line));
     let first_line = place.until_lost(first_line).await;
     let answer = match (first_line, Command::parse(&line, monotonic_ns())) {
-        (
-            Some(Ok(Ok(_))),
-            Ok(Command::Simple(
-                request @ (SimpleRequest::Stop
-                | SimpleRequest::Disarm
-                | SimpleRequest::Halt
-                | SimpleRequest::Carried),
-            )),
-        ) => answer(request, daemon).await,
-        _ => Answer::failure(format!("{CLIENTS} clients are connected; close one")),
+        (Some(Ok(Ok(_))), Ok(Command::End(request))) => end(request, daemon),
+        _ => Answer::failure(
+            Code::Busy,
+            format!("{CLIENTS} clients are connected; close one"),
+        ),
     };
     send(&mut write, &answer).await
 }
@@ -87,7 +84,10 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             // The rest is read first: a client that is still writing would not read the
             // answer.
             skip_line(&mut client.read).await?;
-            let answer = Answer::failure(format!("a line is at most {LONGEST_LINE} bytes long"));
+            let answer = Answer::failure(
+                Code::Invalid,
+                format!("a line is at most {LONGEST_LINE} bytes long"),
+            );
             send(&mut client.write, &answer).await?;
             continue;
         }
@@ -99,7 +99,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
         let place = watches.then(|| daemon.status.watch_places.try_acquire());
         if let Some(Err(_)) = place {
             let error = format!("{WATCHERS} clients watch; close one: the others may command");
-            send(&mut client.write, &Answer::failure(error)).await?;
+            send(&mut client.write, &Answer::failure(Code::Busy, error)).await?;
             continue;
         }
         match command {
@@ -130,7 +130,7 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
             Ok(Command::Jog(_)) => {
                 let error = "jog gives pulses on a connection that jogs: arm first with \
                              {\"command\":\"arm\",\"attendance\":\"hold\",\"jog\":true}";
-                send(&mut client.write, &Answer::failure(error)).await?;
+                send(&mut client.write, &Answer::failure(Code::NoDrive, error)).await?;
             }
             Ok(Command::Reload) => {
                 send(&mut client.write, &reload(daemon).await).await?;
@@ -141,17 +141,16 @@ pub(super) async fn serve(connection: Connection, daemon: &DaemonHandle) -> io::
                     armed = arm(daemon, request) => armed,
                     () = hung_up(&mut client.read) => return Ok(()),
                 };
-                let answer = armed.map_or_else(Answer::failure, |()| drive_begun(daemon));
+                let answer = armed.map_or_else(Answer::refusal, |()| drive_begun(daemon));
                 send(&mut client.write, &answer).await?;
             }
             Ok(Command::Hold) => {
                 let error = "hold renews a drive that this connection armed with the attendance \
                              \"hold\"; there is none";
-                send(&mut client.write, &Answer::failure(error)).await?;
+                send(&mut client.write, &Answer::failure(Code::NoDrive, error)).await?;
             }
-            Ok(Command::Simple(request)) => {
-                send(&mut client.write, &answer(request, daemon).await).await?;
-            }
+            Ok(Command::Status) => send(&mut client.write, &status(daemon)).await?,
+            Ok(Command::End(request)) => send(&mut client.write, &end(request, daemon)).await?,
             Ok(Command::Clock) => send(&mut client.write, &clocks()).await?,
             Ok(Command::Configuration) => send(&mut client.write, &configuration(daemon)).await?,
             Ok(Command::SetReference(reference)) => {

@@ -15,7 +15,7 @@ use std::{
 };
 
 use singletrack_access::{Token, TokenFile, WaitingRoom, linger};
-use singletrack_api::{Answer, SOCKET_VERSION};
+use singletrack_api::{Answer, Code, SOCKET_VERSION};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
@@ -118,7 +118,7 @@ impl Gate {
              \"token\":\"...\"}}, with the token from {}",
             self.token_path.display()
         );
-        send(write, &Answer::failure(error)).await?;
+        send(write, &Answer::failure(Code::Token, error)).await?;
         write.shutdown().await?;
         place.until_lost(linger(read)).await;
         Ok(None)

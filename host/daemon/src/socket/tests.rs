@@ -9,7 +9,7 @@ use std::sync::{Arc, mpsc};
 use rtrb::{Consumer, RingBuffer};
 use singletrack_control::Time;
 use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
-use singletrack_pilot::{Mode, Output, PilotRequest};
+use singletrack_pilot::{Arming, Mode, Output, PilotRequest};
 use singletrack_record::{LinkPhase, TickRecord};
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -18,9 +18,9 @@ use tokio::{
 };
 
 use super::{
-    answers::answer,
+    answers::end,
     arm::begin,
-    command::{Arm, Attendance, SimpleRequest},
+    command::{Arm, Attendance},
     drives::Drives,
     serve::serve,
     setpoint::SetpointSource,
@@ -123,21 +123,22 @@ impl Bench {
         assert!(polled.is_pending());
         happens(self);
         drop(judging);
-        self.runtime.block_on(begun).map(drop)
+        let begun = self.runtime.block_on(begun);
+        begun.map(drop).map_err(|refused| refused.text)
     }
 
     /// The refusal of an `arm`, without waiting for anything.
     fn refusal_now(&self) -> String {
         let begun = pin!(begin(&self.daemon, UNATTENDED));
         match begun.poll(&mut Context::from_waker(Waker::noop())) {
-            Poll::Ready(Err(error)) => error,
+            Poll::Ready(Err(error)) => error.text,
             Poll::Ready(Ok(_)) => "armed".to_owned(),
             Poll::Pending => "judged".to_owned(),
         }
     }
 
-    fn ask(&self, request: SimpleRequest) {
-        let answered = self.runtime.block_on(answer(request, &self.daemon));
+    fn ask(&self, request: PilotRequest) {
+        let answered = end(request, &self.daemon);
         assert!(answered.ok);
     }
 
@@ -157,21 +158,24 @@ fn a_second_arm_is_refused_while_the_first_is_judged_and_until_it_has_reached_th
     assert_eq!(result, Ok(()));
     let error = bench.refusal_now();
     assert!(error.contains("another client has just armed"), "{error}");
-    assert_eq!(bench.requests(), [ControlRequest::Pilot(PilotRequest::Arm)]);
+    assert_eq!(
+        bench.requests(),
+        [ControlRequest::Pilot(PilotRequest::Arm(Arming::Unattended))]
+    );
 }
 
 #[test]
 fn a_stop_is_obeyed_by_a_control_thread_that_ticks_however_old_its_last_known_tick_is() {
     let mut bench = Bench::ready();
     let now_ns = monotonic_ns();
-    let told = |bench: &Bench, request| bench.runtime.block_on(answer(request, &bench.daemon));
+    let told = |bench: &Bench, request| end(request, &bench.daemon);
     // The collector is late, and the thread is not.
     bench.daemon.status.latest().tick.as_mut().unwrap().start_ns = 1;
     bench.daemon.control.ticked(now_ns);
     let requests = [
-        SimpleRequest::Disarm,
-        SimpleRequest::Stop,
-        SimpleRequest::Halt,
+        PilotRequest::Disarm,
+        PilotRequest::EmergencyStop,
+        PilotRequest::Halt,
     ];
     for request in requests {
         assert_eq!(told(&bench, request).error, None);
@@ -192,12 +196,12 @@ fn what_comes_while_an_arm_is_judged_ends_it() {
     type Happens = fn(&Bench);
     let cases: [(Happens, &str, Option<PilotRequest>); 4] = [
         (
-            |bench| bench.ask(SimpleRequest::Disarm),
+            |bench| bench.ask(PilotRequest::Disarm),
             "a disarm or a stop has come meanwhile",
             Some(PilotRequest::Disarm),
         ),
         (
-            |bench| bench.ask(SimpleRequest::Stop),
+            |bench| bench.ask(PilotRequest::EmergencyStop),
             "a disarm or a stop has come meanwhile",
             Some(PilotRequest::EmergencyStop),
         ),
@@ -233,7 +237,7 @@ fn a_car_that_has_passed_no_procedure_is_not_armed_unless_the_client_says_so() {
         .block_on(begin(&bench.daemon, calibrated))
         .map(drop)
         .unwrap_err();
-    assert!(error.contains("Run `singletrack doctor`"), "{error}");
+    assert!(error.text.contains("Run `singletrack doctor`"), "{error}");
     assert_eq!(bench.requests(), []);
     assert_eq!(bench.arm_while(|_| {}), Ok(()));
 }
@@ -368,7 +372,7 @@ fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_dr
         "{answers:?}"
     );
     assert!(answers[1].contains("it takes hold, status"), "{answers:?}");
-    let requests = [PilotRequest::ArmHeld, PilotRequest::OperatorGone];
+    let requests = [PilotRequest::Arm(Arming::Held), PilotRequest::OperatorGone];
     assert_eq!(bench.requests(), requests.map(ControlRequest::Pilot));
 }
 

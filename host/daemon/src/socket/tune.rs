@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use serde_json::json;
-use singletrack_api::Answer;
+use singletrack_api::{Answer, Code, Refused};
 use singletrack_pilot::{Tuned, Tuning};
 use tokio::time::{Instant, sleep};
 
@@ -22,15 +22,15 @@ pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
             tuning: Some(tuning_of(&tuned)),
             ..Answer::done()
         },
-        Err(error) => Answer::failure(format!("can't tune: {error}")),
+        Err(Refused { code, text }) => Answer::failure(code, format!("can't tune: {text}")),
     }
 }
 
-async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String> {
+async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, Refused> {
     let before = daemon.snapshot().output().and_then(|output| output.tuned);
     let rule = daemon.reconfigurer.tuning_rule();
     rule.check(&tuning, before.as_ref())
-        .map_err(|error| error.to_string())?;
+        .map_err(|error| Refused::new(Code::OutOfRange, error))?;
     let asked_ns = monotonic_ns();
     daemon.tunings.send(tuning);
     let asked = Instant::now();
@@ -44,9 +44,12 @@ async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, String
                 tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
             }
             return tuned.ok_or_else(|| {
-                "another client or another configuration has come meanwhile; ask again".to_owned()
+                Refused::new(
+                    Code::Superseded,
+                    "another client or another configuration has come meanwhile; ask again",
+                )
             });
         }
     }
-    Err("the control thread is stalled".to_owned())
+    Err(Refused::new(Code::Stalled, "the control thread is stalled"))
 }

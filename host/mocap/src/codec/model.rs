@@ -1,6 +1,9 @@
 //! MODELDEF: the models that the server tracks, with their names and ids.
 
-use super::{error::DecodeError, packet::Packet, reader::Reader, version::BitstreamVersion};
+use super::{
+    BitstreamVersion,
+    packet::{DecodeError, Packet, Reader},
+};
 
 /// Dataset types of a model definition.
 pub(crate) mod dataset {

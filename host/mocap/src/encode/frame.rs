@@ -1,6 +1,6 @@
 //! Encodes FRAMEOFDATA.
 
-use super::{error::EncodeError, writer::Writer};
+use super::{EncodeError, writer::Writer};
 use crate::codec::{
     BitstreamVersion, CameraTicks, FrameFlags, MessageId, PrecisionTime, RigidBody,
 };

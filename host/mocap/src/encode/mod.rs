@@ -1,22 +1,338 @@
 //! The NatNet wire format: values to bytes, for both sides.
 //!
 //! Every function writes one whole datagram to the front of `out` and returns
-//! its length. The server's half feeds simulated cameras and tests.
+//! its length. The server's half feeds simulated cameras and tests. Frames are in `frame`; all other
+//! messages are here.
 
-mod client;
-mod error;
 mod frame;
-mod model;
-mod server;
 mod writer;
 
-pub use client::client_message;
-pub use error::EncodeError;
+use self::writer::Writer;
+use crate::codec::{
+    BitstreamVersion, ClientMessage, Echo, MessageId, RigidBodyDefinition, SENDER_NAME_LEN,
+    ServerInfo, dataset,
+};
+
 pub use frame::{
     AnalogDevice, Asset, BodyMarker, FrameContent, LabelledMarker, MarkerSet, Sections, Skeleton,
     frame,
 };
-pub use model::{Dataset, DefinitionMarker, model_definitions};
-pub use server::{
-    disconnect, echo_response, response_status, response_text, server_info, text, unrecognized,
-};
+
+/// Why a message can't be encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EncodeError {
+    /// The buffer ends before the message does.
+    #[error("{field} does not fit into the {capacity} bytes of the buffer")]
+    BufferTooSmall {
+        /// The field that did not fit.
+        field: &'static str,
+        /// Length of the buffer.
+        capacity: usize,
+    },
+    /// The message is longer than a datagram can be.
+    #[error("the message is {len} bytes long, a datagram carries {max}")]
+    TooLong {
+        /// Length of the message.
+        len: usize,
+        /// The limit.
+        max: usize,
+    },
+    /// A count or size beyond the range of the wire's `i32`.
+    #[error("{field} is {value}, more than the wire can carry")]
+    CountOutOfRange {
+        /// The count.
+        field: &'static str,
+        /// Its value.
+        value: usize,
+    },
+    /// A NUL inside a string: it would end the string on the wire.
+    #[error("{field} contains a NUL")]
+    InteriorNul {
+        /// The string.
+        field: &'static str,
+    },
+    /// A name longer than its fixed field.
+    #[error("{field} is {len} bytes long, at most {max} fit")]
+    NameTooLong {
+        /// The name.
+        field: &'static str,
+        /// Its length.
+        len: usize,
+        /// The limit.
+        max: usize,
+    },
+    /// A response text that would be read as a status.
+    #[error("a response text of three bytes would be read as a status")]
+    AmbiguousResponse,
+    /// A field that the bitstream version does not have.
+    #[error("bitstream {version} has no {field}")]
+    NotInVersion {
+        /// The field.
+        field: &'static str,
+        /// The version of the message.
+        version: BitstreamVersion,
+    },
+}
+
+/// Encodes any message of a client.
+///
+/// # Errors
+/// The buffer is too small, or a text contains a NUL or is too long.
+pub fn client_message(message: &ClientMessage<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let id = match message {
+        ClientMessage::Connect(_) => MessageId::Connect,
+        ClientMessage::Request(_) => MessageId::Request,
+        ClientMessage::RequestModelDefinitions => MessageId::RequestModelDefinitions,
+        ClientMessage::KeepAlive => MessageId::KeepAlive,
+        ClientMessage::Disconnect => MessageId::Disconnect,
+        ClientMessage::EchoRequest { .. } => MessageId::EchoRequest,
+        ClientMessage::Discovery => MessageId::Discovery,
+    };
+    let mut writer = Writer::message(out, id)?;
+    match message {
+        ClientMessage::Connect(connect) => {
+            writer.padded_name::<SENDER_NAME_LEN>(connect.name, "client name")?;
+            writer.bytes(&[0; 4], "client application version")?;
+            writer.bytes(&BitstreamVersion::V4_1.to_wire(), "client NatNet version")?;
+            writer.u8(0, "subscribed data only")?;
+            let requested = connect.requested_bitstream.unwrap_or_default();
+            writer.bytes(&requested, "requested bitstream")?;
+        }
+        ClientMessage::Request(text) => writer.c_str(text, "request")?,
+        ClientMessage::EchoRequest { client_stamp } => {
+            writer.u64(*client_stamp, "echo client stamp")?;
+        }
+        ClientMessage::RequestModelDefinitions
+        | ClientMessage::KeepAlive
+        | ClientMessage::Disconnect
+        | ClientMessage::Discovery => {}
+    }
+    writer.finish()
+}
+
+/// Encodes the answer to CONNECT: the long form when `info` has a connection
+/// (3.0 and newer servers), else the short one.
+///
+/// # Errors
+/// The buffer is too small, or the name contains a NUL or is too long.
+pub fn server_info(info: &ServerInfo<'_>, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut writer = Writer::message(out, MessageId::ServerInfo)?;
+    writer.padded_name::<SENDER_NAME_LEN>(info.application, "server name")?;
+    writer.bytes(&info.application_version, "server application version")?;
+    writer.bytes(&info.natnet_version, "server NatNet version")?;
+    if let Some(connection) = &info.connection {
+        let ticks_per_second = connection.ticks_per_second.map_or(0, u64::from);
+        writer.u64(ticks_per_second, "clock frequency")?;
+        writer.u16(connection.data_channel.port, "data port")?;
+        writer.u8(connection.data_channel.multicast.into(), "multicast flag")?;
+        writer.bytes(&connection.data_channel.group.octets(), "multicast group")?;
+    }
+    writer.finish()
+}
+
+/// Encodes the answer to an echo request.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn echo_response(echo: Echo, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut writer = Writer::message(out, MessageId::EchoResponse)?;
+    writer.u64(echo.client_stamp, "echo client stamp")?;
+    writer.u64(echo.server_ticks, "echo server ticks")?;
+    writer.finish()
+}
+
+/// Encodes the answer to a text request as a status; 0 is success.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn response_status(status: i32, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut writer = Writer::message(out, MessageId::Response)?;
+    writer.i32(status, "response status")?;
+    writer.finish()
+}
+
+/// Encodes the answer to a text request as a text.
+///
+/// # Errors
+/// The buffer is too small, or the text contains a NUL, or is three bytes long:
+/// with its NUL it would be read as a status.
+pub fn response_text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
+    if text.len() == 3 {
+        return Err(EncodeError::AmbiguousResponse);
+    }
+    let mut writer = Writer::message(out, MessageId::Response)?;
+    writer.c_str(text, "response")?;
+    writer.finish()
+}
+
+/// Encodes a text for the operator.
+///
+/// # Errors
+/// The buffer is too small, or the text contains a NUL.
+pub fn text(text: &str, out: &mut [u8]) -> Result<usize, EncodeError> {
+    let mut writer = Writer::message(out, MessageId::MessageString)?;
+    writer.c_str(text, "text")?;
+    writer.finish()
+}
+
+/// Encodes the server's disconnect message.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn disconnect(out: &mut [u8]) -> Result<usize, EncodeError> {
+    Writer::message(out, MessageId::Disconnect)?.finish()
+}
+
+/// Encodes the answer to a request that the server does not understand.
+///
+/// # Errors
+/// The buffer is too small.
+pub fn unrecognized(out: &mut [u8]) -> Result<usize, EncodeError> {
+    Writer::message(out, MessageId::Unrecognized)?.finish()
+}
+
+/// One entry of the model definitions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Dataset<'a> {
+    /// A rigid body.
+    RigidBody {
+        /// Name, ids, offset.
+        definition: RigidBodyDefinition<'a>,
+        /// Its markers. Versions before 3.0 do not carry them.
+        markers: &'a [DefinitionMarker<'a>],
+    },
+    /// A named set of markers.
+    MarkerSet {
+        /// Its name.
+        name: &'a str,
+        /// Its markers' names.
+        marker_names: &'a [&'a str],
+    },
+    /// A skeleton, of bones without markers.
+    Skeleton {
+        /// Its name.
+        name: &'a str,
+        /// Its id.
+        id: i32,
+        /// Its bones.
+        bones: &'a [RigidBodyDefinition<'a>],
+    },
+    /// Another dataset, already encoded.
+    Other {
+        /// The dataset's type.
+        type_id: i32,
+        /// The bytes after type and size.
+        body: &'a [u8],
+    },
+}
+
+/// A marker of a rigid-body definition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DefinitionMarker<'a> {
+    /// Position in the body, in metres.
+    pub position_m: [f32; 3],
+    /// The active label, or 0.
+    pub label: i32,
+    /// Its name. Versions before 4.0 do not carry it.
+    pub name: &'a str,
+}
+
+/// Encodes the answer to a request for model definitions.
+///
+/// # Errors
+/// The buffer is too small, or a name contains a NUL.
+pub fn model_definitions(
+    version: BitstreamVersion,
+    datasets: &[Dataset<'_>],
+    out: &mut [u8],
+) -> Result<usize, EncodeError> {
+    let mut writer = Writer::message(out, MessageId::ModelDefinitions)?;
+    writer.count(datasets.len(), "dataset count")?;
+    for dataset in datasets {
+        writer.i32(dataset.type_id(), "dataset type")?;
+        if version.has_section_sizes() {
+            let slot = writer.size_slot("dataset size")?;
+            dataset.write(&mut writer, version)?;
+            writer.fill(slot, "dataset size")?;
+        } else {
+            dataset.write(&mut writer, version)?;
+        }
+    }
+    writer.finish()
+}
+
+impl<'a> Dataset<'a> {
+    /// A rigid body's definition without markers.
+    #[must_use]
+    pub const fn rigid_body(definition: RigidBodyDefinition<'a>) -> Self {
+        Self::RigidBody {
+            definition,
+            markers: &[],
+        }
+    }
+
+    const fn type_id(&self) -> i32 {
+        match self {
+            Self::MarkerSet { .. } => dataset::MARKER_SET,
+            Self::RigidBody { .. } => dataset::RIGID_BODY,
+            Self::Skeleton { .. } => dataset::SKELETON,
+            Self::Other { type_id, .. } => *type_id,
+        }
+    }
+
+    fn write(&self, writer: &mut Writer<'_>, version: BitstreamVersion) -> Result<(), EncodeError> {
+        match self {
+            Self::RigidBody {
+                definition,
+                markers,
+            } => write_rigid_body(writer, version, definition, markers),
+            Self::MarkerSet { name, marker_names } => {
+                writer.c_str(name, "marker set name")?;
+                writer.count(marker_names.len(), "marker name count")?;
+                marker_names
+                    .iter()
+                    .try_for_each(|name| writer.c_str(name, "marker name"))
+            }
+            Self::Skeleton { name, id, bones } => {
+                writer.c_str(name, "skeleton name")?;
+                writer.i32(*id, "skeleton id")?;
+                writer.count(bones.len(), "bone count")?;
+                bones
+                    .iter()
+                    .try_for_each(|bone| write_rigid_body(writer, version, bone, &[]))
+            }
+            Self::Other { body, .. } => writer.bytes(body, "dataset"),
+        }
+    }
+}
+
+fn write_rigid_body(
+    writer: &mut Writer<'_>,
+    version: BitstreamVersion,
+    definition: &RigidBodyDefinition<'_>,
+    markers: &[DefinitionMarker<'_>],
+) -> Result<(), EncodeError> {
+    writer.c_bytes(definition.name, "rigid body name")?;
+    writer.i32(definition.id, "rigid body id")?;
+    writer.i32(definition.parent_id, "rigid body parent")?;
+    writer.f32s(&definition.offset_m, "rigid body offset")?;
+    if version.has_definition_rotation() {
+        writer.f32s(&[0.0, 0.0, 0.0, 1.0], "rigid body rotation")?;
+    }
+    if version.has_definition_markers() {
+        writer.count(markers.len(), "definition marker count")?;
+        for marker in markers {
+            writer.f32s(&marker.position_m, "definition marker position")?;
+        }
+        for marker in markers {
+            writer.i32(marker.label, "definition marker label")?;
+        }
+        if version.has_definition_marker_names() {
+            for marker in markers {
+                writer.c_str(marker.name, "definition marker name")?;
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,6 +1,6 @@
 //! A bounded little-endian cursor that can fill in sizes afterwards.
 
-use super::error::EncodeError;
+use super::EncodeError;
 use crate::codec::{HEADER_LEN, MAX_DATAGRAM_LEN, MessageId};
 
 pub(super) struct Writer<'a> {

@@ -3,16 +3,13 @@
 use core::net::IpAddr;
 
 use super::{
-    config::{PlanarConfig, PlanarConfigError},
-    counters::PlanarCounters,
-    level::Level,
-    neighbour::{Neighbour, OtherBody},
-    observation::{Observation, PoseState},
-    tracker::PlanarTracker,
+    PlanarConfig, PlanarConfigError,
+    observation::{Observation, PlanarCounters, PoseState},
+    tracker::{Level, Neighbour, OtherBody, PlanarTracker},
 };
 use crate::{
-    binding::{Binding, BodyNames},
     codec::DecodeError,
+    names::{Binding, BodyNames},
     pose_source::{Input, Output, PoseSource as _, Stream},
     session::{Phase, SessionEvent, Transmit},
     source::Source,
@@ -81,7 +78,7 @@ impl PlanarSession {
 
     // Handlers.
 
-    /// As [`PoseSource::handle_input`](crate::PoseSource::handle_input).
+    /// Takes what arrived: see [`PoseSource::handle_input`](crate::PoseSource::handle_input).
     pub fn handle_input(
         &mut self,
         now_ns: u64,
@@ -99,7 +96,8 @@ impl PlanarSession {
         used
     }
 
-    /// As [`PoseSource::handle_timeout`](crate::PoseSource::handle_timeout).
+    /// Acts on what did not arrive: see
+    /// [`PoseSource::handle_timeout`](crate::PoseSource::handle_timeout).
     pub fn handle_timeout(&mut self, now_ns: u64, on_event: &mut impl FnMut(PlanarEvent)) {
         let (tracker, tells_others) = (&mut self.tracker, self.config.tells_others);
         self.source.handle_timeout(now_ns, &mut |output| {
@@ -109,31 +107,34 @@ impl PlanarSession {
 
     // Requests.
 
-    /// As [`PoseSource::set_stamp_offset_ns`](crate::PoseSource::set_stamp_offset_ns).
+    /// Replaces the offset of the stamps: see
+    /// [`PoseSource::set_stamp_offset_ns`](crate::PoseSource::set_stamp_offset_ns).
     pub fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
         self.config.session.timing.stamp_offset_ns = offset_ns;
         self.source.set_stamp_offset_ns(offset_ns);
     }
 
-    /// As [`PoseSource::close`](crate::PoseSource::close).
+    /// Leaves the server: see [`PoseSource::close`](crate::PoseSource::close).
     pub fn close(&mut self) {
         self.source.close();
     }
 
     // Pollers.
 
-    /// As [`PoseSource::poll_transmit`](crate::PoseSource::poll_transmit).
+    /// The next message to send: see
+    /// [`PoseSource::poll_transmit`](crate::PoseSource::poll_transmit).
     pub fn poll_transmit(&mut self, now_ns: u64) -> Option<Transmit> {
         self.source.poll_transmit(now_ns)
     }
 
-    /// As [`PoseSource::poll_timeout`](crate::PoseSource::poll_timeout).
+    /// The time of the next wake-up: see
+    /// [`PoseSource::poll_timeout`](crate::PoseSource::poll_timeout).
     #[must_use]
     pub fn poll_timeout(&self) -> Option<u64> {
         self.source.poll_timeout()
     }
 
-    /// As [`PoseSource::stream`](crate::PoseSource::stream).
+    /// The stream that the owner keeps open: see [`PoseSource::stream`](crate::PoseSource::stream).
     #[must_use]
     pub fn stream(&self) -> Option<Stream> {
         self.source.stream()
@@ -162,19 +163,19 @@ impl PlanarSession {
         self.tracker.binding()
     }
 
-    /// As [`PlanarTracker::names`].
+    /// The names of the server's bodies: see [`PlanarTracker::names`].
     #[must_use]
     pub const fn names(&self) -> &BodyNames {
         self.tracker.names()
     }
 
-    /// As [`PlanarTracker::level`].
+    /// How the body lies with either up axis: see [`PlanarTracker::level`].
     #[must_use]
     pub const fn level(&self) -> Option<Level> {
         self.tracker.level()
     }
 
-    /// As [`PlanarTracker::neighbour`].
+    /// The body near the place of the one that is followed: see [`PlanarTracker::neighbour`].
     #[must_use]
     pub const fn neighbour(&self) -> Option<Neighbour> {
         self.tracker.neighbour()
@@ -186,13 +187,15 @@ impl PlanarSession {
         self.source.unreadable()
     }
 
-    /// As [`PoseSource::other_source`](crate::PoseSource::other_source).
+    /// The address of the last datagram that did not come from the server's: see
+    /// [`PoseSource::other_source`](crate::PoseSource::other_source).
     #[must_use]
     pub fn other_source(&self) -> Option<IpAddr> {
         self.source.other_source()
     }
 
-    /// As [`PoseSource::is_contradicted`](crate::PoseSource::is_contradicted).
+    /// Whether the frames are distrusted: see
+    /// [`PoseSource::is_contradicted`](crate::PoseSource::is_contradicted).
     #[must_use]
     pub fn is_contradicted(&self, now_ns: u64) -> bool {
         self.source.is_contradicted(now_ns)

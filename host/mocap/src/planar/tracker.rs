@@ -1,17 +1,17 @@
-//! Follows one body through the frames.
+//! Follows one body through the frames: whether a pose can follow the last accepted one, how the body
+//! lies with either up axis, and another body near its place, whose markers may have been taken for
+//! those of the car.
+
+use core::f64::consts::{PI, TAU};
 
 use super::{
-    config::{PlanarConfigError, PoseLimits, RigidBodyName},
-    counters::PlanarCounters,
-    gate::PoseGate,
-    level::Level,
-    neighbour::Neighbour,
-    observation::{Observation, PlanarPose, PoseState, RejectReason},
+    PlanarConfigError, PoseLimits, RigidBodyName,
+    observation::{Observation, PlanarCounters, PlanarPose, PoseState, RejectReason},
 };
 use crate::{
-    binding::{Binding, BodyNames},
-    body::{BodyState, InvalidBody},
-    pose_source::Names,
+    body::{BodyPose, BodyState, InvalidBody, UpAxis},
+    names::Names,
+    names::{Binding, BodyNames},
     session::PoseFrame,
 };
 
@@ -206,4 +206,260 @@ impl PlanarTracker {
     pub const fn limits(&self) -> &PoseLimits {
         &self.limits
     }
+}
+
+/// The plausibility check of a [`PlanarTracker`], which is also for poses
+/// that were recorded without one.
+#[derive(Clone, Debug)]
+pub struct PoseGate {
+    limits: PoseLimits,
+    last_valid: Option<PlanarPose>,
+    last_implausible: Option<PlanarPose>,
+    rejects: u32,
+    /// Implausible poses in a row that follow each other, since the lock-out.
+    consistent: u32,
+}
+
+impl PoseGate {
+    /// A gate that has seen no pose.
+    #[must_use]
+    pub const fn new(limits: PoseLimits) -> Self {
+        Self {
+            limits,
+            last_valid: None,
+            last_implausible: None,
+            rejects: 0,
+            consistent: 0,
+        }
+    }
+
+    /// Whether the pose can follow the ones before it.
+    pub fn judge(&mut self, pose: PlanarPose) -> PoseState {
+        self.judge_candidate(Ok(pose))
+    }
+
+    /// Position of the last accepted pose, m.
+    fn place_m(&self) -> Option<[f64; 3]> {
+        self.last_valid.map(|pose| [pose.x_m, pose.y_m, pose.z_m])
+    }
+
+    fn judge_candidate(&mut self, candidate: Result<PlanarPose, RejectReason>) -> PoseState {
+        let pose = match candidate {
+            Ok(pose) => pose,
+            Err(reason) => {
+                self.last_implausible = None;
+                self.consistent = 0;
+                return self.reject(reason);
+            }
+        };
+        let Some(last_valid) = self.last_valid else {
+            return self.accept(pose, true);
+        };
+        match self.follows(&last_valid, &pose) {
+            Ok(()) => self.accept(pose, self.is_locked_out()),
+            Err(reason) => {
+                let consistent = self
+                    .last_implausible
+                    .is_some_and(|last| self.follows(&last, &pose).is_ok());
+                if !(consistent && self.is_locked_out()) {
+                    self.consistent = 0;
+                } else {
+                    self.consistent += 1;
+                    if self.consistent >= self.limits.max_consecutive_rejects {
+                        return self.accept(pose, true);
+                    }
+                }
+                self.last_implausible = Some(pose);
+                self.reject(reason)
+            }
+        }
+    }
+
+    const fn is_locked_out(&self) -> bool {
+        self.rejects >= self.limits.max_consecutive_rejects
+    }
+
+    fn accept(&mut self, mut pose: PlanarPose, reacquired: bool) -> PoseState {
+        pose.reacquired = reacquired;
+        self.last_valid = Some(pose);
+        self.last_implausible = None;
+        self.rejects = 0;
+        self.consistent = 0;
+        PoseState::Valid(pose)
+    }
+
+    const fn reject(&mut self, reason: RejectReason) -> PoseState {
+        self.rejects = self.rejects.saturating_add(1);
+        if self.is_locked_out() {
+            PoseState::LockedOut(reason)
+        } else {
+            PoseState::Rejected(reason)
+        }
+    }
+
+    /// Whether a body that was at `from` can be at `to`.
+    fn follows(&self, from: &PlanarPose, to: &PlanarPose) -> Result<(), RejectReason> {
+        // Accepting an old capture time would make the next pose plausible wherever it
+        // is: the body would have had a long time to get there.
+        let backward_ns = from.capture_time_ns.saturating_sub(to.capture_time_ns);
+        let uncertainty_ns = from
+            .capture_uncertainty_ns
+            .saturating_add(to.capture_uncertainty_ns);
+        if backward_ns > uncertainty_ns {
+            return Err(RejectReason::CaptureTime);
+        }
+        let elapsed_ns = to.capture_time_ns.saturating_sub(from.capture_time_ns);
+        let elapsed_s = elapsed_ns as f64 * 1e-9;
+        let [dx, dy, dz] = [to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m];
+        let distance_m = libm::sqrt(dx * dx + dy * dy + dz * dz);
+        let limits = &self.limits;
+        if distance_m > limits.jump_margin_m + limits.max_speed_m_s * elapsed_s {
+            return Err(RejectReason::Jump);
+        }
+        let turned_rad = libm::fabs(wrap_to_pi(to.yaw_rad - from.yaw_rad));
+        if turned_rad > limits.yaw_margin_rad + limits.max_yaw_rate_rad_s * elapsed_s {
+            return Err(RejectReason::Flip);
+        }
+        Ok(())
+    }
+}
+
+/// An angle wrapped to -pi to pi.
+fn wrap_to_pi(angle_rad: f64) -> f64 {
+    angle_rad - TAU * libm::floor((angle_rad + PI) / TAU)
+}
+
+/// Height and tilt of a body, read with the configured up axis and with the other one.
+///
+/// The up axis is a setting of the server and is not on the wire. A car on a floor has a low
+/// height and a small tilt with the right one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Level {
+    /// Height of the pivot, in metres.
+    pub height_m: f64,
+    /// Angle between the body's up axis and the world's, in radians.
+    pub tilt_rad: f64,
+    /// The height with the other up axis.
+    pub other_height_m: f64,
+    /// The tilt with the other up axis.
+    pub other_tilt_rad: f64,
+}
+
+/// Where the pivot of a car on a floor can be, in metres, and how far it can tilt, in radians.
+const LOWEST_M: f64 = -0.1;
+const HIGHEST_M: f64 = 0.6;
+const TILT_RAD: f64 = 0.3;
+
+impl Level {
+    pub(super) fn of(pose: &BodyPose, up_axis: UpAxis) -> Self {
+        let [x, y, z, _] = pose.orientation_xyzw;
+        let [_, py, pz] = pose.position_m;
+        // Back to the stream's axes, then read as the other one.
+        let (other_height_m, other_vector) = match up_axis {
+            // Stream (x, y, z) was read as (x, -z, y).
+            UpAxis::Y => (-py, [x, z]),
+            UpAxis::Z => (py, [x, -z]),
+        };
+        Self {
+            height_m: pz,
+            tilt_rad: tilt([x, y]),
+            other_height_m,
+            other_tilt_rad: tilt(other_vector),
+        }
+    }
+
+    /// Whether the pose makes no sense with the configured up axis and does with the other.
+    #[must_use]
+    pub fn suggests_other_axis(&self) -> bool {
+        let sensible = |height_m: f64, tilt_rad: f64| {
+            (LOWEST_M..=HIGHEST_M).contains(&height_m) && tilt_rad <= TILT_RAD
+        };
+        !sensible(self.height_m, self.tilt_rad)
+            && sensible(self.other_height_m, self.other_tilt_rad)
+    }
+}
+
+/// The angle between two up axes, from the horizontal part of the rotation's vector.
+fn tilt([x, y]: [f64; 2]) -> f64 {
+    2.0 * libm::asin(libm::sqrt(x * x + y * y).min(1.0))
+}
+
+/// What a frame says of another rigid body than the one that is followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OtherBody {
+    /// Its streaming id.
+    pub id: i32,
+    /// Mid-exposure, in nanoseconds of the local monotonic clock.
+    pub capture_time_ns: u64,
+    /// Position of its pivot on the floor, x and y of the world with z up, in metres; none if it
+    /// is not tracked, or its numbers are no pose.
+    pub position_m: Option<[f64; 2]>,
+}
+
+impl OtherBody {
+    /// All of a frame but the body `id`; none of a frame without a usable time.
+    pub(super) fn of<'a>(
+        id: i32,
+        frame: &'a PoseFrame<'_>,
+    ) -> impl Iterator<Item = Self> + use<'a> {
+        let others = move |capture_time_ns| {
+            let others = frame.bodies().filter(move |body| body.id != id);
+            others.map(move |body| Self {
+                id: body.id,
+                capture_time_ns,
+                position_m: tracked_m(body.state).map(|[x_m, y_m, _]| [x_m, y_m]),
+            })
+        };
+        let capture = frame.capture.map(|capture| capture.time_ns);
+        capture.into_iter().flat_map(others)
+    }
+}
+
+/// Distance from the followed body within which another one counts as near, m.
+pub const NEAR_M: f64 = 0.5;
+
+/// The nearest tracked body with another id, within [`NEAR_M`] of the followed body: of where the
+/// stream has it, plausible or not, or of its last accepted pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Neighbour {
+    /// Its streaming id.
+    pub id: i32,
+    /// Distance between the pivots, m.
+    pub distance_m: f64,
+}
+
+impl Neighbour {
+    /// The neighbour of the body `id`, which was last accepted at `accepted_m`.
+    pub(super) fn of(id: i32, frame: &PoseFrame<'_>, accepted_m: Option<[f64; 3]>) -> Option<Self> {
+        let streamed_m = frame.body(id).and_then(|body| tracked_m(body.state));
+        let mut nearest: Option<Self> = None;
+        for body in frame.bodies().filter(|body| body.id != id) {
+            let Some(position_m) = tracked_m(body.state) else {
+                continue;
+            };
+            for place_m in [streamed_m, accepted_m].into_iter().flatten() {
+                let distance_m = distance(place_m, position_m);
+                if distance_m <= nearest.map_or(NEAR_M, |nearest| nearest.distance_m) {
+                    nearest = Some(Self {
+                        id: body.id,
+                        distance_m,
+                    });
+                }
+            }
+        }
+        nearest
+    }
+}
+
+/// The position of a tracked body, m.
+const fn tracked_m(state: BodyState) -> Option<[f64; 3]> {
+    match state {
+        BodyState::Tracked(BodyPose { position_m, .. }) => Some(position_m),
+        _ => None,
+    }
+}
+
+fn distance(from: [f64; 3], to: [f64; 3]) -> f64 {
+    let squares = from.iter().zip(to).map(|(a, b)| (a - b) * (a - b));
+    libm::sqrt(squares.sum())
 }

@@ -88,7 +88,7 @@ pub enum Component {
     Bodies = 5,
     /// Positions, and roll, pitch and yaw in degrees. It is not read.
     EulerAngles = 6,
-    /// As [`Bodies`](Self::Bodies), with residuals.
+    /// The [`Bodies`](Self::Bodies) with residuals.
     WithResiduals = 11,
 }
 

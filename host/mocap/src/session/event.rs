@@ -1,8 +1,11 @@
-//! What a session reports to its owner.
+//! What a session reports to its owner: events, frames, and counts of datagrams.
 
 use core::net::IpAddr;
 
-use crate::codec::{BitstreamVersion, DecodeError, UnsupportedVersion};
+use crate::{
+    body::{Bodies, Body, CaptureTime, UpAxis},
+    codec::{BitstreamVersion, DecodeError, FrameFlags, ModelDefinitions, UnsupportedVersion},
+};
 
 /// How far a session is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +31,7 @@ pub enum Phase {
 }
 
 /// A rare event, worth a line in the log. Poses are not events: they are in
-/// [`DatagramOutcome::Frame`](super::DatagramOutcome::Frame).
+/// [`DatagramOutcome::Frame`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum SessionEvent {
@@ -57,7 +60,7 @@ pub enum SessionEvent {
     },
     /// Streaming ids may mean other bodies from now on. They are valid again when
     /// the definitions have been read
-    /// ([`DatagramOutcome::Definitions`](super::DatagramOutcome::Definitions)).
+    /// ([`DatagramOutcome::Definitions`]).
     DefinitionsOutdated,
     /// The definitions, or one of them, can't be decoded: with another error than before. The bodies
     /// that can be read are known all the same.
@@ -109,4 +112,107 @@ pub enum RestartReason {
     StreamBroken,
     /// No frame arrived as a datagram: they are requested over the stream.
     NoDatagrams,
+}
+
+/// What became of a datagram. Every case is counted as well.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum DatagramOutcome<'a> {
+    /// The newest frame: the poses of all rigid bodies.
+    Frame(PoseFrame<'a>),
+    /// The model definitions: the names of the streaming ids.
+    Definitions(ModelDefinitions<'a>),
+    /// Another reply that the session waited for.
+    Reply,
+    /// A frame older than the newest: dropped.
+    Late,
+    /// The newest frame again: dropped.
+    Duplicate,
+    /// A good message that the session does not need: dropped.
+    Ignored,
+    /// From another address than the server's: dropped.
+    WrongSource,
+    /// It can't be decoded: dropped.
+    Malformed(DecodeError),
+}
+
+/// The newest frame: the poses of all rigid bodies, and their time.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct PoseFrame<'a> {
+    /// The server's number of the frame.
+    pub number: i32,
+    /// When the frame arrived, in nanoseconds of the local clock.
+    pub receive_time_ns: u64,
+    /// When the cameras saw the bodies. `None` when the frame has no usable time,
+    /// or one after its arrival.
+    pub capture: Option<CaptureTime>,
+    /// The frame's flags.
+    pub flags: FrameFlags,
+    /// Whether the streaming ids have the names of the definitions read last.
+    pub definitions_current: bool,
+    pub(crate) bodies: Bodies<'a>,
+}
+
+impl<'a> PoseFrame<'a> {
+    /// The rigid bodies in wire order, tracked or not.
+    ///
+    /// Two bodies with one id are both listed; [`body`](Self::body) reports them.
+    #[must_use]
+    pub fn bodies(&self) -> Bodies<'a> {
+        self.bodies.clone()
+    }
+
+    /// The up axis that the poses were read with.
+    #[must_use]
+    pub const fn up_axis(&self) -> UpAxis {
+        self.bodies.up_axis
+    }
+
+    /// The rigid body with this streaming id; `None` when the frame does not list
+    /// it.
+    #[must_use]
+    pub fn body(&self, id: i32) -> Option<Body> {
+        self.bodies.with_id(id)
+    }
+}
+
+/// Counts since the session was made. Nothing resets them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SessionCounters {
+    /// Frames taken as the newest.
+    pub frames: u64,
+    /// Frame numbers that never arrived.
+    pub lost: u64,
+    /// Frames older than the newest: dropped.
+    pub late: u64,
+    /// Frames with the newest one's number: dropped.
+    pub duplicates: u64,
+    /// Times the server started its frame numbers again while its clock went on.
+    pub renumbered: u64,
+    /// Datagrams that could not be decoded.
+    pub malformed: u64,
+    /// Datagrams from another address.
+    pub wrong_source: u64,
+    /// Frames that contradict the stream: another port, other content for the same number, a
+    /// clock ahead of time. Two senders use the server's address.
+    pub contradictions: u64,
+    /// Frames without a capture time because of contradictions just before.
+    pub distrusted: u64,
+    /// Frames before the bitstream was known: dropped.
+    pub early: u64,
+    /// Messages that answer no request.
+    pub unsolicited: u64,
+    /// Capture times moved back to the time of arrival, which they exceeded by no
+    /// more than their uncertainty.
+    pub capture_clamped: u64,
+    /// Times the stream became stale.
+    pub stale: u64,
+    /// Times the session started over.
+    pub restarts: u64,
+    /// Echo exchanges used.
+    pub echoes: u64,
+    /// Times the clock mapping was discarded because an echo contradicted it.
+    pub clock_steps: u64,
 }

@@ -1,20 +1,243 @@
 //! The session of one client with one server.
 //!
-//! The files build on each other in this order: what a session reports
-//! ([`event`], [`frame`]), when messages are due ([`schedule`]), what a session
-//! knows ([`state`]), how it reaches a server ([`handshake`]), what it makes of
-//! datagrams ([`receive`]), and what it sends ([`transmit`]).
+//! What a session reports is in [`event`], how it reaches a server and what it makes of datagrams
+//! in [`receive`], and when it sends what in [`transmit`].
 
 mod event;
-mod frame;
-mod handshake;
 mod receive;
-mod schedule;
-mod state;
 mod transmit;
 
-pub use event::{Connected, Phase, RestartReason, SessionEvent};
-pub use frame::{DatagramOutcome, PoseFrame};
-pub use state::Session;
+use core::net::IpAddr;
+
+use self::transmit::Schedule;
+use crate::{
+    clock::CaptureClock,
+    codec::{BitstreamVersion, Connection, DecodeError, UnsupportedVersion},
+    config::{SessionConfig, SessionConfigError, Transport},
+    consistency::{Consistency, Sequence},
+};
+
+pub use event::{
+    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, SessionCounters, SessionEvent,
+};
 pub(crate) use transmit::MAX_LEN;
 pub use transmit::Transmit;
+
+/// A NatNet client without socket and clock: it follows all rigid bodies of one
+/// server.
+///
+/// [The crate's documentation](crate) describes how to call it. Create one with
+/// [`new`](Self::new); the first [`poll_transmit`](Self::poll_transmit) begins the
+/// handshake.
+///
+/// ```
+/// use singletrack_mocap::codec::ServerMessage;
+/// use singletrack_mocap::{DatagramOutcome, Session, SessionConfig, Transport, UpAxis};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// let server = "192.168.1.10".parse()?;
+/// let transport = Transport::Unicast { bitstream: None };
+/// let mut session = Session::new(SessionConfig::new(server, transport, UpAxis::Y))?;
+///
+/// // The first message is CONNECT, to the server's command port.
+/// let connect = session.poll_transmit(0).expect("CONNECT is due at once");
+/// assert_eq!(connect.destination, "192.168.1.10:1510".parse()?);
+///
+/// // Without an answer it is due again half a second later.
+/// assert_eq!(session.poll_transmit(0), None);
+/// assert_eq!(session.poll_timeout(), Some(500_000_000));
+///
+/// // A datagram from another address is counted and dropped.
+/// let outcome = session.handle_datagram(1_000, "10.0.0.1:1510".parse()?, &[], &mut |_| {});
+/// assert!(matches!(outcome, DatagramOutcome::WrongSource));
+/// assert_eq!(session.counters().wrong_source, 1);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Session {
+    config: SessionConfig,
+    phase: Phase,
+    schedule: Schedule,
+    /// The server's own bitstream and connection, once it has answered.
+    server: Option<Server>,
+    clock: CaptureClock,
+    /// Stamp of the echo request that waits for its answer.
+    echo_stamp: Option<u64>,
+    sequence: Sequence,
+    consistency: Consistency,
+    /// Other addresses that datagrams came from: the first ones, and the latest.
+    other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
+    other_source: Option<IpAddr>,
+    definitions_current: bool,
+    /// What the last definitions had that could not be decoded.
+    unreadable: Option<DecodeError>,
+    /// The newest frame had the flag "models changed".
+    models_changed: bool,
+    last_frame_ns: Option<u64>,
+    stale: bool,
+    /// Frames in a row that could not be decoded.
+    undecodable: u32,
+    counters: SessionCounters,
+}
+
+/// Other addresses that are reported: each once.
+const OTHER_SOURCES: usize = 4;
+
+/// What a server said of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Server {
+    natnet_version: [u8; 4],
+    native: Result<BitstreamVersion, UnsupportedVersion>,
+    connection: Option<Connection>,
+}
+
+impl Session {
+    /// A session that has not connected yet.
+    ///
+    /// # Errors
+    /// A value of the configuration can't be used.
+    pub fn new(config: SessionConfig) -> Result<Self, SessionConfigError> {
+        config.validate()?;
+        Ok(Self {
+            phase: Phase::Connecting,
+            schedule: Schedule::default(),
+            server: None,
+            clock: CaptureClock::new(None, &config.timing),
+            echo_stamp: None,
+            sequence: Sequence::default(),
+            consistency: Consistency::default(),
+            other_sources: heapless::Vec::new(),
+            other_source: None,
+            definitions_current: false,
+            unreadable: None,
+            models_changed: false,
+            last_frame_ns: None,
+            stale: false,
+            undecodable: 0,
+            counters: SessionCounters::default(),
+            config,
+        })
+    }
+
+    // Requests.
+
+    /// A body that the owner needs is missing from the definitions, or its name is
+    /// ambiguous: the session requests them again within half a second, instead of
+    /// after [`Timing::model_poll_ns`](crate::Timing).
+    ///
+    /// Call it directly after the
+    /// [`Definitions`](super::DatagramOutcome::Definitions) that lack the body.
+    pub const fn request_definitions_again(&mut self) {
+        self.schedule.models_incomplete();
+    }
+
+    /// Replaces [`Timing::stamp_offset_ns`](crate::Timing), from the next frame on.
+    pub const fn set_stamp_offset_ns(&mut self, offset_ns: i64) {
+        self.config.timing.stamp_offset_ns = offset_ns;
+    }
+
+    /// Leaves the server: [`poll_transmit`](Self::poll_transmit) returns the
+    /// disconnect message and then nothing more.
+    pub const fn close(&mut self) {
+        self.phase = Phase::Closing;
+    }
+
+    // Getters.
+
+    /// How far the session is.
+    #[must_use]
+    pub const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Whether the streaming ids have the names of the definitions read last.
+    #[must_use]
+    pub const fn definitions_current(&self) -> bool {
+        self.definitions_current
+    }
+
+    /// Why the definitions that arrived last, or one of them, can't be decoded.
+    #[must_use]
+    pub const fn unreadable_definitions(&self) -> Option<DecodeError> {
+        self.unreadable
+    }
+
+    /// For how long the stream has been silent at `now_ns`, if that is longer than
+    /// [`Timing::stale_after_ns`](crate::Timing). `None` while the stream is alive
+    /// and before the first frame.
+    #[must_use]
+    pub fn stale_for_ns(&self, now_ns: u64) -> Option<u64> {
+        self.last_frame_ns
+            .map(|last_ns| now_ns.saturating_sub(last_ns))
+            .filter(|silent_ns| *silent_ns > self.config.timing.stale_after_ns)
+    }
+
+    /// The address of the last datagram that was dropped because it did not come from the
+    /// server's.
+    #[must_use]
+    pub const fn other_source(&self) -> Option<IpAddr> {
+        self.other_source
+    }
+
+    /// Whether the frames are distrusted at `now_ns`, because two senders use the server's
+    /// address.
+    #[must_use]
+    pub fn is_contradicted(&self, now_ns: u64) -> bool {
+        self.consistency.is_distrusted(now_ns)
+    }
+
+    /// What was counted so far.
+    #[must_use]
+    pub const fn counters(&self) -> SessionCounters {
+        self.counters
+    }
+
+    /// The session's configuration.
+    #[must_use]
+    pub const fn config(&self) -> &SessionConfig {
+        &self.config
+    }
+
+    // Deadlines and changes that the other files share.
+
+    fn forget_definitions(&mut self, on_event: &mut impl FnMut(SessionEvent)) {
+        if self.definitions_current {
+            self.definitions_current = false;
+            on_event(SessionEvent::DefinitionsOutdated);
+        }
+    }
+
+    /// `None` for servers before 3.0: they have no echo and send no frequency.
+    fn echo_due_ns(&self) -> Option<u64> {
+        let connection = self.server?.connection?;
+        connection.ticks_per_second.map(|_| self.schedule.echo_ns)
+    }
+
+    fn keep_alive_due_ns(&self) -> Option<u64> {
+        matches!(self.config.transport, Transport::Unicast { .. })
+            .then_some(self.schedule.keep_alive_ns)
+    }
+
+    fn stale_due_ns(&self) -> Option<u64> {
+        if self.stale {
+            return None;
+        }
+        // A stream is stale when it is silent for longer than the limit.
+        let limit_ns = self.config.timing.stale_after_ns.saturating_add(1);
+        Some(self.last_frame_ns?.saturating_add(limit_ns))
+    }
+
+    fn silence_due_ns(&self) -> u64 {
+        self.decodable_until_ns()
+            .saturating_add(self.config.timing.reconnect_after_ns)
+    }
+
+    /// When the last frame arrived that could be decoded, or when the session began
+    /// to wait for the first.
+    fn decodable_until_ns(&self) -> u64 {
+        self.last_frame_ns
+            .unwrap_or_default()
+            .max(self.schedule.listening_since_ns)
+    }
+}

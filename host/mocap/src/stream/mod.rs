@@ -4,13 +4,20 @@
 //! they were captured ([`Link`]). What is said on the stream is the protocol's own
 //! ([`Dialogue`]).
 
-mod link;
 mod session;
 
-pub(crate) use link::{LastFrame, Link};
-pub use session::StreamSession;
+use core::net::{IpAddr, SocketAddr};
 
-use crate::pose_source::Output;
+use crate::{
+    body::{Bodies, BodiesOf, Body, CaptureTime},
+    clock::{SampleUse, StampClock},
+    codec::FrameFlags,
+    config::{SessionConfig, Transport},
+    pose_source::{LocalEnd, Output},
+    session::{Phase, PoseFrame, RestartReason, SessionCounters, SessionEvent},
+};
+
+pub use session::StreamSession;
 
 /// How a message arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,4 +75,252 @@ pub trait Dialogue {
 
     /// The names lack the body that is needed.
     fn names_incomplete(&mut self) {}
+}
+
+/// This number of frames in a row that are older than the newest means that the server's clock
+/// was set back.
+const SET_BACK: u32 = 10;
+
+/// Numbers that are farther ahead are those of another stream.
+const RESTARTED: i32 = 10_000;
+
+/// A capture time whose error can be larger is none, in ns.
+const MAX_UNCERTAINTY_NS: u64 = 1_000_000_000;
+
+/// Frames over the stream so soon after it was asked for them show that they did not arrive
+/// otherwise, in ns.
+const EVIDENCE_NS: u64 = 1_000_000_000;
+
+/// Other addresses that are reported: each once.
+const OTHER_SOURCES: usize = 4;
+
+/// The newest frame of a body or of all bodies.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LastFrame {
+    newest: Option<(u64, i32)>,
+    older: u32,
+}
+
+/// The state of the stream and of the frames.
+#[derive(Clone, Debug)]
+pub struct Link {
+    pub(crate) config: SessionConfig,
+    phase: Phase,
+    attempt: u32,
+    /// Whether the owner is to keep the stream open.
+    is_wanted: bool,
+    /// When it is wanted again.
+    retry_ns: u64,
+    /// The owner's end, while the stream is open.
+    pub(crate) local: Option<LocalEnd>,
+    /// When the session began to wait for the stream, or when it opened.
+    since_ns: u64,
+    /// When the server was heard last.
+    heard_ns: u64,
+    outgoing: heapless::Deque<u8, 1_024>,
+    /// Frames are requested over the stream, now or for good.
+    pub(crate) over_stream: bool,
+    /// That is so because no datagram arrived, and was not reported yet.
+    fell_back: bool,
+    /// When the last good datagram arrived since the stream is open.
+    datagram_ns: Option<u64>,
+    datagram_port: Option<u16>,
+    other_sources: heapless::Vec<IpAddr, OTHER_SOURCES>,
+    other_source: Option<IpAddr>,
+    clock: StampClock,
+    last_frame_ns: Option<u64>,
+    is_stale: bool,
+    pub(crate) counters: SessionCounters,
+}
+
+impl Link {
+    fn new(config: SessionConfig) -> Self {
+        Self {
+            phase: Phase::Connecting,
+            attempt: 0,
+            is_wanted: false,
+            retry_ns: 0,
+            local: None,
+            since_ns: 0,
+            heard_ns: 0,
+            outgoing: heapless::Deque::new(),
+            over_stream: config.transport == Transport::Stream,
+            fell_back: false,
+            datagram_ns: None,
+            datagram_port: None,
+            other_sources: heapless::Vec::new(),
+            other_source: None,
+            clock: StampClock::new(&config.timing),
+            last_frame_ns: None,
+            is_stale: false,
+            counters: SessionCounters::default(),
+            config,
+        }
+    }
+
+    fn server(&self) -> SocketAddr {
+        SocketAddr::new(self.config.server, self.config.command_port)
+    }
+
+    /// Queues bytes for the stream. What a dialogue says at a time fits; a server that asks
+    /// without end loses answers.
+    pub(crate) fn say(&mut self, bytes: &[u8]) {
+        if self.outgoing.capacity() - self.outgoing.len() >= bytes.len() {
+            for byte in bytes {
+                let _ = self.outgoing.push_back(*byte);
+            }
+        }
+    }
+
+    /// The server speaks the protocol.
+    pub(crate) fn established(&mut self, on_output: &mut dyn FnMut(Output<'_>)) {
+        self.phase = Phase::Open;
+        on_output(Output::Event(SessionEvent::Opened));
+    }
+
+    /// Whether the stream is open and the server has not shown that it speaks the protocol.
+    fn is_mute(&self) -> bool {
+        self.local.is_some() && self.phase != Phase::Open
+    }
+
+    pub(crate) const fn exchanges(&self) -> usize {
+        self.clock.exchanges()
+    }
+
+    /// The server's clock showed `stamp_us` between two local times.
+    pub(crate) fn exchanged(&mut self, sent_ns: u64, received_ns: u64, stamp_us: u64) {
+        match self.clock.exchanged(sent_ns, received_ns, stamp_us) {
+            SampleUse::Agreed => {}
+            SampleUse::Stepped => self.counters.clock_steps += 1,
+            SampleUse::Backward => {
+                self.counters.clock_steps += 1;
+                self.clock = StampClock::new(&self.config.timing);
+                let _ = self.clock.exchanged(sent_ns, received_ns, stamp_us);
+            }
+        }
+        self.counters.echoes += 1;
+    }
+
+    /// Whether a frame is newer than the last one. Without numbers none counts as lost.
+    pub(crate) fn is_newest(
+        &mut self,
+        last: &mut LastFrame,
+        stamp_us: u64,
+        number: Option<i32>,
+    ) -> bool {
+        let number_now = number.unwrap_or_default();
+        if let Some((newest_us, number_before)) = last.newest {
+            if stamp_us == newest_us {
+                self.counters.duplicates += 1;
+                return false;
+            }
+            let ahead = number.map(|number| number.wrapping_sub(number_before));
+            if stamp_us < newest_us {
+                last.older += 1;
+                // The next number with an older stamp is no late frame.
+                let is_set_back = ahead.is_some_and(|ahead| (1..RESTARTED).contains(&ahead));
+                if !is_set_back && last.older < SET_BACK {
+                    self.counters.late += 1;
+                    return false;
+                }
+                self.counters.clock_steps += 1;
+                self.clock = StampClock::new(&self.config.timing);
+            }
+            let lost = ahead.filter(|ahead| (1..RESTARTED).contains(ahead));
+            self.counters.lost += u64::from(lost.unwrap_or(1).unsigned_abs() - 1);
+        }
+        *last = LastFrame {
+            newest: Some((stamp_us, number_now)),
+            older: 0,
+        };
+        true
+    }
+
+    /// Passes a frame on.
+    pub(crate) fn frame(
+        &mut self,
+        now_ns: u64,
+        over: Over,
+        (number, stamp_us): (i32, u64),
+        bodies: &[Body],
+        on_output: &mut dyn FnMut(Output<'_>),
+    ) {
+        if core::mem::take(&mut self.fell_back)
+            && over == Over::Stream
+            && now_ns.saturating_sub(self.since_ns) <= EVIDENCE_NS
+        {
+            on_output(Output::Event(SessionEvent::DatagramsBlocked));
+        }
+        self.counters.frames += 1;
+        self.last_frame_ns = Some(now_ns);
+        self.is_stale = false;
+        let capture = self.capture(stamp_us, now_ns);
+        on_output(Output::Frame(PoseFrame {
+            number,
+            receive_time_ns: now_ns,
+            capture,
+            flags: FrameFlags::default(),
+            definitions_current: true,
+            bodies: Bodies {
+                of: BodiesOf::List(bodies.iter()),
+                up_axis: self.config.up_axis,
+            },
+        }));
+    }
+
+    /// When the frame was captured: never after it arrived.
+    fn capture(&mut self, stamp_us: u64, now_ns: u64) -> Option<CaptureTime> {
+        let capture = self.clock.capture(stamp_us, now_ns)?;
+        if capture.uncertainty_ns > MAX_UNCERTAINTY_NS {
+            return None;
+        }
+        let offset_ns = self.config.timing.stamp_offset_ns;
+        let (capture, was_clamped) = capture.at_arrival(now_ns, offset_ns)?;
+        self.counters.capture_clamped += u64::from(was_clamped);
+        Some(capture)
+    }
+
+    /// Lets go of the stream; it is wanted again after `pause_ns`.
+    fn let_go(&mut self, now_ns: u64, pause_ns: u64) {
+        self.is_wanted = false;
+        self.retry_ns = now_ns.saturating_add(pause_ns);
+        self.local = None;
+        self.outgoing.clear();
+        self.datagram_port = None;
+        self.datagram_ns = None;
+        self.clock = StampClock::new(&self.config.timing);
+        if !matches!(self.phase, Phase::Foreign) {
+            self.phase = Phase::Connecting;
+        }
+    }
+
+    /// Starts over.
+    fn restart(
+        &mut self,
+        now_ns: u64,
+        reason: RestartReason,
+        on_output: &mut dyn FnMut(Output<'_>),
+    ) {
+        let pause_ns = match reason {
+            // The next moment at which the owner looks.
+            RestartReason::NoDatagrams => 1_000_000,
+            _ => self.config.timing.retry_ns,
+        };
+        // A server that is not there is no news.
+        let is_news = self.local.is_some();
+        self.let_go(now_ns, pause_ns);
+        if is_news {
+            self.counters.restarts += 1;
+            on_output(Output::Event(SessionEvent::DefinitionsOutdated));
+            on_output(Output::Event(SessionEvent::Restarted(reason)));
+        }
+    }
+
+    fn stale_due_ns(&self) -> Option<u64> {
+        if self.is_stale {
+            return None;
+        }
+        let limit_ns = self.config.timing.stale_after_ns.saturating_add(1);
+        Some(self.last_frame_ns?.saturating_add(limit_ns))
+    }
 }

@@ -2,12 +2,11 @@
 
 use core::net::IpAddr;
 
-use super::{Broken, Dialogue, Over, Progress, link::Link};
+use super::{Broken, Dialogue, Link, Over, Progress};
 use crate::{
     config::{SessionConfig, Transport},
-    counters::SessionCounters,
     pose_source::{Input, LocalEnd, Output, PoseSource, Stream},
-    session::{MAX_LEN, Phase, RestartReason, SessionEvent, Transmit},
+    session::{MAX_LEN, Phase, RestartReason, SessionCounters, SessionEvent, Transmit},
 };
 
 /// If no datagram arrives for this time, frames are requested over the stream.

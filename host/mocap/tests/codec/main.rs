@@ -6,11 +6,9 @@
     reason = "test helpers fail the test that calls them"
 )]
 
-mod hostile;
-mod independent_decoder;
+mod interoperability;
 mod messages;
 mod models;
-mod real_packets;
 mod round_trip;
 mod strategies;
 

@@ -1,14 +1,18 @@
-//! Frames are decoded to the values that were encoded.
+//! Frames are decoded to the values that were encoded; damaged and invented datagrams are refused.
 
-use proptest::prelude::*;
+use proptest::{collection::vec, prelude::*};
 use singletrack_mocap::{
-    codec::{BitstreamVersion, RigidBody, SectionCounts, ServerMessage},
-    encode::{self, Asset, EncodeError, FrameContent, Sections},
+    codec::{
+        BitstreamVersion, ClientMessage, DecodeError, RigidBody, SectionCounts, ServerMessage,
+    },
+    encode,
+    encode::{Asset, EncodeError, FrameContent, Sections},
 };
 
 use crate::{
-    all_versions,
+    all_versions, encoded,
     strategies::{AnyFrame, any_frame},
+    with_fitting_header,
 };
 
 fn assert_round_trip(frame: &AnyFrame, version: BitstreamVersion) {
@@ -104,4 +108,185 @@ fn a_buffer_of_any_smaller_size_is_refused() {
             ));
         }
     }
+}
+
+/// Decodes a datagram and reads every value of the message.
+fn exercise(datagram: &[u8], version: BitstreamVersion) {
+    let _ = ClientMessage::decode(datagram);
+    match ServerMessage::decode(datagram, version) {
+        Ok(ServerMessage::Frame(frame)) => {
+            assert_eq!(frame.rigid_bodies().count(), frame.sections.rigid_bodies);
+        }
+        Ok(ServerMessage::ModelDefinitions(definitions)) => {
+            assert!(definitions.rigid_bodies().count() <= definitions.dataset_count);
+        }
+        Ok(_) | Err(_) => {}
+    }
+}
+
+fn one_body(version: BitstreamVersion) -> Vec<u8> {
+    let bodies = [RigidBody::tracked(7, [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])];
+    let content = FrameContent {
+        number: 1,
+        rigid_bodies: &bodies,
+        ..FrameContent::default()
+    };
+    encoded(|out| encode::frame(version, &content, out))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    #[test]
+    fn every_strict_prefix_of_a_frame_is_refused(frame in any_frame()) {
+        for version in all_versions() {
+            let datagram = frame.encode(version);
+            for len in 0..datagram.len() {
+                let prefix = datagram[..len].to_vec();
+                prop_assert!(ServerMessage::decode(&prefix, version).is_err());
+                if len >= 4 {
+                    let prefix = with_fitting_header(prefix);
+                    prop_assert!(ServerMessage::decode(&prefix, version).is_err());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bytes_after_a_frame_are_refused(frame in any_frame(), surplus in vec(any::<u8>(), 1..64)) {
+        for version in all_versions() {
+            let mut datagram = frame.encode(version);
+            let len = datagram.len();
+            datagram.extend_from_slice(&surplus);
+            prop_assert_eq!(
+                ServerMessage::decode(&datagram, version).unwrap_err(),
+                DecodeError::LengthMismatch {
+                    declared: len - 4,
+                    actual: datagram.len() - 4,
+                }
+            );
+            prop_assert_eq!(
+                ServerMessage::decode(&with_fitting_header(datagram), version).unwrap_err(),
+                DecodeError::TrailingBytes {
+                    field: "the frame",
+                    offset: len,
+                    count: surplus.len(),
+                }
+            );
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
+
+    #[test]
+    fn random_bytes_never_panic(id in 0_u16..16, payload in vec(any::<u8>(), 0..400)) {
+        let mut datagram = id.to_le_bytes().to_vec();
+        datagram.extend_from_slice(&[0, 0]);
+        datagram.extend_from_slice(&payload);
+        let datagram = with_fitting_header(datagram);
+        for version in all_versions() {
+            exercise(&datagram, version);
+            exercise(&payload, version);
+        }
+    }
+
+    #[test]
+    fn random_damage_never_panics(
+        frame in any_frame(),
+        damage in vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+    ) {
+        for version in all_versions() {
+            let mut datagram = frame.encode(version);
+            for (index, byte) in &damage {
+                *index.get_mut(&mut datagram) = *byte;
+            }
+            exercise(&datagram, version);
+            exercise(&with_fitting_header(datagram), version);
+        }
+    }
+}
+
+/// Where the size of the rigid-body section is when the two sections before it
+/// are empty: header, number, twice count and size, count.
+const BODIES_SIZE_OFFSET: usize = 4 + 4 + 2 * 8 + 4;
+
+fn with_bodies_size(size: i32) -> Result<(), DecodeError> {
+    let version = BitstreamVersion::V4_1;
+    let mut datagram = one_body(version);
+    datagram[BODIES_SIZE_OFFSET..BODIES_SIZE_OFFSET + 4].copy_from_slice(&size.to_le_bytes());
+    ServerMessage::decode(&datagram, version).map(drop)
+}
+
+#[test]
+fn a_section_must_have_its_declared_size() {
+    assert_eq!(with_bodies_size(38), Ok(()));
+    assert_eq!(
+        with_bodies_size(37),
+        Err(DecodeError::ImplausibleCount {
+            field: "rigid body count",
+            offset: BODIES_SIZE_OFFSET - 4,
+            count: 1,
+            available: 37,
+        })
+    );
+    assert_eq!(
+        with_bodies_size(42),
+        Err(DecodeError::TrailingBytes {
+            field: "rigid body count",
+            offset: BODIES_SIZE_OFFSET + 4 + 38,
+            count: 4,
+        })
+    );
+    assert_eq!(
+        with_bodies_size(-1),
+        Err(DecodeError::NegativeCount {
+            field: "section size",
+            offset: BODIES_SIZE_OFFSET,
+            value: -1,
+        })
+    );
+}
+
+#[test]
+fn an_impossible_count_is_refused_before_any_entry_is_read() {
+    let mut datagram = one_body(BitstreamVersion::V3_0);
+    // Header, number: the number of marker sets.
+    datagram[8..12].copy_from_slice(&i32::MAX.to_le_bytes());
+    assert!(matches!(
+        ServerMessage::decode(&datagram, BitstreamVersion::V3_0),
+        Err(DecodeError::ImplausibleCount { offset: 8, .. })
+    ));
+}
+
+#[test]
+fn a_frame_read_as_another_version_is_refused() {
+    for written in all_versions() {
+        let datagram = one_body(written);
+        for read in all_versions() {
+            let same_layout = {
+                let content = FrameContent::default();
+                encoded(|out| encode::frame(written, &content, out))
+                    == encoded(|out| encode::frame(read, &content, out))
+                    && one_body(read) == datagram
+            };
+            assert_eq!(
+                ServerMessage::decode(&datagram, read).is_ok(),
+                same_layout,
+                "written as {written}, read as {read}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_end_tag_other_than_zero_names_its_offset() {
+    let mut datagram = one_body(BitstreamVersion::V4_1);
+    let offset = datagram.len() - 4;
+    datagram[offset] = 9;
+    assert_eq!(
+        ServerMessage::decode(&datagram, BitstreamVersion::V4_1).unwrap_err(),
+        DecodeError::EndTag { offset, value: 9 }
+    );
 }

@@ -9,13 +9,9 @@
     reason = "test helpers fail the test that calls them"
 )]
 
-mod bits;
 mod bodies;
 mod clock;
-mod contradictions;
-mod deadlines;
 mod handshake;
-mod models;
 mod poses;
 mod stream;
 mod world;

@@ -8,7 +8,6 @@
 )]
 
 mod bench;
-mod damaged;
 mod golden;
 mod promises;
 mod server;

@@ -4,7 +4,7 @@ use singletrack_control::{External, PoseSample, PoseVerdict, Reference, Setpoint
 
 use super::{Begins, Pilot};
 use crate::{
-    event::{BoardSample, Event, PilotRequest},
+    event::{Arming, BoardSample, Event, PilotRequest},
     refusal::SetpointRefusal,
 };
 
@@ -57,10 +57,8 @@ impl Pilot {
         match request {
             // One that comes in a drive is without effect: a car that waits goes on to wait.
             _ if self.supervisor.mode().is_underway() => {}
-            PilotRequest::ArmWaiting => self.begins = Begins::Later,
-            PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog => {
-                self.begins = Begins::AtOnce;
-            }
+            PilotRequest::Arm(Arming::Waiting) => self.begins = Begins::Later,
+            PilotRequest::Arm(_) => self.begins = Begins::AtOnce,
             _ => {}
         }
         if request == PilotRequest::Carried && !self.supervisor.mode().commands() {

@@ -49,7 +49,8 @@ pub use reason::Reason;
 use singletrack_control::Time;
 
 use crate::event::{
-    BoardHealth, BoardState, LineHealth, LinkState, PilotRequest, PoseMissing, RealTimeState,
+    Arming, BoardHealth, BoardState, LineHealth, LinkState, PilotRequest, PoseMissing,
+    RealTimeState,
 };
 use checks::LatestState;
 
@@ -115,17 +116,6 @@ struct Heard {
     hold: bool,
     /// Whether the operator has given pulses.
     jog: bool,
-}
-
-/// How a drive is armed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Arming {
-    /// It goes on by itself.
-    Unattended,
-    /// It ends unless it is renewed.
-    Held,
-    /// Pulses in place of a drive; it ends unless they are renewed.
-    Jog,
 }
 
 impl Supervisor {
@@ -238,9 +228,7 @@ impl Supervisor {
     /// A request from a person or a program, judged in the next step.
     pub const fn handle_request(&mut self, request: PilotRequest) {
         match request {
-            PilotRequest::Arm => self.heard.arm = Some(Arming::Unattended),
-            PilotRequest::ArmHeld | PilotRequest::ArmWaiting => self.heard.arm = Some(Arming::Held),
-            PilotRequest::ArmJog => self.heard.arm = Some(Arming::Jog),
+            PilotRequest::Arm(arming) => self.heard.arm = Some(arming),
             PilotRequest::Hold => self.heard.hold = true,
             PilotRequest::Disarm | PilotRequest::Carried => self.request_stop(Reason::Requested),
             PilotRequest::OperatorGone => self.request_stop(Reason::OperatorGone),

@@ -8,13 +8,18 @@ pub(super) const REACTION: f64 = 0.25;
 const FALLEN: f64 = 0.03;
 /// The highest deceleration that can be measured, m/s².
 const MOST: f64 = 10.0;
+/// From this speed on, m/s, all speeds of the way count. Below, most of the few that are left are
+/// those of a coarse motor sensor that still shows the mean since its last pulse: a line through them
+/// gave half of the true deceleration from 0.3 m/s.
+const LINE_FROM: f64 = 0.5;
 
 /// A car that is to slow down, measured from the first fall of its speed: the time until
 /// then depends on its ESC, and counts neither for its brakes nor against them.
 ///
 /// v²/2s from the speed at which it began to fall would be as wrong as twice that speed is, and it is
-/// the last of the high ones, whose error is mostly upward. So all speeds since then count: those
-/// of a car that slows down steadily lie on a line over the way, which falls to the last one.
+/// the last of the high ones, whose error is mostly upward. So all speeds since then count, from
+/// [`LINE_FROM`] on: those of a car that slows down steadily lie on a line over the way, which falls to
+/// the last one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RollOut {
     /// The highest speed, m/s.
@@ -95,6 +100,8 @@ impl RollOut {
         let fallen = (self.from * self.from - left * left).max(0.0);
         if self.way <= fallen / (2.0 * MOST) {
             MOST
+        } else if self.from < LINE_FROM {
+            fallen / (2.0 * self.way)
         } else {
             // A NaN stays one.
             self.line.deceleration(self.way, left).clamp(0.0, MOST)
@@ -227,6 +234,23 @@ mod tests {
             worst = worst.max(libm::fabs(roll_out.deceleration(0.0) / deceleration - 1.0));
         }
         assert!(worst < 0.05, "{worst}");
+    }
+
+    #[test]
+    fn a_coarse_sensor_that_lags_at_the_end_does_not_halve_the_deceleration_of_a_slow_car() {
+        // The estimate follows with 40 ms, as beside a pulse each 25 mm.
+        let deceleration = 1.9;
+        for speed in [0.27, 0.3, 0.35] {
+            let mut roll_out = RollOut::begin(speed);
+            let (mut now, mut seen): (f64, f64) = (speed, speed);
+            for tick in 1..40 {
+                now = f64::max(now - 0.01 * deceleration, 0.0);
+                seen += (now - seen) * 0.25;
+                roll_out.tick(0.01 * f64::from(tick), seen, 0.01 * seen);
+            }
+            let found = roll_out.deceleration(0.0);
+            assert!(found > 0.6 * deceleration, "{speed}: {found}");
+        }
     }
 
     #[test]

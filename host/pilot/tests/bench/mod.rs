@@ -9,9 +9,9 @@ use singletrack_control::{
     direction,
 };
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardSample, BoardState, Compensation, Event, Fence, LinkState,
-    Mode, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState, SupervisorConfig,
-    WatchConfig,
+    Arming, BoardHealth, BoardRequest, BoardSample, BoardState, Compensation, Event, Fence,
+    LinkState, Mode, Output, Pilot, PilotConfig, PilotRequest, PoseMissing, RealTimeState,
+    SupervisorConfig, WatchConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;
@@ -228,7 +228,7 @@ impl Bench {
 
     pub(crate) fn drive(&mut self) {
         assert_eq!(self.run(100).mode, Mode::Ready);
-        self.step_with(Some(PilotRequest::Arm));
+        self.step_with(Some(PilotRequest::Arm(Arming::Unattended)));
         let output = self.run(3);
         assert_eq!(output.mode, Mode::Driving, "{:?}", output.reason);
         self.run(100);

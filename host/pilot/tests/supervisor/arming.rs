@@ -1,8 +1,8 @@
 //! What an arm request needs, and what ends it.
 
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardState, LinkState, Mode, PilotRequest, RealTimeState, Reason,
-    Supervisor, SupervisorConfig,
+    Arming, BoardHealth, BoardRequest, BoardState, LinkState, Mode, PilotRequest, RealTimeState,
+    Reason, Supervisor, SupervisorConfig,
 };
 
 use crate::bench::{Bench, HEALTHY, STANDING_FAILURES, battery, steps};
@@ -40,13 +40,13 @@ fn arming_needs_every_input_once() {
         }),
     ];
     for (reason, give) in inputs {
-        let (mode, shown, request) = bench.ask(PilotRequest::Arm);
+        let (mode, shown, request) = bench.ask(PilotRequest::Arm(Arming::Unattended));
         assert_eq!((shown, request), (Some(reason), None));
         assert!(matches!(mode, Mode::Disconnected | Mode::Idle));
         give(&mut bench.supervisor);
     }
     assert_eq!(
-        bench.ask(PilotRequest::Arm).1,
+        bench.ask(PilotRequest::Arm(Arming::Unattended)).1,
         Some(Reason::RealTimeUnknown)
     );
     bench.supervisor.handle_real_time(RealTimeState {
@@ -203,7 +203,7 @@ fn the_arming_check_never_shows_why_the_last_drive_ended() {
     assert_eq!(bench.step().1, Some(Reason::Requested));
     assert_eq!(bench.supervisor.preflight(), Some(Reason::ImuNotStill));
     bench.conditions.imu_still = true;
-    bench.ask(PilotRequest::Arm);
+    bench.ask(PilotRequest::Arm(Arming::Unattended));
     assert_eq!(bench.supervisor.preflight(), None);
     bench.supervisor.handle_link(LinkState::Down);
     bench.step();

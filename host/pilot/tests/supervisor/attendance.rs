@@ -1,7 +1,9 @@
 //! Held, timed and unattended drives.
 
 use singletrack_control::Time;
-use singletrack_pilot::{BoardRequest, BoardState, Mode, PilotRequest, Reason, SupervisorConfig};
+use singletrack_pilot::{
+    Arming, BoardRequest, BoardState, Mode, PilotRequest, Reason, SupervisorConfig,
+};
 
 use crate::bench::{Bench, steps};
 
@@ -9,7 +11,7 @@ use crate::bench::{Bench, steps};
 fn a_held_drive_ends_half_a_second_after_its_last_renewal() {
     let mut bench = Bench::new();
     bench.step();
-    assert_eq!(bench.ask(PilotRequest::ArmHeld).0, Mode::Arming);
+    assert_eq!(bench.ask(PilotRequest::Arm(Arming::Held)).0, Mode::Arming);
     bench.supervisor.handle_board(BoardState::Armed);
     assert_eq!(bench.step().0, Mode::Driving);
     for _ in 0..4 {
@@ -34,7 +36,7 @@ fn a_held_drive_that_is_not_renewed_while_the_board_arms_is_not_begun() {
     });
     bench.connect();
     bench.step();
-    assert_eq!(bench.ask(PilotRequest::ArmHeld).0, Mode::Arming);
+    assert_eq!(bench.ask(PilotRequest::Arm(Arming::Held)).0, Mode::Arming);
     assert_eq!(steps(&mut bench, 500).0, Mode::Arming);
     assert_eq!(
         bench.step(),
@@ -73,7 +75,9 @@ fn a_dead_man_switch_that_is_lost_disarms_a_rolling_car_in_the_same_tick() {
     // It revokes an arm of the same tick, and clears no fault.
     let mut bench = Bench::new();
     bench.step();
-    bench.supervisor.handle_request(PilotRequest::ArmHeld);
+    bench
+        .supervisor
+        .handle_request(PilotRequest::Arm(Arming::Held));
     assert_eq!(bench.ask(PilotRequest::Halt), (Mode::Ready, None, None));
     bench.supervisor.fault(Reason::LawSingular, Time(0));
     assert_eq!(bench.ask(PilotRequest::Halt).0, Mode::Fault);
@@ -96,7 +100,9 @@ fn an_operator_who_is_gone_and_a_time_that_is_over_end_a_drive_with_their_reason
         // It revokes an arm of the same tick, and clears no fault.
         let mut bench = Bench::new();
         bench.step();
-        bench.supervisor.handle_request(PilotRequest::ArmHeld);
+        bench
+            .supervisor
+            .handle_request(PilotRequest::Arm(Arming::Held));
         assert_eq!(bench.ask(request).0, Mode::Ready);
         bench.supervisor.fault(Reason::LawSingular, Time(0));
         assert_eq!(bench.ask(request).0, Mode::Fault);

@@ -2,8 +2,8 @@
 
 use singletrack_control::Time;
 use singletrack_pilot::{
-    BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState, Mode,
-    PilotRequest, PoseMissing, RealTimeState, Reason, Supervisor, SupervisorConfig,
+    Arming, BoardHealth, BoardRequest, BoardState, Conditions, ImuVerdict, LineHealth, LinkState,
+    Mode, PilotRequest, PoseMissing, RealTimeState, Reason, Supervisor, SupervisorConfig,
 };
 
 pub(crate) const TICK_NS: u64 = 10_000_000;
@@ -279,7 +279,7 @@ impl Bench {
         let mut bench = Self::new();
         assert_eq!(bench.step(), (Mode::Ready, None, None));
         assert_eq!(
-            bench.ask(PilotRequest::Arm),
+            bench.ask(PilotRequest::Arm(Arming::Unattended)),
             (Mode::Arming, None, Some(BoardRequest::Arm))
         );
         bench

@@ -1,6 +1,6 @@
 //! What only a person clears: faults, contradictions, and what the watches find.
 
-use singletrack_pilot::{BoardRequest, BoardState, LinkState, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, BoardRequest, BoardState, LinkState, Mode, PilotRequest, Reason};
 
 use crate::bench::{Bench, steps};
 
@@ -13,7 +13,7 @@ fn an_earlier_emergency_stop_does_not_clear_a_fault_of_the_law() {
     bench.supervisor.handle_board(BoardState::Neutral);
     bench.conditions = Bench::new().conditions;
     bench.step();
-    bench.ask(PilotRequest::Arm);
+    bench.ask(PilotRequest::Arm(Arming::Unattended));
     bench.supervisor.handle_board(BoardState::Armed);
     assert_eq!(bench.step().0, Mode::Driving);
     let now = bench.conditions.now;
@@ -50,7 +50,7 @@ fn a_latched_run_at_neutral_is_a_fault_until_the_board_is_reset() {
     let mut bench = Bench::new();
     bench.supervisor.handle_board(BoardState::RunsAtNeutral);
     assert_eq!(
-        bench.ask(PilotRequest::Arm),
+        bench.ask(PilotRequest::Arm(Arming::Unattended)),
         (Mode::Idle, Some(Reason::RunsAtNeutral), None)
     );
 }
@@ -77,16 +77,19 @@ fn a_contradiction_needs_an_acknowledgement_before_the_next_drive() {
         assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
         bench.supervisor.handle_board(BoardState::Neutral);
         for request in [
-            PilotRequest::Arm,
-            PilotRequest::ArmHeld,
+            PilotRequest::Arm(Arming::Unattended),
+            PilotRequest::Arm(Arming::Held),
             PilotRequest::TimeUp,
-            PilotRequest::Arm,
+            PilotRequest::Arm(Arming::Unattended),
         ] {
             assert_eq!(bench.ask(request), (Mode::Idle, Some(reason), None));
             assert_eq!(bench.supervisor.preflight(), Some(reason));
         }
         assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
-        assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+        assert_eq!(
+            bench.ask(PilotRequest::Arm(Arming::Unattended)).0,
+            Mode::Arming
+        );
     }
 }
 
@@ -163,7 +166,10 @@ fn a_stop_that_contradicts_no_proof_needs_no_acknowledgement() {
         assert_eq!(bench.step().2, Some(BoardRequest::Disarm));
         bench.supervisor.handle_board(BoardState::Neutral);
         assert_eq!(bench.step().0, Mode::Ready);
-        assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+        assert_eq!(
+            bench.ask(PilotRequest::Arm(Arming::Unattended)).0,
+            Mode::Arming
+        );
     }
 }
 

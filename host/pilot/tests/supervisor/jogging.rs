@@ -1,13 +1,13 @@
 //! Jogging: what it needs, and all its ends.
 
-use singletrack_pilot::{BoardRequest, BoardState, Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, BoardRequest, BoardState, Mode, PilotRequest, Reason};
 
 use crate::bench::{Bench, FAILURES, HEALTHY, STANDING_FAILURES, TICK_NS, battery, steps};
 
 fn jogging() -> Bench {
     let mut bench = Bench::new();
     assert_eq!(
-        bench.ask(PilotRequest::ArmJog),
+        bench.ask(PilotRequest::Arm(Arming::Jog)),
         (Mode::Arming, None, Some(BoardRequest::Arm))
     );
     bench.supervisor.handle_board(BoardState::Armed);
@@ -33,7 +33,7 @@ fn only_board_battery_line_and_ticks_matter_before_and_while_jogging() {
     for (name, reason, failure) in FAILURES {
         let mut bench = Bench::new();
         failure(&mut bench);
-        let armed = bench.ask(PilotRequest::ArmJog);
+        let armed = bench.ask(PilotRequest::Arm(Arming::Jog));
         let refused = (Mode::Idle, Some(reason), None);
         assert_eq!(armed == refused, matters(reason), "{name}: {armed:?}");
 
@@ -58,13 +58,16 @@ fn wheels_that_turn_a_low_battery_and_a_board_that_is_not_ready_refuse_it() {
                 Reason::BatteryLow | Reason::BoardBooting | Reason::BoardArmed
             ),
         };
-        let (mode, _, request) = bench.ask(PilotRequest::ArmJog);
+        let (mode, _, request) = bench.ask(PilotRequest::Arm(Arming::Jog));
         assert_eq!(mode == Mode::Idle, stays, "{name}");
         assert_eq!(request.is_none(), stays, "{name}");
     }
     let mut bench = Bench::new();
     bench.conditions.motor_speed = f64::NAN;
-    assert_eq!(bench.ask(PilotRequest::ArmJog).1, Some(Reason::Moving));
+    assert_eq!(
+        bench.ask(PilotRequest::Arm(Arming::Jog)).1,
+        Some(Reason::Moving)
+    );
 }
 
 #[test]
@@ -140,17 +143,23 @@ fn a_board_that_stops_ends_it() {
 fn a_drive_never_becomes_jogging_and_jogging_never_a_drive() {
     let mut bench = Bench::driving();
     bench.supervisor.handle_jog();
-    assert_eq!(bench.ask(PilotRequest::ArmJog).0, Mode::Driving);
+    assert_eq!(bench.ask(PilotRequest::Arm(Arming::Jog)).0, Mode::Driving);
     let mut bench = jogging();
     bench.supervisor.handle_jog();
-    assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Jogging);
+    assert_eq!(
+        bench.ask(PilotRequest::Arm(Arming::Unattended)).0,
+        Mode::Jogging
+    );
     bench.supervisor.handle_board(BoardState::Armed);
     assert_eq!(bench.step().0, Mode::Jogging);
     // A request before it is not kept either.
     bench.ask(PilotRequest::Disarm);
     bench.supervisor.handle_board(BoardState::Neutral);
     bench.step();
-    assert_eq!(bench.ask(PilotRequest::Arm).0, Mode::Arming);
+    assert_eq!(
+        bench.ask(PilotRequest::Arm(Arming::Unattended)).0,
+        Mode::Arming
+    );
     bench.supervisor.handle_board(BoardState::Armed);
     assert_eq!(bench.step().0, Mode::Driving);
 }
@@ -160,17 +169,20 @@ fn a_refused_request_says_why_and_what_forbids_a_drive_stays_apart() {
     let mut bench = Bench::new();
     bench.pose_age_ms = u64::MAX;
     bench.health = battery(6_399);
-    assert_eq!(bench.ask(PilotRequest::ArmJog).1, Some(Reason::BatteryLow));
+    assert_eq!(
+        bench.ask(PilotRequest::Arm(Arming::Jog)).1,
+        Some(Reason::BatteryLow)
+    );
     bench.health = Some(HEALTHY);
     assert_eq!(bench.step().1, Some(Reason::NoPose));
     assert_eq!(bench.supervisor.preflight(), Some(Reason::NoPose));
-    assert_eq!(bench.ask(PilotRequest::ArmJog).0, Mode::Arming);
+    assert_eq!(bench.ask(PilotRequest::Arm(Arming::Jog)).0, Mode::Arming);
 }
 
 #[test]
 fn arming_to_jog_ends_when_the_hand_does_not_hold_it_or_the_wheels_turn() {
     let mut bench = Bench::new();
-    bench.ask(PilotRequest::ArmJog);
+    bench.ask(PilotRequest::Arm(Arming::Jog));
     bench.supervisor.handle_board(BoardState::PoweringUp);
     for _ in 0..2_000_000_000 / TICK_NS {
         bench.supervisor.handle_request(PilotRequest::Hold);
@@ -179,7 +191,7 @@ fn arming_to_jog_ends_when_the_hand_does_not_hold_it_or_the_wheels_turn() {
     assert_eq!(steps(&mut bench, 520).1, Some(Reason::OperatorGone));
 
     let mut bench = Bench::new();
-    bench.ask(PilotRequest::ArmJog);
+    bench.ask(PilotRequest::Arm(Arming::Jog));
     bench.conditions.motor_speed = 0.2;
     let moves = (Mode::Idle, Some(Reason::Moving), Some(BoardRequest::Disarm));
     assert_eq!(bench.step(), moves);
@@ -188,6 +200,8 @@ fn arming_to_jog_ends_when_the_hand_does_not_hold_it_or_the_wheels_turn() {
 #[test]
 fn a_disarm_in_the_same_tick_wins_over_a_request_to_jog() {
     let mut bench = Bench::new();
-    bench.supervisor.handle_request(PilotRequest::ArmJog);
+    bench
+        .supervisor
+        .handle_request(PilotRequest::Arm(Arming::Jog));
     assert_eq!(bench.ask(PilotRequest::Disarm).0, Mode::Ready);
 }

@@ -12,7 +12,8 @@ mod poses;
 mod stopping;
 
 use singletrack_pilot::{
-    BoardRequest, BoardState, LineHealth, LinkState, Mode, PilotRequest, Reason, SupervisorConfig,
+    Arming, BoardRequest, BoardState, LineHealth, LinkState, Mode, PilotRequest, Reason,
+    SupervisorConfig,
 };
 
 use bench::{Bench, DRIVING_FAILURES, FAILURES, HEALTHY, STANDING_FAILURES, battery};
@@ -27,7 +28,7 @@ fn every_failure_refuses_a_drive_with_its_reason() {
             "{name}"
         );
         assert_eq!(
-            bench.ask(PilotRequest::Arm),
+            bench.ask(PilotRequest::Arm(Arming::Unattended)),
             (Mode::Idle, Some(reason), None),
             "{name}: asked to arm"
         );
@@ -117,7 +118,7 @@ fn the_reason_of_a_stop_stays_only_while_the_car_settles() {
         );
         // An arm request is answered with the present reason.
         assert_eq!(
-            bench.ask(PilotRequest::Arm),
+            bench.ask(PilotRequest::Arm(Arming::Unattended)),
             (Mode::Idle, Some(reason), None),
             "{name}"
         );

@@ -203,7 +203,6 @@ codes! {
     PoseMissing as "POSE_MISSING",
     BoardState as "STATE",
     LinkState as "LINK",
-    PilotRequest as "REQUEST",
     BoardMode + 1 as "MODE",
     StopCause + 1 as "STOP_CAUSE",
     ImuState + 1 as "IMU",
@@ -212,6 +211,20 @@ codes! {
     RejectReason + 1 as "REJECTED",
     CaptureTimeSource + 1 as "SOURCE",
     Level as "LEVEL",
+}
+
+impl Coded for PilotRequest {
+    const PREFIX: &'static str = "REQUEST";
+    const CODED: &'static [Self] = &Self::ALL;
+    const FIRST: Self = Self::ALL[0];
+
+    fn code(self) -> u8 {
+        self.number()
+    }
+
+    fn word(self) -> &'static str {
+        self.name()
+    }
 }
 
 pub(super) use codes;

@@ -1,9 +1,12 @@
 //! How a message is declared.
 
+use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::definition::Definition;
 use crate::value::Visitor;
+
+pub(super) use ::{array, choice, fields, message};
 
 /// The package that all messages belong to.
 const PACKAGE: &str = "singletrack_msgs";
@@ -263,4 +266,34 @@ macro_rules! choice {
     };
 }
 
-pub(super) use {array, choice, fields, message};
+/// The header of a ROS 2 message: plain CDR, little-endian, no options.
+pub(crate) const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
+
+/// Adds a message with its header to `bytes`.
+pub(crate) fn encode(
+    message: &impl Serialize,
+    bytes: &mut Vec<u8>,
+) -> Result<(), cdr_encoding::Error> {
+    bytes.extend_from_slice(&ENCAPSULATION);
+    cdr_encoding::to_writer::<_, LittleEndian, _>(bytes, message)
+}
+
+/// The message that `bytes` encode, exactly.
+pub(crate) fn decode<M: Message>(bytes: &[u8]) -> Result<M, String> {
+    let Some(content) = bytes.strip_prefix(&ENCAPSULATION) else {
+        return Err(format!(
+            "a message begins with {:02x?}, not with the header of little-endian CDR",
+            bytes.get(..4).unwrap_or(bytes)
+        ));
+    };
+    let (message, length) =
+        cdr_encoding::from_bytes::<M, LittleEndian>(content).map_err(|error| error.to_string())?;
+    if length != content.len() {
+        return Err(format!(
+            "a message of {} has {} bytes too many",
+            M::NAME,
+            content.len().saturating_sub(length)
+        ));
+    }
+    Ok(message)
+}

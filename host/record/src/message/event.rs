@@ -327,6 +327,8 @@ mod tests {
     use proptest::prelude::*;
     use singletrack_control::{Position, Time, Velocity};
 
+    use singletrack_pilot::Arming;
+
     use super::*;
 
     /// Every bit pattern, also of what is not a number.
@@ -480,21 +482,21 @@ mod tests {
                 Event::PoseMissing(PoseMissing::Untrustworthy),
                 Event::Link(LinkState::Down),
                 Event::Link(LinkState::Ready),
-                Event::Request(PilotRequest::Arm),
+                Event::Request(PilotRequest::Arm(Arming::Unattended)),
                 Event::Request(PilotRequest::Disarm),
                 Event::Request(PilotRequest::EmergencyStop),
-                Event::Request(PilotRequest::ArmHeld),
+                Event::Request(PilotRequest::Arm(Arming::Held)),
                 Event::Request(PilotRequest::Hold),
                 Event::Request(PilotRequest::OperatorGone),
                 Event::Request(PilotRequest::TimeUp),
-                Event::Request(PilotRequest::ArmJog),
+                Event::Request(PilotRequest::Arm(Arming::Jog)),
                 Event::Jog(Jog {
                     servo_us: 1_380,
                     esc_us: 1_545
                 }),
                 Event::Request(PilotRequest::Halt),
                 Event::Request(PilotRequest::Carried),
-                Event::Request(PilotRequest::ArmWaiting),
+                Event::Request(PilotRequest::Arm(Arming::Waiting)),
                 Event::Begin(Time(3)),
                 Event::Proved(true),
                 Event::Proved(false),

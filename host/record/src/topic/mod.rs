@@ -5,10 +5,10 @@ use std::{fmt, str::FromStr};
 use singletrack_mocap::PoseState;
 
 use crate::{
-    Entry, Value, cdr,
+    Entry, Value,
     message::{
         ConfigurationMessage, DropsMessage, Fields, LogMessage, PoseMessage, Represents,
-        StatusMessage, TelemetryMessage, TickMessage, schema_name, schema_text,
+        StatusMessage, TelemetryMessage, TickMessage, declare, schema_name, schema_text,
     },
     value::{Json, Paths, Values},
 };

@@ -28,7 +28,7 @@ pub(in crate::stability) struct FiguresArgs {
     #[command(flatten)]
     subject: LoopArgs,
     /// Folder for the SVG files; created if needed
-    #[arg(long, alias = "output", value_name = "DIR")]
+    #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Which figures to draw
     #[arg(

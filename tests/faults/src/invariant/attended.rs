@@ -1,10 +1,10 @@
 //! Attended drives: they end with the hand that holds them.
 
 use singletrack_control::Time;
-use singletrack_pilot::{Event, Mode, PilotRequest};
+use singletrack_pilot::{Arming, Event, Mode, PilotRequest};
 use singletrack_protocol::{JOG_DRIVE_US, JOG_LIMIT_US, JOG_SPEED_MM_S};
 
-use super::{Invariant, SERVO_US, Verdict, is_stop};
+use super::{Invariant, SERVO_US, Verdict};
 use crate::{
     observation::Observation,
     operator::Renewed,
@@ -66,11 +66,11 @@ impl DeadMan {
         let before = self.mode.replace(mode);
         if mode == Mode::Arming && before != Some(Mode::Arming) {
             let armed = tick.events.iter().rev().find_map(|event| match event {
-                Event::Request(PilotRequest::Arm) => Some(Armed::Unattended),
-                Event::Request(PilotRequest::ArmHeld | PilotRequest::ArmWaiting) => {
-                    Some(Armed::Held)
-                }
-                Event::Request(PilotRequest::ArmJog) => Some(Armed::Jog),
+                Event::Request(PilotRequest::Arm(arming)) => Some(match arming {
+                    Arming::Unattended => Armed::Unattended,
+                    Arming::Held | Arming::Waiting => Armed::Held,
+                    Arming::Jog => Armed::Jog,
+                }),
                 _ => None,
             });
             self.armed = armed;
@@ -187,7 +187,7 @@ impl Invariant for AtOnce {
             let commanded = before.is_some_and(Mode::commands);
             let told = tick.events.iter().any(|event| match event {
                 Event::Request(PilotRequest::Halt) => commanded,
-                Event::Request(request) => before == Some(Mode::Jogging) && is_stop(*request),
+                Event::Request(request) => before == Some(Mode::Jogging) && request.is_stop(),
                 _ => false,
             });
             if told {

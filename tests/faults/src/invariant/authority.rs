@@ -1,9 +1,9 @@
 //! Authority: the car drives only on request, and stops on request.
 
-use singletrack_pilot::{Event, Mode, PilotRequest};
+use singletrack_pilot::{Arming, Event, Mode, PilotRequest};
 use singletrack_protocol::{BoardMode, COMMAND_TIME_TO_LIVE_US, Sequence, ToBoard, UNSOLICITED};
 
-use super::{Invariant, SERVO_US, Verdict, is_stop};
+use super::{Invariant, SERVO_US, Verdict};
 use crate::{observation::Observation, schedule::FaultKind};
 
 /// Time from the withdrawal of authority to the neutral pulse, in µs: up to 10 ms
@@ -154,20 +154,15 @@ impl Invariant for Unasked {
         let requested = |request| tick.events.contains(&Event::Request(request));
         let mode = tick.output.mode;
         let was_underway = core::mem::replace(&mut self.underway, mode.is_underway());
-        let armed = [
-            PilotRequest::Arm,
-            PilotRequest::ArmHeld,
-            PilotRequest::ArmWaiting,
-            PilotRequest::ArmJog,
-        ]
-        .into_iter()
-        .any(requested);
+        let armed = Arming::ALL
+            .into_iter()
+            .any(|arming| requested(PilotRequest::Arm(arming)));
         if self.underway && !was_underway && !armed {
             return Err(format!("mode {mode} without an arm request"));
         }
         // A stop must not be lost, even among many requests.
         let mut pending = observation.pending_requests.iter().copied();
-        if let Some(stop) = pending.find(|request| is_stop(*request) && !requested(*request)) {
+        if let Some(stop) = pending.find(|request| request.is_stop() && !requested(*request)) {
             return Err(format!("the pilot did not receive the request {stop}"));
         }
         if requested(PilotRequest::EmergencyStop) && mode != Mode::Fault {
@@ -179,7 +174,7 @@ impl Invariant for Unasked {
             mode,
             Mode::Arming | Mode::Driving | Mode::Slowing | Mode::Jogging
         );
-        let mut stops = PilotRequest::ALL.into_iter().filter(|stop| is_stop(*stop));
+        let mut stops = PilotRequest::ALL.into_iter().filter(|stop| stop.is_stop());
         if was_underway
             && follows
             && let Some(stop) = stops.find(|stop| requested(*stop))
@@ -221,10 +216,10 @@ impl Invariant for Waits {
         for event in &tick.events {
             match event {
                 // One that comes in a drive is without effect.
-                Event::Request(PilotRequest::ArmWaiting) => self.waiting |= !self.underway,
-                Event::Request(
-                    PilotRequest::Arm | PilotRequest::ArmHeld | PilotRequest::ArmJog,
-                ) => {
+                Event::Request(PilotRequest::Arm(Arming::Waiting)) => {
+                    self.waiting |= !self.underway
+                }
+                Event::Request(PilotRequest::Arm(_)) => {
                     self.waiting &= self.underway;
                 }
                 Event::Begin(_) => self.waiting = false,

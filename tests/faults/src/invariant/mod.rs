@@ -117,23 +117,6 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
     ]
 }
 
-/// Whether this request ends a drive.
-const fn is_stop(request: PilotRequest) -> bool {
-    match request {
-        PilotRequest::Arm
-        | PilotRequest::ArmHeld
-        | PilotRequest::ArmWaiting
-        | PilotRequest::ArmJog
-        | PilotRequest::Hold => false,
-        PilotRequest::Disarm
-        | PilotRequest::Carried
-        | PilotRequest::EmergencyStop
-        | PilotRequest::OperatorGone
-        | PilotRequest::TimeUp
-        | PilotRequest::Halt => true,
-    }
-}
-
 /// Whether the operator asks to disarm, after carrying the car or not.
 fn disarms(events: &[Event]) -> bool {
     let asked = |request| events.contains(&Event::Request(request));

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use singletrack_core::config::Config;
-use singletrack_pilot::{Event, Learned, Mode, PilotRequest};
+use singletrack_pilot::{Arming, Event, Learned, Mode, PilotRequest};
 use singletrack_protocol::{Decoder, Drive, ToBoard};
 use singletrack_record::TickRecord;
 use singletrack_sim::PulseRecord;
@@ -381,7 +381,9 @@ pub(super) fn unwatched(config: &mut Config) {
 /// A pilot that arms again after whatever ended a drive.
 pub(super) fn arms_at_once() -> impl Tamper {
     Ticks(|tick: &mut TickRecord| {
-        if tick.events.contains(&Event::Request(PilotRequest::Arm))
+        if tick
+            .events
+            .contains(&Event::Request(PilotRequest::Arm(Arming::Unattended)))
             && tick.output.mode == Mode::Idle
         {
             tick.output.mode = Mode::Arming;

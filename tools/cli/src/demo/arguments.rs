@@ -14,7 +14,6 @@ pub struct DemoArgs {
     /// How long to drive, such as 40s; a bare number is in seconds
     #[arg(
         long = "for",
-        alias = "duration",
         value_name = "DURATION",
         default_value = "40s",
         value_parser = parse_time
@@ -43,7 +42,6 @@ pub struct DemoArgs {
     /// Where the configuration, the record, the figures and the summary go
     #[arg(
         long,
-        alias = "output",
         value_name = "DIR",
         default_value = "singletrack-demo"
     )]

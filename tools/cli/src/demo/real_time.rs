@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use singletrack_pilot::{Mode, PilotRequest};
+use singletrack_pilot::{Arming, Mode, PilotRequest};
 use singletrack_sim::RealTimeSimulator;
 use singletrackd::{Daemon, Snapshot};
 
@@ -117,7 +117,7 @@ pub(super) fn arm(
         }
         if wanted == Mode::Ready {
             for daemon in daemons {
-                daemon.request(PilotRequest::Arm)?;
+                daemon.request(PilotRequest::Arm(Arming::Unattended))?;
             }
         }
     }

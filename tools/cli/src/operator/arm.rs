@@ -12,7 +12,8 @@ use std::{
 
 use clap::Args;
 use singletrack_api::{
-    Arm, Attendance, Connection, Drive as DriveState, Ended, Reply, Request, ask, ask_within,
+    Arm, Attendance, Connection, Drive as DriveState, Ended, HeldDrive, RENEWAL, Reply, Request,
+    ask, ask_within,
 };
 use singletrack_core::reasons::Why;
 
@@ -45,9 +46,6 @@ pub struct ArmArgs {
 const UNATTENDED: &str = "driving unattended: the car drives on when this shell, this terminal or \
                           this network ends, until `singletrack disarm` or `singletrack stop`, or \
                           until the daemon stops it";
-
-/// Interval of the renewals. The daemon stops the car 0.5 s after the last one.
-const RENEWAL: Duration = Duration::from_millis(100);
 
 /// The longest wait for a line, so that renewals and Ctrl-C are not late.
 const WAIT: Duration = Duration::from_millis(20);
@@ -86,7 +84,7 @@ pub fn run(args: &ArmArgs) -> Result<ExitCode, ControlError> {
         return Ok(ExitCode::SUCCESS);
     }
     let interrupt = Interrupt::listen()?;
-    let mut drive = Drive::connect(&args.control, "the drive")?;
+    let mut drive = Drive::connect(&args.control, "the drive", RENEWAL)?;
     let (attendance, renewal) = match args.time {
         None => (Attendance::Hold, Request::Hold {}),
         Some(_) => (Attendance::Timed, Request::Status {}),
@@ -108,26 +106,30 @@ impl ArmArgs {
 
 /// A connection that attends a drive.
 pub(crate) struct Drive {
-    connection: Connection,
+    held: HeldDrive,
     progress: Progress,
     socket: PathBuf,
 }
 
 impl Drive {
     /// `what` names the drive in the message about its end.
-    pub(crate) fn connect(args: &ControlArgs, what: &'static str) -> Result<Self, ControlError> {
+    pub(crate) fn connect(
+        args: &ControlArgs,
+        what: &'static str,
+        interval: Duration,
+    ) -> Result<Self, ControlError> {
         Ok(Self {
-            connection: Connection::open(&args.socket, PATIENCE)?,
+            held: HeldDrive::new(Connection::open(&args.socket, PATIENCE)?, interval),
             progress: Progress::new(what),
             socket: args.socket.clone(),
         })
     }
 
     pub(crate) fn send(&mut self, request: &Request) -> Result<(), ControlError> {
-        Ok(self.connection.send(request)?)
+        Ok(self.held.send(request)?)
     }
 
-    /// Sends `renewal` ten times a second until the drive has ended. Ctrl-C disarms the car, as
+    /// Sends `renewal` at every interval until the drive has ended. Ctrl-C disarms the car, as
     /// does the end of this time after it was armed, and the end is still waited for.
     pub(crate) fn attend(
         &mut self,
@@ -135,22 +137,19 @@ impl Drive {
         renewal: &Request,
         time: Option<Duration>,
     ) -> Result<ExitCode, ControlError> {
-        self.attend_with(interrupt, RENEWAL, time, || {
+        self.attend_with(interrupt, time, || {
             Ok(Some((renewal.clone(), CTRL_C.to_owned())))
         })
     }
 
-    /// As [`attend`](Self::attend), with the renewal that `renewal` gives every `interval`, and what
-    /// to show with the mode; `None` disarms the car, as Ctrl-C does.
+    /// Attends the drive with the renewal that `renewal` gives at every interval, and what to show with the mode; `None` disarms the car, as Ctrl-C does.
     pub(crate) fn attend_with(
         &mut self,
         interrupt: &Interrupt,
-        interval: Duration,
         time: Option<Duration>,
         mut renewal: impl FnMut() -> Result<Option<(Request, String)>, ControlError>,
     ) -> Result<ExitCode, ControlError> {
         let begun = Instant::now();
-        let mut renewed = begun;
         let mut is_armed = false;
         let mut armed = begun;
         let mut is_disarmed = false;
@@ -162,8 +161,7 @@ impl Drive {
                 // On a connection of its own: this one may wait for the board to arm.
                 ask(&Request::DISARM, &self.socket)?;
             }
-            if renewed.elapsed() >= interval {
-                renewed = Instant::now();
+            if self.held.is_due() {
                 match renewal()? {
                     Some((renewal, note)) => {
                         self.send(&renewal)?;
@@ -172,7 +170,7 @@ impl Drive {
                     None => is_let_go = true,
                 }
             }
-            let Some(line) = self.connection.receive_within(WAIT)? else {
+            let Some(line) = self.held.received_within(WAIT)? else {
                 continue;
             };
             let answer = match line {

@@ -19,7 +19,7 @@ pub struct ImportArgs {
     #[arg(long, value_name = "MAP.toml")]
     map: PathBuf,
     /// Where the record goes. A file that is there is kept, and the command refused.
-    #[arg(long, alias = "output", value_name = "RECORD.mcap")]
+    #[arg(long, value_name = "RECORD.mcap")]
     out: PathBuf,
 }
 

@@ -18,7 +18,7 @@ pub struct RecoverArgs {
     record: PathBuf,
     /// Where the repaired record goes [default: NAME.mcap, or NAME.recovered.mcap for a
     /// record that has that name].
-    #[arg(long, alias = "output", value_name = "FILE")]
+    #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
 

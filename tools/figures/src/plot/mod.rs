@@ -36,7 +36,7 @@ pub struct PlotArgs {
     pub record: PathBuf,
 
     /// Folder for the pictures [default: beside the record, named after it].
-    #[arg(long, alias = "output", value_name = "DIR")]
+    #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
 
     /// Only these figures [default: all].

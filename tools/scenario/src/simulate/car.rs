@@ -7,7 +7,7 @@ use singletrack_core::{
     config::{Config, ConfigError, LawKind},
     online_calibration::OnlineCalibration,
 };
-use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth};
 
@@ -308,7 +308,10 @@ impl<'a> Run<'a> {
             self.arms = false;
         }
         if self.arms && self.drive.mode() == Mode::Ready {
-            self.arms = self.drive.request(PilotRequest::Arm).is_err();
+            self.arms = self
+                .drive
+                .request(PilotRequest::Arm(Arming::Unattended))
+                .is_err();
         }
         let tick = self.drive.step();
         self.take(tick);

@@ -1,6 +1,6 @@
 //! Who drives the car of a scenario.
 
-use singletrack_pilot::{PilotRequest, Tuning};
+use singletrack_pilot::{Arming, PilotRequest, Tuning};
 use singletrack_settings::section;
 
 use super::{MOMENT, error::ScenarioError, tune::TuneSection};
@@ -50,7 +50,10 @@ impl OperatorSection {
                 Action::Ask(PilotRequest::EmergencyStop),
             ),
             (self.disarm_at_s, Action::Ask(PilotRequest::Disarm)),
-            (self.arm_again_at_s, Action::Ask(PilotRequest::Arm)),
+            (
+                self.arm_again_at_s,
+                Action::Ask(PilotRequest::Arm(Arming::Unattended)),
+            ),
             (self.unplug_at_s, Action::Connect(false)),
             (self.plug_at_s, Action::Connect(true)),
             (self.reset_board_at_s, Action::ResetBoard),

@@ -4,7 +4,7 @@
 use std::{error::Error, f64::consts::FRAC_PI_2, path::Path};
 
 use singletrack_control::{Position, Setpoint, Time, Velocity};
-use singletrack_pilot::{Mode, PilotRequest, Reason};
+use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
     simulate::{Scenario, virtual_drive_config},
     virtual_drive::VirtualDrive,
@@ -137,7 +137,7 @@ impl CalibratedCar {
         let mut armed = false;
         for number in 0..START_TICKS {
             if !armed && drive.mode() == Mode::Ready {
-                drive.request(PilotRequest::Arm)?;
+                drive.request(PilotRequest::Arm(Arming::Unattended))?;
                 armed = true;
             }
             self.send(drive, number, 0.0);

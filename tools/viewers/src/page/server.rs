@@ -93,7 +93,7 @@ impl Page {
         others: Vec<OtherCar>,
         section: &PageSection,
     ) -> Result<Self, PageError> {
-        section.check_served()?;
+        section.validate()?;
         let address = SocketAddr::new(section.address, section.port);
         let failed = |source| PageError::Listen { address, source };
         let listener = StdListener::bind(address).map_err(failed)?;

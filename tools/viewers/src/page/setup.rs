@@ -9,7 +9,7 @@ use std::{
 };
 
 use serde_json::{Map, Value, json};
-use singletrack_api::{ClientError, Request};
+use singletrack_api::{ClientError, Code, Refused, Request};
 use singletrack_control::Reference;
 use singletrack_core::{
     config::{Config, ReferenceSection},
@@ -86,13 +86,14 @@ fn configuration(socket: &Path) -> Result<(u32, Config), ClientError> {
     let answer = singletrack_api::ask_within(&Request::Configuration {}, socket, PATIENCE)?;
     let (Some(number), Some(text)) = (answer.configuration, answer.toml) else {
         let why = "the daemon's configuration has no number or no text";
-        return Err(ClientError::Refused(why.to_owned()));
+        return Err(Refused::new(Code::Other, why).into());
     };
     // It is in force: the daemon has judged it.
     let config = toml::from_str(&text).map_err(|error| {
-        ClientError::Refused(format!(
-            "can't read the daemon's configuration: {error}; is it the same version?"
-        ))
+        Refused::new(
+            Code::Other,
+            format_args!("can't read the daemon's configuration: {error}; is it the same version?"),
+        )
     })?;
     Ok((number, config))
 }

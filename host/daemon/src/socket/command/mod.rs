@@ -6,14 +6,14 @@ mod tests;
 use core::{ops::RangeInclusive, str::FromStr, time::Duration};
 
 use serde_json::Value;
-use singletrack_api::{Request, RequestError, explain};
+use singletrack_api::{Refused, Request, RequestError, explain};
 use singletrack_control::{Time, Velocity};
 use singletrack_core::{
     commissioned::{Procedure, ProcedureResult},
     config::ReferenceSection,
-    setpoint::{Rejected, SetpointCommand},
+    setpoint::SetpointCommand,
 };
-use singletrack_pilot::{Jog, Tuning};
+use singletrack_pilot::{Jog, PilotRequest, Tuning};
 use singletrack_record::{Channel, Topic};
 
 use super::setpoint::unreadable;
@@ -21,8 +21,10 @@ use super::setpoint::unreadable;
 /// A command of a client.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// Answered by one line.
-    Simple(SimpleRequest),
+    /// The status of daemon, board and figures, answered by one line.
+    Status,
+    /// A request that ends a drive, answered by one line.
+    End(PilotRequest),
     /// The clocks, answered by one line.
     Clock,
     /// The configuration in force, answered by one line.
@@ -74,7 +76,7 @@ pub enum Command {
 pub struct ParseError {
     text: String,
     /// The line is a set-point, and rejected with this word.
-    pub(super) rejected: Option<Rejected>,
+    pub(super) rejected: Option<Refused>,
 }
 
 impl From<String> for ParseError {
@@ -92,8 +94,8 @@ impl From<&str> for ParseError {
     }
 }
 
-impl From<Rejected> for ParseError {
-    fn from(rejected: Rejected) -> Self {
+impl From<Refused> for ParseError {
+    fn from(rejected: Refused) -> Self {
         Self {
             text: rejected.text.clone(),
             rejected: Some(rejected),
@@ -125,21 +127,6 @@ pub enum Attendance {
     Unattended,
 }
 
-/// A command without arguments.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SimpleRequest {
-    /// The status of daemon, board and figures.
-    Status,
-    /// Slow down, stop and disarm.
-    Disarm,
-    /// The same; and the body that the cameras show is the car, which was carried.
-    Carried,
-    /// Disarm at once: neutral without a ramp.
-    Halt,
-    /// Emergency stop: neutral at once, until the board is reset.
-    Stop,
-}
-
 impl Command {
     /// Parses a line that was read at `now_ns` of `CLOCK_MONOTONIC`.
     ///
@@ -150,7 +137,7 @@ impl Command {
         match Request::parse(line) {
             Ok(request) => Self::of(request, now_ns),
             Err(RequestError(text)) => Err(match unreadable(line) {
-                Some(why) => Rejected { why, text }.into(),
+                Some(code) => Refused { code, text }.into(),
                 None => text.into(),
             }),
         }
@@ -158,7 +145,7 @@ impl Command {
 
     fn of(request: Request, now_ns: u64) -> Result<Self, ParseError> {
         Ok(match request {
-            Request::Status {} => Self::Simple(SimpleRequest::Status),
+            Request::Status {} => Self::Status,
             Request::Clock {} => Self::Clock,
             Request::Arm(arm) => {
                 let attendance = attendance(&arm)?;
@@ -180,15 +167,15 @@ impl Command {
             Request::Jog { servo_us, esc_us } => Self::Jog(Jog { servo_us, esc_us }),
             Request::Reload {} => Self::Reload,
             Request::Configuration {} => Self::Configuration,
-            Request::Disarm { at_once, carried } => Self::Simple(match (at_once, carried) {
+            Request::Disarm { at_once, carried } => Self::End(match (at_once, carried) {
                 (true, true) => {
                     return Err("disarm takes at_once or carried, not both".into());
                 }
-                (true, false) => SimpleRequest::Halt,
-                (false, true) => SimpleRequest::Carried,
-                (false, false) => SimpleRequest::Disarm,
+                (true, false) => PilotRequest::Halt,
+                (false, true) => PilotRequest::Carried,
+                (false, false) => PilotRequest::Disarm,
             }),
-            Request::Stop {} => Self::Simple(SimpleRequest::Stop),
+            Request::Stop {} => Self::End(PilotRequest::EmergencyStop),
             Request::SetReference { reference } => Self::SetReference(section(reference)?),
             Request::Tune(tune) => Self::Tune(Tuning {
                 gain: tune.gain_per_s.map(|gain| Velocity::from(gain.each())),

@@ -3,7 +3,8 @@ use singletrack_control::{
     TrajectoryPoint, Velocity,
 };
 
-use singletrack_core::{config::Start, setpoint::Rejection};
+use singletrack_api::Code;
+use singletrack_core::config::Start;
 
 use super::*;
 
@@ -19,7 +20,7 @@ fn every_line_is_answered_as_the_golden_file_says() {
         let answer = match Command::parse(line.as_bytes(), NOW) {
             Ok(_) => "ok".to_owned(),
             Err(ParseError { text, rejected }) => match rejected {
-                Some(rejected) => format!("{}: {text}", rejected.why.name()),
+                Some(rejected) => format!("{}: {text}", rejected.code.name()),
                 None => text,
             },
         };
@@ -56,21 +57,18 @@ fn valid_lines_are_parsed() {
         Command::Setpoint(SetpointCommand::Setpoint(Setpoint { stamp, demand }))
     };
     for (line, command) in [
-        (
-            r#"{"version":2,"command":"status"}"#,
-            Command::Simple(SimpleRequest::Status),
-        ),
+        (r#"{"version":2,"command":"status"}"#, Command::Status),
         (
             r#"{"version":2,"command":"disarm","at_once":true}"#,
-            Command::Simple(SimpleRequest::Halt),
+            Command::End(PilotRequest::Halt),
         ),
         (
             r#"{"version":2,"command":"disarm","carried":true}"#,
-            Command::Simple(SimpleRequest::Carried),
+            Command::End(PilotRequest::Carried),
         ),
         (
             r#"{"version":2,"command":"disarm","at_once":false}"#,
-            Command::Simple(SimpleRequest::Disarm),
+            Command::End(PilotRequest::Disarm),
         ),
         (
             r#"{"version":2,"command":"arm","attendance":"hold"}"#,
@@ -132,7 +130,7 @@ fn valid_lines_are_parsed() {
         (r#"{"version":2,"command":"hold"}"#, Command::Hold),
         (
             "{\"command\":\"stop\",\"version\":2}\r\n",
-            Command::Simple(SimpleRequest::Stop),
+            Command::End(PilotRequest::EmergencyStop),
         ),
         (
             r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
@@ -207,7 +205,7 @@ fn valid_lines_are_parsed() {
 
 #[test]
 fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
-    use Rejection::{Future, Invalid, NotFinite, Old, OutOfRange};
+    use Code::{Future, Invalid, NotFinite, Old, OutOfRange};
     let points = |times: &[u64]| {
         let point =
             |time| format!(r#"{{"time_ns":{time},"position_m":[0,0],"velocity_m_s":[0,0]}}"#);
@@ -256,7 +254,7 @@ fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
         let comma = if keys.is_empty() { "" } else { "," };
         let line = format!(r#"{{"version":2,"command":"setpoint"{comma}{keys}}}"#);
         let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
-        let rejected = error.rejected.map(|rejected| rejected.why);
+        let rejected = error.rejected.map(|rejected| rejected.code);
         assert_eq!(rejected, Some(why), "{line}: {}", error.text);
     }
     let error = Command::parse(b"{\"version\":2,\"command\":NaN}", NOW).unwrap_err();

@@ -5,9 +5,9 @@ mod source;
 
 use core::sync::atomic::Ordering;
 
-use singletrack_api::Answer;
+use singletrack_api::{Answer, Code, Refused};
 use singletrack_control::Time;
-use singletrack_core::setpoint::{Rejected, Rejection, SetpointCommand};
+use singletrack_core::setpoint::{SetpointCommand, code};
 
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
 
@@ -52,10 +52,10 @@ impl SetpointStream {
         newest: &mut Newest,
         now: Time,
         timeout: Option<f64>,
-    ) -> Result<(), Rejected> {
+    ) -> Result<(), Refused> {
         let timeout = timeout.ok_or_else(|| {
-            Rejected::new(
-                Rejection::NotExternal,
+            Refused::new(
+                Code::NotExternal,
                 "set-points are not in use: reference.kind is not \"external\"; change it with \
                  set-reference or in the configuration",
             )
@@ -63,8 +63,8 @@ impl SetpointStream {
         let stamp = command.stamp();
         stamp.check(now, timeout).map_err(|error| {
             let age_ms = now.seconds_since(stamp.time) * 1e3;
-            Rejected::new(
-                error.into(),
+            Refused::new(
+                code(error),
                 format_args!(
                     "the set-point is {age_ms:.0} ms old: reference.setpoint_timeout_ms is {:.0}",
                     timeout * 1e3
@@ -75,8 +75,8 @@ impl SetpointStream {
         if let (Some(last), Some(sequence)) = (self.sequence, stamp.sequence)
             && sequence <= last
         {
-            return Err(Rejected::new(
-                Rejection::Sequence,
+            return Err(Refused::new(
+                Code::Sequence,
                 format_args!("sequence is {sequence}: the last one of this connection was {last}"),
             ));
         }
@@ -87,11 +87,11 @@ impl SetpointStream {
 }
 
 /// Counts a rejected set-point. Returns the answer.
-pub(super) fn reject(daemon: &DaemonHandle, rejected: &Rejected) -> Answer {
-    daemon.status.setpoints.reject(rejected.why);
+pub(super) fn reject(daemon: &DaemonHandle, rejected: &Refused) -> Answer {
+    daemon.status.setpoints.reject(rejected.code);
     Answer {
-        rejected: Some(rejected.why.name().into()),
-        ..Answer::failure(&rejected.text)
+        rejected: Some(rejected.code.name().into()),
+        ..Answer::refusal(rejected.clone())
     }
 }
 
@@ -127,9 +127,9 @@ mod tests {
         newest: &mut Newest,
         (time, sequence): (Time, Option<u32>),
         now: Time,
-    ) -> Result<(), Rejection> {
+    ) -> Result<(), Code> {
         let admitted = stream.admit(&command(time, sequence), newest, now, Some(TIMEOUT));
-        admitted.map_err(|rejected| rejected.why)
+        admitted.map_err(|rejected| rejected.code)
     }
 
     #[test]
@@ -140,7 +140,7 @@ mod tests {
             assert_eq!(admit(sequence), Ok(()), "{sequence:?}");
         }
         for sequence in [u32::MAX, 8, 0] {
-            assert_eq!(admit(Some(sequence)), Err(Rejection::Sequence));
+            assert_eq!(admit(Some(sequence)), Err(Code::Sequence));
         }
         assert_eq!(admit(None), Ok(()));
     }
@@ -151,12 +151,12 @@ mod tests {
         let mut admit = |ms, timeout| {
             let setpoint = command(before(ms), Some(1));
             let admitted = stream.admit(&setpoint, &mut newest, NOW, timeout);
-            admitted.map_err(|rejected| rejected.why)
+            admitted.map_err(|rejected| rejected.code)
         };
-        assert_eq!(admit(201, Some(TIMEOUT)), Err(Rejection::Old));
-        assert_eq!(admit(0, None), Err(Rejection::NotExternal));
+        assert_eq!(admit(201, Some(TIMEOUT)), Err(Code::Old));
+        assert_eq!(admit(0, None), Err(Code::NotExternal));
         assert_eq!(admit(200, Some(TIMEOUT)), Ok(()));
-        assert_eq!(admit(0, Some(TIMEOUT)), Err(Rejection::Sequence));
+        assert_eq!(admit(0, Some(TIMEOUT)), Err(Code::Sequence));
     }
 
     #[test]
@@ -169,16 +169,16 @@ mod tests {
             assert_eq!(admit(&mut one, &mut newest, (now, None), now), Ok(()));
             assert_eq!(
                 admit(&mut other, &mut newest, (now, number), now),
-                Err(Rejection::OtherSource)
+                Err(Code::OtherSource)
             );
         }
         // Its last one is of 490 ms. A rejected one has taken no number.
         let refused = admit(&mut other, &mut newest, (after(690), Some(1)), after(690));
-        assert_eq!(refused, Err(Rejection::OtherSource));
+        assert_eq!(refused, Err(Code::OtherSource));
         let taken = admit(&mut other, &mut newest, (after(691), Some(1)), after(691));
         assert_eq!(taken, Ok(()));
         let refused = admit(&mut one, &mut newest, (after(692), None), after(692));
-        assert_eq!(refused, Err(Rejection::OtherSource));
+        assert_eq!(refused, Err(Code::OtherSource));
     }
 
     #[test]
@@ -199,7 +199,7 @@ mod tests {
             let given = admit(&mut one, &mut newest, (before(ms), None), NOW);
             assert_eq!(given, Ok(()));
         }
-        for (ms, result) in [(150, Err(Rejection::OtherSource)), (151, Ok(()))] {
+        for (ms, result) in [(150, Err(Code::OtherSource)), (151, Ok(()))] {
             let now = after(ms);
             assert_eq!(admit(&mut other, &mut newest, (now, None), now), result);
         }

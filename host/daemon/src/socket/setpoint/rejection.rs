@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, sync::atomic::Ordering};
 
 use serde::Serialize;
 use serde_json::Value;
-use singletrack_core::setpoint::Rejection;
+use singletrack_api::Code;
 use singletrack_pilot::SetpointRefusal;
 
 /// Counts of set-points since the daemon started.
@@ -23,7 +23,7 @@ pub struct SetpointFigures {
 #[derive(Debug, Default)]
 pub(crate) struct SetpointCounters {
     pub(super) accepted: AtomicU64,
-    rejected: [AtomicU64; Rejection::ALL.len()],
+    rejected: [AtomicU64; Code::OF_SETPOINTS.len()],
     refused: [AtomicU64; SetpointRefusal::ALL.len()],
 }
 
@@ -32,7 +32,7 @@ impl SetpointCounters {
     pub(crate) fn figures(&self) -> SetpointFigures {
         SetpointFigures {
             accepted: self.accepted.load(Ordering::Relaxed),
-            rejected: counted(Rejection::ALL.map(Rejection::name), &self.rejected),
+            rejected: counted(Code::OF_SETPOINTS.map(Code::name), &self.rejected),
             refused: counted(
                 SetpointRefusal::ALL.map(SetpointRefusal::name),
                 &self.refused,
@@ -40,8 +40,8 @@ impl SetpointCounters {
         }
     }
 
-    pub(super) fn reject(&self, why: Rejection) {
-        count(&Rejection::ALL, &self.rejected, &why);
+    pub(super) fn reject(&self, why: Code) {
+        count(&Code::OF_SETPOINTS, &self.rejected, &why);
     }
 
     /// The pilot refused one that was accepted.
@@ -78,7 +78,7 @@ fn counted<const N: usize>(
 ///
 /// JSON has no word for what is not finite. Programs write `NaN` or `Infinity`, which is no
 /// JSON, `null`, or a number that is too large.
-pub(in crate::socket) fn unreadable(line: &[u8]) -> Option<Rejection> {
+pub(in crate::socket) fn unreadable(line: &[u8]) -> Option<Code> {
     let contains = |part: &[u8]| line.windows(part.len()).any(|window| window == part);
     contains(b"\"setpoint\"").then(|| {
         let is_number = match serde_json::from_slice::<Value>(line) {
@@ -88,9 +88,9 @@ pub(in crate::socket) fn unreadable(line: &[u8]) -> Option<Rejection> {
         };
         let is_word = [&b"NaN"[..], b"nan", b"Infinity", b"inf"];
         if is_number || is_word.into_iter().any(contains) {
-            Rejection::NotFinite
+            Code::NotFinite
         } else {
-            Rejection::Invalid
+            Code::Invalid
         }
     })
 }
@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn every_rejection_and_refusal_is_counted_by_its_word() {
         let counters = SetpointCounters::default();
-        for (count, why) in (1..).zip(Rejection::ALL) {
+        for (count, why) in (1..).zip(Code::OF_SETPOINTS) {
             for _ in 0..count {
                 counters.reject(why);
             }

@@ -7,8 +7,8 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
+use singletrack_api::{Code, Refused};
 use singletrack_control::Time;
-use singletrack_core::setpoint::{Rejected, Rejection};
 
 /// The source of the set-points, shared by all connections.
 #[derive(Clone, Debug, Default)]
@@ -35,7 +35,7 @@ impl Newest {
         connection: &Identity,
         now: Time,
         timeout: f64,
-    ) -> Result<(), Rejected> {
+    ) -> Result<(), Refused> {
         let Self(Some((newest, source))) = self else {
             return Ok(());
         };
@@ -43,8 +43,8 @@ impl Newest {
             .upgrade()
             .is_some_and(|source| !Arc::ptr_eq(&source, connection));
         if is_other && now.seconds_since(*newest) <= timeout {
-            return Err(Rejected::new(
-                Rejection::OtherSource,
+            return Err(Refused::new(
+                Code::OtherSource,
                 format_args!(
                     "another connection gives the set-points: end that program, or wait until it \
                      has given none for {:.0} ms (reference.setpoint_timeout_ms)",

@@ -4,7 +4,7 @@ use std::{io, thread, time::Instant};
 
 use jiff::Timestamp;
 use serde_json::json;
-use singletrack_api::{ClientError, Request, ask};
+use singletrack_api::{ClientError, Code, Request, ask};
 use singletrack_commissioning::{
     Answer, Question, Refused,
     edit::{Edit, EditError},
@@ -69,7 +69,9 @@ impl LiveBench {
     pub(super) fn reload(&mut self) -> Result<(), Refused> {
         match ask(&Request::Reload {}, &self.socket) {
             Ok(_) => Ok(()),
-            Err(ClientError::Refused(reason)) if reason.contains("restart it") => self.restart(),
+            Err(ClientError::Refused(refused)) if refused.code == Code::NeedsRestart => {
+                self.restart()
+            }
             Err(error) => Err(Refused::because(error)),
         }
     }

@@ -2,22 +2,20 @@
 
 use std::time::{Duration, Instant};
 
-use singletrack_api::{Arm, ClientError, Connection, Reply, Request, Setpoint};
+use singletrack_api::{
+    Arm, ClientError, Code, Connection, HeldDrive, RENEWAL, Reply, Request, Setpoint,
+};
 use singletrack_commissioning::{Attendance, Refused};
 
 use super::{AGAIN, ANSWER, LiveBench, PATIENCE};
-
-/// Interval of the renewals of a held drive. The daemon stops the car 0.5 s after the last one.
-const RENEWAL: Duration = Duration::from_millis(100);
 
 /// Interval of the set-points of a car that stands, and how long they come before it is armed.
 const SETPOINT: Duration = Duration::from_millis(50);
 const SETTLES: Duration = Duration::from_millis(400);
 
-/// A drive that a connection holds.
-pub(super) struct HeldDrive {
-    pub(super) connection: Connection,
-    renewed: Instant,
+/// The drive of a procedure.
+pub(super) struct BenchDrive {
+    pub(super) held: HeldDrive,
     /// Why it has ended.
     pub(super) ended: Option<String>,
 }
@@ -36,17 +34,14 @@ impl LiveBench {
         }
         if drive.ended.is_some() {
             // Without a renewal it would end half a second later.
-            let _ = drive.connection.send(&Request::DISARM);
+            let _ = drive.held.send(&Request::DISARM);
             return;
         }
-        if drive.renewed.elapsed() >= RENEWAL {
-            drive.renewed = Instant::now();
-            if let Err(error) = drive.connection.send(&Request::Hold {}) {
-                drive.ended = Some(error.to_string());
-            }
+        if let Err(error) = drive.held.renew() {
+            drive.ended = Some(error.to_string());
         }
         loop {
-            match drive.connection.receive() {
+            match drive.held.received() {
                 Ok(None) => return,
                 Ok(Some(Reply::Ended { ended, .. })) => {
                     let why = ended.reason.unwrap_or("the drive has ended".into());
@@ -73,7 +68,7 @@ impl LiveBench {
         if let Some(ended) = &drive.ended {
             return Err(Refused(ended.clone()));
         }
-        drive.connection.send(request).map_err(Refused::because)
+        drive.held.send(request).map_err(Refused::because)
     }
 
     /// Waits until the operator holds the space bar, which must have been released before.
@@ -105,7 +100,7 @@ impl LiveBench {
     }
 
     /// Arms when the space bar is held, with a connection that holds the drive.
-    pub(super) fn arm_by_key(&mut self, attendance: Attendance) -> Result<HeldDrive, Refused> {
+    pub(super) fn arm_by_key(&mut self, attendance: Attendance) -> Result<BenchDrive, Refused> {
         loop {
             self.wait_for_key()?;
             if let Some(drive) = self.arm_held(attendance)? {
@@ -117,7 +112,7 @@ impl LiveBench {
     }
 
     /// Arms while the space bar is held; none if it was released before.
-    fn arm_held(&mut self, attendance: Attendance) -> Result<Option<HeldDrive>, Refused> {
+    fn arm_held(&mut self, attendance: Attendance) -> Result<Option<BenchDrive>, Refused> {
         let arm = Request::Arm(Arm {
             attendance: Some(singletrack_api::Attendance::Hold),
             jog: attendance == Attendance::Jog,
@@ -156,14 +151,13 @@ impl LiveBench {
             if let Some(reply) = connection.receive::<Reply>().map_err(Refused::because)? {
                 match reply.agreed() {
                     Ok(_) => {
-                        return Ok(Some(HeldDrive {
-                            connection,
-                            renewed: Instant::now(),
+                        return Ok(Some(BenchDrive {
+                            held: HeldDrive::new(connection, RENEWAL),
                             ended: None,
                         }));
                     }
                     // Renewals that came after a refusal.
-                    Err(ClientError::Refused(reason)) if reason.starts_with("hold renews") => {}
+                    Err(ClientError::Refused(refused)) if refused.code == Code::NoDrive => {}
                     // The board is configured again after a reset and with another reference, and
                     // the estimate restarts. The operator need not let go for that.
                     Err(ClientError::Refused(_)) if begun.elapsed() < ANSWER => {

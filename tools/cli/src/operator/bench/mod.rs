@@ -31,7 +31,7 @@ use singletrack_record::{Entry, LinkPhase};
 
 use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
 use entries::Entries;
-use held::HeldDrive;
+use held::BenchDrive;
 use terminal::Terminal;
 
 pub use procedures::{BRING_UP, CALIBRATE, DoctorArgs};
@@ -92,7 +92,7 @@ pub(crate) struct LiveBench {
     entries: Entries,
     heard: Instant,
     is_linked: Option<bool>,
-    drive: Option<HeldDrive>,
+    drive: Option<BenchDrive>,
     /// The reference in force is another than that of the file.
     has_reference: bool,
     terminal: Terminal,
@@ -277,10 +277,7 @@ impl Bench for LiveBench {
         self.release_key();
         // The connection stays until its drive has ended: its end would be another stop.
         match &mut self.drive {
-            Some(drive) => drive
-                .connection
-                .send(&Request::DISARM)
-                .map_err(Refused::because),
+            Some(drive) => drive.held.send(&Request::DISARM).map_err(Refused::because),
             None => ask(&Request::DISARM, &self.socket)
                 .map(drop)
                 .map_err(Refused::because),

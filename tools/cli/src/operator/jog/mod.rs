@@ -9,7 +9,7 @@ use std::{
 };
 
 use clap::Args;
-use singletrack_api::{Arm, Attendance, Request};
+use singletrack_api::{Arm, Attendance, RENEWAL, Request};
 use singletrack_control::Time;
 use singletrackd::monotonic_ns;
 
@@ -56,7 +56,8 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     let interrupt = Interrupt::listen()?;
     // Before the board is armed: without a terminal it is not.
     let keyboard = args.keys.then(open_keyboard).transpose()?;
-    let mut drive = Drive::connect(&args.control, "jogging")?;
+    let interval = if keyboard.is_some() { KEYS } else { RENEWAL };
+    let mut drive = Drive::connect(&args.control, "jogging", interval)?;
     drive.send(&Request::Arm(Arm {
         attendance: Some(Attendance::Hold),
         jog: true,
@@ -71,7 +72,7 @@ pub fn run(args: &JogArgs) -> Result<ExitCode, ControlError> {
     };
     let mut keyboard = Keyboard::new(begun, Time(monotonic_ns()));
     let mut bytes = Vec::new();
-    let ended = drive.attend_with(&interrupt, KEYS, args.time, || {
+    let ended = drive.attend_with(&interrupt, args.time, || {
         terminal.read(&mut bytes)?;
         let now = Time(monotonic_ns());
         while let Some(key) = next_key(&mut bytes) {

@@ -43,7 +43,7 @@ fn configuration(
     changes: &[Change],
 ) -> Result<PilotConfig, Box<dyn Error>> {
     let read = |toml: &str| -> Result<(PilotConfig, Config), ConfigError> {
-        let config = Config::from_record(toml)?;
+        let config = Config::from_toml(toml)?;
         Ok((config.pilot()?, config))
     };
     // Whose fault it is shows when it is tried without the changes.
