@@ -3,7 +3,7 @@
 use std::{error::Error, process::ExitCode};
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use singletrack::{arguments::take_negative_numbers, printable::printable};
+use singletrack::{arguments::take_negative_numbers, help::printable};
 use singletrack_campaign::{MergeArgs, run_merge};
 use singletrack_lab::{compare, identify, install_files, judge, reproduce, stability};
 

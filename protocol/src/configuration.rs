@@ -3,9 +3,7 @@
 //! The host keeps them in one file. The board loses them at a reset and refuses to
 //! arm without them.
 //!
-//! Limits of a valid configuration.
-//!
-//! The board refuses values outside of them. The host calls the same function
+//! The board refuses values outside of the limits of a valid configuration. The host calls the same function
 //! first, so that its error names the line to correct.
 
 use core::ops::RangeInclusive;
@@ -13,7 +11,7 @@ use core::ops::RangeInclusive;
 use singletrack_words::words;
 
 use crate::{
-    Configuration, Configure, EscKind, FailsafeAction, MAX_POSE_AGE_CEILING_MS, Message,
+    Configure, MAX_POSE_AGE_CEILING_MS, Message,
     codec::{Field, Writer, enumeration, structure},
     crc::crc32,
 };

@@ -34,10 +34,16 @@ mod message;
 mod report;
 mod wire;
 
-pub use message::{Configure, DecodeError, Hello, Identity, Message, MessageType, RECEIVE_BUFFER_LENGTH, ToBoard, ToHost, UNNAMED, UNSOLICITED};
+pub use message::{
+    Configure, DecodeError, Hello, Identity, Message, MessageType, RECEIVE_BUFFER_LENGTH, ToBoard,
+    ToHost, UNNAMED, UNSOLICITED,
+};
 
 pub use command::{Arm, Disarm, Drive, EmergencyStop, Jog, Sequence};
-pub use configuration::{Configuration, ConfigurationError, ConfigurationField, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, ServoCalibration, SpeedLoop};
+pub use configuration::{
+    Configuration, ConfigurationError, ConfigurationField, EscCalibration, EscKind, FailsafeAction,
+    ImuAxes, ImuAxis, ServoCalibration, SpeedLoop,
+};
 pub use frame::{
     Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length,
 };

@@ -1,10 +1,11 @@
-//! The two sets of messages, and their way into frames and out of packets.
+//! The two sets of messages, and their way into frames and out of packets; the greeting, whose layout
+//! never changes; and the load of the serial line, checked at compile time.
 
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Hello, Identity, Jog,
-    Refusal, STATUS_PERIOD_US, Sequence, Status, TELEMETRY_PERIOD_US, Telemetry,
+    Acknowledgement, Arm, Configuration, Disarm, Drive, EmergencyStop, Jog, Refusal,
+    STATUS_PERIOD_US, Sequence, Status, TELEMETRY_PERIOD_US, Telemetry,
     codec::{Field, Reader, structure},
     frame::{Frame, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length},
 };

@@ -239,7 +239,7 @@ enumeration! {
         Silent = "silent",
         /// This record carries a sample that no record before it carried.
         Fresh = "fresh",
-        /// The same sample as in the record before.
+        /// This record carries the sample of the one before again.
         Repeated = "repeated",
     }
 }

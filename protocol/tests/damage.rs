@@ -1,4 +1,5 @@
-//! Corrupted frames are refused, and do not affect later frames.
+//! Every message decodes to what was encoded; corrupted frames are refused, and do not affect later
+//! frames.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests may fail loudly")]
 

@@ -7,13 +7,13 @@ use std::{
 };
 
 use crate::{
-    notes, options as parsed_options,
+    notes, options,
     prerequisites::Part,
-    process::{At as _, Failure, check, command, failure, silent, text},
-    programs::{INSTALLED, NODE, Packages, options, release_build},
+    process::{At as _, Result, check, command, failure, require, silent, text},
+    programs::{INSTALLED, NODE, Packages, program_options, release_build},
     target,
     toolchain::{AARCH64, ARMHF, Target},
-    uno::{self, Image},
+    uno,
     workspace::root,
 };
 
@@ -46,25 +46,24 @@ struct Architecture {
 
 impl Architecture {
     /// The one of this name, or that of this machine.
-    fn find(name: Option<&str>) -> Result<Self, Failure> {
+    fn find(name: Option<&str>) -> Result<Self> {
         let this = text(&mut command("dpkg --print-architecture"))?;
         let this = this.trim().to_owned();
         let name = name.unwrap_or(&this).to_owned();
         let mut others = [ARMHF, AARCH64].into_iter();
         let foreign = others.find(|other| other.architecture == name && name != this);
         let known = name == this && ["amd64", "arm64", "armhf"].contains(&this.as_str());
-        if !known && foreign.is_none() {
-            return Err(failure!(
-                "no package for {name:?} on {this}: it is made for arm64 and armhf, and for amd64 \
-                 on such a machine"
-            ));
-        }
+        require!(
+            known || foreign.is_some(),
+            "no package for {name:?} on {this}: it is made for arm64 and armhf, and for amd64 on \
+             such a machine"
+        );
         Ok(Self { name, foreign })
     }
 
     /// Builds the programs and returns their folder. The node is built apart: it must not change the
     /// features of the others' libraries.
-    fn build(&self) -> Result<PathBuf, Failure> {
+    fn build(&self) -> Result<PathBuf> {
         let mut folder = PathBuf::new();
         for programs in [&INSTALLED[..], &[NODE]] {
             let mut cargo;
@@ -72,19 +71,14 @@ impl Architecture {
                 None => release_build()?,
                 Some(foreign) => foreign.cargo("build", "release")?,
             };
-            check(cargo.args(options(programs)).stdout(Stdio::null()))?;
+            check(cargo.args(program_options(programs)).stdout(Stdio::null()))?;
         }
         Ok(folder)
     }
 
     /// Makes the packages in `target/debian`, which holds nothing but packages, and checks them;
     /// returns their paths. That of the node is left out of a check.
-    fn pack(
-        &self,
-        programs: &Path,
-        image: Option<&Image>,
-        has_node: bool,
-    ) -> Result<Vec<PathBuf>, Failure> {
+    fn pack(&self, programs: &Path, image: Option<&Path>, has_node: bool) -> Result<Vec<PathBuf>> {
         let folder = target::folder()?;
         let packages = folder.join("debian");
         let stage = folder.join("debian-stage").join(&self.name);
@@ -106,9 +100,9 @@ impl Architecture {
         }
         let profiles = if has_node { "" } else { WITHOUT_NODE };
         let emulator = self.foreign.map(|foreign| foreign.emulator());
+        let mut pack = Command::new("dpkg-architecture");
         silent(
-            Command::new("dpkg-architecture")
-                .current_dir(&stage)
+            pack.current_dir(&stage)
                 .env("DEB_RULES_REQUIRES_ROOT", "no")
                 // There is nothing to test.
                 .env("DEB_BUILD_OPTIONS", "nocheck")
@@ -117,7 +111,7 @@ impl Architecture {
                 .env("SOURCE", root())
                 .env("PROGRAMS", programs)
                 .env("EMULATOR", emulator.unwrap_or_default())
-                .env("IMAGE", image.map_or(Path::new(""), |image| &image.elf))
+                .env("IMAGE", image.unwrap_or(Path::new("")))
                 .args(["--host-arch", &self.name, "--force"])
                 .args(["--command", "debian/rules", "binary", "inspect"]),
         )?;
@@ -128,7 +122,7 @@ impl Architecture {
     }
 }
 
-pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn main(arguments: &[String]) -> Result {
     let Some(name) = parse(arguments)? else {
         print!("{USAGE}");
         return Ok(());
@@ -140,21 +134,20 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 }
 
 /// Makes the packages for an architecture, or for this machine, and returns their paths.
-pub(crate) fn make(name: Option<&str>) -> Result<Vec<PathBuf>, Failure> {
+pub(crate) fn make(name: Option<&str>) -> Result<Vec<PathBuf>> {
     let architecture = Architecture::find(name)?;
-    let foreign = match architecture.foreign {
-        None => None,
-        Some(ARMHF) => Some("odroid"),
-        Some(_) => Some("arm64"),
+    let required: &[&str] = match architecture.foreign {
+        None => &["debian"],
+        Some(ARMHF) => &["debian", "odroid"],
+        Some(_) => &["debian", "arm64"],
     };
-    let required: Vec<&str> = ["debian"].into_iter().chain(foreign).collect();
-    let image = uno::ensure(0, &required)?;
+    let image = uno::ensure(0, required)?.join(uno::IMAGE);
     architecture.pack(&architecture.build()?, Some(&image), true)
 }
 
 /// The architecture; `None` for help.
-fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
-    match parsed_options(arguments, &["--target"])[..] {
+fn parse(arguments: &[String]) -> Result<Option<Option<&str>>> {
+    match options(arguments, &["--target"])[..] {
         [] => Ok(Some(None)),
         [("--help" | "-h", None)] => Ok(None),
         [("--target", Some(name))] => Ok(Some(Some(name))),
@@ -164,11 +157,12 @@ fn parse(arguments: &[String]) -> Result<Option<Option<&str>>, Failure> {
 
 /// Packs the tested programs for this machine, and checks the package. Without the Arduino's part, the
 /// package has no image.
-pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn verify(packages: &Packages) -> Result {
     let image = packages.has(Part::Uno).then(|| packages.image());
-    let image = image.transpose()?;
-    Architecture::find(None)?.pack(&packages.path("")?, image.as_ref(), false)?;
-    Ok(())
+    let image = image.transpose()?.map(|folder| folder.join(uno::IMAGE));
+    Architecture::find(None)?
+        .pack(&packages.path("")?, image.as_deref(), false)
+        .map(drop)
 }
 
 #[cfg(test)]

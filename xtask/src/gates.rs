@@ -68,16 +68,15 @@ pub(crate) fn judge(
     car_id: u16,
     measured: &str,
 ) -> Result<(String, Vec<String>), Failure> {
-    let mut figures = Vec::new();
-    for line in measured.lines().filter(|line| !line.trim().is_empty()) {
-        figures.push(parse(line).ok_or_else(|| {
-            failure!("uno-figures: {line:?} is not of the form `name value unit`")
-        })?);
-    }
+    let lines = measured.lines().filter(|line| !line.trim().is_empty());
+    let parsed = |line| {
+        parse(line)
+            .ok_or_else(|| failure!("uno-figures: {line:?} is not of the form `name value unit`"))
+    };
+    let mut figures = lines.map(parsed).collect::<Result<Vec<_>, _>>()?;
     let find = |figures: &[(&str, f64, &str)], name, unit| {
-        figures
-            .iter()
-            .find(|figure| (figure.0, figure.2) == (name, unit))
+        let figure = figures.iter().find(|one| (one.0, one.2) == (name, unit));
+        figure
             .map(|figure| figure.1)
             .ok_or_else(|| failure!("uno-figures prints no `{name}` in {unit}"))
     };
@@ -87,27 +86,18 @@ pub(crate) fn judge(
     // uno-figures reads the file independently of avr-size.
     for (name, ours) in [("flash", flash), ("static", static_sram)] {
         let theirs = find(&figures, name, "B")?;
-        if theirs != ours {
-            wrong.push(format!(
-                "{name}: {ours} B by avr-size, {theirs} B by uno-figures: one of them reads the \
-                 image wrongly"
-            ));
-        }
+        let numbers = format!("{name}: {ours} B by avr-size, {theirs} B by uno-figures");
+        let why = format!("{numbers}: one of them reads the image wrongly");
+        wrong.extend((theirs != ours).then_some(why));
     }
     for (name, budget, unit) in BUDGETS {
         let value = find(&figures, name, unit)?;
-        if value > budget {
-            wrong.push(format!(
-                "{name}: {value} {unit} are more than the budget of {budget} {unit}"
-            ));
-        }
+        let why = format!("{name}: {value} {unit} are more than the budget of {budget} {unit}");
+        wrong.extend((value > budget).then_some(why));
     }
     let greeted = find(&figures, "car-id", "greeted")?;
-    if greeted != f64::from(car_id) {
-        wrong.push(format!(
-            "the image is for car {car_id}, and greets as car {greeted}"
-        ));
-    }
+    let why = format!("the image is for car {car_id}, and greets as car {greeted}");
+    wrong.extend((greeted != f64::from(car_id)).then_some(why));
     let mut table = String::new();
     for (name, value, unit) in figures {
         let budget = BUDGETS.iter().find(|budget| budget.0 == name);

@@ -20,7 +20,6 @@ mod toolchain;
 mod uno;
 mod verify;
 mod workspace;
-mod yardstick;
 
 use std::process::ExitCode;
 

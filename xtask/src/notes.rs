@@ -9,7 +9,7 @@ use std::{
 };
 
 use crate::{
-    process::{At as _, Failure, failure, text},
+    process::{At as _, Result, failure, require, text},
     target,
     toolchain::{AARCH64, ARMHF},
     workspace::{cargo, root},
@@ -27,28 +27,26 @@ pub(crate) struct Section {
 
 impl Section {
     /// Checks that it is the section of the version with this tag.
-    pub(crate) fn check_tag(&self, tag: &str) -> Result<(), Failure> {
-        if tag != format!("v{VERSION}") {
-            return Err(failure!(
-                "the tag {tag} is not v{VERSION}, the version in Cargo.toml: change one of them"
-            ));
-        }
-        if self.date.is_none() {
-            return Err(failure!(
-                "CHANGELOG.md begins with \"## Unreleased\": name that section \"## {VERSION} (YYYY-MM-DD)\""
-            ));
-        }
+    pub(crate) fn check_tag(&self, tag: &str) -> Result {
+        require!(
+            tag == format!("v{VERSION}"),
+            "the tag {tag} is not v{VERSION}, the version in Cargo.toml: change one of them"
+        );
+        require!(
+            self.date.is_some(),
+            "CHANGELOG.md begins with \"## Unreleased\": name that section \"## {VERSION} (YYYY-MM-DD)\""
+        );
         Ok(())
     }
 }
 
 /// The newest section, in a changelog that agrees with the version of the workspace.
-pub(crate) fn newest() -> Result<Section, Failure> {
+pub(crate) fn newest() -> Result<Section> {
     let path = root().join("CHANGELOG.md");
     parse(&fs::read_to_string(&path).at(&path)?, VERSION)
 }
 
-fn parse(text: &str, version: &str) -> Result<Section, Failure> {
+fn parse(text: &str, version: &str) -> Result<Section> {
     let mut sections = text.split("\n## ").skip(1);
     let mut next = || sections.next()?.split_once('\n');
     let (heading, text) = next().ok_or_else(|| failure!("CHANGELOG.md has no section"))?;
@@ -85,7 +83,7 @@ pub(crate) const TARGETS: [&str; 3] = ["x86_64-unknown-linux-gnu", AARCH64.tripl
 
 /// Lists the libraries of programs, or of other packages of the workspace, and adds their notices; for
 /// these targets, or for this machine.
-pub(crate) fn licences(programs: &[(&str, &str)], triples: &[&str]) -> Result<String, Failure> {
+pub(crate) fn licences(programs: &[(&str, &str)], triples: &[&str]) -> Result<String> {
     let packages = programs
         .iter()
         .flat_map(|(_, package)| ["--package", package]);

@@ -8,7 +8,7 @@ use std::{
 
 use crate::{
     prerequisites,
-    process::{Failure, check, command, failure, output},
+    process::{Result, check, command, failure, output, require},
     programs::{Packages, release_build},
     toolchain::ARMHF,
     workspace::root,
@@ -35,7 +35,7 @@ const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle-car.toml",
 ];
 
-pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn main(arguments: &[String]) -> Result {
     match arguments {
         [] => {
             prerequisites::ensure(&["armhf"])?;
@@ -55,7 +55,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 /// Checks that the Odroid's programs compile, and that the tested profile simulates the same bits
 /// there as here. The programs themselves are built and run by `cargo deb`.
-pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn verify(packages: &Packages) -> Result {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
     check_programs.args(INSTALLED.split(' '));
     // This combination of features is linted only here.
@@ -65,7 +65,7 @@ pub(crate) fn verify(packages: &Packages) -> Result<(), Failure> {
 
 /// Checks that a profile simulates the same bits there as the tests here: records of the car are
 /// replayed here.
-pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result<(), Failure> {
+pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result {
     let emulated = build(profile, TRAJECTORY)?.join("trajectory");
     let run = || {
         let mut run = command(&ARMHF.emulator());
@@ -77,7 +77,7 @@ pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result<(), Fai
 
 /// Checks that a release build simulates the same bits as the tests. The programs themselves are
 /// built by `cargo deb` and `cargo release`.
-pub(crate) fn compare_release(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn compare_release(packages: &Packages) -> Result {
     let (mut build, folder) = release_build()?;
     check(build.args(TRAJECTORY.split(' ')))?;
     let run = || Command::new(folder.join("trajectory"));
@@ -85,7 +85,7 @@ pub(crate) fn compare_release(packages: &Packages) -> Result<(), Failure> {
 }
 
 /// Builds programs, and returns their folder.
-fn build(profile: &str, options: &str) -> Result<PathBuf, Failure> {
+fn build(profile: &str, options: &str) -> Result<PathBuf> {
     let (mut cargo, folder) = ARMHF.cargo("build", profile)?;
     check(cargo.args(options.split(' ')).stdout(Stdio::null()))?;
     Ok(folder)
@@ -97,19 +97,16 @@ fn compare(
     packages: &Packages,
     tested_name: &str,
     (name, other): (&str, &dyn Fn() -> Command),
-) -> Result<(), Failure> {
+) -> Result {
     let tested = packages.path("trajectory")?;
     for scenario in SCENARIOS {
         let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
         let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
         if let Some(place) = first_difference(&tested, &other) {
-            return Err(failure!(
-                "{scenario}: {tested_name} and {name} differ first in {place}"
-            ));
+            let builds = format!("{tested_name} and {name}");
+            return Err(failure!("{scenario}: {builds} differ first in {place}"));
         }
-        if tested.is_empty() {
-            return Err(failure!("{scenario}: nothing was simulated"));
-        }
+        require!(!tested.is_empty(), "{scenario}: nothing was simulated");
         println!("{scenario}: {} bytes, the same", tested.len());
     }
     Ok(())

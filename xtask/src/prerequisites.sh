@@ -5,7 +5,7 @@
 #     xtask/src/prerequisites.sh find PROBE [ARGUMENT...]   prints what a probe finds
 #
 # Both print on standard output why they fail. The packages are those of packaging/prerequisites.
-set -eu
+set -euf
 case ${SINGLETRACK_RUSTC-} in
 /*) ;;
 */*) SINGLETRACK_RUSTC=$PWD/$SINGLETRACK_RUSTC ;;
@@ -49,8 +49,8 @@ or, with Debian's Rust: apt-get install rust-web-clippy"
     row arm64 "Rust for ARM64" rust "compiler aarch64-unknown-linux-gnu std" "$nightly"
     row arm64 "C and qemu for ARM64" arm64 "emulates aarch64-linux-gnu qemu-aarch64-static"
     row flash "avrdude" flash "avrdude -?"
-    row git "git" release "programs git"
-    row podman "podman" release "programs podman"
+    row git "git" git "programs git"
+    row podman "podman" podman "programs podman"
 }
 
 # Takes the rows of the wanted parts.
@@ -113,7 +113,8 @@ try() {
     local status=0
     text=$("$script" "$@" 2>errors) || status=$?
     [ $status -ne 0 ] || return 0
-    text=$(cat errors && echo "$text")
+    # Without the place in this script, which bash prints.
+    text=$(sed "s|^$script: line [0-9]*: ||" errors && echo "$text")
     [ "$text" ] || text="exit status: $status"
     return 1
 }

@@ -19,6 +19,8 @@ pub(crate) enum Failure {
 /// `EX_TEMPFAIL` of `sysexits.h`.
 pub(crate) const NOT_VALID: u8 = 75;
 
+pub(crate) type Result<T = (), E = Failure> = std::result::Result<T, E>;
+
 impl fmt::Display for Failure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (Self::Failed(text) | Self::NotValid(text)) = self;
@@ -34,13 +36,23 @@ macro_rules! failure {
 }
 pub(crate) use failure;
 
+/// Returns a [`failure!`] if a condition does not hold.
+macro_rules! require {
+    ($condition:expr, $($message:tt)*) => {
+        if !$condition {
+            return Err($crate::process::failure!($($message)*));
+        }
+    };
+}
+pub(crate) use require;
+
 /// Names the file of an error of the operating system.
 pub(crate) trait At<T> {
-    fn at(self, path: &Path) -> Result<T, Failure>;
+    fn at(self, path: &Path) -> Result<T>;
 }
 
 impl<T> At<T> for io::Result<T> {
-    fn at(self, path: &Path) -> Result<T, Failure> {
+    fn at(self, path: &Path) -> Result<T> {
         self.map_err(|error| failure!("{}: {error}", path.display()))
     }
 }
@@ -54,22 +66,22 @@ pub(crate) fn command(line: &str) -> Command {
 }
 
 /// Runs a command with inherited output.
-pub(crate) fn check(command: &mut Command) -> Result<(), Failure> {
+pub(crate) fn check(command: &mut Command) -> Result {
     run(command, |_| String::new()).map(drop)
 }
 
 /// Runs a command and returns its output.
-pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>, Failure> {
+pub(crate) fn output(command: &mut Command) -> Result<Vec<u8>> {
     run(command.stdout(Stdio::piped()), |_| String::new())
 }
 
 /// Runs a command and returns its output, which is text.
-pub(crate) fn text(command: &mut Command) -> Result<String, Failure> {
+pub(crate) fn text(command: &mut Command) -> Result<String> {
     Ok(String::from_utf8_lossy(&output(command)?).into_owned())
 }
 
 /// Runs a command, and shows its output only if it fails.
-pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
+pub(crate) fn silent(command: &mut Command) -> Result {
     let show = |output: &Output| {
         let text = [&output.stdout[..], &output.stderr].concat();
         format!("\n{}", String::from_utf8_lossy(&text))
@@ -78,7 +90,7 @@ pub(crate) fn silent(command: &mut Command) -> Result<(), Failure> {
 }
 
 /// Runs a command and returns what it writes to a pipe. The failure ends with a text of the output.
-fn run(command: &mut Command, show: impl Fn(&Output) -> String) -> Result<Vec<u8>, Failure> {
+fn run(command: &mut Command, show: impl Fn(&Output) -> String) -> Result<Vec<u8>> {
     let child = command.stdin(Stdio::null()).spawn();
     let output = child
         .and_then(Child::wait_with_output)

@@ -9,9 +9,8 @@ use std::{os::unix::process::CommandExt, path::PathBuf, process::Command};
 use crate::{
     once,
     prerequisites::Part,
-    process::{Failure, check, failure},
-    target,
-    uno::{self, Image},
+    process::{Result, check, failure},
+    target, uno,
     workspace::{cargo, cargo_here, root},
 };
 
@@ -57,7 +56,7 @@ impl Packages {
     }
 
     /// Cargo, with the options that name the packages. What it compiles is linted and documented, too.
-    pub(crate) fn cargo(&self, command: &str) -> Result<Command, Failure> {
+    pub(crate) fn cargo(&self, command: &str) -> Result<Command> {
         let mut cargo = cargo(command);
         once::wrap(&mut cargo)?;
         cargo.args(self.options());
@@ -75,7 +74,7 @@ impl Packages {
     }
 
     /// Compiles everything that is checked.
-    pub(crate) fn compile(&self) -> Result<(), Failure> {
+    pub(crate) fn compile(&self) -> Result {
         let named = NAMED_TESTS.into_iter().flat_map(|name| ["--test", name]);
         // `--all-targets` does not include them, whatever else is named.
         check(self.cargo("test")?.args(["--no-run", "--all-targets"]))?;
@@ -83,7 +82,7 @@ impl Packages {
     }
 
     /// The tests, or those of one of [`NAMED_TESTS`].
-    pub(crate) fn tests(&self, named: Option<&str>) -> Result<Command, Failure> {
+    pub(crate) fn tests(&self, named: Option<&str>) -> Result<Command> {
         let mut tests = self.cargo("test")?;
         if let Some(name) = named {
             tests.args(["--test", name, "--"]);
@@ -92,55 +91,54 @@ impl Packages {
     }
 
     /// Builds all programs and returns the path of one.
-    pub(crate) fn path(&self, name: &str) -> Result<PathBuf, Failure> {
-        self.build(&["--bins"])?;
+    pub(crate) fn path(&self, name: &str) -> Result<PathBuf> {
+        self.build("--bins", name)
+    }
+
+    /// Builds targets, and a test, so that dependencies have the features that tests need; returns the
+    /// path of one of them.
+    fn build(&self, targets: &str, name: &str) -> Result<PathBuf> {
+        let mut build = self.cargo("build")?;
+        check(build.args(["--quiet", "--test", NAMED_TESTS[0], targets]))?;
         Ok(target::folder()?.join("debug").join(name))
     }
 
-    /// Builds targets, and a test, so that dependencies have the features that tests need.
-    fn build(&self, targets: &[&str]) -> Result<(), Failure> {
-        let mut build = self.cargo("build")?;
-        build.args(["--quiet", "--test", NAMED_TESTS[0]]);
-        check(build.args(targets))
-    }
-
     /// A program, to be started in the workspace's root.
-    pub(crate) fn program(&self, name: &str) -> Result<Command, Failure> {
+    pub(crate) fn program(&self, name: &str) -> Result<Command> {
         let mut command = Command::new(self.path(name)?);
         command.current_dir(root());
         Ok(command)
     }
 
-    /// Builds all libraries and returns the folder of those that other languages load.
-    pub(crate) fn libraries(&self) -> Result<PathBuf, Failure> {
-        self.build(&["--lib"])?;
-        Ok(target::folder()?.join("debug"))
+    /// Builds all libraries and returns the path of one that other languages load.
+    pub(crate) fn library(&self, name: &str) -> Result<PathBuf> {
+        self.build("--lib", name)
     }
 
-    /// This source's image, with its simulator of this build.
-    pub(crate) fn image(&self) -> Result<Image, Failure> {
-        uno::build(0, || self.build(&["--bins"]))
+    /// The folder of this source's image, with its simulator of this build.
+    pub(crate) fn image(&self) -> Result<PathBuf> {
+        uno::build(0, || self.path("").map(drop))
     }
 
     /// Runs a command with this source's image, if the checks include it: a step that runs alone
     /// must not test an old image or one named by the environment.
-    pub(crate) fn check_with_image(&self, command: &mut Command) -> Result<(), Failure> {
+    pub(crate) fn check_with_image(&self, command: &mut Command) -> Result {
         command.env_remove("SINGLETRACK_UNO");
         if self.has(Part::Uno) {
-            command.env("SINGLETRACK_UNO", self.image()?.folder);
+            command.env("SINGLETRACK_UNO", self.image()?);
         }
         check(command)
     }
 }
 
 /// `cargo build` for this machine as for an installation, and the folder of the programs.
-pub(crate) fn release_build() -> Result<(Command, PathBuf), Failure> {
+pub(crate) fn release_build() -> Result<(Command, PathBuf)> {
     let folder = target::folder()?.join("release");
     Ok((cargo("build --release --locked"), folder))
 }
 
 /// Cargo's options that name programs and their packages.
-pub(crate) fn options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
+pub(crate) fn program_options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
     let options = |(program, package)| ["--package", package, "--bin", program];
     programs.iter().copied().flat_map(options).collect()
 }
@@ -148,15 +146,10 @@ pub(crate) fn options<'a>(programs: &[(&'a str, &'a str)]) -> Vec<&'a str> {
 /// Builds the program of a package, and the Arduino's image if the arguments ask for it, and replaces
 /// this process by the program; returns only on failure. The program starts in the current folder, from
 /// which its files are named, and has stdout for itself.
-pub(crate) fn become_program(
-    package: &str,
-    options: &[&str],
-    arguments: &[String],
-) -> Result<(), Failure> {
+pub(crate) fn become_program(package: &str, options: &[&str], arguments: &[String]) -> Result {
     let mut cargo = cargo_here();
     if needs_image(arguments) {
-        let image = uno::ensure(0, &[])?;
-        cargo.env("SINGLETRACK_UNO", image.folder);
+        cargo.env("SINGLETRACK_UNO", uno::ensure(0, &[])?);
     }
     let is_first = !target::folder()?.join("debug").join(package).is_file();
     if is_first {
@@ -171,14 +164,16 @@ pub(crate) fn become_program(
 }
 
 /// `cargo demo`: only what it runs is built. With the option `--live`, also what that serves.
-pub(crate) fn demo(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn demo(arguments: &[String]) -> Result {
     let is_live = arguments.iter().any(|one| one.starts_with("--live"));
-    let live: &[&str] = if is_live {
-        &["--features", "live"]
-    } else {
-        &[]
-    };
-    let options = [&["--no-default-features"], live, &["--", "demo"]].concat();
+    let features = if is_live { "live" } else { "" };
+    let options = [
+        "--no-default-features",
+        "--features",
+        features,
+        "--",
+        "demo",
+    ];
     become_program("singletrack", &options, arguments)
 }
 
@@ -202,16 +197,6 @@ fn needs_image(arguments: &[String]) -> bool {
         })
 }
 
-/// The packages without I/O that are built alone, without those of [`PUBLISHED`]: in the workspace's
-/// build, a package has the features that all others ask for, which hides missing ones.
-const PURE: [&str; 5] = [
-    "singletrack-protocol",
-    "singletrack-board",
-    "singletrack-pilot",
-    "singletrack-link",
-    "singletrack-analysis",
-];
-
 /// The packages with `publish = true`, each after those that it depends on.
 pub(crate) const PUBLISHED: [&str; 3] = [
     "singletrack-words",
@@ -219,17 +204,16 @@ pub(crate) const PUBLISHED: [&str; 3] = [
     "singletrack-mocap",
 ];
 
-/// Packages with fewer features than the workspace builds them with: as `cargo demo` does, and
-/// without any.
-const FEATURES: [(&str, &str); 2] = [("singletrack", ""), ("singletrack-logs", "")];
-
-/// Checks that the pure packages build without the others, and these without some of their features.
-pub(crate) fn check_alone() -> Result<(), Failure> {
-    let pure = PURE.iter().flat_map(|package| ["--package", package]);
-    check(cargo("check --quiet").args(pure))?;
-    for (package, features) in FEATURES {
-        let mut check_package = cargo("check --quiet --no-default-features");
-        check(check_package.args(["--package", package, "--features", features]))?;
+/// Checks that the packages without I/O build without the others, beside those of [`PUBLISHED`], which
+/// are built alone; and that two build without features, as `cargo demo` builds the first. In the
+/// workspace's build, a package has the features that all others ask for, which hides missing ones.
+pub(crate) fn check_alone() -> Result {
+    check(&mut cargo(
+        "check --quiet --package singletrack-protocol --package singletrack-board \
+         --package singletrack-pilot --package singletrack-link --package singletrack-analysis",
+    ))?;
+    for package in ["singletrack", "singletrack-logs"] {
+        check(cargo("check --quiet --no-default-features --package").arg(package))?;
     }
     Ok(())
 }
@@ -237,7 +221,7 @@ pub(crate) fn check_alone() -> Result<(), Failure> {
 /// Checks that the packages for others can be published: `cargo package` packs each from its
 /// `include` list and builds the result outside of the workspace. A file that is not packed, and a
 /// dependency without a version, are errors there only.
-pub(crate) fn check_published() -> Result<(), Failure> {
+pub(crate) fn check_published() -> Result {
     let packages = PUBLISHED.iter().flat_map(|package| ["--package", package]);
     // The working tree may hold changes. Offline, the versions are those of the workspace, and nothing
     // waits for the registry: `check_alone` has downloaded what they need.

@@ -8,64 +8,61 @@ use std::{
 
 use crate::{
     notes, prerequisites,
-    process::{At as _, Failure, check, command, failure, silent},
+    process::{At as _, Failure, Result, check, command, failure, silent},
     programs::Packages,
     target,
     toolchain::AARCH64,
     workspace::root,
 };
 
-/// An environment with packages of the Python package index, in the target folder.
-#[derive(Default)]
-pub(crate) struct Environment {
-    /// Its folder.
-    pub(crate) name: &'static str,
-    /// The folder with `requirements.txt`.
-    pub(crate) source: PathBuf,
-    /// Options of `python -m venv`.
-    pub(crate) options: &'static [&'static str],
-    /// Packages that are installed before the others, whose builds need them.
-    pub(crate) first: &'static [&'static str],
-    /// A program that succeeds if the packages work.
-    pub(crate) probe: &'static str,
-    /// Other files of the source that decide what is installed.
-    pub(crate) also: &'static [&'static str],
-}
+/// Packages of messages of ROS that are on no package index, and those that they use.
+const MESSAGES: [(&str, &str); 2] = [
+    ("ackermann_msgs", "std_msgs"),
+    ("tf2_msgs", "geometry_msgs"),
+];
 
-impl Environment {
-    /// Creates it, unless it is there with these requirements; returns its Python. `more` installs
-    /// what is on no package index.
-    pub(crate) fn ensure(
-        &self,
-        more: &dyn Fn(&Path) -> Result<(), Failure>,
-    ) -> Result<PathBuf, Failure> {
-        let folder = target::folder()?.join(self.name);
-        let requirements = self.source.join("requirements.txt");
-        let mut required = Vec::new();
-        for file in ["requirements.txt"].iter().chain(self.also) {
-            let file = self.source.join(file);
-            required.extend(fs::read(&file).at(&file)?);
-        }
-        let python = folder.join("bin/python");
-        // Written after the last successful installation.
-        let installed = folder.join("installed.txt");
-        // Its Python may have been removed or replaced.
-        let works = || silent(Command::new(&python).args(["-c", self.probe])).is_ok();
-        if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
-            return Ok(python);
-        }
-        let mut maker = Command::new(prerequisites::python()?);
-        maker.args(["-m", "venv", "--clear"]).args(self.options);
-        silent(maker.arg(&folder))?;
-        println!("Installing Python packages into {}", folder.display());
-        if !self.first.is_empty() {
-            silent(pip(&python).args(self.first))?;
-        }
-        silent(pip(&python).arg("-r").arg(&requirements))?;
-        more(&python)?;
-        fs::write(&installed, required).at(&installed)?;
-        Ok(python)
+/// Creates the environment `name` in the target folder with the packages of `source/requirements.txt`,
+/// unless it is there with these, and its Python can import these modules; returns its Python. If there
+/// is a `source/messages.py`, that builds the packages of messages of ROS.
+fn environment(name: &str, source: &Path, modules: &str) -> Result<PathBuf> {
+    let folder = target::folder()?.join(name);
+    let requirements = source.join("requirements.txt");
+    let builder = source.join("messages.py");
+    let is_ros = builder.is_file();
+    let mut required = fs::read(&requirements).at(&requirements)?;
+    if is_ros {
+        required.extend(fs::read(&builder).at(&builder)?);
     }
+    let python = folder.join("bin/python");
+    // Written after the last successful installation.
+    let installed = folder.join("installed.txt");
+    // Its Python may have been removed or replaced.
+    let works = || silent(Command::new(&python).args(["-c", &format!("import {modules}")])).is_ok();
+    if fs::read(&installed).is_ok_and(|installed| installed == required) && works() {
+        return Ok(python);
+    }
+    let mut maker = Command::new(prerequisites::python()?);
+    // The wheels of ROS write into the environment and start its Python again.
+    let copies = is_ros.then_some("--copies");
+    silent(
+        maker
+            .args(["-m", "venv", "--clear"])
+            .args(copies)
+            .arg(&folder),
+    )?;
+    println!("Installing Python packages into {}", folder.display());
+    if is_ros {
+        // Their builds need it.
+        silent(pip(&python).arg("wheel==0.48.0"))?;
+    }
+    silent(pip(&python).arg("-r").arg(&requirements))?;
+    for (package, used) in MESSAGES.into_iter().filter(|_| is_ros) {
+        let mut make = Command::new(&python);
+        make.arg(&builder).arg(source.join(package));
+        silent(make.arg(folder.join("build")).arg(used))?;
+    }
+    fs::write(&installed, required).at(&installed)?;
+    Ok(python)
 }
 
 /// pip, to install what its further arguments say.
@@ -76,14 +73,9 @@ fn pip(python: &Path) -> Command {
 }
 
 /// The environment of the package's build and of its tests.
-fn environment() -> Result<PathBuf, Failure> {
-    Environment {
-        name: "python-venv",
-        source: root().join("python"),
-        probe: "import gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist",
-        ..Environment::default()
-    }
-    .ensure(&|_| Ok(()))
+fn package_environment() -> Result<PathBuf> {
+    let modules = "gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist";
+    environment("python-venv", &root().join("python"), modules)
 }
 
 /// The C library that wheels need: that of Ubuntu 22.04. maturin refuses a module that needs more.
@@ -93,7 +85,7 @@ const COMPATIBILITY: &str = "manylinux_2_35";
 pub(crate) const MODULE: (&str, &str) = ("_native", "singletrack-python");
 
 /// Makes the wheels for x86-64 and ARM64 in a folder, and drives with the one for this machine.
-pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
+pub(crate) fn make_wheels(folder: &Path) -> Result {
     prerequisites::ensure(&["arm64"])?;
     let source = root().join("python");
     let target = target::folder()?;
@@ -101,7 +93,7 @@ pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
     let notices = source.join("NOTICES");
     let text = notes::licences(&[MODULE], &notes::TARGETS)?;
     fs::write(&notices, text).at(&notices)?;
-    let python = environment()?;
+    let python = package_environment()?;
     let maturin = || Command::new(python.with_file_name("maturin"));
     let mut native = maturin();
     native.args(["build", "--locked", "--profile", "release", "--target-dir"]);
@@ -124,27 +116,22 @@ pub(crate) fn make_wheels(folder: &Path) -> Result<(), Failure> {
     install.arg(folder).arg("--target").arg(&installed);
     silent(install.arg(concat!("singletrack==", env!("CARGO_PKG_VERSION"))))?;
     let mut simulate = Command::new(&python);
-    simulate.args([
-        "-c",
-        "import singletrack; singletrack.Simulator().step(100)",
-    ]);
-    check(simulate.env("PYTHONPATH", installed))
+    let program = "import singletrack; singletrack.Simulator().step(100)";
+    check(simulate.args(["-c", program]).env("PYTHONPATH", installed))
 }
 
 /// Runs the tests of the package, with the examples and notebooks, and the type checker. The package
 /// has the native module of the tested build, and its metadata by its installer; `cargo release`
 /// installs a wheel.
-pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn check_package(packages: &Packages) -> Result {
     let source = root().join("python");
-    let python = environment()?;
+    let python = package_environment()?;
     let folder = target::folder()?.join("python-package");
     target::empty(&folder)?;
     let mut lay_out = command("cp -r singletrack");
     check(lay_out.arg(&folder).current_dir(&source))?;
-    target::put(
-        &packages.libraries()?.join("lib_native.so"),
-        &folder.join("singletrack/_native.abi3.so"),
-    )?;
+    let module = packages.library("lib_native.so")?;
+    target::put(&module, &folder.join("singletrack/_native.abi3.so"))?;
     let mut metadata = Command::new(python.with_file_name("maturin"));
     metadata.args(["pep517", "write-dist-info", "--metadata-directory"]);
     silent(metadata.arg(&folder).current_dir(&source))?;
@@ -166,24 +153,19 @@ pub(crate) fn check_package(packages: &Packages) -> Result<(), Failure> {
 }
 
 /// The search path with the programs of the environment, of which maturin is one.
-fn path_with(python: &Path) -> Result<std::ffi::OsString, Failure> {
-    let programs = python.parent().map(Path::to_path_buf);
+fn path_with(python: &Path) -> Result<std::ffi::OsString> {
     let path = std::env::var_os("PATH").unwrap_or_default();
-    std::env::join_paths(programs.into_iter().chain(std::env::split_paths(&path)))
-        .map_err(|error| failure!("PATH: {error}"))
+    let programs = python.parent().map(Path::to_path_buf).into_iter();
+    let path = programs.chain(std::env::split_paths(&path));
+    std::env::join_paths(path).map_err(|error| failure!("PATH: {error}"))
 }
 
 /// Two readers from the Python package index open a record and compare its contents, and clients
 /// of other cameras read the simulated ones.
-pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn check_readers(packages: &Packages) -> Result {
     let source = root().join("tests/readers");
-    let python = Environment {
-        name: "readers-venv",
-        source: source.clone(),
-        probe: "import mcap_ros2, motioncapture, qtm_rt, rosbags",
-        ..Environment::default()
-    }
-    .ensure(&|_| Ok(()))?;
+    let modules = "mcap_ros2, motioncapture, qtm_rt, rosbags";
+    let python = environment("readers-venv", &source, modules)?;
     let singletrack = packages.path("singletrack")?;
     let folder = target::folder()?.join("readers");
     target::empty(&folder)?;
@@ -204,34 +186,12 @@ pub(crate) fn check_readers(packages: &Packages) -> Result<(), Failure> {
 /// A check of the node that was not valid is tried again.
 const TRIES: usize = 3;
 
-/// Packages of messages that are on no package index, and those that they use.
-const MESSAGES: [(&str, &str); 2] = [
-    ("ackermann_msgs", "std_msgs"),
-    ("tf2_msgs", "geometry_msgs"),
-];
-
 /// Checks the node of ROS 2 with rclpy, in a network of its own: the daemon drives the simulated car in
 /// real time.
-pub(crate) fn check_node(packages: &Packages) -> Result<(), Failure> {
+pub(crate) fn check_node(packages: &Packages) -> Result {
     let source = root().join("tests/ros");
-    let builder = source.join("messages.py");
-    let build = target::folder()?.join("ros-venv/build");
-    let python = Environment {
-        name: "ros-venv",
-        source: source.clone(),
-        // The wheels of ROS write into the environment and start its Python again.
-        options: &["--copies"],
-        first: &["wheel==0.48.0"],
-        probe: "import rclpy, ackermann_msgs.msg, tf2_msgs.msg",
-        also: &["messages.py"],
-    }
-    .ensure(&|python| {
-        MESSAGES.into_iter().try_for_each(|(package, used)| {
-            let mut make = Command::new(python);
-            make.arg(&builder).arg(source.join(package));
-            silent(make.args([&build, Path::new(used)]))
-        })
-    })?;
+    let modules = "rclpy, ackermann_msgs.msg, tf2_msgs.msg";
+    let python = environment("ros-venv", &source, modules)?;
     let programs = packages.path("")?;
     let folder = target::folder()?.join("ros");
     let mut drive = Command::new(root().join("xtask/src/isolated.sh"));

@@ -8,16 +8,15 @@ use std::{
 
 use crate::{
     deb, notes, odroid, options, prerequisites,
-    process::{At as _, Failure, check, command, failure, silent, text},
+    process::{At as _, Result, check, command, failure, require, silent, text},
     programs::{INSTALLED, NODE, PUBLISHED, Packages, check_published, release_build},
     python,
     step::{
         Scope::{All, Always},
-        Step, row, run_all,
+        Step, demo_s, row, run_all,
     },
     target,
     workspace::{cargo, root},
-    yardstick,
 };
 
 const USAGE: &str = "\
@@ -53,7 +52,7 @@ const STEPS: [Step; 8] = [
         "the packaged daemon drives a simulated board; optimised for the Odroid, the bits are the same",
         drive),
     row("image", 0.16, All, "the container image of the simulator", image),
-    row("wheels", 5.3, All, "the Python package", wheels),
+    row("wheels", 5.3, All, "the Python package", |_| python::make_wheels(&folder()?)),
     row("checksums", 0.03, Always, "SHA256SUMS", checksums),
 ];
 
@@ -64,7 +63,7 @@ pub(crate) struct Plan {
     without: Vec<String>,
 }
 
-pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn main(arguments: &[String]) -> Result {
     if arguments.iter().any(|one| one == "--help" || one == "-h") {
         print!("{USAGE}");
         return Ok(());
@@ -81,7 +80,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     target::empty(&folder()?)?;
     let steps = STEPS.into_iter().filter(|step| plan.has(step.name));
     let steps: Vec<Step> = steps.collect();
-    run_all(&steps, &Packages::Default, yardstick::demo_s()?)?;
+    run_all(&steps, &Packages::Default, demo_s()?)?;
     if !plan.without.is_empty() {
         println!("NOT A RELEASE: without {}", plan.without.join(", "));
     }
@@ -94,7 +93,7 @@ impl Plan {
     }
 }
 
-pub(crate) fn parse(arguments: &[String]) -> Result<Plan, Failure> {
+pub(crate) fn parse(arguments: &[String]) -> Result<Plan> {
     let mut plan = Plan::default();
     for option in options(arguments, &["--tag", "--without"]) {
         match option {
@@ -104,60 +103,55 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Plan, Failure> {
         }
     }
     let optional = STEPS.iter().filter(|step| step.scope == All);
-    if let Some(unknown) = plan
-        .without
-        .iter()
-        .find(|name| optional.clone().all(|step| step.name != **name))
-    {
-        return Err(failure!("--without {unknown:?} is no such step\n\n{USAGE}"));
+    let optional: Vec<&str> = optional.map(|step| step.name).collect();
+    for name in &plan.without {
+        let known = optional.contains(&name.as_str());
+        require!(known, "--without {name:?} is no such step\n\n{USAGE}");
     }
-    if plan.tag.is_some() && !plan.without.is_empty() {
-        return Err(failure!(
-            "a release has all steps: --tag or --without\n\n{USAGE}"
-        ));
-    }
+    let is_whole = plan.tag.is_none() || plan.without.is_empty();
+    require!(
+        is_whole,
+        "a release has all steps: --tag or --without\n\n{USAGE}"
+    );
     Ok(plan)
 }
 
 /// Checks that the files are those of a commit.
-fn check_clean() -> Result<(), Failure> {
+fn check_clean() -> Result {
     // In a container, the checkout belongs to another user.
     let mut git = command("git -c safe.directory=* status --porcelain");
     let changes = text(git.current_dir(root()))?;
-    if changes.is_empty() {
-        return Ok(());
-    }
-    Err(failure!(
+    require!(
+        changes.is_empty(),
         "the checkout has changes, commit them:\n{changes}"
-    ))
+    );
+    Ok(())
 }
 
 /// The folder of the files.
-fn folder() -> Result<PathBuf, Failure> {
+fn folder() -> Result<PathBuf> {
     Ok(target::folder()?.join(format!("release-{VERSION}")))
 }
 
-fn write(name: &str, text: &str) -> Result<(), Failure> {
+fn write(name: &str, text: &str) -> Result {
     let path = folder()?.join(name);
     fs::write(&path, text).at(&path)
 }
 
 /// Copies a file into the folder.
-fn take(file: &Path) -> Result<(), Failure> {
+fn take(file: &Path) -> Result {
     let name = file.file_name().unwrap_or_default();
     target::put(file, &folder()?.join(name))
 }
 
-fn write_notes(_: &Packages) -> Result<(), Failure> {
+fn write_notes(_: &Packages) -> Result {
     let programs = [&INSTALLED[..], &[NODE, python::MODULE]].concat();
-    write(
-        "LICENCES.txt",
-        &notes::licences(&programs, &notes::TARGETS)?,
-    )?;
+    let licences = notes::licences(&programs, &notes::TARGETS)?;
+    write("LICENCES.txt", &licences)?;
     write("notes.md", &notes::newest()?.text)
 }
 
-fn crates(_: &Packages) -> Result<(), Failure> {
+fn crates(_: &Packages) -> Result {
     // The list of the licences has downloaded what they need.
     check_published()?;
     let packed = target::folder()?.join("package");
@@ -167,7 +161,7 @@ fn crates(_: &Packages) -> Result<(), Failure> {
     Ok(())
 }
 
-fn book(_: &Packages) -> Result<(), Failure> {
+fn book(_: &Packages) -> Result {
     let target = target::folder()?;
     let tools = target.join("tools");
     let mut install = cargo("install --quiet --locked --no-default-features --features search");
@@ -182,7 +176,7 @@ fn book(_: &Packages) -> Result<(), Failure> {
     silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))
 }
 
-fn debian(_: &Packages) -> Result<(), Failure> {
+fn debian(_: &Packages) -> Result {
     for architecture in ARCHITECTURES {
         for package in deb::make(Some(architecture))? {
             take(&package)?;
@@ -192,7 +186,7 @@ fn debian(_: &Packages) -> Result<(), Failure> {
 }
 
 /// The daemon of this machine's package, in the suite that else has that of the tests.
-fn drive(packages: &Packages) -> Result<(), Failure> {
+fn drive(packages: &Packages) -> Result {
     odroid::compare_bits(packages, "release")?;
     let (_, programs) = release_build()?;
     let mut suite = Packages::Default.tests(Some("hil"))?;
@@ -200,7 +194,7 @@ fn drive(packages: &Packages) -> Result<(), Failure> {
     check(suite.arg("drive"))
 }
 
-fn image(_: &Packages) -> Result<(), Failure> {
+fn image(_: &Packages) -> Result {
     let name = format!("singletrack-sim:{VERSION}");
     // In a container, and for root without all rights, no other isolation works.
     let mut build = command("podman build --quiet --isolation chroot --squash --tag");
@@ -212,11 +206,7 @@ fn image(_: &Packages) -> Result<(), Failure> {
     silent(save.arg(folder()?.join(file)).arg(&name))
 }
 
-fn wheels(_: &Packages) -> Result<(), Failure> {
-    python::make_wheels(&folder()?)
-}
-
-fn checksums(_: &Packages) -> Result<(), Failure> {
+fn checksums(_: &Packages) -> Result {
     let folder = folder()?;
     let files = fs::read_dir(&folder).at(&folder)?.flatten();
     let mut names: Vec<_> = files.map(|file| file.file_name()).collect();
@@ -230,7 +220,7 @@ fn checksums(_: &Packages) -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Plan, Failure> {
+    fn parsed(line: &str) -> Result<Plan> {
         let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         parse(&arguments)
     }

@@ -6,12 +6,12 @@ use std::{
 };
 
 use crate::{
-    process::{At as _, Failure, check, failure, text},
+    process::{At as _, Result, check, failure, text},
     workspace::{cargo, root},
 };
 
 /// The target folder, with environment and configuration applied.
-pub(crate) fn folder() -> Result<PathBuf, Failure> {
+pub(crate) fn folder() -> Result<PathBuf> {
     let metadata = text(&mut cargo("metadata --no-deps --format-version 1"))?;
     let found = paths(&metadata, "target_directory").into_iter().next();
     found.ok_or_else(|| failure!("`cargo metadata` does not report the target folder"))
@@ -20,7 +20,7 @@ pub(crate) fn folder() -> Result<PathBuf, Failure> {
 /// Rebuilds the workspace's programs if the target folder came from another
 /// checkout: tests contain paths of the checkout that compiled them, and cargo
 /// considers a copied or moved build fresh.
-pub(crate) fn adopt() -> Result<(), Failure> {
+pub(crate) fn adopt() -> Result {
     let folder = folder()?;
     let note = folder.join("checkout.txt");
     let here = root().display().to_string();
@@ -61,7 +61,7 @@ fn text_up_to_quote(rest: &str) -> Option<String> {
 }
 
 /// Creates or empties a folder.
-pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
+pub(crate) fn empty(folder: &Path) -> Result {
     match fs::remove_dir_all(folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => fs::create_dir_all(folder),
@@ -70,7 +70,7 @@ pub(crate) fn empty(folder: &Path) -> Result<(), Failure> {
 }
 
 /// Copies a program atomically to its place, unless it is already there.
-pub(crate) fn put(from: &Path, to: &Path) -> Result<(), Failure> {
+pub(crate) fn put(from: &Path, to: &Path) -> Result {
     place(from, to)
         .map_err(|error| failure!("can't copy {} to {}: {error}", from.display(), to.display()))
 }

@@ -9,7 +9,7 @@ use std::{
 
 use crate::{
     prerequisites,
-    process::Failure,
+    process::Result,
     target,
     workspace::{cargo_here, root},
 };
@@ -24,8 +24,6 @@ pub(crate) const AVR_CLIPPY: &str = "compiler avr-none core clippy";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Target {
     pub(crate) triple: &'static str,
-    /// Searches the compiler.
-    pub(crate) probe: &'static str,
     /// Debian's name of the architecture.
     pub(crate) architecture: &'static str,
     /// Prefix of the C compiler, and the folder of its libraries.
@@ -37,7 +35,6 @@ pub(crate) struct Target {
 /// The Odroid, and 32-bit systems on a Raspberry Pi.
 pub(crate) const ARMHF: Target = Target {
     triple: "armv7-unknown-linux-gnueabihf",
-    probe: "compiler armv7-unknown-linux-gnueabihf std",
     architecture: "armhf",
     gnu: "arm-linux-gnueabihf",
     qemu: "qemu-arm-static",
@@ -46,7 +43,6 @@ pub(crate) const ARMHF: Target = Target {
 /// 64-bit systems on a Raspberry Pi and other ARM computers.
 pub(crate) const AARCH64: Target = Target {
     triple: "aarch64-unknown-linux-gnu",
-    probe: "compiler aarch64-unknown-linux-gnu std",
     architecture: "arm64",
     gnu: "aarch64-linux-gnu",
     qemu: "qemu-aarch64-static",
@@ -63,7 +59,7 @@ pub(crate) struct Compiler {
 impl Compiler {
     /// The first that works: the one that `SINGLETRACK_RUSTC` names, a nightly of rustup with
     /// `rust-src`, Debian's. The probe is one such as [`AVR`].
-    pub(crate) fn find(probe: &str) -> Result<Self, Failure> {
+    pub(crate) fn find(probe: &str) -> Result<Self> {
         let found = prerequisites::find(probe)?;
         let mut paths = found.lines().skip(1).map(PathBuf::from);
         Ok(Self {
@@ -117,27 +113,27 @@ impl Target {
         format!("{} -L /usr/{}", self.qemu, self.gnu)
     }
 
+    fn compiler(&self) -> Result<Compiler> {
+        Compiler::find(&format!("compiler {} std", self.triple))
+    }
+
     /// A command of cargo for this processor, and the folder of the programs of a profile.
-    pub(crate) fn cargo(
-        &self,
-        command: &str,
-        profile: &str,
-    ) -> Result<(Command, PathBuf), Failure> {
-        let mut cargo = Compiler::find(self.probe)?.cargo(root());
+    pub(crate) fn cargo(&self, command: &str, profile: &str) -> Result<(Command, PathBuf)> {
+        let mut cargo = self.compiler()?.cargo(root());
         cargo.arg(command);
         let folder = self.set_up(&mut cargo, profile)?;
         Ok((cargo, folder))
     }
 
     /// Lets maturin build for this processor.
-    pub(crate) fn maturin_build(&self, maturin: &mut Command) -> Result<(), Failure> {
-        Compiler::find(self.probe)?.set_up(maturin);
+    pub(crate) fn maturin_build(&self, maturin: &mut Command) -> Result {
+        self.compiler()?.set_up(maturin);
         self.set_up(maturin.arg("build"), "release").map(drop)
     }
 
     /// Adds the arguments of a build by cargo, or by maturin, which has the same. The standard
     /// library is built from its sources. Returns the folder of the programs.
-    fn set_up(&self, command: &mut Command, profile: &str) -> Result<PathBuf, Failure> {
+    fn set_up(&self, command: &mut Command, profile: &str) -> Result<PathBuf> {
         let folder = target::folder()?.join("odroid");
         let triple = self.triple.replace('-', "_");
         let gcc = format!("{}-gcc", self.gnu);

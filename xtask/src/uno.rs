@@ -11,7 +11,7 @@ use std::{
 
 use crate::{
     gates, options, prerequisites,
-    process::{Failure, check, command, failure, text},
+    process::{Result, check, command, failure, require, text},
     target,
     toolchain::{AVR, AVR_CLIPPY, Compiler},
     workspace::{cargo, root},
@@ -36,7 +36,7 @@ pub(crate) struct Options {
     flash: Option<PathBuf>,
 }
 
-pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn main(arguments: &[String]) -> Result {
     let Some(options) = parse(arguments)? else {
         print!("{USAGE}");
         return Ok(());
@@ -50,13 +50,14 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     let image = ensure(car_id, programmer.as_slice())?;
     let mut figures = cargo("run --package singletrack-sim --bin uno-figures");
     check_image(&image, car_id, &mut figures)?;
-    options
-        .flash
-        .map_or(Ok(()), |port| flash(&image.elf, &port))
+    match options.flash {
+        Some(port) => flash(&image.join(IMAGE), &port),
+        None => Ok(()),
+    }
 }
 
 /// `None` for help.
-pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
+pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>> {
     let refused = |reason: &str| Err(failure!("{reason}\n\n{USAGE}"));
     let mut found = Options::default();
     for option in options(arguments, &["--flash", "--car-id"]) {
@@ -83,15 +84,11 @@ pub(crate) fn parse(arguments: &[String]) -> Result<Option<Options>, Failure> {
 /// The variable with the car's number, which the image's source reads.
 const CAR_ID: &str = "SINGLETRACK_CAR_ID";
 
-/// Paths of the image.
-pub(crate) struct Image {
-    /// Folder of all files.
-    pub(crate) folder: PathBuf,
-    /// The image to flash.
-    pub(crate) elf: PathBuf,
-    /// The benchmark for the simulator.
-    pub(crate) cycles_elf: PathBuf,
-}
+/// The image to flash, in the folder `uno`.
+pub(crate) const IMAGE: &str = "singletrack-uno.elf";
+
+/// The benchmark for the simulator, likewise.
+const CYCLES: &str = "singletrack-uno-cycles.elf";
 
 /// Cargo's option for builds on the way to something else: progress is shown on a terminal only.
 pub(crate) fn quiet() -> Option<&'static str> {
@@ -99,8 +96,8 @@ pub(crate) fn quiet() -> Option<&'static str> {
 }
 
 /// Installs the prerequisites of the image and others, builds simulator and image, for this car or
-/// for none (zero), and places them.
-pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<Image, Failure> {
+/// for none (zero), and places them. Returns their folder.
+pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<PathBuf> {
     prerequisites::ensure(&[&["image"], others].concat())?;
     build(car_id, || {
         let mut build = cargo("build --package singletrack-simavr-process");
@@ -108,33 +105,26 @@ pub(crate) fn ensure(car_id: u16, others: &[&str]) -> Result<Image, Failure> {
     })
 }
 
-/// Builds the image and the simulator, and places both.
-pub(crate) fn build(
-    car_id: u16,
-    build_simulator: impl FnOnce() -> Result<(), Failure>,
-) -> Result<Image, Failure> {
+/// Builds the image and the simulator, and places both. Returns their folder.
+pub(crate) fn build(car_id: u16, build_simulator: impl FnOnce() -> Result) -> Result<PathBuf> {
     let target = target::folder()?;
     let mut build = uno_cargo(&Compiler::find(AVR)?, "build", &target);
     build.args(quiet()).env(CAR_ID, car_id.to_string());
     check(build.stdout(Stdio::null()))?;
     build_simulator()?;
     let folder = target.join("uno");
-    let place = |from: &str, name: &str| {
-        let to = folder.join(name);
-        target::put(&target.join(from).join(name), &to).map(|()| to)
-    };
-    let elf = place("uno-build/avr-none/release", "singletrack-uno.elf")?;
-    let cycles_elf = place("uno-build/avr-none/release", "singletrack-uno-cycles.elf")?;
-    place("debug", "singletrack-simavr")?;
-    Ok(Image {
-        folder,
-        elf,
-        cycles_elf,
-    })
+    for (from, name) in [
+        ("uno-build/avr-none/release", IMAGE),
+        ("uno-build/avr-none/release", CYCLES),
+        ("debug", "singletrack-simavr"),
+    ] {
+        target::put(&target.join(from).join(name), &folder.join(name))?;
+    }
+    Ok(folder)
 }
 
 /// Checks that the image builds without warnings of compiler and clippy.
-pub(crate) fn lint() -> Result<(), Failure> {
+pub(crate) fn lint() -> Result {
     let compiler = Compiler::find(AVR_CLIPPY)?;
     let target = target::folder()?;
     // RUSTFLAGS would replace the image's own flags.
@@ -163,29 +153,22 @@ fn uno_cargo(compiler: &Compiler, command: &str, target: &Path) -> Command {
     cargo
 }
 
-/// Checks the image for a car against its budgets, with the measuring program.
-pub(crate) fn check_image(
-    image: &Image,
-    car_id: u16,
-    measure: &mut Command,
-) -> Result<(), Failure> {
-    for elf in [&image.elf, &image.cycles_elf] {
-        gates::refuse_forbidden(elf)?;
-    }
-    let size = gates::size(&image.elf)?;
+/// Checks the image for a car, in its folder, against its budgets, with the measuring program.
+pub(crate) fn check_image(folder: &Path, car_id: u16, measure: &mut Command) -> Result {
+    let elf = folder.join(IMAGE);
+    gates::refuse_forbidden(&elf)?;
+    gates::refuse_forbidden(&folder.join(CYCLES))?;
+    let size = gates::size(&elf)?;
     // This image, not one named by the environment.
-    let measured = text(measure.env("SINGLETRACK_UNO", &image.folder))?;
+    let measured = text(measure.env("SINGLETRACK_UNO", folder))?;
     let (table, wrong) = gates::judge(size, car_id, &measured)?;
-    println!("\n{}\n\n{table}", image.elf.display());
-    if wrong.is_empty() {
-        Ok(())
-    } else {
-        Err(Failure::Failed(wrong.join("; ")))
-    }
+    println!("\n{}\n\n{table}", elf.display());
+    require!(wrong.is_empty(), "{}", wrong.join("; "));
+    Ok(())
 }
 
 /// Checks the port early, with clearer messages than avrdude's.
-fn check_port(port: &Path) -> Result<(), Failure> {
+fn check_port(port: &Path) -> Result {
     let name = port.display();
     let metadata = fs::metadata(port).map_err(|error| {
         failure!(
@@ -193,37 +176,33 @@ fn check_port(port: &Path) -> Result<(), Failure> {
              /dev/ttyUSB*` lists the ports"
         )
     })?;
-    if !metadata.file_type().is_char_device() {
-        return Err(failure!("{name} is not a serial port"));
-    }
+    let is_port = metadata.file_type().is_char_device();
+    require!(is_port, "{name} is not a serial port");
     // Opening it would reset the board.
     let port = port.as_os_str();
     let may_use = Command::new("test")
         .args(["-r".as_ref(), port, "-a".as_ref(), "-w".as_ref(), port])
         .status();
     // Without this program, avrdude reports the error.
-    if may_use.is_ok_and(|status| !status.success()) {
-        return Err(failure!(
-            "no permission for {name}: add yourself to the group that owns it, `sudo usermod \
-             --append --groups dialout $USER`, and log in again"
-        ));
-    }
+    require!(
+        may_use.is_err() || may_use.is_ok_and(|status| status.success()),
+        "no permission for {name}: add yourself to the group that owns it, `sudo usermod \
+         --append --groups dialout $USER`, and log in again"
+    );
     Ok(())
 }
 
 /// Writes the image to the board's flash and verifies it.
-fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
+fn flash(elf: &Path, port: &Path) -> Result {
     let hex = elf.with_extension("hex");
     check(command("avr-objcopy -O ihex -R .eeprom").args([elf, &hex]))?;
-    let mut write = std::ffi::OsString::from("flash:w:");
-    write.push(&hex);
-    write.push(":i");
+    let write = format!("flash:w:{}:i", hex.display());
     let mut program = command("avrdude -p atmega328p -c arduino -b 115200 -D -P");
-    check(program.arg(port).arg("-U").arg(write)).map_err(|failure| {
+    check(program.arg(port).args(["-U", &write])).map_err(|failure| {
+        let port = port.display();
         failure!(
-            "{failure}. Does another program have {} open, the daemon perhaps? Is it an UNO with \
-             its bootloader?",
-            port.display()
+            "{failure}. Does another program have {port} open, the daemon perhaps? Is it an UNO with \
+             its bootloader?"
         )
     })
 }
@@ -232,7 +211,7 @@ fn flash(elf: &Path, port: &Path) -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Option<Options>, Failure> {
+    fn parsed(line: &str) -> Result<Option<Options>> {
         let words: Vec<String> = line.split(' ').map(str::to_owned).collect();
         parse(&words)
     }

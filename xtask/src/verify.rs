@@ -5,16 +5,15 @@ use std::process::Command;
 use crate::{
     deb, odroid, options,
     prerequisites::{self, Part},
-    process::{Failure, check, failure},
+    process::{Result, check, failure, require},
     programs::{Packages, check_alone, check_published},
     python,
     step::{
         Scope::{All, Always, Of},
-        Step, row, run_all,
+        Step, demo_s, row, run_all,
     },
     target, uno,
     workspace::{cargo, root},
-    yardstick,
 };
 
 const USAGE: &str = "\
@@ -39,7 +38,7 @@ struct Selection {
     without: Vec<Part>,
 }
 
-pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
+pub(crate) fn main(arguments: &[String]) -> Result {
     if arguments.iter().any(|one| one == "--help" || one == "-h") {
         print!(
             "{USAGE}\nSteps, those of --all alone with a +, and the part that each belongs to:\n"
@@ -59,7 +58,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
     target::adopt()?;
     let (chosen, rest): (Vec<Step>, Vec<Step>) =
         STEPS.into_iter().partition(|step| selection.chooses(step));
-    let result = run_all(&chosen, &selection.packages(), yardstick::demo_s()?);
+    let result = run_all(&chosen, &selection.packages(), demo_s()?);
     if selection.steps.is_empty() && !rest.is_empty() {
         let rest: Vec<&str> = rest.iter().map(|step| step.name).collect();
         let rest = rest.join(", ");
@@ -70,7 +69,7 @@ pub(crate) fn main(arguments: &[String]) -> Result<(), Failure> {
 
 impl Selection {
     /// Leaves out parts, whose names are separated by commas.
-    fn leave_out(&mut self, names: &str) -> Result<(), Failure> {
+    fn leave_out(&mut self, names: &str) -> Result {
         for name in names.split(',') {
             let part = Part::named(name).ok_or_else(|| {
                 let known = Part::ALL.map(Part::name).join(", ");
@@ -114,24 +113,19 @@ impl Selection {
     }
 
     /// Refuses steps that do not exist or are skipped.
-    fn check(&self) -> Result<(), Failure> {
+    fn check(&self) -> Result {
         for name in &self.steps {
-            let Some(step) = STEPS.iter().find(|step| step.name == name) else {
-                return Err(failure!(
-                    "unknown step {name:?}; `cargo verify --help` lists the steps"
-                ));
-            };
-            if !self.chooses(step) {
-                return Err(failure!(
-                    "the step {name} is named, but skipped by --without"
-                ));
-            }
+            let step = STEPS.iter().find(|step| step.name == name).ok_or_else(|| {
+                failure!("unknown step {name:?}; `cargo verify --help` lists the steps")
+            })?;
+            let runs = self.chooses(step);
+            require!(runs, "the step {name} is named, but skipped by --without");
         }
         Ok(())
     }
 }
 
-fn parse(arguments: &[String]) -> Result<Selection, Failure> {
+fn parse(arguments: &[String]) -> Result<Selection> {
     let mut selection = Selection::default();
     for option in options(arguments, &["--without"]) {
         match option {
@@ -245,20 +239,20 @@ fn script(path: &str) -> Command {
 }
 
 /// The hardware-in-the-loop suite with the tested daemon; its own arguments follow.
-fn suite(packages: &Packages, board: &str) -> Result<Command, Failure> {
+fn suite(packages: &Packages, board: &str) -> Result<Command> {
     let daemon = packages.path("singletrackd")?;
     let mut suite = packages.tests(Some("hil"))?;
     suite.args(["--board", board, "--daemon"]).arg(daemon);
     Ok(suite)
 }
 
-fn two_computers(packages: &Packages, options: &[&str]) -> Result<(), Failure> {
+fn two_computers(packages: &Packages, options: &[&str]) -> Result {
     let mut cars = script("tests/hil/two_computers.py");
     check(cars.arg(packages.path("")?).args(options))
 }
 
 /// No log of a real car is part of the project: they are judged where there are some.
-fn real_logs(packages: &Packages) -> Result<(), Failure> {
+fn real_logs(packages: &Packages) -> Result {
     match std::env::var_os("REAL_LOGS") {
         Some(_) => check(packages.tests(Some("real_logs"))?.arg("--nocapture")),
         None => {
@@ -269,7 +263,7 @@ fn real_logs(packages: &Packages) -> Result<(), Failure> {
 }
 
 /// Checks the format of the workspace and of the image, which is not a member.
-fn format() -> Result<(), Failure> {
+fn format() -> Result {
     check(&mut cargo("fmt --all --check"))?;
     check(cargo("fmt --check").current_dir(uno::folder()))
 }
@@ -278,7 +272,7 @@ fn format() -> Result<(), Failure> {
 mod tests {
     use super::*;
 
-    fn parsed(line: &str) -> Result<Selection, Failure> {
+    fn parsed(line: &str) -> Result<Selection> {
         let arguments: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
         parse(&arguments)
     }

@@ -7,7 +7,7 @@ use std::{
     sync::OnceLock,
 };
 
-use crate::process::{Failure, failure};
+use crate::process::{Result, failure};
 
 /// The workspace's root. Requires a previous successful [`find`], which `main`
 /// calls first.
@@ -18,7 +18,7 @@ pub(crate) fn root() -> &'static Path {
 
 /// Finds the workspace at run time, not at compile time: in a copied or moved
 /// checkout, the existing programs must build the copy.
-pub(crate) fn find() -> Result<PathBuf, Failure> {
+pub(crate) fn find() -> Result<PathBuf> {
     // Set by cargo for the program that it runs.
     let manifest = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let here = env::current_dir().ok();

@@ -5,43 +5,22 @@
 //! threads, simulations and tests in virtual time on one. It has no clock, thread, port or
 //! socket; time, bytes and datagrams are arguments.
 
-pub mod cameras;
-pub mod commissioned;
 pub mod config;
-pub mod control_loop;
-pub mod controller;
-pub mod diagnosis;
-pub mod feasibility;
-pub mod grid;
-pub mod host;
-pub mod line;
-pub mod online_calibration;
-pub mod reasons;
-pub mod reconfigure;
-pub mod serial;
-pub mod setpoint;
-pub mod setpoint_slot;
-pub mod slot;
-pub mod state_stream;
-pub mod virtual_host;
-
-mod alignment;
-mod hexadecimal;
-mod link_event;
-mod meta;
-mod neighbours;
-mod proof;
-mod report;
-mod requests;
-mod restart_keys;
+mod explain;
+mod run;
 
 pub use config::{Config, ConfigError};
+pub use config::{record_meta, restart_keys};
 pub use controller::pose_event;
+pub use explain::{commissioned, diagnosis, feasibility, reasons};
 pub use host::{Host, HostOptions};
-pub use link_event::pilot_event;
-pub use meta::record_meta;
-pub use proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
-pub use report::{LineCounters, Report, link_phase};
-pub use requests::{ControlRequest, Reconfiguration, ReconfigureError, Refusal, Requests, Stalled};
-pub use restart_keys::restart_keys;
+pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
+pub use run::report::{LineCounters, Report, link_phase, pilot_event};
+pub use run::requests::{
+    ControlRequest, Reconfiguration, ReconfigureError, Refusal, Requests, Stalled,
+};
+pub use run::{
+    cameras, control_loop, controller, grid, host, line, online_calibration, reconfigure, serial,
+    setpoint, slot, state_stream, virtual_host,
+};
 pub use virtual_host::VirtualHost;

@@ -34,7 +34,7 @@ use crate::{
     drive_calibration::DriveCalibration,
     drive_noise::DriveNoise,
     files::Files,
-    free_space::FreeSpace,
+    files::FreeSpace,
     handle::DaemonHandle,
     mocap_receiver,
     mocap_socket::{MocapSocketError, MocapSockets},

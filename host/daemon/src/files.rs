@@ -1,7 +1,8 @@
-//! The thread that writes files and looks at the disk: an SD card may take seconds for a sync, and
-//! states, log and record of a drive do not wait for it.
+//! The files of the daemon on a thread of their own, and the room that is left for them.
 
 use std::{
+    io,
+    path::PathBuf,
     sync::{
         Arc,
         mpsc::{Receiver, RecvTimeoutError, Sender},
@@ -9,12 +10,11 @@ use std::{
     time::{Duration, Instant},
 };
 
+use rustix::fs::statvfs;
 use singletrack_core::Proof;
 use singletrack_record::{Entry, Level, Log};
 
-use crate::{
-    clock::monotonic_ns, free_space::FreeSpace, shared_status::SharedStatus, state_file::StateFile,
-};
+use crate::{clock::monotonic_ns, shared_status::SharedStatus, state_file::StateFile};
 
 /// Interval of the attempts to write a file that could not be written.
 const RETRY: Duration = Duration::from_secs(10);
@@ -111,5 +111,69 @@ impl Files {
             level,
             text,
         }));
+    }
+}
+
+/// A megabyte, as disks are sold.
+const MB: u64 = 1_000_000;
+
+/// A folder, and what must be free on its disk.
+#[derive(Clone, Debug)]
+pub(crate) struct FreeSpace {
+    /// The folder of the record.
+    pub(crate) directory: PathBuf,
+    /// `record.min_free_mb`.
+    pub(crate) min_free_mb: u32,
+}
+
+impl FreeSpace {
+    /// Why a record soon ends; `None` while there is room, and if the system does not say.
+    pub(crate) fn warning(&self) -> Option<String> {
+        let free_mb = self.free_mb().ok()?;
+        (free_mb < u64::from(self.min_free_mb)).then(|| {
+            format!(
+                "the disk of the records is nearly full: {free_mb} MB are free in {}, and \
+                 record.min_free_mb is {}. Move or delete old records: once it is full, nothing is \
+                 recorded",
+                self.directory.display(),
+                self.min_free_mb,
+            )
+        })
+    }
+
+    fn free_mb(&self) -> io::Result<u64> {
+        let disk = statvfs(&self.directory)?;
+        // Without what is reserved for root.
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize) / MB)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_with_less_than_the_limit_is_a_warning_with_folder_and_both_values() {
+        let folder = tempfile::tempdir().unwrap();
+        let space = |min_free_mb| FreeSpace {
+            directory: folder.path().to_owned(),
+            min_free_mb,
+        };
+        let free_mb = space(0).free_mb().unwrap();
+        assert!((1..u64::from(u32::MAX)).contains(&free_mb), "{free_mb}");
+        assert_eq!(space(0).warning(), None);
+        let warning = space(u32::MAX).warning().unwrap();
+        for part in [
+            "nearly full",
+            &folder.path().display().to_string(),
+            "record.min_free_mb is 4294967295",
+        ] {
+            assert!(warning.contains(part), "{warning}");
+        }
+        let gone = FreeSpace {
+            directory: folder.path().join("gone"),
+            min_free_mb: u32::MAX,
+        };
+        assert_eq!(gone.warning(), None);
     }
 }

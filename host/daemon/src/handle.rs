@@ -3,7 +3,7 @@
 use std::{path::PathBuf, sync::Arc};
 
 use singletrack_api::record_trouble;
-use singletrack_core::{Requests, setpoint_slot::SetpointSender, slot::SlotSender};
+use singletrack_core::{Requests, slot::SetpointSender, slot::SlotSender};
 use singletrack_pilot::{Jog, Tuning};
 
 use crate::{

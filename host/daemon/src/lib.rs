@@ -34,7 +34,6 @@ mod daemon;
 mod drive_calibration;
 mod drive_noise;
 mod files;
-mod free_space;
 mod handle;
 mod json_file;
 mod judgement;

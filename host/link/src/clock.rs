@@ -65,14 +65,14 @@ struct Point {
 
 /// The estimated line: `excess = offset + skew · (board - at)`.
 #[derive(Clone, Copy, Debug, Default)]
-struct Line {
+struct ExcessLine {
     at_ns: i64,
     offset_ns: f64,
     skew: f64,
     uncertainty_ns: f64,
 }
 
-impl Line {
+impl ExcessLine {
     fn excess_at(&self, board_ns: i64) -> f64 {
         self.offset_ns + self.skew * (board_ns - self.at_ns) as f64
     }
@@ -98,7 +98,7 @@ pub struct BoardClock {
     points: Vec<Point, POINTS>,
     /// The edge of their lower convex hull that spans the mean board time.
     edge: Option<(Point, Point)>,
-    line: Line,
+    line: ExcessLine,
     implausible: u8,
 }
 
@@ -118,7 +118,7 @@ impl BoardClock {
             origin: None,
             points: Vec::new(),
             edge: None,
-            line: Line {
+            line: ExcessLine {
                 at_ns: 0,
                 offset_ns: 0.0,
                 skew: 0.0,
@@ -288,7 +288,7 @@ impl BoardClock {
             Some(length_ns) => (mean_height_ns / length_ns).min(UNKNOWN_SKEW) * age_ns / 2.0,
             None => UNKNOWN_SKEW * age_ns,
         };
-        self.line = Line {
+        self.line = ExcessLine {
             at_ns: newest_ns,
             offset_ns,
             skew,
@@ -331,7 +331,7 @@ fn signed_difference(a_ns: u64, b_ns: u64) -> i64 {
     i64::try_from(i128::from(a_ns) - i128::from(b_ns)).unwrap_or(i64::MAX)
 }
 
-fn host_time(first_host_ns: u64, board_ns: i64, line: &Line) -> u64 {
+fn host_time(first_host_ns: u64, board_ns: i64, line: &ExcessLine) -> u64 {
     let since_first_ns = board_ns.saturating_add(line.excess_at(board_ns) as i64);
     first_host_ns.saturating_add_signed(since_first_ns)
 }

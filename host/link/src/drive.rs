@@ -1,4 +1,5 @@
-//! Drive commands: from SI units to the wire, with the ages.
+//! Drive commands: from SI units to the wire, with the ages; and how long one takes to the board and
+//! back.
 
 use singletrack_protocol::{BoardMode, Drive, Jog, Sequence};
 use singletrack_words::words;
@@ -86,7 +87,7 @@ pub enum NotReady {
     /// The board would refuse it.
     #[error("the board is not armed (its mode is {mode:?}): arm first")]
     NotArmed {
-        /// By the newest telemetry.
+        /// Its mode by the newest telemetry.
         mode: BoardMode,
     },
     /// Only possible while the board is not armed.
@@ -190,7 +191,7 @@ pub(crate) fn next_sequence(last_sent: Sequence, last_accepted: Sequence) -> Seq
 /// live of a command on the board.
 const REMEMBERED: usize = 32;
 
-/// Time from handing out a [`Drive`](singletrack_protocol::Drive) to the
+/// Time from handing out a [`Drive`] to the
 /// arrival of the first telemetry that names it as accepted.
 ///
 /// It includes both ways on the wire and up to one telemetry period of waiting.

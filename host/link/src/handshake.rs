@@ -1,6 +1,4 @@
-//! From an open port to a configured board.
-//!
-//! Requests that wait for an answer.
+//! From an open port to a configured board, and requests that wait for an answer.
 //!
 //! A request without an answer is dropped after some attempts ([`Pending`]); a stop is
 //! repeated without end ([`Stop`]). A late request must not start the car, and a late

@@ -7,12 +7,7 @@ use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session,
 use singletrack_protocol::{BoardMode, Configuration, Request};
 use singletrack_statistics::Random;
 
-use crate::common::{
-    MS, START_NS,
-    board::TestBoard,
-    configuration, session_config,
-    wire::{Faults, Wire},
-};
+use crate::common::{Faults, MS, START_NS, TestBoard, Wire, configuration, session_config};
 
 /// The board's clock runs fast by this fraction.
 const SKEW: f64 = 0.004;

@@ -96,9 +96,9 @@ pub struct Tilt {
 /// the last such event.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AttitudeSample {
-    /// Of the IMU, in the car's axes.
+    /// Tilt of the IMU, in the car's axes.
     pub imu: Option<Tilt>,
-    /// Of the rigid body that the cameras see, in its own axes.
+    /// Tilt of the rigid body that the cameras see, in its own axes.
     pub body: Option<Tilt>,
     /// Height of the rigid body's origin, m.
     pub height: Option<f64>,
@@ -110,9 +110,9 @@ pub struct AttitudeSample {
 /// while there were too few frames to measure it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineHealth {
-    /// Of the frames that the host received.
+    /// Damaged share of the frames that the host received.
     pub to_host: Option<f64>,
-    /// Of the frames that the board received.
+    /// Damaged share of the frames that the board received.
     pub to_board: Option<f64>,
 }
 

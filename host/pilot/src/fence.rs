@@ -88,7 +88,7 @@ impl Fence {
     ///
     /// # Errors
     ///
-    /// As for [`Fence::new`]: a width of zero makes the sides meet.
+    /// Those of [`Fence::new`]: a width of zero makes the sides meet.
     pub fn rectangle(centre: Position, width: Velocity, margin: f64) -> Result<Self, FenceError> {
         let (x, y) = (0.5 * width.x, 0.5 * width.y);
         Self::new(
@@ -138,7 +138,7 @@ impl Fence {
         self.contains_ways(point, &[*way])
     }
 
-    /// As [`contains_way`](Self::contains_way), for several ways one after the other.
+    /// Whether the fence [contains](Self::contains_way) several ways one after the other.
     pub(crate) fn contains_ways(&self, point: &Position, ways: &[Velocity]) -> bool {
         let mut at = *point;
         self.contains(point)

@@ -25,7 +25,7 @@ pub struct Learned {
     pub steering_gain: f64,
     /// Angle of the front wheels when straight ones are commanded, rad.
     pub steering_trim: f64,
-    /// By how much the stamps of the poses are late, s.
+    /// Delay of the poses' stamps, s.
     pub stamp_offset: f64,
     /// Yaw of the rigid body on the car, rad.
     pub body_yaw: f64,

@@ -6,7 +6,6 @@
 //! | `watch` | monitors of sensors and timing |
 //! | `fence` | the geofence |
 //! | `supervisor` | the modes, and the checks that refuse or end a drive |
-//! | `refusal` | why a set-point that reached the pilot is not obeyed |
 //! | `learned` | corrections that are learned while the car drives |
 //! | `tuning` | gains and p of a pilot that runs: values, bounds |
 //! | `pilot` | the [`Pilot`]: all of these with the estimator, the outer loop and the law of [`singletrack_control`] |
@@ -29,7 +28,6 @@ mod event;
 mod fence;
 mod learned;
 mod pilot;
-mod refusal;
 mod supervisor;
 mod tuning;
 mod watch;
@@ -42,9 +40,8 @@ pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use learned::Learned;
 pub use pilot::{
     Commanded, Compensation, DriveCommand, Filtering, Observed, Output, Pilot, PilotConfig,
-    Underway,
+    SetpointRefusal, Underway,
 };
-pub use refusal::SetpointRefusal;
 pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,
 };

@@ -28,9 +28,9 @@ impl Tuning {
 /// Within which bounds values may be tuned, both ends included: `[least, most]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TuningBounds {
-    /// Of each gain, per second; none if gains may not be tuned.
+    /// Bounds of each gain, per second; none if gains may not be tuned.
     pub gain: Option<[f64; 2]>,
-    /// Of p, in m; none if p may not be tuned. A governor reckons ahead with the p of its
+    /// Bounds of p, in m; none if p may not be tuned. A governor reckons ahead with the p of its
     /// configuration: with one, this must be none.
     pub point_distance: Option<[f64; 2]>,
 }

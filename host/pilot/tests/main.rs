@@ -8,7 +8,6 @@
 mod bench;
 mod bits;
 mod fence;
-mod fenced;
 mod outer_loops;
 mod pilot;
 mod safety;

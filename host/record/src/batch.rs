@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use crate::{Channel, ClockMapping, message::declare};
+use crate::{Channel, ClockMapping, message};
 
 /// A message can't be encoded, because a text in it is longer than 4 GB.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -72,7 +72,9 @@ impl Batch {
         sample_time_ns: u64,
         message: &impl Serialize,
     ) -> Result<(), EncodeError> {
-        self.add_encoded(channel, sample_time_ns, |bytes| cdr::encode(message, bytes))
+        self.add_encoded(channel, sample_time_ns, |bytes| {
+            message::encode(message, bytes)
+        })
     }
 
     /// Adds a message that `encode` appends to the bytes.

@@ -22,38 +22,30 @@
 //! no effect.
 
 mod batch;
-mod channel;
 mod derive;
-mod encoder;
 mod entry;
 #[cfg(feature = "files")]
 mod file;
-mod json;
 mod message;
-mod meta;
 mod replay;
 mod standard;
 mod tick;
-mod tick_feed;
 mod topic;
 mod value;
 
 pub use batch::{EncodeError, Publication};
-pub use channel::Channel;
-pub use encoder::Encoder;
+pub use derive::Encoder;
 pub use entry::{
-    ConfigurationRecord, Drops, Entry, Level, Log, StatusRecord, TelemetryRecord, seconds_since,
+    ClockMapping, ConfigurationRecord, Drops, Entry, Level, Log, Meta, RECORD_VERSION,
+    StatusRecord, TelemetryRecord, seconds_since,
 };
 #[cfg(feature = "files")]
 pub use file::{
     Ending, FeedInput, FeedOutput, Finished, Reader, RecordError, Recorded, Recorder,
     RecorderThread, Recovery, feed, part_path, recover,
 };
-pub use json::{ParseEntryError, Shown, write_json_object};
-pub use meta::{ClockMapping, Meta, RECORD_VERSION};
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
-pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickRecord};
-pub use tick_feed::{TickInput, TickOutput, tick_feed};
-pub use topic::{Topic, UnknownTopic};
+pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickInput, TickOutput, TickRecord, tick_feed};
+pub use topic::{Channel, ParseEntryError, Shown, Topic, UnknownTopic, write_json_object};
 pub use value::Value;

@@ -7,7 +7,7 @@ use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
 use crate::{
     Entry, TickRecord, Topic, Value,
-    message::{Represents, TickMessage, declare},
+    message::{self, Represents, TickMessage},
 };
 
 /// A pilot that steps through the ticks of a record.
@@ -140,7 +140,7 @@ impl TickRecord {
             };
             // Longer than nearly every tick without its events.
             let mut bytes = Vec::with_capacity(1 << 10);
-            let encoded = cdr::encode(&TickMessage::of(&tick), &mut bytes);
+            let encoded = message::encode(&TickMessage::of(&tick), &mut bytes);
             encoded.is_ok().then_some(bytes)
         };
         // Bytes are compared because `==` takes -0 for 0 and NaN for different from itself.

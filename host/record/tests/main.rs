@@ -12,8 +12,6 @@
 )]
 
 mod common;
-mod cursor;
 mod damage;
 mod recover;
 mod round_trip;
-mod schemas;

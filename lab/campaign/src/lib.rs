@@ -15,7 +15,6 @@
 //! singletrack-faults --from faults.jsonl                                 the report
 //! ```
 
-mod arguments;
 mod experiment;
 mod file;
 mod merge;
@@ -24,7 +23,7 @@ mod run;
 mod shard;
 mod units;
 
-pub use arguments::CampaignArgs;
+pub use experiment::CampaignArgs;
 pub use experiment::{Experiment, Results};
 pub use file::{FORMAT, FileError, Header, ResultFile};
 pub use merge::{MergeArgs, MergeError, merge, merge_files, run_merge};

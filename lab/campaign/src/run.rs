@@ -4,7 +4,7 @@ use core::error::Error;
 use std::path::PathBuf;
 
 use crate::{
-    arguments::CampaignArgs,
+    experiment::CampaignArgs,
     experiment::{Experiment, Results},
     file::{FileError, Header, ResultFile},
     merge::{MergeError, merge_files},

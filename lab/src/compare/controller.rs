@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 use singletrack_words::words;
 
-use super::{condition::Condition, foreign::Law, own_point::OwnPoint};
+use super::{condition::Condition, foreign::Law, stops::OwnPoint};
 
 words! {
     /// A controller.

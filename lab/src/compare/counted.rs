@@ -8,7 +8,7 @@ use singletrack_statistics::{Distribution, RootMeanSquare};
 
 use super::{
     course::Table,
-    own_point::{OwnPoint, POINT_DISTANCE_M},
+    stops::{OwnPoint, POINT_DISTANCE_M},
 };
 
 /// What became of a drive.

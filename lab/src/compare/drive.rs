@@ -20,10 +20,10 @@ use super::{
     controller::Drives,
     counted::{AddedDelay, Counted, DriveResult},
     course::{Course, LATERAL_M_S2, PathName, Table},
-    error::DriveError,
     foreign::{Ahead, Foreign, Known},
     ideal,
-    own_point::POINT_DISTANCE_M,
+    stops::DriveError,
+    stops::POINT_DISTANCE_M,
 };
 
 /// The row that a drive belongs to, and its seed.

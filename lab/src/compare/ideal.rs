@@ -13,9 +13,9 @@ use super::{
     controller::Drives,
     counted::{Counted, DriveResult},
     course::{Course, Table},
-    error::DriveError,
     foreign::Foreign,
-    own_point::POINT_DISTANCE_M,
+    stops::DriveError,
+    stops::POINT_DISTANCE_M,
 };
 
 /// Step of the integration and of the controller, which is almost continuous, in s.

@@ -10,8 +10,8 @@ use super::{
     counted::DriveResult,
     course::{Course, PathName},
     drive::{Case, Decide},
-    error::DriveError,
-    own_point::OwnPoint,
+    stops::DriveError,
+    stops::OwnPoint,
 };
 
 /// A comparison: every controller on every path at every speed under every condition, with

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use singletrack_campaign::{Progress, run_units};
 
-use super::{controller::ControllerName, course::PathName, drive::Case, error::DriveError};
+use super::{controller::ControllerName, course::PathName, drive::Case, stops::DriveError};
 
 /// The parameters that each controller may try.
 pub const BUDGET: usize = 25;

@@ -5,7 +5,6 @@ mod drives;
 mod figures;
 mod output;
 pub mod plan;
-mod report;
 pub mod study;
 mod table;
 
@@ -32,7 +31,7 @@ use crate::vehicle_file::{self, VehicleFileError};
 pub use collect::{Collector, RecordedDrive, read};
 use drives::Drives;
 pub use figures::figures;
-pub use report::{Identified, LogScore, Report};
+pub use output::{Identified, LogScore, Report};
 
 /// Options of `singletrack identify`.
 #[derive(Clone, Debug, Args)]

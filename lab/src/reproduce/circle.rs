@@ -10,10 +10,10 @@ use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
 use super::{
     Setup,
     drive::{Drives, Experiment, PLANTS, Run},
-    extreme::{largest, least},
     pictures,
     section::{Picture, Section},
     setup::{GAIN, TURN_RATE},
+    setup::{largest, least},
     text::{number, with_digits},
 };
 

@@ -12,9 +12,9 @@ use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
 use super::{
     Setup, assumptions,
     drive::{Drives, Experiment, Run},
-    extreme::largest,
     pictures,
     section::{Picture, Section},
+    setup::largest,
     steps,
     text::{metres, mm, number, with_digits},
 };

@@ -10,7 +10,7 @@ use singletrack_control::VehicleParameters;
 use singletrack_figures::output::{self, WriteError, make_folder};
 use singletrack_scenario::csv_text::csv_text;
 
-use super::{claims::Claim, error::ReproduceError, report, section::Reproduction, table};
+use super::{claims::Claim, report, section::Reproduction, setup::ReproduceError, table};
 
 /// The names of the files.
 const REPORT: &str = "report.html";

@@ -7,8 +7,6 @@ mod circle;
 pub mod claims;
 mod comparison;
 mod drive;
-mod error;
-mod extreme;
 mod folder;
 mod model;
 mod pictures;
@@ -27,8 +25,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use singletrack_control::{Motion, Singularity, direction};
 
-pub use error::ReproduceError;
 pub use section::{Picture, Plate, Reproduction, Section};
+pub use setup::ReproduceError;
 pub use setup::Setup;
 
 use crate::vehicle_file;
@@ -38,11 +36,7 @@ use claims::{Claim, Measurements, judge, surprises};
 #[derive(Clone, Debug, Args)]
 pub struct ReproduceArgs {
     /// Where the report, its figures, its data and the claims go
-    #[arg(
-        long,
-        value_name = "DIR",
-        default_value = "singletrack-reproduction"
-    )]
+    #[arg(long, value_name = "DIR", default_value = "singletrack-reproduction")]
     pub out: PathBuf,
 
     /// The car: a TOML file with a table `vehicle` [default: the paper's]

@@ -5,8 +5,8 @@ use singletrack_analysis::stability::{ClosedLoop, Law, MarginLimits};
 
 use super::{
     Setup,
-    extreme::largest,
     section::{Picture, Section},
+    setup::largest,
     stability::{scene, subject},
     text::{number, with_digits},
 };

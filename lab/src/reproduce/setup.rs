@@ -1,6 +1,70 @@
-//! The car of the reproduction, and lengths in proportion to it.
+//! What a reproduction runs with, its extremes, and why it fails.
+
+use std::path::PathBuf;
 
 use singletrack_control::VehicleParameters;
+use singletrack_figures::output::WriteError;
+
+use crate::vehicle_file::VehicleFileError;
+
+/// The largest, or not a number.
+pub(super) fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    extreme(values, f64::max)
+}
+
+/// The least, or not a number.
+pub(super) fn least(values: impl Iterator<Item = f64>) -> f64 {
+    extreme(values, f64::min)
+}
+
+fn extreme(values: impl Iterator<Item = f64>, of: fn(f64, f64) -> f64) -> f64 {
+    values
+        .reduce(|extreme, value| {
+            if extreme.is_nan() || value.is_nan() {
+                f64::NAN
+            } else {
+                of(extreme, value)
+            }
+        })
+        .unwrap_or(f64::NAN)
+}
+
+/// Why a reproduction failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReproduceError {
+    /// The car can't be used.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleFileError),
+    /// The catalogue of the claims can't be read.
+    #[error("the catalogue of the claims: {0}")]
+    Catalogue(#[from] toml::de::Error),
+    /// A file or folder can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The folder holds files that this command did not write.
+    #[error(
+        "{} holds files that are not of an earlier reproduction ({found}); choose another folder \
+         with --out",
+        path.display()
+    )]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+        /// The first of these files.
+        found: String,
+    },
+    /// A claim's verdict is not the expected one.
+    #[error(
+        "{count} of the claims have another verdict than expected: see the lines marked with ! and {}",
+        report.display()
+    )]
+    Surprise {
+        /// The number of such claims.
+        count: usize,
+        /// The report.
+        report: PathBuf,
+    },
+}
 
 /// Wheelbase of the paper's car, in m, for which its experiments are sized.
 const PAPER_WHEELBASE_M: f64 = 0.26;
@@ -61,3 +125,23 @@ impl Setup {
 pub(super) const TURN_RATE: f64 = 0.5;
 /// Gain of the position loop, per second.
 pub(super) const GAIN: f64 = 1.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_and_what_is_not_a_number_have_no_extremes() {
+        assert_eq!(largest([1.0, -3.0, 2.0].into_iter()), 2.0);
+        assert_eq!(least([1.0, -3.0, 2.0].into_iter()), -3.0);
+        for values in [
+            &[][..],
+            &[f64::NAN, 1.0],
+            &[1.0, f64::NAN],
+            &[1.0, f64::NAN, 2.0],
+        ] {
+            assert!(largest(values.iter().copied()).is_nan(), "{values:?}");
+            assert!(least(values.iter().copied()).is_nan(), "{values:?}");
+        }
+    }
+}

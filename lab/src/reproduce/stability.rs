@@ -9,8 +9,8 @@ use singletrack_figures::figure::Figure;
 
 use super::{
     Setup,
-    extreme::{largest, least},
     section::{Picture, Section, or_note},
+    setup::{largest, least},
     text::{metres, mm, number, with_digits},
 };
 use crate::stability::{

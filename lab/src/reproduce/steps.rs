@@ -9,9 +9,9 @@ use singletrack_statistics::RootMeanSquare;
 use super::{
     Setup,
     drive::{Drives, Experiment, PLANTS, Run},
-    extreme::largest,
     pictures,
     section::{Picture, Section},
+    setup::largest,
     text::{metres, mm, number, with_digits},
 };
 

@@ -7,10 +7,10 @@ use singletrack_figures::output::print;
 
 use super::{
     arguments::{DrawnFormat, LoopArgs, SaturationArgs},
-    error::StabilityCommandError,
     figures,
     grid::Grid,
     output::write_json,
+    subject::StabilityCommandError,
     subject::Subject,
 };
 use crate::table::Table;

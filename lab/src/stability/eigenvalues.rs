@@ -4,7 +4,7 @@ use serde_json::json;
 use singletrack_analysis::stability::{Eigenvalues, StabilityError};
 
 use super::{
-    arguments::MapArgs, error::StabilityCommandError, grid::Grid, output::write, subject::Subject,
+    arguments::MapArgs, grid::Grid, output::write, subject::StabilityCommandError, subject::Subject,
 };
 use crate::table::Table;
 

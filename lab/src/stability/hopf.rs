@@ -7,11 +7,11 @@ use singletrack_figures::output::print;
 
 use super::{
     arguments::{DrawnFormat, LoopArgs},
-    error::StabilityCommandError,
     figures::{self, Scene},
     grid::Grid,
     output::write_json,
     region::region,
+    subject::StabilityCommandError,
     subject::Subject,
 };
 use crate::table::Table;

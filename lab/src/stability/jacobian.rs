@@ -10,8 +10,8 @@ use singletrack_figures::output::print;
 
 use super::{
     arguments::{Format, LoopArgs},
-    error::StabilityCommandError,
     output::write_json,
+    subject::StabilityCommandError,
 };
 
 #[derive(Clone, Debug, Args)]

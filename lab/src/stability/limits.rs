@@ -5,9 +5,9 @@ use singletrack_analysis::stability::{first_unstable_speed, least_point_distance
 
 use super::{
     arguments::{Format, LoopArgs, TimingArgs},
-    error::StabilityCommandError,
     grid::Grid,
     output::write,
+    subject::StabilityCommandError,
     subject::Subject,
 };
 use crate::table::Table;

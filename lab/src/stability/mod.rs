@@ -5,7 +5,6 @@ mod arguments;
 mod basin;
 mod cycles;
 mod eigenvalues;
-mod error;
 pub mod figures;
 mod grid;
 mod hopf;
@@ -24,12 +23,12 @@ use clap::{Args, Subcommand};
 pub use arguments::TimingArgs;
 pub use cycles::{cycle_table, limit_cycles};
 pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
-pub use error::StabilityCommandError;
 pub use grid::Grid;
 pub use hopf::{hopf_curve, hopf_table};
 pub use limits::{first_unstable, least_p};
 pub use region::{RegionRow, region};
 pub use sampled::{SampledRow, sampled_map, sampled_table};
+pub use subject::StabilityCommandError;
 pub use subject::Subject;
 
 /// Options of `singletrack stability`.

@@ -4,7 +4,7 @@ use serde::Serialize;
 use singletrack_analysis::stability::StabilityError;
 
 use super::{
-    arguments::MapArgs, error::StabilityCommandError, grid::Grid, output::write, subject::Subject,
+    arguments::MapArgs, grid::Grid, output::write, subject::StabilityCommandError, subject::Subject,
 };
 use crate::table::Table;
 

@@ -7,9 +7,9 @@ use singletrack_analysis::stability::{ClosedLoop, MarginLimits};
 
 use super::{
     arguments::{Format, LoopArgs, PointArgs, TimingArgs},
-    error::StabilityCommandError,
     grid::Grid,
     output::write,
+    subject::StabilityCommandError,
     subject::Subject,
 };
 use crate::table::Table;

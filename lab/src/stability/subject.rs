@@ -1,11 +1,35 @@
-//! The car and the law that are studied.
+//! What is analysed, and why an analysis fails.
+
+use std::io;
 
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, HopfPoint, Law, StabilityError, hopf_points,
+    Belief, ClosedLoop, HopfPoint, Law, SamplingError, StabilityError, hopf_points,
 };
 use singletrack_control::VehicleParameters;
+use singletrack_figures::figure::GridError;
 
 use super::grid::Grid;
+use crate::vehicle_file::VehicleFileError;
+
+/// Why a stability study failed.
+#[derive(Debug, thiserror::Error)]
+pub enum StabilityCommandError {
+    /// The vehicle file is invalid.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleFileError),
+    /// There is no steady motion.
+    #[error(transparent)]
+    Stability(#[from] StabilityError),
+    /// The timing is invalid.
+    #[error(transparent)]
+    Sampling(#[from] SamplingError),
+    /// There is nothing to draw a map of.
+    #[error("can't draw this: {0}")]
+    Grid(#[from] GridError),
+    /// The result can't be written.
+    #[error("can't write the result: {0}")]
+    Write(#[from] io::Error),
+}
 
 /// A car, its P and its law.
 #[derive(Clone, Copy, Debug)]

@@ -10,9 +10,9 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{CarArgs, TimingArgs},
-    error::StabilityCommandError,
     grid::Grid,
     limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
+    subject::StabilityCommandError,
     subject::Subject,
 };
 use crate::vehicle_file;

@@ -1,10 +1,47 @@
-//! The list of the commands in groups.
+//! Text for a terminal: the list of the commands, wrapped lines, and no control characters.
 
-use std::fmt::Write as _;
+use std::{borrow::Cow, fmt::Write as _};
 
 use clap::Command;
 
-use crate::wrap::wrap;
+/// Breaks a text between its words.
+pub(crate) fn wrap(text: &str, columns: usize) -> impl Iterator<Item = String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        if let Some(line) = lines.last_mut() {
+            let is_first = line.is_empty();
+            if is_first || line.chars().count() + 1 + word.chars().count() <= columns {
+                if !is_first {
+                    line.push(' ');
+                }
+                line.push_str(word);
+                continue;
+            }
+        }
+        lines.push(word.to_owned());
+    }
+    lines.into_iter()
+}
+
+/// The text with its control characters, but for ends of lines and tabulators, as `\u001b`: what a
+/// record or a program sent must not command the terminal. JSON stays JSON.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let commands = |letter: char| letter.is_control() && !matches!(letter, '\n' | '\t');
+    if !text.contains(commands) {
+        return Cow::Borrowed(text);
+    }
+    let mut printable = String::with_capacity(text.len());
+    for letter in text.chars() {
+        if commands(letter) {
+            // Writing to a string does not fail.
+            let _ = write!(printable, "\\u{:04x}", u32::from(letter));
+        } else {
+            printable.push(letter);
+        }
+    }
+    Cow::Owned(printable)
+}
 
 /// What the commands are for, and their names.
 pub const GROUPS: [(&str, &str); 4] = [
@@ -56,4 +93,18 @@ pub fn grouped(command: Command) -> Command {
         "\n{header}Options:{header:#}\n{{options}}{{after-help}}"
     );
     command.help_template(template)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_control_character_reaches_the_terminal_and_ends_of_lines_do() {
+        assert_eq!(printable("a\tb\n"), "a\tb\n");
+        assert_eq!(
+            printable("\u{1b}]0;title\u{7}\u{9b}2J\r\u{7f}"),
+            "\\u001b]0;title\\u0007\\u009b2J\\u000d\\u007f"
+        );
+    }
 }

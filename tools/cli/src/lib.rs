@@ -6,10 +6,8 @@ pub mod help;
 pub mod lab;
 #[cfg(feature = "operator")]
 pub mod operator;
-pub mod printable;
 pub mod program;
 pub mod viewers;
 
 mod interrupt;
 mod progress;
-mod wrap;

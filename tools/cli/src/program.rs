@@ -9,9 +9,7 @@ use clap::{
 use singletrack_figures::{output, plot};
 use singletrack_scenario::simulate;
 
-use crate::{
-    arguments::take_negative_numbers, demo, help::grouped, lab, printable::printable, viewers,
-};
+use crate::{arguments::take_negative_numbers, demo, help::grouped, help::printable, lab, viewers};
 
 const AFTER: &str = "\
 Exit status:

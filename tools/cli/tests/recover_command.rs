@@ -77,10 +77,7 @@ fn a_truncated_record_is_renamed_with_a_report_of_saved_and_lost_data() {
     assert!(!output.status.success());
     let told = String::from_utf8(output.stderr).unwrap();
     assert!(told.contains("drive.mcap exists already"), "{told}");
-    let output = recover(
-        folder.path(),
-        &["drive.mcap.part", "--out", "other.mcap"],
-    );
+    let output = recover(folder.path(), &["drive.mcap.part", "--out", "other.mcap"]);
     assert!(output.status.success(), "{output:?}");
     let output = recover(folder.path(), &["other.mcap"]);
     let told = String::from_utf8(output.stdout).unwrap();

@@ -1,4 +1,4 @@
-"""Writes reference.txt: Riccati equations solved by SciPy, for tests/riccati.rs.
+"""Writes reference.txt: Riccati equations solved by SciPy, for tests/lqi.rs.
 
 Run with SciPy 1.17.1 (LAPACK's QZ, and balancing) in this folder. A line is a matrix: its
 case, its name, rows, columns, and the entries by rows, as repr() writes them.

@@ -1,15 +1,48 @@
-//! `[board]`: what the board must know about the car that it is built into.
-//!
-//! Calibration has no default: a wrong sign steers the car the wrong way. The ranges are
-//! those of [`Configuration::validate`], which the board applies too; here they are text.
+//! `[serial]` and `[board]`: the line to the board, and what the board is given.
+
+use core::num::NonZeroU32;
+use std::path::PathBuf;
 
 use singletrack_protocol::{
     Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, ImuAxis, LONGEST_ROLL_OUT_MS,
     ServoCalibration, SpeedLoop,
 };
-use singletrack_settings::{Convert as _, Maps as _, section};
+use singletrack_settings::{Convert as _, Declared as _, Maps as _, section};
 
 use super::ConfigError;
+
+/// The rate of the firmware, in baud.
+const BAUD: NonZeroU32 = NonZeroU32::new(115_200).unwrap();
+
+section! {
+    /// The serial line to the board.
+    "serial", restart => pub SerialSection: Eq;
+    [new];
+
+    /// The board's device. Use a link that stays the same when the board is plugged in again:
+    /// /dev/serial/by-id/..., or one that a udev rule makes.
+    port: PathBuf, example "/dev/serial/by-id/usb-Arduino_Uno-if00";
+    /// Rate of the line, in baud; that of the firmware.
+    baud: u32 = BAUD.get(), in 9_600..=2_000_000;
+}
+
+impl SerialSection {
+    /// The rate, which [`validate`](Self::validate) has found in its range.
+    pub(crate) fn baud(&self) -> NonZeroU32 {
+        NonZeroU32::new(self.baud).unwrap_or(BAUD)
+    }
+
+    pub(super) fn validate(&self) -> Result<(), ConfigError> {
+        if self.port.as_os_str().is_empty() {
+            return Err(ConfigError::value(
+                "serial.port",
+                "empty",
+                "name the board's device, such as \"/dev/ttyACM0\"",
+            ));
+        }
+        Ok(self.check()?)
+    }
+}
 
 section! {
     /// What the board is given before it may be armed. The example's calibration is that of

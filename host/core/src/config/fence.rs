@@ -1,10 +1,14 @@
-//! `[fence]`: where the car may be.
+//! `[fence]`, `[governor]`, `[safety_filter]` and `[neighbours]`: where the car may be, and what keeps it
+//! able to stop there.
 
-use singletrack_control::{ConvexArea, Position, VehicleParameters};
+use singletrack_control::{
+    ConvexArea, FrontPointLaw, GRAVITY, GovernorConfig, Limits, MAX_STEERING_TICKS,
+    NeighbourConfig, Position, Room, SafetyConfig, SafetyFilter, VehicleParameters,
+};
 use singletrack_pilot::Fence;
 use singletrack_settings::section;
 
-use super::ConfigError;
+use super::{Config, ConfigError};
 
 section! {
     /// Where the centre of mass may be, and must be able to stop. A car that has to turn
@@ -91,5 +95,265 @@ impl FenceSection {
             let fix = format!("{error}; lower it, or give a larger fence.corners_m");
             ConfigError::value("fence.margin_m", margin, fix)
         })
+    }
+}
+
+section! {
+    /// Makes the reference slower or wider where the car can't follow it, by the limits of
+    /// `[limits]`, and slower where P is far behind or the car could not stop inside the geofence,
+    /// which must be convex. A reference that the car can follow is not changed.
+    "governor" => pub GovernorSection: Copy;
+    [default];
+
+    /// Whether the reference may be changed so. Set-points from outside and velocity steps never
+    /// are.
+    enabled: bool = false;
+    /// Distance of P behind its reference from which on the reference slows down. At twice the
+    /// distance it waits.
+    behind_m: f64 = 0.5, in 0.05..=10.0;
+}
+
+/// The time before a stop begins, s: the reaction of the geofence's watch, the age of a pose, and
+/// the lag of the car behind its reference.
+const REACTION_S: f64 = 0.2;
+
+impl GovernorSection {
+    /// For the controller of this car; none if it is not enabled.
+    ///
+    /// # Errors
+    ///
+    /// The geofence is not convex, or nothing is left of it.
+    pub(super) fn config(
+        &self,
+        config: &Config,
+        law: FrontPointLaw,
+        limits: Limits,
+    ) -> Result<Option<GovernorConfig>, ConfigError> {
+        if !self.enabled {
+            return Ok(None);
+        }
+        let area = config.fence.convex(&config.vehicle, "governor")?;
+        let braking = config.fence.braking_m_s2;
+        let room = Room::new(&area, braking, REACTION_S).ok_or_else(|| {
+            ConfigError::value(
+                "fence.margin_m",
+                config.fence.margin_m(&config.vehicle),
+                "the governor keeps 5 cm more, and nothing is left; lower it, give a larger \
+                 fence.corners_m, or set governor.enabled = false",
+            )
+        })?;
+        Ok(Some(GovernorConfig {
+            law,
+            limits,
+            behind: self.behind_m,
+            room: Some(room),
+        }))
+    }
+}
+
+section! {
+    /// Keeps the car able to stop inside the geofence, whatever an outer loop asks for: ours, a
+    /// program's velocities, trajectories, or steering and speed. `docs/safety-filter.md` states
+    /// the claim and what it rests on: these errors, `[actuators]`, and `fence.braking_m_s2` or
+    /// what a stop has measured. It needs a convex geofence.
+    "safety_filter" => pub SafetyFilterSection: Copy;
+    [default];
+
+    /// Whether there is one.
+    enabled: bool = false;
+    /// Time from a tick to when a car that is told to stop slows down at the latest. The default
+    /// is the motor's dead time and lag, and 80 ms for line, board and the frame of the ESC.
+    reaction_ms: Option<f64> = None, in 50.0..=2_000.0, example 196.0;
+    /// The most by which a moving car becomes faster than it is measured and commanded.
+    speed_error_m_s: f64 = 0.1, in 0.0..=1.0;
+    /// Largest error of the estimated position: cameras, the body on the car, its stamps.
+    position_error_m: f64 = 0.03, in 0.0..=0.5;
+    /// Largest error of the direction of motion, beyond the sideslip of the rolling car and of
+    /// the estimate.
+    course_error_rad: f64 = 0.05, in 0.0..=0.5;
+    /// Largest deviation of the path's curvature from that of the steering angle: trim, play and
+    /// gain of the servo, slip of the tyres.
+    curvature_error_per_m: f64 = 0.5, in 0.0..=5.0;
+}
+
+/// Line, board and the frame of a servo or an ESC, ms.
+const LINE_MS: f64 = 40.0;
+/// The lags of a servo after which it is where it was sent, but for a twentieth of the change.
+const SETTLED: f64 = 3.0;
+
+impl SafetyFilterSection {
+    /// Time from a tick to when this car slows down at the latest, ms.
+    pub(super) fn reaction_ms(&self, config: &Config) -> f64 {
+        let actuators = &config.actuators;
+        self.reaction_ms
+            .unwrap_or(actuators.speed_dead_time_ms + actuators.speed_lag_ms + 2.0 * LINE_MS)
+    }
+
+    /// For the controller of this car; none if it is not enabled.
+    ///
+    /// # Errors
+    ///
+    /// The geofence is not convex or nothing is left of it, or the servo is slower than the
+    /// filter follows it.
+    pub(super) fn filter(&self, config: &Config) -> Result<Option<SafetyFilter>, ConfigError> {
+        if !self.enabled {
+            return Ok(None);
+        }
+        let area = config.fence.convex(&config.vehicle, "safety_filter")?;
+        let actuators = &config.actuators;
+        let settled_ms =
+            actuators.steering_dead_time_ms + SETTLED * actuators.steering_lag_ms + LINE_MS;
+        let period_ms = f64::from(config.control.period_ms);
+        let ticks = (settled_ms / period_ms).ceil();
+        let most = MAX_STEERING_TICKS - 1;
+        if ticks > most as f64 {
+            return Err(ConfigError::value(
+                "actuators.steering_lag_ms",
+                actuators.steering_lag_ms,
+                format!(
+                    "the servo needs {settled_ms} ms (its dead time, {SETTLED} lags and \
+                     {LINE_MS} ms), and the safety filter follows it for {} ms at \
+                     control.period_ms = {period_ms}; raise that, use a faster servo, or set \
+                     safety_filter.enabled = false",
+                    most as f64 * period_ms
+                ),
+            ));
+        }
+        let reaction_ms = self.reaction_ms(config);
+        let limits = config.limits.limits(config.vehicle.wheelbase_m());
+        SafetyFilter::new(SafetyConfig {
+            area,
+            reaction: 1e-3 * reaction_ms,
+            steering_ticks: ticks as usize,
+            position_error: self.position_error_m,
+            course_error: self.course_error_rad,
+            curvature_error: self.curvature_error_per_m,
+            speed_error: self.speed_error_m_s,
+            max_speed: config.limits.max_speed_m_s,
+            // The law keeps to the configured limit. Beyond that of the tyres they slide.
+            max_lateral_acceleration: config.vehicle.friction * GRAVITY,
+            slip: limits.with_tyres(&config.vehicle).slip.max(0.0),
+            wheelbase: config.vehicle.wheelbase_m(),
+        })
+        .map(Some)
+        .map_err(|error| ConfigError::value("safety_filter", error.name, error.to_string()))
+    }
+}
+
+section! {
+    /// Keeps the car apart from every other rigid body that the cameras list: other cars, a wand on
+    /// the floor, a person's cap. Where one may be when the car has stopped, the car slows down or
+    /// waits (with `[safety_filter]`), and stops (always). `docs/neighbours.md` states what that
+    /// rests on.
+    "neighbours" => pub NeighboursSection;
+    [default];
+
+    /// Whether it does.
+    @restart enabled: bool = false;
+    /// Distance from the centre of mass to the body's origin within which they may touch. The
+    /// default is the length of the car, and 0.1 m.
+    clearance_m: Option<f64> = None, in 0.05..=5.0, example 0.5;
+    /// The largest speed of another body.
+    max_speed_m_s: f64 = 2.0, in up_to(20.0);
+    /// The largest acceleration of another body.
+    acceleration_m_s2: f64 = 2.0, in up_to(50.0);
+    /// The deceleration with which another car stops. The default is `fence.braking_m_s2`.
+    braking_m_s2: Option<f64> = None, in up_to(50.0), example 0.9;
+    /// Time from a pose of another car until it brakes. The default is that of this car: as
+    /// `safety_filter.reaction_ms`, and two periods.
+    reaction_ms: Option<f64> = None, in 0.0..=2_000.0, example 216.0;
+    /// How long the car waits for a body in its way before the drive ends.
+    patience_s: f64 = 10.0, in 0.0..=3_600.0;
+    /// The other cars, by the names of their rigid bodies; without one of them the car does not
+    /// drive. It needs the safety filter. Each must have this section too, with this car in the
+    /// list: of two, the one with the lower streaming id has the right of way.
+    @restart expected: Vec<String> = Vec::new();
+    /// Rigid bodies that are no obstacles, by their names.
+    @restart ignored: Vec<String> = Vec::new();
+}
+
+impl NeighboursSection {
+    /// For the controller of this car; none if it is not enabled.
+    ///
+    /// # Errors
+    ///
+    /// A body is both expected and ignored, or is the car's own; or others are expected without the
+    /// safety filter.
+    pub(super) fn config(&self, config: &Config) -> Result<Option<NeighbourConfig>, ConfigError> {
+        let own = &config.motion_capture.rigid_body;
+        for name in &self.expected {
+            let fix = match self.ignored.contains(name) {
+                true => "it is in neighbours.ignored too: remove it from one of them",
+                false if name == own => "it is this car's own body: remove it",
+                false => continue,
+            };
+            return Err(ConfigError::value(
+                "neighbours.expected",
+                format!("{name:?}"),
+                fix,
+            ));
+        }
+        if !self.enabled {
+            return Ok(None);
+        }
+        // The car that has the right of way relies on the filter of the other one.
+        if !self.expected.is_empty() && !config.safety_filter.enabled {
+            return Err(ConfigError::value(
+                "neighbours.expected",
+                format!("{:?}", self.expected),
+                "these cars rely on this one to wait for them: set safety_filter.enabled = true, or \
+                 empty the list",
+            ));
+        }
+        let reaction_ms = self.reaction_ms.unwrap_or_else(|| {
+            config.safety_filter.reaction_ms(config) + 2.0 * f64::from(config.control.period_ms)
+        });
+        Ok(Some(NeighbourConfig {
+            clearance: self
+                .clearance_m
+                .unwrap_or_else(|| config.vehicle.body_length_m() + 0.1),
+            max_speed: self.max_speed_m_s,
+            acceleration: self.acceleration_m_s2,
+            braking: self.braking_m_s2.unwrap_or(config.fence.braking_m_s2),
+            reaction: 1e-3 * reaction_ms,
+            patience: self.patience_s,
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(expected: &str, more: &str) -> String {
+        let example = include_str!("../../../daemon/singletrackd.example.toml");
+        let mut file: toml::Table = toml::from_str(example).unwrap();
+        let text = format!("enabled = true\nexpected = {expected}\n{more}");
+        file.insert(
+            "neighbours".to_owned(),
+            toml::from_str::<toml::Table>(&text).unwrap().into(),
+        );
+        let result = Config::from_toml(&toml::to_string(&file).unwrap());
+        result.map_or_else(|error| error.to_string(), |_| String::new())
+    }
+
+    #[test]
+    fn cars_that_can_not_be_kept_apart_from_are_refused_with_what_to_change() {
+        for (expected, more, fix) in [
+            ("[\"car2\"]", "", "safety_filter.enabled = true"),
+            ("[\"car\"]", "", "this car's own body"),
+            (
+                "[\"car2\"]",
+                "ignored = [\"car2\"]",
+                "neighbours.ignored too",
+            ),
+        ] {
+            let error = refused(expected, more);
+            assert!(
+                error.contains("neighbours.expected") && error.contains(fix),
+                "{error}"
+            );
+        }
+        assert_eq!(refused("[]", ""), "");
     }
 }

@@ -9,7 +9,7 @@ use singletrack_pilot::Fence;
 
 use super::{
     ConfigError,
-    loop_weights::{LqiWeights, MpcWeights},
+    outer_loop::{LqiWeights, MpcWeights},
 };
 
 /// The length of a stage of the predictive loop's plan, where no dead time sets it, in s.

@@ -4,34 +4,21 @@
 //! Each section is declared once, with `section!`; the example file
 //! `singletrackd.example.toml` and `docs/configuration.md` are generated from that.
 
-mod actuators;
 mod board;
-mod compensation;
-mod control;
+mod car;
 mod cross_checks;
 mod error;
 mod estimator;
 mod fence;
-mod file;
-mod governor;
-mod law;
-mod limits;
 mod loop_model;
-mod loop_weights;
+mod meta;
 mod motion_capture;
-mod neighbours;
-mod online_calibration;
 mod outer_loop;
 mod output;
 mod reference;
-mod safety_filter;
-mod serial;
+mod restart_keys;
 mod supervisor;
-
 mod tuning;
-mod tuning_rule;
-mod vehicle;
-mod watch;
 mod waypoint_file;
 
 use std::path::Path;
@@ -42,39 +29,41 @@ use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
 use singletrack_protocol::Configuration;
 use singletrack_settings::{Declared as _, Maps as _, seconds, section};
 
-use self::{outer_loop::OuterLoopKeys, reference::ReferenceKeys, vehicle::VehicleKeys};
+use self::{car::VehicleKeys, outer_loop::OuterLoopKeys, reference::ReferenceKeys};
 
-pub use actuators::ActuatorsSection;
+pub use board::SerialSection;
 pub use board::{BoardSection, EscSection, ImuSection, ServoSection, SpeedSection};
-pub use compensation::CompensationSection;
-pub use control::ControlSection;
+pub use car::ActuatorsSection;
+pub use car::LimitsSection;
 pub use error::ConfigError;
 pub use estimator::EstimatorSection;
+pub use estimator::{OnlineCalibrationMode, OnlineCalibrationSection};
 pub use fence::FenceSection;
-pub use governor::GovernorSection;
-pub use law::{LawKind, LawSection};
-pub use limits::LimitsSection;
+pub use fence::GovernorSection;
+pub use fence::NeighboursSection;
+pub use fence::SafetyFilterSection;
 pub use loop_model::LoopModel;
-pub use loop_weights::{LqiWeights, MpcWeights};
+pub use meta::record_meta;
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
-pub use neighbours::NeighboursSection;
-pub use online_calibration::{OnlineCalibrationMode, OnlineCalibrationSection};
+pub use outer_loop::CompensationSection;
 pub use outer_loop::OuterLoopSection;
+pub use outer_loop::{LawKind, LawSection};
+pub use outer_loop::{LqiWeights, MpcWeights};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
-pub use safety_filter::SafetyFilterSection;
-pub use serial::SerialSection;
+pub use restart_keys::restart_keys;
 pub use singletrack_control::{MarkerLoss, Start};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_protocol::{EscKind, FailsafeAction, ImuAxis};
 pub use singletrack_settings::{Key, Section};
+pub use supervisor::ControlSection;
 pub use supervisor::SupervisorSection;
+pub use supervisor::WatchSection;
 pub use tuning::TuningSection;
-pub use tuning_rule::{TuningError, TuningRule};
-pub use watch::WatchSection;
+pub use tuning::{TuningError, TuningRule};
 pub use waypoint_file::WaypointFileError;
 
 section! {
@@ -176,7 +165,7 @@ impl Config {
     ///
     /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = file::read_text(path).map_err(|source| ConfigError::Read {
+        let text = waypoint_file::read_text(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;

@@ -1,15 +1,113 @@
-//! `[outer_loop]`: from the position that P should have to its velocity.
+//! `[law]`, `[compensation]` and `[outer_loop]`: from the position that P should have to commands.
 
 use serde::{Deserialize, Serialize};
-use singletrack_control::{OpenLoop, ProportionalLoop, Reference, TrackingLoop, Velocity};
+use singletrack_control::{
+    FrontPointLaw, LawError, OpenLoop, ProportionalLoop, Reference, TrackingLoop,
+    VehicleParameters, Velocity, VelocityPointLaw,
+};
+use singletrack_pilot::Compensation;
 use singletrack_settings::{Written, check_kind, section};
 use singletrack_words::words;
 
-use super::{
-    ConfigError,
-    loop_model::LoopModel,
-    loop_weights::{ERROR_WEIGHT, LqiWeights, MpcWeights, VELOCITY_WEIGHT},
-};
+use super::{ActuatorsSection, ConfigError, loop_model::LoopModel};
+
+section! {
+    /// The linearising law.
+    "law" => pub LawSection: Copy;
+    [];
+
+    /// The law: "front-point" is the paper's proposal; "velocity-point" exists in
+    /// simulations only.
+    kind: LawKind, words LawKind, example LawKind::FrontPoint;
+    /// Distance p of the point P, which follows the reference, beyond the front axle. The servo
+    /// bounds it from below, the more the faster the car: see `singletrack stability least-p`.
+    point_distance_m: f64, text "above 0", example 0.35;
+    /// Distance `l_f` of the front axle from the centre of mass, as measured; law and
+    /// transform of P use it. The law needs only the distance of the front axle from the
+    /// rigid body's pivot. Set this key and `marker_offset_m` so that their difference,
+    /// forward, is the distance that you measured.
+    front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
+}
+
+words! {
+    /// The two laws of the paper.
+    pub enum LawKind: serde {
+        /// The proposed law.
+        FrontPoint = "front-point",
+        /// The law of the appendix.
+        VelocityPoint = "velocity-point",
+    }
+}
+
+impl LawSection {
+    /// The proposed law with these values.
+    ///
+    /// # Errors
+    ///
+    /// Values that are invalid for the vehicle.
+    pub fn front_point_law(&self, vehicle: &VehicleParameters) -> Result<FrontPointLaw, LawError> {
+        FrontPointLaw::new(
+            self.front_axle_distance_m,
+            self.point_distance_m,
+            vehicle.wheelbase_m(),
+        )
+    }
+
+    /// The law of the appendix with these values.
+    ///
+    /// # Errors
+    ///
+    /// Values that are invalid for the vehicle.
+    pub fn velocity_point_law(
+        &self,
+        vehicle: &VehicleParameters,
+    ) -> Result<VelocityPointLaw, LawError> {
+        VelocityPointLaw::new(
+            vehicle.with_centre_of_mass_at(self.front_axle_distance_m),
+            self.point_distance_m,
+        )
+    }
+
+    /// Refuses values that are invalid for the vehicle.
+    ///
+    /// # Errors
+    ///
+    /// The first invalid value.
+    pub fn validate(&self, vehicle: &VehicleParameters) -> Result<(), LawError> {
+        match self.kind {
+            LawKind::FrontPoint => self.front_point_law(vehicle).map(drop),
+            LawKind::VelocityPoint => self.velocity_point_law(vehicle).map(drop),
+        }
+    }
+}
+
+section! {
+    /// What the controller corrects of the board's clock and of the actuators, with the
+    /// values of `[actuators]`. Nothing that stops the car rests on it.
+    "compensation" => pub CompensationSection: Copy;
+    [default];
+
+    /// Commands speeds in the time of the board's clock, whose rate the link measures.
+    clock: bool = true;
+    /// Predicts the car to the moment at which a command acts, and leads speed and steering
+    /// by the lags of motor and servo.
+    actuation: bool = true;
+}
+
+impl CompensationSection {
+    /// For the controller of this vehicle with these actuators.
+    pub(super) fn config(
+        &self,
+        actuators: &ActuatorsSection,
+        vehicle: &VehicleParameters,
+    ) -> Compensation {
+        Compensation {
+            clock: self.clock,
+            actuation: self.actuation.then(|| actuators.model()),
+            vehicle: *vehicle,
+        }
+    }
+}
 
 /// The position loop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -174,3 +272,38 @@ impl OuterLoopSection {
         }
     }
 }
+
+section! {
+    /// The settings of the linear-quadratic loop.
+    "outer_loop" => pub LqiWeights: Copy;
+    [default];
+
+    /// Of the error's integral, (m s)⁻².
+    integral_weight: f64 = 3.0;
+    /// Of the error, m⁻².
+    error_weight: f64 = ERROR_WEIGHT;
+    /// Of the correcting velocity, (m/s)⁻².
+    velocity_weight: f64 = VELOCITY_WEIGHT;
+    /// The largest velocity that the integral adds on either axis, m/s.
+    integral_limit_m_s: f64 = 0.3;
+}
+
+section! {
+    /// The settings of the predictive loop.
+    "outer_loop" => pub MpcWeights: Copy;
+    [default];
+
+    /// Of the error, m⁻².
+    error_weight: f64 = ERROR_WEIGHT;
+    /// Of the velocity's error, (m/s)⁻².
+    velocity_weight: f64 = VELOCITY_WEIGHT;
+    /// Of the acceleration beyond the reference's, (m/s²)⁻².
+    acceleration_weight: f64 = 0.0003;
+    /// The share of an unexplained velocity that is believed at once.
+    disturbance_gain: f64 = 0.05;
+    /// Iterations of the solver in every tick.
+    iterations: u32 = 20;
+}
+
+pub(super) const ERROR_WEIGHT: f64 = 1.0;
+pub(super) const VELOCITY_WEIGHT: f64 = 0.03;

@@ -1,14 +1,57 @@
-//! A file of waypoints, CSV with the columns `t_s,x_m,y_m`, or of the points of a path, with
-//! the columns `x_m,y_m`.
+//! Files that a person writes: the configuration's text, and waypoints or points of a path as CSV.
 //!
-//! Errors quote nothing of a file: they also reach clients of the control socket, who may not be
-//! allowed to read it.
+//! Errors quote nothing of a file of points: they also reach clients of the control socket, who may not
+//! be allowed to read it.
 
-use std::{io, path::Path};
+use std::{
+    fs::OpenOptions,
+    io::{self, Read as _},
+    os::unix::fs::OpenOptionsExt as _,
+    path::Path,
+};
 
 use singletrack_control::{Position, ReferenceError, Waypoint, Waypoints};
 
-use super::file::read_text;
+/// Longer than every valid configuration and every valid list of waypoints.
+const LONGEST: u64 = 1 << 20;
+
+/// The text of a file.
+///
+/// # Errors
+///
+/// The system's error; or the file is not a regular file, is too long, or is not UTF-8, each
+/// with a fix.
+pub(super) fn read_text(path: &Path) -> io::Result<String> {
+    // Non-blocking: opening a pipe without a writer would wait for ever.
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(libc::O_NONBLOCK)
+        .open(path)?;
+    let metadata = file.metadata()?;
+    if !metadata.is_file() {
+        let kind = if metadata.is_dir() {
+            "a folder"
+        } else {
+            "a pipe, a socket or a device"
+        };
+        return Err(io::Error::other(format!("it is {kind}; name a file")));
+    }
+    let mut bytes = Vec::new();
+    // A regular file may still have no end, as in /proc.
+    file.take(LONGEST + 1).read_to_end(&mut bytes)?;
+    let length = metadata.len().max(bytes.len() as u64);
+    if length > LONGEST {
+        return Err(io::Error::other(format!(
+            "it is {length} bytes long; at most {LONGEST} are read, is it the right file?"
+        )));
+    }
+    String::from_utf8(bytes).map_err(|error| {
+        let good = error.utf8_error().valid_up_to();
+        let before = error.as_bytes().get(..good).unwrap_or_default();
+        let line = 1 + before.iter().filter(|&&byte| byte == b'\n').count();
+        io::Error::other(format!("line {line} is not UTF-8; save the file as UTF-8"))
+    })
+}
 
 /// Why a file of waypoints is refused.
 #[derive(Debug, thiserror::Error)]

@@ -16,8 +16,8 @@ use tokio::{
 use super::{
     command::{Arm, Attendance},
     drives::Ticket,
-    outcome::{cannot_arm, not_ready},
     progress::{DriveWatch, POLL, Progress},
+    progress::{cannot_arm, not_ready},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
 

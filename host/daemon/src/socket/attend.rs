@@ -19,9 +19,9 @@ use super::{
     arm::{begin, begin_jogging, drive_begun},
     command::{Arm, Command},
     drives::Ticket,
-    lines::{LONGEST_LINE, send, skip_line},
     progress::{DriveWatch, POLL, Progress},
     setpoint::SetpointStream,
+    stream::{LONGEST_LINE, send, skip_line},
     stream::{ReadHalf, WriteHalf},
     tune::tune,
 };

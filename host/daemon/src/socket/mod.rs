@@ -14,8 +14,6 @@ mod attend;
 mod bind;
 mod command;
 mod drives;
-mod lines;
-mod outcome;
 mod progress;
 mod serve;
 mod setpoint;
@@ -24,7 +22,6 @@ mod tcp;
 #[cfg(test)]
 mod tests;
 mod thread;
-mod token;
 mod tune;
 
 pub(crate) use bind::BoundSocket;

@@ -19,9 +19,9 @@ use super::{
     arm::{arm, drive_begun},
     attend::{Client, hold, hung_up, jog},
     command::{Attendance, Command},
-    lines::{LONGEST_LINE, send, skip_line},
     setpoint::SetpointStream,
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
+    stream::{LONGEST_LINE, send, skip_line},
     tune::tune,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, shared_status::WATCHERS};

@@ -1,10 +1,4 @@
-//! The control socket on TCP, for programs that know no Unix sockets: on loopback only, and
-//! for those who know the token.
-//!
-//! Every user of this computer can connect to a port, and so can a web page in a browser on it.
-//! The first line of a connection must therefore give the token. Nothing is read of a
-//! connection after a wrong line, so that commands in the body of a request of HTTP, which
-//! follow its own first line, are never seen.
+//! The control socket on TCP, whose connections begin with a token.
 
 use std::{
     io,
@@ -14,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use serde::Deserialize;
 use singletrack_access::{Token, TokenFile, WaitingRoom, linger};
 use singletrack_api::{Answer, Code, SOCKET_VERSION};
 use tokio::{
@@ -22,11 +17,30 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-use super::{
-    lines::send,
-    stream::Connection,
-    token::{is_given_by, token_path},
-};
+use super::stream::{Connection, send};
+
+/// The first line of a client.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FirstLine {
+    version: u32,
+    command: String,
+    token: String,
+}
+
+/// Whether a line gives this token.
+pub(super) fn is_given_by(token: &Token, line: &[u8]) -> bool {
+    serde_json::from_slice::<FirstLine>(line).is_ok_and(|line| {
+        line.version == SOCKET_VERSION && line.command == "token" && token.is(&line.token)
+    })
+}
+
+/// The place of the token of the daemon that listens on `socket`.
+pub(super) fn token_path(socket: &Path) -> PathBuf {
+    let mut path = socket.as_os_str().to_owned();
+    path.push(".token");
+    path.into()
+}
 
 /// The largest number of connections at a time that have not given the token. They take no place
 /// of a client who may connect, and a newer one takes the place of the oldest.
@@ -122,5 +136,48 @@ impl Gate {
         write.shutdown().await?;
         place.until_lost(linger(read)).await;
         Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{fs, net::SocketAddr};
+
+    use serde_json::Value;
+    use singletrack_access::TokenFile;
+
+    use super::*;
+
+    #[test]
+    fn only_the_whole_token_in_its_own_command_is_right() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = token_path(&folder.path().join("control.sock"));
+        let address = SocketAddr::from(([127, 0, 0, 1], 8_766));
+        let token = Token::random().unwrap();
+        let _file = TokenFile::create(path.clone(), address, &token).unwrap();
+        let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+        let right = content["token"].as_str().unwrap();
+        let given = |line: &str| is_given_by(&token, line.replace("RIGHT", right).as_bytes());
+        assert!(given(r#"{"version":2,"command":"token","token":"RIGHT"}"#));
+        for line in [
+            "",
+            "RIGHT",
+            r#"{"version":2,"command":"token"}"#,
+            r#"{"version":2,"command":"token","token":""}"#,
+            r#"{"version":2,"command":"token","token":"RIGHTf"}"#,
+            r#"{"version":2,"command":"token","token":" RIGHT"}"#,
+            r#"{"version":2,"command":"token","token":null}"#,
+            r#"{"version":1,"command":"token","token":"RIGHT"}"#,
+            r#"{"version":2,"command":"stop","token":"RIGHT"}"#,
+            r#"{"version":2,"command":"token","token":"","token":"RIGHT"}"#,
+            r#"POST / {"version":2,"command":"token","token":"RIGHT"}"#,
+        ] {
+            assert!(!given(line), "{line}");
+        }
+        let cut = r#"{"version":2,"command":"token","token":"CUT"}"#.replace("CUT", &right[1..]);
+        assert!(!given(&cut));
+        let upper = right.to_ascii_uppercase();
+        let upper = format!(r#"{{"version":2,"command":"token","token":"{upper}"}}"#);
+        assert!(!given(&upper));
     }
 }

@@ -7,8 +7,10 @@ use singletrack_control::{
 };
 
 use super::{
-    Compensator, DriveCommand, Filtering, Pilot, action::Action, compensation::Course,
-    path_ahead::PathAhead, safety::LawStep, sense::Sensed,
+    Compensator, DriveCommand, Filtering, Pilot,
+    compensation::{Course, PathAhead},
+    safety::{Action, LawStep},
+    sense::Sensed,
 };
 use crate::{
     learned::Learning,

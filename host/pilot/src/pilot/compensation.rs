@@ -3,12 +3,10 @@
 use heapless::Deque;
 use libm::fabs;
 use singletrack_control::{
-    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Lead, Limits, OuterLoop, Predicted,
-    Predictor, Singularity, Time, TrackingInput, TrackingLoop, VehicleParameters, Velocity,
-    front_point_velocity,
+    ActuatorModel, Estimate, FrontPointCommand, FrontPointLaw, Governor, Lead, Limits, OuterLoop,
+    Predicted, Predictor, Reference, ReferencePoint, Singularity, Time, TrackingInput,
+    TrackingLoop, VehicleParameters, Velocity, front_point_velocity,
 };
-
-use super::path_ahead::PathAhead;
 
 /// What the pilot compensates, and by which model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,8 +40,8 @@ const FARTHEST: f64 = 0.4;
 /// Change of the commanded speed for each m/s of the speed's deviation.
 const PROPORTIONAL: f64 = 0.5;
 
-/// The same over the time in which the motor answers: the slower it is, the slower the
-/// deviation is taken away.
+/// Change of the commanded speed for each m of the speed's deviation over time, over the time in
+/// which the motor answers: the slower it is, the slower the deviation is taken away.
 const INTEGRAL: f64 = 0.35;
 
 /// The shortest of these times that counts, s.
@@ -277,5 +275,25 @@ impl Compensator {
         }
         // There is room: see above.
         let _ = self.planned.push_back((time, speed));
+    }
+}
+
+/// The reference from now on.
+#[derive(Clone, Copy)]
+pub(super) struct PathAhead<'a> {
+    pub(super) reference: &'a Reference,
+    pub(super) governor: Option<&'a Governor>,
+    pub(super) now: Time,
+    /// Time since the start of the drive, s.
+    pub(super) time: f64,
+}
+
+impl PathAhead<'_> {
+    /// The point that is demanded `ahead` seconds from now; none where steering and speed are.
+    pub(super) fn at(&self, ahead: f64) -> Option<ReferencePoint> {
+        match self.governor {
+            Some(governor) => Some(governor.at(self.reference, ahead)),
+            None => self.reference.point_ahead(self.now, self.time, ahead),
+        }
     }
 }

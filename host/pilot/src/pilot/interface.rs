@@ -2,15 +2,15 @@
 
 use singletrack_control::{
     Actuation, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig, Limits,
-    NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointStamp, SlowedBy,
-    Start, Time, TrackingLoop, Velocity,
+    NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointError,
+    SetpointStamp, SlowedBy, Start, Time, TrackingLoop, Velocity,
 };
+use singletrack_words::words;
 
 use super::{Compensation, Filtering};
 use crate::{
     event::Jog,
     fence::Fence,
-    refusal::SetpointRefusal,
     supervisor::{BoardRequest, Mode, Reason, SupervisorConfig},
     tuning::{Tuned, TuningBounds},
     watch::WatchConfig,
@@ -185,3 +185,36 @@ impl Output {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the car drives (mode {0}): disarm it first")]
 pub struct Underway(pub Mode);
+
+words! {
+    /// Why the pilot does not obey a set-point that reached it.
+    pub enum SetpointRefusal {
+        /// A value is infinite or not a number.
+        NotFinite = 1 "not-finite",
+        /// A value is beyond that of any car, or a trajectory is not one.
+        OutOfRange = 2 "out-of-range",
+        /// It was decided later than the tick.
+        Future = 3 "future",
+        /// It is older than the time-out, or its trajectory is over.
+        Old = 4 "old",
+        /// One that was decided later is in force.
+        Superseded = 5 "superseded",
+        /// Points of the trajectory are missing.
+        Incomplete = 6 "incomplete",
+        /// The reference in force takes no set-points.
+        NotExternal = 7 "not-external",
+    }
+}
+
+impl From<SetpointError> for SetpointRefusal {
+    fn from(error: SetpointError) -> Self {
+        match error {
+            SetpointError::NotFinite => Self::NotFinite,
+            SetpointError::OutOfRange(_) => Self::OutOfRange,
+            SetpointError::Future => Self::Future,
+            SetpointError::Old => Self::Old,
+            SetpointError::Superseded => Self::Superseded,
+            SetpointError::Incomplete => Self::Incomplete,
+        }
+    }
+}

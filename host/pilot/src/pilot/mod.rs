@@ -1,17 +1,11 @@
 //! The whole controller as one value: events of a tick in, one command out.
 
 mod act;
-mod action;
 mod compensation;
-mod events;
 mod interface;
 mod judge;
-mod neighbours;
-mod observe;
-mod path_ahead;
 mod safety;
 mod sense;
-mod tune;
 mod watches;
 
 use singletrack_control::{
@@ -21,19 +15,17 @@ use singletrack_control::{
 use crate::{
     event::{Event, Jog},
     learned::{Learned, Learning},
-    refusal::SetpointRefusal,
     supervisor::{Mode, Reason, Supervisor},
 };
 
 use compensation::Compensator;
-use neighbours::Obstacles;
-use safety::Safety;
+use safety::{Obstacles, Safety};
 use watches::Watches;
 
 pub use compensation::Compensation;
-pub use interface::{DriveCommand, Output, PilotConfig, Underway};
-pub use observe::{Commanded, Observed};
+pub use interface::{DriveCommand, Output, PilotConfig, SetpointRefusal, Underway};
 pub use safety::Filtering;
+pub use sense::{Commanded, Observed};
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
@@ -86,7 +78,7 @@ pub struct Pilot {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Begins {
     AtOnce,
-    /// By [`Event::Begin`].
+    /// When [`Event::Begin`] comes.
     Later,
     At(Time),
 }

@@ -1,10 +1,189 @@
-//! What a tick senses: events to estimate and speeds.
+//! What a tick senses: the events and live tuning, and estimate and speeds. The car may also be one
+//! that something else drives.
 
-use libm::fabs;
-use singletrack_control::{Estimate, PoseVerdict, Time};
+use libm::{copysign, fabs};
+use singletrack_control::{
+    Estimate, Estimator, External, PoseSample, PoseVerdict, Reference, SetpointError, Time,
+};
 
-use super::Pilot;
-use crate::{event::Event, watch::Speeds};
+use super::interface::SetpointRefusal;
+use super::{Begins, Pilot, PilotConfig};
+use crate::{
+    event::{Arming, BoardSample, Event, PilotRequest},
+    supervisor::Reason,
+    tuning::{POINT_DISTANCE_RATE, Tuned, Tuning},
+    watch::Speeds,
+};
+
+impl Pilot {
+    /// Handles an event; the verdict if it is a pose.
+    pub(super) fn handle(&mut self, now: Time, event: &Event) -> Option<PoseVerdict> {
+        match event {
+            Event::Pose(pose) => return Some(self.handle_pose(pose)),
+            Event::PoseMissing(missing) => self.supervisor.handle_pose_missing(*missing),
+            Event::Neighbour(sample) => self.obstacles.handle(sample),
+            Event::Board(sample) => self.handle_board(sample),
+            Event::Link(link) => self.supervisor.handle_link(*link),
+            Event::Request(request) => self.handle_request(*request),
+            Event::ArmRefused => self.supervisor.handle_arm_refused(),
+            Event::Health(health) => self.supervisor.handle_health(*health),
+            Event::Line(line) => self.supervisor.handle_line(*line),
+            Event::RealTime(state) => self.supervisor.handle_real_time(*state),
+            Event::Setpoint(setpoint) => {
+                self.handle_setpoint(|external| external.handle(setpoint, now));
+            }
+            Event::TrajectoryPiece(piece) => {
+                self.handle_setpoint(|external| external.handle_piece(piece, now));
+            }
+            Event::Jog(jog) => {
+                self.supervisor.handle_jog();
+                self.jog = Some(*jog);
+            }
+            Event::Attitude(sample) => self.watches.attitude.handle(sample, &self.config.watch),
+            Event::Proved(proved) => self.proved = *proved,
+            Event::Tuning(tuning) => self.tune(tuning),
+            Event::Begin(time) => {
+                self.supervisor.handle_begin();
+                self.begins = Begins::At(*time);
+            }
+            Event::Learned(learned) => {
+                if let Some(learning) = &mut self.learning {
+                    learning.learned(now, *learned);
+                }
+            }
+            // The caller has called `reconfigure` before this tick.
+            Event::Reconfigured(_) => {}
+        }
+        None
+    }
+
+    /// A lost car is taken up elsewhere by the operator's word alone: a program that ends disarms as
+    /// well.
+    fn handle_request(&mut self, request: PilotRequest) {
+        self.supervisor.handle_request(request);
+        match request {
+            // One that comes in a drive is without effect: a car that waits goes on to wait.
+            _ if self.supervisor.mode().is_underway() => {}
+            PilotRequest::Arm(Arming::Waiting) => self.begins = Begins::Later,
+            PilotRequest::Arm(_) => self.begins = Begins::AtOnce,
+            _ => {}
+        }
+        if request == PilotRequest::Carried && !self.supervisor.mode().commands() {
+            self.carried();
+        }
+    }
+
+    /// Gives the reference a set-point. Without one that it does not refuse, it becomes stale.
+    fn handle_setpoint(&mut self, give: impl FnOnce(&mut External) -> Result<(), SetpointError>) {
+        let refused = match &mut self.config.reference {
+            Reference::External(external) => give(external).err().map(SetpointRefusal::from),
+            _ => Some(SetpointRefusal::NotExternal),
+        };
+        self.setpoint_refused = refused.or(self.setpoint_refused);
+    }
+
+    fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
+        self.watches.observe_pose(pose, &self.config);
+        let verdict = self.estimator.handle_pose(pose);
+        if verdict == PoseVerdict::Accepted {
+            self.pose_time = Some(pose.capture);
+            self.supervisor.handle_pose();
+            let mode = self.supervisor.mode();
+            self.watches
+                .observe_accepted(pose, &self.estimator, mode, &self.config);
+        }
+        verdict
+    }
+
+    fn handle_board(&mut self, sample: &BoardSample) {
+        self.supervisor.handle_board(sample.state);
+        self.motor_speed = sample.motor_speed;
+        // A board without its configuration does not know how far a pulse is: it says 0 whatever
+        // the wheels do.
+        let measures = self.supervisor.is_linked();
+        self.motor_time = measures.then_some(sample.time);
+        let mode = self.supervisor.mode();
+        if let Some(inertial) = sample.inertial {
+            self.imu_heard = Some(inertial.time);
+        }
+        if let Some(inertial) = self.watches.observe_board(sample, mode, &self.config) {
+            self.imu_time = Some(inertial.time);
+            let motor_speed = measures.then_some(sample.motor_speed);
+            self.estimator.handle_inertial(inertial, motor_speed);
+        }
+    }
+}
+
+impl Pilot {
+    /// Takes over new values. Whoever sent them has checked them; values that the configuration
+    /// in force does not allow have no effect, all together.
+    fn tune(&mut self, tuning: &Tuning) {
+        let bounds = self.config.tuning.as_ref();
+        if !bounds.is_some_and(|bounds| bounds.allow(tuning)) {
+            return;
+        }
+        if let Some(gain) = tuning.gain {
+            self.tracking.set_gain(gain);
+        }
+        if let Some(distance) = tuning.point_distance {
+            self.wanted_point_distance = distance;
+        }
+    }
+
+    /// A tick begins: p goes on to where it was tuned.
+    fn slew_point_distance(&mut self) {
+        let (now, wanted) = (self.law.law().point_distance(), self.wanted_point_distance);
+        if now == wanted {
+            return;
+        }
+        let most = POINT_DISTANCE_RATE * self.config.period;
+        let next = if fabs(wanted - now) <= most {
+            wanted
+        } else {
+            now + copysign(most, wanted - now)
+        };
+        self.set_point_distance(next);
+    }
+
+    fn set_point_distance(&mut self, distance: f64) {
+        // It is between two values that make a law.
+        if let Ok(law) = self.law.law().with_point_distance(distance) {
+            self.law.set_law(law);
+        }
+    }
+
+    /// The values in force; none where nothing can be tuned.
+    #[must_use]
+    pub fn tuned(&self) -> Option<Tuned> {
+        self.config.tuning.as_ref()?;
+        Some(Tuned {
+            gain: self.tracking.gain(),
+            point_distance: self.law.law().point_distance(),
+            wanted_point_distance: self.wanted_point_distance,
+        })
+    }
+
+    /// The tuned values that another configuration leaves as they are.
+    pub(super) fn kept_tuning(&self, next: &PilotConfig) -> Tuning {
+        let (Some(old), Some(new)) = (&self.config.tuning, &next.tuning) else {
+            return Tuning::default();
+        };
+        let same_gain = old.gain == new.gain && self.config.tracking.gain() == next.tracking.gain();
+        let same_distance = old.point_distance == new.point_distance
+            && self.config.law.point_distance() == next.law.point_distance();
+        Tuning {
+            gain: self.tracking.gain().filter(|_| same_gain),
+            point_distance: same_distance.then_some(self.wanted_point_distance),
+        }
+    }
+
+    /// Takes over what [`kept_tuning`](Self::kept_tuning) left; p is there at once, because the car
+    /// stands.
+    pub(super) fn keep_tuning(&mut self, kept: &Tuning) {
+        self.tune(kept);
+        self.set_point_distance(self.wanted_point_distance);
+    }
+}
 
 /// The longest age of telemetry whose motor speed and inertial sample count, s.
 const RECENT: f64 = 0.2;
@@ -96,5 +275,77 @@ impl Pilot {
             last_tick,
             commanded_speed,
         }
+    }
+}
+
+/// What something else commands a car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Commanded {
+    /// Steering angle, rad; positive to the left.
+    pub steering: f64,
+    /// Speed of the rear axle, m/s; none if it is not known.
+    pub speed: Option<f64>,
+    /// Whether the car is driven. Where that begins, a drive begins.
+    pub drives: bool,
+}
+
+/// What the pilot has seen of a car in a tick.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observed {
+    /// The estimated state.
+    pub estimate: Option<Estimate>,
+    /// What would end the drive; none if nothing would, or the car is not driven.
+    pub stop: Option<Reason>,
+}
+
+impl Pilot {
+    /// A tick of a car that something else drives, in place of [`Pilot::step`]: handles the events,
+    /// and says what would end a drive. Nothing is commanded. `judged` is told of each pose, of
+    /// the estimator's verdict, and of its normalised innovation squared before any weighting.
+    ///
+    /// What has no input is not judged: the board's status without one, and whatever belongs to
+    /// commands that were not given, such as arming, the proving run and the stop.
+    pub fn observe<'a>(
+        &mut self,
+        now: Time,
+        events: impl IntoIterator<Item = &'a Event>,
+        commanded: &Commanded,
+        mut judged: impl FnMut(&PoseSample, PoseVerdict, f64),
+    ) -> Observed {
+        self.commanded_steering = commanded.steering;
+        let foreign = (commanded.steering, commanded.speed.unwrap_or(0.0));
+        let sensed = self.sense(now, events, Some(foreign), |pilot, event, verdict| {
+            if let Event::Pose(pose) = event {
+                judged(pose, verdict, pilot.estimator.innovation());
+            }
+        });
+        if self.supervisor.observe(commanded.drives, now) {
+            self.watches.begin(false);
+            // A drive of ours is armed only where they are not too rare.
+            self.watches.steps.begin(now);
+            // Not so a drive of ours, which begins with a car at rest.
+            if self.motor_speed.abs() >= self.config.supervisor.standing_speed {
+                self.watches.drive.start.skip();
+            }
+        }
+        let conditions = self.conditions(&sensed);
+        Observed {
+            estimate: sensed.estimate,
+            stop: self.supervisor.observed(&conditions),
+        }
+    }
+
+    /// A person says that the body which the cameras show is the car: see
+    /// [`PilotRequest::Carried`].
+    pub fn carried(&mut self) {
+        if self.estimator.implausible_in_a_row() > 0 {
+            self.estimator.reset();
+        }
+    }
+
+    /// The estimator.
+    #[must_use]
+    pub const fn estimator(&self) -> &Estimator {
+        &self.estimator
     }
 }

@@ -6,7 +6,10 @@
 
 use singletrack_control::Time;
 
-use super::{conditions::Conditions, config::SupervisorConfig, reason::Reason};
+use super::{
+    conditions::{Conditions, SupervisorConfig},
+    reason::Reason,
+};
 use crate::{
     event::{BoardHealth, BoardState, LineHealth, LinkState, RealTimeState},
     watch::{ImuVerdict, count},

@@ -37,13 +37,9 @@
 
 mod checks;
 mod conditions;
-mod config;
-mod mode;
 mod reason;
 
-pub use conditions::{BoardRequest, Conditions};
-pub use config::SupervisorConfig;
-pub use mode::Mode;
+pub use conditions::{BoardRequest, Conditions, Mode, SupervisorConfig};
 pub use reason::Reason;
 
 use singletrack_control::Time;

@@ -3,7 +3,7 @@
 use libm::{atan2, fabs, hypot, sincos};
 use singletrack_control::Time;
 
-use super::{config::WatchConfig, count, steps::Step};
+use super::{WatchConfig, count, steps::Step};
 use crate::{
     event::{AttitudeSample, Tilt},
     supervisor::Reason,
@@ -18,14 +18,14 @@ const AGE: f64 = 0.5;
 /// The latest attitude of IMU and body.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct AttitudeWatch {
-    imu: Option<(Tilt, Heard)>,
-    body: Option<(Tilt, Heard)>,
-    height: Option<(f64, Heard)>,
+    imu: Option<(Tilt, HandledAt)>,
+    body: Option<(Tilt, HandledAt)>,
+    height: Option<(f64, HandledAt)>,
     uncertain: u32,
 }
 
 /// The tick that handled a sample; `None` in that tick.
-type Heard = Option<Time>;
+type HandledAt = Option<Time>;
 
 impl AttitudeWatch {
     /// A sample.
@@ -89,7 +89,7 @@ impl AttitudeWatch {
     }
 }
 
-fn date<T>(value: &mut Option<(T, Heard)>, now: Time) {
+fn date<T>(value: &mut Option<(T, HandledAt)>, now: Time) {
     match value {
         Some((_, heard @ None)) => *heard = Some(now),
         Some((_, Some(heard))) if now.seconds_since(*heard) > AGE => *value = None,

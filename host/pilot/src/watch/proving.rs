@@ -5,7 +5,7 @@ use core::f64::consts::TAU;
 use libm::{atan2, copysign, fabs, sin, tan};
 use singletrack_control::Time;
 
-use super::{gyro::Turns, roll_out::RollOut, steps::Step};
+use super::{imu::Turns, roll_out::RollOut, steps::Step};
 use crate::supervisor::Reason;
 
 /// The highest speed until everything has been compared, m/s.

@@ -27,12 +27,12 @@ pub(super) struct RollOut {
     /// The speed when it began to fall, m/s, and the way since, m.
     from: f64,
     way: f64,
-    line: Line,
+    line: SquareLine,
 }
 
 /// Squares of speeds over the way, in sums.
 #[derive(Clone, Copy, Debug, Default)]
-struct Line {
+struct SquareLine {
     count: f64,
     ways: f64,
     ways_squared: f64,
@@ -40,7 +40,7 @@ struct Line {
     products: f64,
 }
 
-impl Line {
+impl SquareLine {
     fn add(&mut self, way: f64, speed: f64) {
         let square = speed * speed;
         self.count += 1.0;
@@ -67,7 +67,7 @@ impl RollOut {
             highest: speed,
             from: speed,
             way: 0.0,
-            line: Line {
+            line: SquareLine {
                 count: 1.0,
                 ways: 0.0,
                 ways_squared: 0.0,
@@ -85,7 +85,7 @@ impl RollOut {
         if elapsed < REACTION && speed > self.highest - FALLEN {
             self.from = speed;
             self.way = 0.0;
-            self.line = Line::default();
+            self.line = SquareLine::default();
         }
         self.line.add(self.way, speed);
     }
@@ -111,7 +111,7 @@ impl RollOut {
 
 /// How far beyond the ramp a car may be that its motor leads along it, m/s.
 pub(super) const BEYOND: f64 = 0.03;
-/// By how much a car comes nearer to the ramp that is braked, m/s. A brake of two servo periods,
+/// Approach to the ramp by which a car counts as braked, m/s. A brake of two servo periods,
 /// the shortest one, takes 0.025 m/s off a car; the estimate is steadier than a speed against its
 /// highest one ([`FALLEN`]), for only a fall that is faster than the ramp counts.
 const NEARER: f64 = 0.02;

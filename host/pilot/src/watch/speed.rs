@@ -3,7 +3,7 @@
 use libm::fabs;
 use singletrack_control::{Position, Time, direction};
 
-use super::{config::WatchConfig, count};
+use super::{WatchConfig, count};
 
 /// Compares the two speeds over spans of [`SPAN`].
 ///
@@ -12,7 +12,7 @@ use super::{config::WatchConfig, count};
 /// pulses, faster than commanded.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SpeedWatch {
-    span: Option<Span>,
+    span: Option<SpeedSpan>,
     /// Spans in a row that did not match.
     mismatches: u32,
     /// The speed of the motor over that of the cameras in the last span that did not match.
@@ -23,7 +23,7 @@ pub(crate) struct SpeedWatch {
 
 /// A span of poses, from the one at `start`.
 #[derive(Clone, Copy, Debug)]
-struct Span {
+struct SpeedSpan {
     start: Time,
     position: Position,
     /// The time of the latest pose.
@@ -57,7 +57,7 @@ impl SpeedWatch {
     /// An accepted pose: position of the centre of mass in m, yaw in rad. The camera
     /// speed of a span is the displacement along the yaw over its duration.
     pub(crate) fn pose(&mut self, time: Time, position: Position, yaw: f64, config: &WatchConfig) {
-        let fresh = Span {
+        let fresh = SpeedSpan {
             start: time,
             position,
             newest: time,

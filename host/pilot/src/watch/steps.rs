@@ -39,7 +39,7 @@ pub(crate) struct Step {
     pub(crate) gyro_turn: f64,
     /// Change of the forward speed by the accelerometer, m/s.
     pub(crate) forward: f64,
-    /// The same to the left, without the centripetal part.
+    /// Change of the speed to the left by the accelerometer, without the centripetal part, m/s.
     pub(crate) left: f64,
     /// Mean steering angle of the wheels, rad.
     pub(crate) steering: f64,

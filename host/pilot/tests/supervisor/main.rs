@@ -3,12 +3,9 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
 mod arming;
-mod attendance;
 mod bench;
 mod faults;
 mod jogging;
-mod observing;
-mod poses;
 mod stopping;
 
 use singletrack_pilot::{

@@ -3,7 +3,7 @@
 use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::header::header;
+use super::header;
 use crate::{
     Channel, EncodeError, Entry, LinkPhase, StandardTopic,
     batch::Batch,

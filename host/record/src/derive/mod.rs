@@ -1,11 +1,268 @@
-//! The standard messages that follow from entries.
+//! From entries to messages on channels, for the file and for live viewers: their own, and the standard
+//! messages that follow from them.
 
 mod diagnostics;
-mod header;
-mod messages;
-
-pub(crate) use diagnostics::Diagnostics;
-pub(crate) use messages::derive;
 
 #[cfg(test)]
 mod tests;
+
+use singletrack_control::{Estimate, Position};
+use singletrack_mocap::{Pose as BodyPose, PoseState};
+
+use crate::{
+    BASE_FRAME, Channel, ClockMapping, EncodeError, Entry, Publication, StandardTopic,
+    TelemetryRecord, TickRecord, WORLD_FRAME,
+    batch::Batch,
+    message::Coded,
+    standard::{
+        AckermannDrive, AckermannDriveStamped, Header, Imu, Log, Odometry, Point, PointStamped,
+        Pose, PoseStamped, PoseWithCovariance, Quaternion, TfMessage, Time, Transform,
+        TransformStamped, Twist, TwistWithCovariance, Vector3,
+    },
+};
+
+pub(crate) use diagnostics::Diagnostics;
+
+/// Encodes entries as the messages of the channels.
+///
+/// An entry gives one complete message on its own topic, then the messages on the
+/// [`crate::StandardTopic`]s that follow from it. The same entries in the same order
+/// give the same bytes. An encoder allocates: use it on the thread that writes or sends.
+#[derive(Debug)]
+pub struct Encoder {
+    start: ClockMapping,
+    diagnostics: Diagnostics,
+    batch: Batch,
+}
+
+impl Encoder {
+    /// An encoder for a record that begins at `start`.
+    #[must_use]
+    pub fn new(start: ClockMapping) -> Self {
+        Self {
+            start,
+            diagnostics: Diagnostics::default(),
+            batch: Batch::new(start),
+        }
+    }
+
+    /// The messages of `entry`, its own first.
+    ///
+    /// # Errors
+    ///
+    /// When one of them can't be encoded. Then none is returned.
+    pub fn encode(
+        &mut self,
+        entry: &Entry,
+    ) -> Result<impl Iterator<Item = Publication<'_>>, EncodeError> {
+        let batch = &mut self.batch;
+        batch.clear();
+        let own = Channel::Entry(entry.topic());
+        batch.add_encoded(own, entry.sample_time_ns(), |bytes| entry.encode(bytes))?;
+        derive(entry, batch)?;
+        self.diagnostics.take(entry, batch)?;
+        Ok(self.batch.iter(self.start.wall_ns_at(entry.time_ns())))
+    }
+}
+
+/// A header for a time of the monotonic clock.
+fn header(time_ns: u64, frame_id: &'static str, batch: &Batch) -> Header {
+    Header {
+        stamp: stamp(time_ns, batch),
+        frame_id,
+    }
+}
+
+/// A time of the monotonic clock as a stamp of the wall clock.
+fn stamp(time_ns: u64, batch: &Batch) -> Time {
+    const SECOND: u64 = 1_000_000_000;
+    let wall_ns = batch.wall_ns_at(time_ns);
+    Time {
+        // The seconds of ROS end in 2038.
+        sec: i32::try_from(wall_ns / SECOND).unwrap_or(i32::MAX),
+        nanosec: (wall_ns % SECOND) as u32,
+    }
+}
+
+/// The value for an unknown covariance in ROS.
+const UNKNOWN_3: [[f64; 3]; 3] = [[0.0; 3]; 3];
+const UNKNOWN_6: [[f64; 6]; 6] = [[0.0; 6]; 6];
+
+/// Unit of a component of a quaternion in telemetry.
+const Q14: f64 = 1.0 / 16_384.0;
+
+/// The name of the source in lines of the log.
+const NODE: &str = "singletrack";
+
+/// Adds the messages that follow from `entry` alone.
+pub(crate) fn derive(entry: &Entry, batch: &mut Batch) -> Result<(), EncodeError> {
+    match entry {
+        Entry::Tick(tick) => from_tick(tick, batch),
+        Entry::Telemetry(record) => from_telemetry(record, batch),
+        Entry::Pose(observation) => match observation.state {
+            PoseState::Valid(pose) => from_pose(&pose, batch),
+            _ => Ok(()),
+        },
+        Entry::Log(log) => {
+            let message = Log {
+                stamp: stamp(log.time_ns, batch),
+                level: log.level.code(),
+                name: NODE,
+                msg: log.text.clone(),
+                file: "",
+                function: "",
+                line: 0,
+            };
+            add(StandardTopic::Rosout, log.time_ns, &message, batch)
+        }
+        Entry::Status(_) | Entry::Configuration(_) | Entry::Drops(_) => Ok(()),
+    }
+}
+
+fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), EncodeError> {
+    let output = &tick.output;
+    let time_ns = tick.pilot_time.0;
+    if let Some(estimate) = &output.estimate {
+        from_estimate(estimate, batch)?;
+    }
+    if let Some(command) = output.command {
+        let message = AckermannDriveStamped {
+            header: header(time_ns, BASE_FRAME, batch),
+            drive: AckermannDrive {
+                steering_angle: command.steering as f32,
+                steering_angle_velocity: output.actuation.steering_rate as f32,
+                speed: command.rear_speed as f32,
+                acceleration: 0.0,
+                jerk: 0.0,
+            },
+        };
+        add(StandardTopic::Command, time_ns, &message, batch)?;
+    }
+    let reference = output.reference.and_then(|reference| reference.position);
+    for (topic, position) in [
+        (StandardTopic::Reference, reference),
+        (StandardTopic::PointP, output.point),
+    ] {
+        if let Some(position) = position {
+            let message = PointStamped {
+                header: header(time_ns, WORLD_FRAME, batch),
+                point: on_the_floor(position),
+            };
+            add(topic, time_ns, &message, batch)?;
+        }
+    }
+    Ok(())
+}
+
+fn from_estimate(estimate: &Estimate, batch: &mut Batch) -> Result<(), EncodeError> {
+    let time_ns = estimate.time.0;
+    let position = on_the_floor(estimate.position);
+    let odometry = Odometry {
+        header: header(time_ns, WORLD_FRAME, batch),
+        child_frame_id: BASE_FRAME,
+        pose: PoseWithCovariance {
+            pose: Pose {
+                position: position.clone(),
+                orientation: about_z(estimate.yaw),
+            },
+            covariance: UNKNOWN_6,
+        },
+        twist: TwistWithCovariance {
+            twist: Twist {
+                linear: Vector3 {
+                    x: estimate.speed * libm::cos(estimate.sideslip),
+                    y: estimate.speed * libm::sin(estimate.sideslip),
+                    z: 0.0,
+                },
+                angular: Vector3 {
+                    x: 0.0,
+                    y: 0.0,
+                    z: estimate.yaw_rate,
+                },
+            },
+            covariance: UNKNOWN_6,
+        },
+    };
+    add(StandardTopic::Odometry, time_ns, &odometry, batch)?;
+    let transforms = TfMessage {
+        transforms: vec![TransformStamped {
+            header: odometry.header,
+            child_frame_id: BASE_FRAME,
+            transform: Transform {
+                translation: Vector3 {
+                    x: position.x,
+                    y: position.y,
+                    z: position.z,
+                },
+                rotation: odometry.pose.pose.orientation,
+            },
+        }],
+    };
+    add(StandardTopic::Transforms, time_ns, &transforms, batch)
+}
+
+fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), EncodeError> {
+    let Some(time_ns) = record.new_imu_time_ns() else {
+        return Ok(());
+    };
+    let [w, x, y, z] = record
+        .telemetry
+        .attitude_q14
+        .map(|part| f64::from(part) * Q14);
+    let message = Imu {
+        header: header(time_ns, BASE_FRAME, batch),
+        orientation: Quaternion { x, y, z, w },
+        orientation_covariance: UNKNOWN_3,
+        angular_velocity: vector(record.angular_velocity_rad_s()),
+        angular_velocity_covariance: UNKNOWN_3,
+        linear_acceleration: vector(record.linear_acceleration_m_s2()),
+        linear_acceleration_covariance: UNKNOWN_3,
+    };
+    add(StandardTopic::Imu, time_ns, &message, batch)
+}
+
+fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), EncodeError> {
+    let time_ns = pose.capture_time_ns;
+    let message = PoseStamped {
+        header: header(time_ns, WORLD_FRAME, batch),
+        pose: Pose {
+            position: Point {
+                x: pose.x_m,
+                y: pose.y_m,
+                z: pose.z_m,
+            },
+            orientation: about_z(pose.yaw_rad),
+        },
+    };
+    add(StandardTopic::MocapPose, time_ns, &message, batch)
+}
+
+fn add(
+    topic: StandardTopic,
+    time_ns: u64,
+    message: &impl serde::Serialize,
+    batch: &mut Batch,
+) -> Result<(), EncodeError> {
+    batch.add(Channel::Standard(topic), time_ns, message)
+}
+
+fn on_the_floor(position: Position) -> Point {
+    Point {
+        x: position.x,
+        y: position.y,
+        z: 0.0,
+    }
+}
+
+fn about_z(yaw: f64) -> Quaternion {
+    Quaternion {
+        x: 0.0,
+        y: 0.0,
+        z: libm::sin(yaw / 2.0),
+        w: libm::cos(yaw / 2.0),
+    }
+}
+
+const fn vector([x, y, z]: [f64; 3]) -> Vector3 {
+    Vector3 { x, y, z }
+}

@@ -1,19 +1,128 @@
-//! Records in files: writer, reader and recovery.
+//! Records in files: writer, reader and recovery, and their errors.
 
 mod chunk;
-mod container;
-mod error;
 mod feed;
 mod metadata;
-mod parse;
 mod reader;
 mod recorder;
 mod recover;
-mod span;
 
-pub use container::part_path;
-pub use error::RecordError;
+use std::{io, path::PathBuf};
+
+use crate::EncodeError;
+
 pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use reader::{Ending, Reader, Recorded};
-pub use recorder::{Finished, Recorder};
+pub use recorder::{Finished, Recorder, part_path};
 pub use recover::{Recovery, recover};
+
+/// A record can't be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// An operation on the file failed.
+    #[error("can't {action} {}: {source}", path.display())]
+    Io {
+        /// The operation.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        source: io::Error,
+    },
+    /// The file exists, and records are never overwritten.
+    #[error("{} exists already and records are never overwritten: move it or choose another name", .0.display())]
+    Exists(PathBuf),
+    /// The unfinished file, or its folder, was removed or moved.
+    #[error("{} was removed or moved while it was written: nothing is recorded any more", .0.display())]
+    Gone(PathBuf),
+    /// Another process is writing the record.
+    #[error("{} is being written: wait until its recorder has ended", .0.display())]
+    Busy(PathBuf),
+    /// The container could not be written.
+    #[error("can't write {}: {source}; its entries up to the last second can be read", path.display())]
+    Write {
+        /// The unfinished file.
+        path: PathBuf,
+        /// The reason.
+        source: Box<mcap::McapError>,
+    },
+    /// An entry could not be encoded.
+    #[error("{source} for {}", path.display())]
+    Encode {
+        /// The unfinished file.
+        path: PathBuf,
+        /// The message and the reason.
+        source: EncodeError,
+    },
+    /// The file is not an MCAP file.
+    #[error("{} is not an MCAP file: name a record written by singletrackd, simulate or demo (*.mcap or *.mcap.part)", .0.display())]
+    NotMcap(PathBuf),
+    /// The file is an MCAP file of another program.
+    #[error("{} is an MCAP file of \"{library}\" with profile \"{profile}\", not a record of Singletrack: open it with a viewer such as Foxglove or PlotJuggler", path.display())]
+    NotOurs {
+        /// The file.
+        path: PathBuf,
+        /// The profile in its header.
+        profile: String,
+        /// The library in its header.
+        library: String,
+    },
+    /// The file ends before its first entry.
+    #[error("{} ends after {bytes} bytes, before its first entry: nothing was recorded", path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        bytes: u64,
+    },
+    /// A value in the metadata is invalid.
+    #[error("the metadata of {} has {key} = {value:?}, which is not {expected}", path.display())]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// The key.
+        key: &'static str,
+        /// The value.
+        value: String,
+        /// The expected value.
+        expected: &'static str,
+    },
+    /// The record has another version.
+    #[error("{} is a record of version {found}; this program reads version {known}: use the singletrack of the release that wrote it", path.display())]
+    OtherVersion {
+        /// The file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+        /// The version that this program reads.
+        known: u32,
+    },
+    /// A message has a known name and another layout.
+    #[error("{} has another layout of {schema} than this program: use the singletrack of the release that wrote it", path.display())]
+    OtherSchema {
+        /// The file.
+        path: PathBuf,
+        /// The message.
+        schema: String,
+    },
+    /// The file is damaged, and not only truncated.
+    #[error("{} is damaged after {entries} entries, within its first {bytes} bytes: {reason}; the entries before can be used, and `singletrack recover` saves the undamaged ones after it", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Entries before the damage.
+        entries: u64,
+        /// Bytes read up to there.
+        bytes: u64,
+        /// The kind of damage.
+        reason: String,
+    },
+    /// The thread of the writer could not be started, or panicked.
+    #[error("the thread that writes {} {what}", path.display())]
+    Thread {
+        /// The record.
+        path: PathBuf,
+        /// What happened.
+        what: String,
+    },
+}

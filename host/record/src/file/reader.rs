@@ -19,11 +19,9 @@ use mcap::{
 
 use super::{
     RecordError,
-    chunk::{Chunk, ChunkError, MAX_PART_LENGTH},
-    container::{PROFILE, failure, part_path},
-    metadata::{CONFIGURATION_NAME, METADATA_NAME, check_version},
-    parse::{is_data_part, parse_record},
-    span::{message_count, span_wall_ns},
+    chunk::{Chunk, ChunkError, MAX_PART_LENGTH, is_data_part, parse_record},
+    metadata::{CONFIGURATION_NAME, METADATA_NAME, check_version, message_count, span_wall_ns},
+    recorder::{PROFILE, failure, part_path},
 };
 use crate::{Entry, Meta, Topic, Value};
 
@@ -298,6 +296,29 @@ impl Reader {
         }
         topic
             .read_values(&self.content, values)
+            .map_err(|reason| self.invalid(topic, &reason))
+    }
+
+    /// The message that [`Reader::advance`] went to; none before the first. A tick is without its
+    /// events, which are half of it.
+    ///
+    /// # Errors
+    ///
+    /// When the message is damaged.
+    pub fn read_entry(&mut self) -> Result<Option<Entry>, RecordError> {
+        let Some(Recorded { topic, .. }) = self.at else {
+            return Ok(None);
+        };
+        let decoded = match (topic, self.events_at) {
+            (Topic::Tick, Some(list_at)) => {
+                let mut head = self.content.get(..list_at).unwrap_or_default().to_vec();
+                head.extend([0; LENGTH]);
+                Entry::decode(topic, &head)
+            }
+            _ => Entry::decode(topic, &self.content),
+        };
+        decoded
+            .map(Some)
             .map_err(|reason| self.invalid(topic, &reason))
     }
 

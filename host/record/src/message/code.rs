@@ -12,7 +12,7 @@ use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopC
 use singletrack_words::words;
 
 use super::{
-    definition::Definition,
+    Definition,
     field::{Field, InvalidMessage, Represents},
 };
 use crate::{
@@ -104,6 +104,11 @@ impl<C: Coded> Field for Code<C> {
     fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
         visitor.value(name, Value::Text(self.0.word().into()));
     }
+
+    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
+        let OptionalCode(value) = Field::parse(name, object)?;
+        value.map(Self).ok_or(InvalidMessage::Field(name))
+    }
 }
 
 impl<C: Coded> Field for OptionalCode<C> {
@@ -121,6 +126,16 @@ impl<C: Coded> Field for OptionalCode<C> {
             self.0
                 .map_or(Value::Absent, |value| Value::Text(value.word().into())),
         );
+    }
+
+    fn parse(name: &'static str, object: &serde_json::Value) -> Result<Self, InvalidMessage> {
+        let Some(word) = object[name].as_str() else {
+            return Ok(Self(None));
+        };
+        let known = C::CODED.iter().find(|value| value.word() == word);
+        known
+            .map(|value| Self(Some(*value)))
+            .ok_or(InvalidMessage::Field(name))
     }
 }
 

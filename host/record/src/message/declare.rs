@@ -1,12 +1,10 @@
-//! How a message is declared.
+//! How a message is declared, and how ROS 2 encodes it.
 
 use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::definition::Definition;
+use super::{Definition, field::InvalidMessage};
 use crate::value::Visitor;
-
-pub(super) use ::{array, choice, fields, message};
 
 /// The package that all messages belong to.
 const PACKAGE: &str = "singletrack_msgs";
@@ -21,6 +19,9 @@ pub(crate) trait Fields: Clone + Serialize + DeserializeOwned {
 
     /// Visits the fields in the order of the schema.
     fn visit(&self, visitor: &mut dyn Visitor);
+
+    /// Reads the fields from the JSON object that a visitor has written.
+    fn parse(object: &serde_json::Value) -> Result<Self, InvalidMessage>;
 }
 
 /// A message type.
@@ -104,6 +105,13 @@ macro_rules! fields {
             fn visit(&self, visitor: &mut dyn $crate::value::Visitor) {
                 use $crate::message::field::Field;
                 $( Field::visit(&self.$field, stringify!($field), visitor); )*
+            }
+
+            fn parse(
+                object: &serde_json::Value,
+            ) -> Result<Self, $crate::message::field::InvalidMessage> {
+                use $crate::message::field::Field;
+                Ok(Self { $( $field: <$kind as Field>::parse(stringify!($field), object)?, )* })
             }
         }
     };
@@ -210,6 +218,13 @@ macro_rules! message {
                     $crate::message::declare::Fields::visit(&absent, inner);
                 });
             }
+
+            fn parse(
+                name: &'static str,
+                object: &serde_json::Value,
+            ) -> Result<Self, $crate::message::field::InvalidMessage> {
+                $crate::message::declare::Fields::parse(&object[name])
+            }
         }
     };
 }
@@ -265,6 +280,8 @@ macro_rules! choice {
         }
     };
 }
+
+pub(super) use {array, choice, fields, message};
 
 /// The header of a ROS 2 message: plain CDR, little-endian, no options.
 pub(crate) const ENCAPSULATION: [u8; 4] = [0x00, 0x01, 0x00, 0x00];

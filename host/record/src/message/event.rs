@@ -12,8 +12,9 @@ use singletrack_pilot::{
 use super::{
     code::{Code, OptionalCode},
     declare::{Fields, choice, fields, message},
-    field::{Group, InvalidMessage, Maybe, Part, Represents},
-    floor::{GainMessage, PointMessage, VelocityMessage},
+    field::{
+        GainMessage, Group, InvalidMessage, Maybe, Part, PointMessage, Represents, VelocityMessage,
+    },
 };
 
 choice! {

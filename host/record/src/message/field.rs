@@ -1,12 +1,13 @@
-//! The types that a field of a message can have.
+//! The types that a field of a message can have; among them positions and velocities on the floor.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::DeserializeOwned};
-use singletrack_control::Time;
+use serde_json::Value as Json;
+use singletrack_control::{Position, Time, Velocity};
 use singletrack_protocol::Sequence;
 
 use super::{
-    declare::{Fields, Message, declare},
-    definition::Definition,
+    Definition,
+    declare::{Fields, Message, declare, fields, message},
 };
 use crate::value::{Value, Visitor};
 
@@ -25,6 +26,9 @@ pub(crate) trait Field: Clone + Serialize + DeserializeOwned {
     fn visit_absent(name: &'static str, visitor: &mut dyn Visitor) {
         visitor.value(name, Value::Absent);
     }
+
+    /// Reads it from the JSON object that a visitor has written.
+    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage>;
 }
 
 /// A field's type as the form in which a message holds a `T` of the record.
@@ -52,6 +56,8 @@ pub(crate) enum InvalidMessage {
     },
     #[error("a count of {0}, which is more than this machine can represent")]
     CountTooLarge(u64),
+    #[error("{0} is missing, or not of its type")]
+    Field(&'static str),
 }
 
 /// Takes the parts that a message of a certain kind must have, here named for errors.
@@ -87,6 +93,15 @@ macro_rules! plain {
                 fn visit(&self, name: &'static str, visitor: &mut dyn Visitor) {
                     let $value = self;
                     visitor.value(name, $shown);
+                }
+
+                fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+                    let value = match object.get(name) {
+                        // A quantity that is not finite.
+                        Some(Json::Null) => Some($absent),
+                        value => value.and_then(|value| Self::deserialize(value).ok()),
+                    };
+                    value.ok_or(InvalidMessage::Field(name))
                 }
             }
 
@@ -152,6 +167,11 @@ impl<M: Message + Field> Field for Vec<M> {
             }
         });
     }
+
+    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+        let list = object[name].as_array().ok_or(InvalidMessage::Field(name))?;
+        list.iter().map(<M as Fields>::parse).collect()
+    }
 }
 
 impl<M: Represents<T>, T, const MAX: usize> Represents<heapless::Vec<T, MAX>> for Vec<M> {
@@ -207,6 +227,11 @@ impl<T: Field> Field for Maybe<T> {
             None => T::visit_absent(name, visitor),
         }
     }
+
+    fn parse(name: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+        let present = !object[name].is_null();
+        Ok(Self(present.then(|| T::parse(name, object)).transpose()?))
+    }
 }
 
 impl<F: Represents<T>, T> Represents<Option<T>> for Maybe<F> {
@@ -238,6 +263,10 @@ impl<G: Fields> Field for Group<G> {
     fn visit(&self, _: &'static str, visitor: &mut dyn Visitor) {
         self.0.visit(visitor);
     }
+
+    fn parse(_: &'static str, object: &Json) -> Result<Self, InvalidMessage> {
+        G::parse(object).map(Self)
+    }
 }
 
 impl<G: Represents<T>, T> Represents<T> for Group<G> {
@@ -248,4 +277,39 @@ impl<G: Represents<T>, T> Represents<T> for Group<G> {
     fn value(self) -> Result<T, InvalidMessage> {
         self.0.value()
     }
+}
+
+/// Declares a message that has the two parts of a vector.
+macro_rules! vector {
+    (
+        $(#[doc = $about:literal])*
+        $type:ident as $name:literal of $vector:ident { $x:ident, $y:ident }
+    ) => {
+        message! { $(#[doc = $about])* $type as $name { $x: f64, $y: f64, } }
+
+        impl Represents<$vector> for $type {
+            fn of(vector: &$vector) -> Self {
+                Self { $x: vector.x, $y: vector.y }
+            }
+
+            fn value(self) -> Result<$vector, InvalidMessage> {
+                Ok($vector::new(self.$x, self.$y))
+            }
+        }
+    };
+}
+
+vector! {
+    /// A position on the floor, world frame.
+    PointMessage as "Point" of Position { x_m, y_m }
+}
+
+vector! {
+    /// A velocity on the floor, world frame.
+    VelocityMessage as "Velocity" of Velocity { x_m_s, y_m_s }
+}
+
+vector! {
+    /// Gains of the position loop, world frame.
+    GainMessage as "Gain" of Velocity { x_per_s, y_per_s }
 }

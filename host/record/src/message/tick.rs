@@ -9,8 +9,7 @@ use super::{
     code::{Code, OptionalCode},
     declare::{fields, message},
     event::{EventMessage, JogMessage, StampMessage},
-    field::{Group, InvalidMessage, Maybe, Represents},
-    floor::{GainMessage, PointMessage, VelocityMessage},
+    field::{GainMessage, Group, InvalidMessage, Maybe, PointMessage, Represents, VelocityMessage},
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
 

@@ -1,14 +1,18 @@
-//! The kinds of entries. Each has its own channel and message in the file.
+//! The kinds of entries. Each has its own channel and message in the file, and lines of JSON, which
+//! the daemon sends to its watchers.
 
-use std::{fmt, str::FromStr};
+#[cfg(test)]
+pub(crate) mod tests;
+
+use std::{borrow::Cow, fmt, str::FromStr};
 
 use singletrack_mocap::PoseState;
 
 use crate::{
-    Entry, Value,
+    Entry, StandardTopic, Value,
     message::{
-        ConfigurationMessage, DropsMessage, Fields, LogMessage, PoseMessage, Represents,
-        StatusMessage, TelemetryMessage, TickMessage, declare, schema_name, schema_text,
+        self, ConfigurationMessage, DropsMessage, Fields, LogMessage, PoseMessage, Represents,
+        StatusMessage, TelemetryMessage, TickMessage, schema_name, schema_text,
     },
     value::{Json, Paths, Values},
 };
@@ -190,7 +194,7 @@ impl Topic {
     /// Adds the fields of the message that `bytes` encode to `values`.
     pub(crate) fn read_values(self, bytes: &[u8], values: &mut Vec<Value>) -> Result<(), String> {
         let mut visitor = Values::new(values);
-        with_message!(self, M => cdr::decode::<M>(bytes)?.visit(&mut visitor));
+        with_message!(self, M => message::decode::<M>(bytes)?.visit(&mut visitor));
         Ok(())
     }
 
@@ -199,7 +203,7 @@ impl Topic {
     pub(crate) fn list_at(self) -> Option<usize> {
         let mut bytes = Vec::new();
         match self {
-            Self::Tick => cdr::encode(&TickMessage::absent(), &mut bytes).ok()?,
+            Self::Tick => message::encode(&TickMessage::absent(), &mut bytes).ok()?,
             _ => return None,
         }
         bytes.len().checked_sub(size_of::<u32>())
@@ -208,7 +212,7 @@ impl Topic {
     /// Adds the message that `bytes` encode to `json`, as [`Entry::write_json`] does.
     pub(crate) fn write_json(self, bytes: &[u8], json: &mut String) -> Result<(), String> {
         with_message!(self, M => {
-            let message = cdr::decode::<M>(bytes)?;
+            let message = message::decode::<M>(bytes)?;
             Json::entry(json, self.name(), |object| message.visit(object));
         });
         Ok(())
@@ -282,7 +286,7 @@ impl Entry {
 
     /// Adds its message, encoded, to `bytes`.
     pub(crate) fn encode(&self, bytes: &mut Vec<u8>) -> Result<(), cdr_encoding::Error> {
-        with_entry!(self, message => cdr::encode(&message, bytes))
+        with_entry!(self, message => message::encode(&message, bytes))
     }
 
     /// The entry that `bytes` encode: a message of the topic with its header.
@@ -292,11 +296,183 @@ impl Entry {
     /// It is no message of this topic; in words.
     pub fn decode(topic: Topic, bytes: &[u8]) -> Result<Self, String> {
         with_message!(topic, M of Variant => {
-            let value = cdr::decode::<M>(bytes)?.value();
+            let value = message::decode::<M>(bytes)?.value();
+            value.map(Variant).map_err(|error| error.to_string())
+        })
+    }
+
+    /// The entry of the topic that [`Entry::write_json`] wrote as this object. A field that may be
+    /// absent may be missing, and further fields are ignored: the writer may be another release.
+    ///
+    /// # Errors
+    ///
+    /// It is no entry of this topic; in words.
+    pub fn from_json(topic: Topic, object: &serde_json::Value) -> Result<Self, String> {
+        with_message!(topic, M of Variant => {
+            let value = <M as Fields>::parse(object).and_then(M::value);
             value.map(Variant).map_err(|error| error.to_string())
         })
     }
 }
 
-#[cfg(test)]
-pub(crate) mod tests;
+/// A topic in the file or in a live view, and the type of its messages.
+///
+/// Every message of an [`crate::Encoder`] is on one of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Channel {
+    /// The entries of one topic, complete and exact.
+    Entry(Topic),
+    /// Messages of a standard type, derived from the entries.
+    Standard(StandardTopic),
+}
+
+impl Channel {
+    /// The number of channels.
+    pub const COUNT: usize = Topic::ALL.len() + StandardTopic::ALL.len();
+    /// MCAP's name for the encoding of the messages.
+    pub const MESSAGE_ENCODING: &'static str = "cdr";
+    /// MCAP's name for the language of the schemas.
+    pub const SCHEMA_ENCODING: &'static str = "ros2msg";
+
+    /// All channels, in the order of [`Channel::index`].
+    pub fn all() -> impl Iterator<Item = Self> {
+        let entries = Topic::ALL.into_iter().map(Self::Entry);
+        entries.chain(StandardTopic::ALL.into_iter().map(Self::Standard))
+    }
+
+    /// Its index among all channels, less than [`Channel::COUNT`].
+    #[must_use]
+    pub const fn index(self) -> usize {
+        match self {
+            Self::Entry(topic) => topic.index(),
+            Self::Standard(topic) => Topic::ALL.len() + topic as usize,
+        }
+    }
+
+    /// Its name, such as `/singletrack/tick` or `/odom`.
+    #[must_use]
+    pub const fn topic(self) -> &'static str {
+        match self {
+            Self::Entry(topic) => topic.channel(),
+            Self::Standard(topic) => topic.channel(),
+        }
+    }
+
+    /// The name of its messages' type, such as `nav_msgs/msg/Odometry`.
+    #[must_use]
+    pub fn schema_name(self) -> String {
+        match self {
+            Self::Entry(topic) => topic.schema_name(),
+            Self::Standard(topic) => topic.schema_name(),
+        }
+    }
+
+    /// The definition of its messages' type, with all messages within it.
+    #[must_use]
+    pub fn schema_text(self) -> String {
+        match self {
+            Self::Entry(topic) => topic.schema_text(),
+            Self::Standard(topic) => topic.schema_text(),
+        }
+    }
+}
+
+/// Adds one object to `json`, without a line end: the topic, then the fields by their
+/// paths, such as `{"topic":"tick","estimate.yaw_rad":0.3}`.
+pub fn write_json_object<'a>(
+    json: &mut String,
+    topic: &str,
+    fields: impl IntoIterator<Item = (&'a str, &'a Value)>,
+) {
+    Json::entry(json, topic, |object| {
+        for (path, value) in fields {
+            object.put(path, value);
+        }
+    });
+}
+
+/// The part of an entry that a table shows, from a line of JSON.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// The kind of entry.
+    pub topic: Topic,
+    /// Its fields, in the order of [`Topic::fields`], as from [`Entry::values`].
+    pub values: Vec<Value>,
+}
+
+/// A line of JSON is not an entry.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ParseEntryError {
+    /// The line is not a JSON object.
+    #[error("not a JSON object ({reason}): {line}")]
+    NotJson {
+        /// The line.
+        line: String,
+        /// The reason.
+        reason: String,
+    },
+    /// The topic is missing or unknown.
+    #[error("without a known topic: {line}")]
+    NoTopic {
+        /// The line.
+        line: String,
+    },
+}
+
+impl From<&Entry> for Shown {
+    fn from(entry: &Entry) -> Self {
+        Self {
+            topic: entry.topic(),
+            values: entry.values(),
+        }
+    }
+}
+
+impl Shown {
+    /// Reads a line that [`Entry::write_json`] wrote. A missing field is absent, because
+    /// the writer may be another release.
+    ///
+    /// # Errors
+    ///
+    /// When the line is not a JSON object or its topic is unknown.
+    pub fn from_json(line: &str) -> Result<Self, ParseEntryError> {
+        let object: serde_json::Map<String, serde_json::Value> = serde_json::from_str(line)
+            .map_err(|error| ParseEntryError::NotJson {
+                line: line.to_owned(),
+                reason: error.to_string(),
+            })?;
+        let topic: Topic = object
+            .get("topic")
+            .and_then(serde_json::Value::as_str)
+            .and_then(|name| name.parse().ok())
+            .ok_or_else(|| ParseEntryError::NoTopic {
+                line: line.to_owned(),
+            })?;
+        let values = topic
+            .fields()
+            .iter()
+            .map(|field| {
+                let mut names = field.split('.');
+                let first = names.next().and_then(|name| object.get(name));
+                value(names.fold(first, |part, name| part?.get(name)))
+            })
+            .collect();
+        Ok(Self { topic, values })
+    }
+}
+
+fn value(json: Option<&serde_json::Value>) -> Value {
+    use serde_json::Value as Json;
+    match json {
+        None | Some(Json::Null | Json::Object(_)) => Value::Absent,
+        Some(Json::Bool(value)) => Value::Bool(*value),
+        Some(Json::String(text)) => Value::Text(Cow::Owned(text.clone())),
+        Some(Json::Array(list)) => Value::Unsigned(list.len() as u64),
+        Some(Json::Number(number)) => number
+            .as_u64()
+            .map(Value::Unsigned)
+            .or_else(|| number.as_i64().map(Value::Signed))
+            .or_else(|| number.as_f64().map(Value::Float))
+            .unwrap_or(Value::Absent),
+    }
+}

@@ -119,7 +119,7 @@ impl<'a> BySchema<'a> {
         }
         let mut reader = Self {
             definitions,
-            bytes: bytes.strip_prefix(&cdr::ENCAPSULATION).unwrap(),
+            bytes: bytes.strip_prefix(&message::ENCAPSULATION).unwrap(),
             at: 0,
             seen: Vec::new(),
         };
@@ -352,4 +352,12 @@ fn json_escapes_texts_and_shows_absent_values_as_null() {
     let value: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(value["estimate"]["yaw_rad"], 0.1 + 0.2);
     assert_eq!(value["events"][0]["pose"]["frame"], 17);
+}
+
+#[test]
+fn each_channel_is_at_its_index() {
+    for (place, channel) in Channel::all().enumerate() {
+        assert_eq!(channel.index(), place, "{}", channel.topic());
+    }
+    assert_eq!(Channel::all().count(), Channel::COUNT);
 }

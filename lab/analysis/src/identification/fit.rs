@@ -11,7 +11,7 @@ use super::{
     parameter::{Parameter, Values},
     predictor::Prediction,
     problem::Problem,
-    settings::Settings,
+    problem::Settings,
     uncertainty::{BLOCK, Spread, bounds, spread},
 };
 

@@ -5,13 +5,11 @@ mod attended;
 mod authority;
 mod brake;
 mod cause;
-mod compared;
 mod configuration;
 mod fence;
 mod filter;
 mod grid;
 mod host;
-mod learned;
 mod proving;
 mod pulse;
 mod replayed;
@@ -83,7 +81,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<cause::ImuSilence>::default(),
         Box::<cause::ImuStuck>::default(),
         Box::<cause::SetpointSilence>::default(),
-        Box::<compared::Compared>::default(),
+        Box::<replayed::Compared>::default(),
         Box::<configuration::ReconfiguredUnderway>::default(),
         Box::<configuration::ArmedConfiguration>::default(),
         Box::<grid::TickGrid>::default(),
@@ -112,7 +110,7 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<host::ModeAndReason>::default(),
         Box::<host::Finite>::default(),
         Box::<host::NoQueue>::default(),
-        Box::<learned::Learns>::default(),
+        Box::<replayed::Learns>::default(),
         Box::new(replayed::Replayed::new(pilot)),
     ]
 }

@@ -40,11 +40,7 @@ pub struct DemoArgs {
     pub(super) cars: usize,
 
     /// Where the configuration, the record, the figures and the summary go
-    #[arg(
-        long,
-        value_name = "DIR",
-        default_value = "singletrack-demo"
-    )]
+    #[arg(long, value_name = "DIR", default_value = "singletrack-demo")]
     pub(super) out: PathBuf,
 
     /// Seed of all random numbers of the simulation

@@ -2,12 +2,10 @@
 //! or, where the computer can't keep it, in virtual time.
 
 mod arguments;
-mod board_figures;
 mod error;
 mod files;
 mod fleet;
 mod outcome;
-mod progress;
 mod real_time;
 mod report;
 mod settings;
@@ -20,7 +18,7 @@ use crate::interrupt::Interrupt;
 use error::because;
 use files::prepare;
 use outcome::Drive;
-use progress::Progress;
+use outcome::Progress;
 
 pub use arguments::DemoArgs;
 pub use error::DemoError;

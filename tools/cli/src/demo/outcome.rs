@@ -1,10 +1,64 @@
-//! How a demo's drive went.
+//! How a demo goes on, and how it ends.
 
+use std::time::Duration;
+
+use indicatif::ProgressBar;
 use singletrack_pilot::{Mode, Reason};
-use singletrack_sim::TimedTruth;
+use singletrack_sim::{TimedTruth, Truth};
 use singletrackd::Summary;
 
-use super::board_figures::BoardFigures;
+use super::files::BoardFigures;
+use crate::progress::progress_bar;
+
+/// The bar of a drive of this duration, which is moved by milliseconds.
+pub(super) fn bar(duration: Duration) -> ProgressBar {
+    let length = u64::try_from(duration.as_millis()).unwrap_or(u64::MAX);
+    progress_bar(length, "{bar:10} {percent:>3} %  {msg}")
+}
+
+pub(super) struct Progress {
+    bar: ProgressBar,
+    expected_m: f64,
+}
+
+impl Progress {
+    /// For a drive of this duration, whose error is expected to settle at a value.
+    pub(super) fn new(duration: Duration, expected_m: f64) -> Self {
+        Self {
+            bar: bar(duration),
+            expected_m,
+        }
+    }
+
+    pub(super) fn waiting(&self, mode: Mode, reason: Option<Reason>) {
+        self.bar.set_message(match reason {
+            Some(reason) => format!("{mode}: waiting, {reason}"),
+            None => mode.to_string(),
+        });
+    }
+
+    pub(super) fn driving(&mut self, time: f64, truth: &Truth, error_m: f64, held: bool) {
+        self.bar.set_position((time * 1000.0) as u64);
+        self.bar.set_message(format!(
+            // 80 columns wide, with the bar.
+            "{time:4.1} s  car at ({:5.2}, {:5.2}) m, P {:5.1} mm off (theory: {:.0}){}",
+            truth.x,
+            truth.y,
+            error_m * 1000.0,
+            self.expected_m * 1000.0,
+            if held { "  (markers lost)" } else { "" }
+        ));
+    }
+
+    /// Prints a line beside the progress.
+    pub(super) fn say(&self, line: &str) {
+        self.bar.suspend(|| eprintln!("{line}"));
+    }
+
+    pub(super) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
 
 /// A finished drive, for the report.
 #[derive(Debug)]

@@ -12,10 +12,10 @@ use singletrackd::{Daemon, Snapshot};
 
 use super::{
     DemoArgs, DemoError,
-    board_figures::BoardFigures,
+    files::BoardFigures,
     files::{CONFIGURATION, RECORD, SIMULATION, private, write},
+    outcome::Progress,
     outcome::{Drive, Ended},
-    progress::Progress,
     settings,
 };
 use crate::interrupt::Interrupt;

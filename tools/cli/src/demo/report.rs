@@ -4,8 +4,8 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 use singletrack_figures::plot::{
-    self, FigureKind, PlotError, REPORT, Record, truth::TruthSample, write_animation,
-    write_figures, write_report,
+    self, FigureKind, PlotError, REPORT, Record, TruthSample, write_animation, write_figures,
+    write_report,
 };
 use singletrack_pilot::Reason;
 use singletrack_scenario::tracking::{Sample, Tracking, last_turn, rms_error};
@@ -14,8 +14,8 @@ use singletrackd::{Percentiles, Summary};
 
 use super::{
     arguments::DemoArgs,
-    board_figures::BoardFigures,
     error::DemoError,
+    files::BoardFigures,
     files::{self, CONFIGURATION, FIGURES, RECORD, SIMULATION, SUMMARY},
     outcome::Drive,
     settings,

@@ -6,10 +6,10 @@ use singletrack_sim::TimedTruth;
 
 use super::{
     DemoArgs, DemoError,
-    board_figures::BoardFigures,
+    files::BoardFigures,
     files::{CONFIGURATION, RECORD, SIMULATION, write},
+    outcome::Progress,
     outcome::{Drive, Ended},
-    progress::Progress,
     settings,
 };
 use crate::interrupt::Interrupt;

@@ -2,7 +2,7 @@
 
 use singletrack_words::words;
 
-use super::look::Column;
+use super::page::Column;
 
 /// A quantity at the crossings of a rectangular grid.
 #[derive(Clone, Debug)]

@@ -10,27 +10,24 @@
 mod contours;
 mod hatch;
 mod legend;
-mod look;
 mod map;
-mod note;
 mod page;
 mod place;
 mod scale;
 mod svg;
 mod thin;
 mod typeset;
-mod xml;
 
 use serde::Serialize;
 use singletrack_words::words;
 
-pub use look::{Column, Look, MarkKind};
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
-pub use note::{Callout, Callouts, Estimate, Level};
+pub use page::escaped;
+pub use page::{Callout, Callouts, Estimate, Level};
+pub use page::{Column, Look, MarkKind};
 pub(crate) use scale::trimmed;
 pub use scale::{Scale, decimals, minus};
 pub use typeset::{plain, superscript};
-pub use xml::escaped;
 
 /// A figure: panels under one legend.
 #[derive(Clone, Debug)]

@@ -1,4 +1,29 @@
-//! The page: lengths in mm, and the colour of ink.
+//! How a figure looks: colours and sizes, notes, the page, and the text of XML.
+
+use std::sync::Arc;
+
+use singletrack_words::words;
+
+/// Text that means nothing to XML.
+#[must_use]
+pub fn escaped(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            // Not allowed in XML, not even escaped.
+            letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
+                escaped.push('\u{fffd}');
+            }
+            letter => escaped.push(letter),
+        }
+    }
+    escaped
+}
 
 /// Size of all text but the axes' names, in mm: 7 pt.
 pub(super) const TEXT_SIZE: f64 = 2.47;
@@ -21,3 +46,96 @@ pub(super) const ROW_GAP: f64 = 2.0;
 pub(super) const TITLE_HEIGHT: f64 = 4.2;
 
 pub(super) const INK: &str = "#1a1a1a";
+
+/// A value of the vertical axis that matters, drawn across the panel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Level {
+    /// What it is, for the legend. Both ends of a range have the same name.
+    pub name: String,
+    /// Where.
+    pub value: f64,
+    /// What is written beside it; may be empty.
+    pub label: String,
+    /// How it looks.
+    pub look: Look,
+}
+
+/// Points of one kind, each with something written beside it at the end of a dotted
+/// leader.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Callouts {
+    /// What is written, for the legend.
+    pub name: String,
+    /// The points.
+    pub points: Vec<Callout>,
+}
+
+/// A point and what is written beside it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Callout {
+    /// Where.
+    pub point: [f64; 2],
+    /// What.
+    pub label: String,
+}
+
+/// A value, and the interval that it is believed to be in.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// What it is, for the legend.
+    pub name: String,
+    /// What the point looks like.
+    pub kind: MarkKind,
+    /// Where it is on the horizontal axis.
+    pub x: f64,
+    /// The value, on the vertical axis.
+    pub value: f64,
+    /// The ends of the interval, on the vertical axis.
+    pub interval: [f64; 2],
+}
+
+/// Numbers of a curve, shared by all that draw them.
+pub type Column = Arc<[f64]>;
+
+words! {
+    /// The style of a line: distinguishable without colour, by grey, width and dashes. Its word is
+    /// its class in a style sheet.
+    pub enum Look {
+        /// The nominal value: wide and grey, as in the paper.
+        Nominal = "nominal",
+        /// The actual value: thin and black, as in the paper.
+        Actual = "actual",
+        /// A measurement: thin and light.
+        Measured = "measured",
+        /// Ground truth, which only a simulation has: dashed.
+        Truth = "truth",
+        /// Where something was missing: a wide band of the shading's colour.
+        Lost = "lost",
+        /// The other of two that are compared: black, in long dashes.
+        Other = "other",
+        /// Where one kind of behaviour turns into another: thick and black.
+        Boundary = "boundary",
+        /// The end of a range: thin, dashed.
+        RangeEnd = "range-end",
+        /// An asymptote: thin, dashes and dots.
+        Asymptote = "asymptote",
+    }
+}
+
+words! {
+    /// What a mark looks like. Its word is its class in a style sheet.
+    pub enum MarkKind: serde {
+        /// Where a trajectory starts: a triangle.
+        Start = "start",
+        /// Where it ends: a circle.
+        End = "end",
+        /// A value that was found: a dot.
+        Found = "found",
+        /// One of several kinds of value: a filled square.
+        Square = "square",
+        /// One of several kinds of value: a diamond.
+        Diamond = "diamond",
+        /// What has no value: a cross.
+        None = "none",
+    }
+}

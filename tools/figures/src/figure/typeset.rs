@@ -1,6 +1,6 @@
 //! Texts with symbols in them: how they are set and about how wide they are.
 
-use super::{page::TEXT_SIZE, xml::escaped};
+use super::{page::TEXT_SIZE, page::escaped};
 
 /// A part of a text.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -2,14 +2,12 @@
 
 mod animation;
 pub mod drive;
-mod error;
 mod figures;
 mod read;
 mod report;
 mod sample;
 mod spans;
 mod summary;
-pub mod truth;
 
 use std::{
     io::{self, Write as _},
@@ -19,9 +17,9 @@ use std::{
 use clap::{Args, ValueEnum};
 
 pub use animation::ANIMATION;
-pub use error::PlotError;
 pub use figures::FigureKind;
 pub use read::Record;
+pub use sample::{PlotError, TruthSample};
 
 use crate::{
     figure::Figure,

@@ -1,6 +1,65 @@
-//! Samples of a drive, by the ticks and by the board, in SI units.
+//! What is plotted of a record: samples, the truth of a simulation, and why there is none.
+
+use std::path::PathBuf;
 
 use singletrack_pilot::Mode;
+use singletrack_record::RecordError;
+
+use crate::output::WriteError;
+
+/// Ground truth at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthSample {
+    /// Since the first driving tick, in s.
+    pub time: f64,
+    /// The true P, world frame, in m.
+    pub point: [f64; 2],
+    /// Steering angle of the front wheels, in rad.
+    pub steering: f64,
+    /// Speed of G, in m/s.
+    pub speed: f64,
+    /// Sideslip of G, in rad.
+    pub sideslip: f64,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate: f64,
+}
+
+/// Why plotting failed.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The car never drove.
+    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
+    NoDrive {
+        /// The record.
+        path: PathBuf,
+        /// What there is instead.
+        why: String,
+    },
+    /// The record has fewer drives.
+    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
+    UnknownDrive {
+        /// The record.
+        path: PathBuf,
+        /// The number asked for.
+        wanted: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The drive can't be shown from above.
+    #[error("{}: no animation: {why}", path.display())]
+    NoAnimation {
+        /// The record.
+        path: PathBuf,
+        /// What it lacks.
+        why: &'static str,
+    },
+    /// A picture can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+}
 
 /// Inputs and outputs of a tick.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,20 +3,19 @@
 mod car;
 mod error;
 mod ideal;
-mod layer;
 mod operator;
 mod row;
 mod scenario;
 mod summary;
-mod tune;
 
 use std::{fmt, path::Path};
 
 pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_drive_config};
 pub use error::ScenarioError;
+pub use error::merge;
 pub use ideal::IdealError;
-pub use layer::merge;
 pub use operator::OperatorSection;
+pub use operator::TuneSection;
 pub use row::{HEADER, Row, trim_zeros, write_csv};
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, StartSection,
@@ -24,7 +23,6 @@ pub use scenario::{
 };
 pub use singletrack_sim::integrator::IntegrationError;
 pub use summary::{CalibrationLine, Summary};
-pub use tune::TuneSection;
 
 use singletrack_control::CalibrationEstimate;
 

@@ -12,7 +12,7 @@ use singletrack_sim::{BoardKind, CarTruth, SimulationConfig};
 use toml::{Table, Value};
 
 use super::{
-    MOMENT, error::ScenarioError, layer::layer, operator::OperatorSection, tune::TuneSection,
+    MOMENT, error::ScenarioError, error::layer, operator::OperatorSection, operator::TuneSection,
 };
 use crate::simulated::{self, daemon_config, follow, start_of};
 

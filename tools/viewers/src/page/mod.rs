@@ -15,13 +15,11 @@
 //! A viewer that is slow to read gets fewer states, always the newest, and delays no other. A
 //! connection that sends no whole request, or does not read its answer, gives way to newer ones.
 
-mod assets;
 mod feed;
 mod request;
 mod respond;
 mod server;
 mod setup;
-mod shared;
 
 pub use feed::OtherCar;
 pub use request::{BadRequest, Request};

@@ -17,9 +17,9 @@ use tokio::{
 };
 
 use super::{
-    assets::asset,
     request::{BadRequest, Request},
-    shared::Shared,
+    server::Shared,
+    server::asset,
 };
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow

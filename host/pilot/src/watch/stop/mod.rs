@@ -168,7 +168,7 @@ pub(crate) struct StopLimits {
 /// The share of the configured deceleration that the car must reach at least. It is low: a
 /// car that only rolls well is weak, and does not disobey.
 const LEAST_SHARE: f64 = 0.15;
-/// By how much a car that follows the ramp may be behind it, s.
+/// Largest delay of a car that follows the ramp, s.
 const FOLLOWS_AFTER: f64 = 0.2;
 /// Tolerance of a measured speed, m/s.
 const TOLERANCE: f64 = 0.03;

@@ -19,10 +19,9 @@ use scan::{Found, Scan};
 
 use super::{
     RecordError,
-    chunk::{Chunk, ChunkError},
-    container::{Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, with_suffix},
+    chunk::{Chunk, ChunkError, is_data_part, parse_record},
     metadata::{CONFIGURATION_NAME, METADATA_NAME},
-    parse::{is_data_part, parse_record},
+    recorder::{Container, LIBRARY, LIBRARY_NAME, PROFILE, failure, with_suffix},
 };
 use crate::{Channel, Topic};
 
@@ -266,24 +265,24 @@ struct NewChannel {
 }
 
 /// Why a part of the old file is not copied.
-enum Refused {
+enum NotCopied {
     Damaged,
     Failed(RecordError),
 }
 
-impl From<McapError> for Refused {
+impl From<McapError> for NotCopied {
     fn from(_: McapError) -> Self {
         Self::Damaged
     }
 }
 
-impl From<ChunkError> for Refused {
+impl From<ChunkError> for NotCopied {
     fn from(_: ChunkError) -> Self {
         Self::Damaged
     }
 }
 
-impl From<RecordError> for Refused {
+impl From<RecordError> for NotCopied {
     fn from(error: RecordError) -> Self {
         Self::Failed(error)
     }
@@ -307,8 +306,8 @@ impl Salvage {
                 Found::Nothing => true,
                 Found::Record { opcode, content } => match self.part(opcode, content) {
                     Ok(()) => false,
-                    Err(Refused::Failed(error)) => return Err(error),
-                    Err(Refused::Damaged) => true,
+                    Err(NotCopied::Failed(error)) => return Err(error),
+                    Err(NotCopied::Damaged) => true,
                 },
             };
             if refused {
@@ -329,9 +328,9 @@ impl Salvage {
     }
 
     /// Copies one part of the file.
-    fn part(&mut self, opcode: u8, content: &[u8]) -> Result<(), Refused> {
+    fn part(&mut self, opcode: u8, content: &[u8]) -> Result<(), NotCopied> {
         if !is_data_part(opcode, content) {
-            return Err(Refused::Damaged);
+            return Err(NotCopied::Damaged);
         }
         match opcode {
             op::CHUNK => {
@@ -349,7 +348,7 @@ impl Salvage {
     }
 
     /// Copies the records of a chunk, once its checksum has been verified.
-    fn chunk(&mut self, chunk: &mut Chunk, content: &[u8]) -> Result<(), Refused> {
+    fn chunk(&mut self, chunk: &mut Chunk, content: &[u8]) -> Result<(), NotCopied> {
         chunk.open_part(content)?;
         while let Some(record) = chunk.next() {
             let (opcode, data) = record?;
@@ -360,7 +359,7 @@ impl Salvage {
         Ok(())
     }
 
-    fn record(&mut self, record: &Record<'_>) -> Result<(), Refused> {
+    fn record(&mut self, record: &Record<'_>) -> Result<(), NotCopied> {
         match record {
             Record::Metadata(metadata) => {
                 self.recovery.has_metadata |= metadata.name == METADATA_NAME;
@@ -387,7 +386,7 @@ impl Salvage {
             Record::Channel(channel) => {
                 let schema = match channel.schema_id {
                     0 => 0,
-                    id => *self.schemas.get(&id).ok_or(Refused::Damaged)?,
+                    id => *self.schemas.get(&id).ok_or(NotCopied::Damaged)?,
                 };
                 let id = self.container.write(|writer| {
                     writer.add_channel(

@@ -5,8 +5,8 @@ use singletrack_control::VehicleParameters;
 
 use super::{
     Servo,
-    delay::Delay,
     plant::{POSITION, SIDESLIP, YAW, YAW_RATE},
+    servo::Delay,
 };
 use crate::stability::characteristic::symbols;
 

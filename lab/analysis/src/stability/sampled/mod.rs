@@ -15,9 +15,7 @@
 //! [`Prediction`] it sees the state at which its command acts, and with a [`Compensation`] the
 //! one that the pilot predicts.
 
-mod ages;
 mod compensation;
-mod delay;
 mod growth;
 mod plant;
 mod servo;
@@ -27,8 +25,8 @@ use nalgebra::DMatrix;
 
 use self::growth::{is_stable, spectral_radius};
 pub use self::{
-    ages::Ages,
     compensation::Compensation,
+    servo::Ages,
     servo::{Prediction, Servo},
 };
 use super::closed_loop::{ClosedLoop, Law};

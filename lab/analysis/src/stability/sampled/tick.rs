@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector};
 use super::{
     SampledLoop,
     compensation::{Compensation, Modelled},
-    delay::Delay,
     plant::{POSITION, Plant, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
+    servo::Delay,
     servo::Prediction,
 };
 use crate::stability::{

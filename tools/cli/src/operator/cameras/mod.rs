@@ -23,7 +23,7 @@ use singletrack_figures::output;
 use singletrack_mocap::{Input, Phase, PoseSource as _, SessionEvent, Source};
 use singletrackd::{MocapSockets, monotonic_ns};
 
-use crate::{arguments::parse_duration, printable::printable, progress::progress_bar};
+use crate::{arguments::parse_duration, help::printable, progress::progress_bar};
 use survey::{BodyReport, Survey, Times};
 
 /// Options of `singletrack cameras`.

@@ -8,7 +8,7 @@ use std::{
 use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
 
-use crate::printable::printable;
+use crate::help::printable;
 
 use super::{
     error::DumpError,

@@ -6,7 +6,6 @@
 
 mod change;
 mod source;
-mod span;
 mod verdict;
 
 use std::{error::Error, path::PathBuf, process::ExitCode, time::Instant};
@@ -18,8 +17,8 @@ use singletrack_record::{Ending, Entry, Meta, Reader, Topic};
 pub use change::Change;
 pub use verdict::{Deviation, Deviations};
 
-use crate::{printable::printable, progress::progress_bar};
-use span::Span;
+use crate::{help::printable, progress::progress_bar};
+use source::Span;
 
 /// Options of `singletrack replay`.
 #[derive(Clone, Debug, Args)]

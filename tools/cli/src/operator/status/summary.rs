@@ -3,8 +3,8 @@
 use singletrack_api::{Command, Estimate, State, Status};
 use singletrack_core::reasons::Why;
 
+use crate::help::wrap;
 use crate::operator::tune;
-use crate::wrap::wrap;
 
 /// Columns of the names in the view.
 const NAMES: usize = 10;

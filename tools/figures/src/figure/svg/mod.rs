@@ -17,11 +17,11 @@ use self::{
 use super::{
     Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
     legend::{self, Entry, Key},
+    page::escaped,
     page::{INK, LINE_HEIGHT, MARGIN, NAME_SIZE, TEXT_SIZE, TICK_GAP},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
     typeset,
-    xml::escaped,
 };
 
 /// Nothing smaller than this can be seen, in mm.

@@ -3,12 +3,10 @@
 use std::fmt::{self, Write as _};
 
 use crate::figure::{
-    look::{Look, MarkKind},
-    page::{INK, TEXT_SIZE},
+    page::{INK, Look, MarkKind, TEXT_SIZE, escaped},
     place::Slot,
     scale::trimmed,
     typeset,
-    xml::escaped,
 };
 
 const PAPER: &str = "#ffffff";

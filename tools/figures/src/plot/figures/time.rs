@@ -5,7 +5,7 @@ use crate::{
     figure::{Axis, Column, Curve, Figure, Look, Panel, Scale, Symbol, Width},
     plot::{
         drive::{BoardPoint, Drive, TickSample},
-        truth::TruthSample,
+        sample::TruthSample,
     },
 };
 

@@ -1,0 +1,439 @@
+//! What a drive says about the calibration, from the records of its ticks.
+
+use serde_json::Value as Json;
+use singletrack_api::Correction;
+use singletrack_control::{
+    Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
+    CalibrationTick,
+};
+use singletrack_pilot::{Event, Learned, Mode};
+use singletrack_record::TickRecord;
+use toml::Value;
+
+use crate::{
+    Config, ConfigError,
+    config::{OnlineCalibrationMode, WatchSection},
+};
+
+/// The events of a kind that are used of a tick: more come only after a pause.
+const EVENTS: usize = 16;
+
+/// Interval at which a learner says what it has learned, in ticks.
+const LEARNED_TICKS: u32 = 100;
+
+/// Estimates what a drive says about the calibration.
+#[derive(Clone, Debug)]
+pub struct OnlineCalibration {
+    // It is too large for a thread's stack.
+    calibration: Box<Calibration>,
+    /// None if the pilot does not learn.
+    learner: Option<Learner>,
+    watch: WatchSection,
+    ticks: u32,
+}
+
+/// What the pilot is told.
+#[derive(Clone, Debug, Default)]
+struct Learner {
+    /// The parameters that were off: what is not is left as configured.
+    off: [bool; CalibrationParameter::ALL.len()],
+    learned: Learned,
+}
+
+impl Learner {
+    /// Takes over the estimates that are observable now.
+    fn take(&mut self, estimates: &[CalibrationEstimate]) -> Learned {
+        for (estimate, off) in estimates.iter().zip(&mut self.off) {
+            *off |= estimate.is_off();
+            if !*off || !estimate.observable {
+                continue;
+            }
+            let learned = &mut self.learned;
+            let correction = match estimate.parameter {
+                CalibrationParameter::SteeringGain => &mut learned.steering_gain,
+                CalibrationParameter::SteeringTrim => &mut learned.steering_trim,
+                CalibrationParameter::StampOffset => &mut learned.stamp_offset,
+                CalibrationParameter::BodyYaw => &mut learned.body_yaw,
+                CalibrationParameter::PivotForward => &mut learned.pivot_forward,
+                CalibrationParameter::PivotLeft => &mut learned.pivot_left,
+                // The estimator follows the gyro itself, and the board measures the speed.
+                CalibrationParameter::GyroScale | CalibrationParameter::PulseDistance => continue,
+            };
+            *correction = estimate.value;
+        }
+        self.learned
+    }
+}
+
+impl OnlineCalibration {
+    /// For this configuration; none if it is off.
+    #[must_use]
+    pub fn new(config: &Config) -> Option<Self> {
+        let is_enabled = config.online_calibration.is_enabled();
+        is_enabled.then(|| Self::of(config))
+    }
+
+    /// For this configuration, also if it is off.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        Self {
+            calibration: Box::new(Calibration::new(CalibrationConfig {
+                vehicle: config.vehicle,
+                actuators: config.actuators.model(),
+                marker_offset: config.motion_capture.marker_offset_m,
+                marker_yaw: config.motion_capture.marker_yaw_rad,
+                pulse_distance: f64::from(config.board.speed.pulse_distance_um) * 1e-6,
+            })),
+            learner: (config.online_calibration.mode == OnlineCalibrationMode::Live)
+                .then(Learner::default),
+            watch: config.watch,
+            ticks: 0,
+        }
+    }
+
+    /// Takes a tick. Once a second, gives what a pilot that learns is to be told; nothing in
+    /// doubt.
+    pub fn tick(&mut self, tick: &TickRecord) -> Option<Learned> {
+        let mut poses = heapless::Vec::<_, EVENTS>::new();
+        let mut samples = heapless::Vec::<_, EVENTS>::new();
+        for event in &tick.events {
+            match event {
+                // What the pilot does not believe is not learned from.
+                Event::Pose(pose) if !tick.output.held => {
+                    let _ = poses.push(*pose);
+                }
+                Event::Board(board) => {
+                    let _ = samples.push(CalibrationSample {
+                        time: board.time,
+                        inertial: board.inertial.filter(|it| self.watch.is_possible(it)),
+                        motor_speed: board.motor_speed,
+                    });
+                }
+                _ => {}
+            }
+        }
+        let output = &tick.output;
+        let drives = matches!(output.mode, Mode::Driving | Mode::Slowing | Mode::Stopping);
+        let command = output.command.filter(|_| drives);
+        self.calibration.tick(&CalibrationTick {
+            time: tick.pilot_time,
+            steering: command.map(|command| command.steering),
+            poses: &poses,
+            samples: &samples,
+        });
+        self.ticks = self.ticks.wrapping_add(1);
+        let learner = self.learner.as_mut()?;
+        if !drives
+            || !self.ticks.is_multiple_of(LEARNED_TICKS)
+            || self.calibration.doubts_steering()
+        {
+            return None;
+        }
+        Some(learner.take(&self.calibration.estimates()))
+    }
+
+    /// By how much the steering has changed while the car drove, rad; `None` if it has not.
+    #[must_use]
+    pub fn steering_change(&self) -> Option<f64> {
+        self.calibration.steering_change()
+    }
+
+    /// The estimates, in the order of their numbers.
+    #[must_use]
+    pub fn estimates(&self) -> [CalibrationEstimate; CalibrationParameter::ALL.len()] {
+        self.calibration.estimates()
+    }
+
+    /// The least standard deviations of the estimates, see [`Calibration::bounds`].
+    #[must_use]
+    pub fn bounds(&self, free: &Self) -> [Option<f64>; CalibrationParameter::ALL.len()] {
+        self.calibration.bounds(&free.calibration)
+    }
+}
+
+/// What is wrong with the calibration, and what to write.
+#[must_use]
+pub fn advice(config: &Config, estimates: &[CalibrationEstimate]) -> singletrack_api::Calibration {
+    let off = estimates.iter().filter(|estimate| estimate.is_off());
+    singletrack_api::Calibration {
+        advice: off.map(describe).collect(),
+        corrections: corrections(config, estimates),
+    }
+}
+
+/// Such as "steering gain is 4.1 +- 0.2 % less than configured".
+fn describe(estimate: &CalibrationEstimate) -> String {
+    let (name, unit, scale, digits) = units(estimate.parameter);
+    let side = if estimate.value < 0.0 { "less" } else { "more" };
+    let [off, half] = [estimate.value.abs(), estimate.half_width].map(|it| it * scale);
+    format!("{name} is {off:.digits$} +- {half:.digits$} {unit} {side} than configured")
+}
+
+/// Such as "-4.1 +- 0.2 %": the true value less the configured one; "not observable" if the drive
+/// does not show it.
+#[must_use]
+pub fn deviation(estimate: &CalibrationEstimate) -> String {
+    if !estimate.observable {
+        return "not observable".to_owned();
+    }
+    let (_, unit, scale, digits) = units(estimate.parameter);
+    let [value, half] = [estimate.value, estimate.half_width].map(|it| it * scale);
+    format!("{value:+.digits$} +- {half:.digits$} {unit}")
+}
+
+/// Name and unit of a parameter for a person, the unit for one of its own, and digits.
+#[must_use]
+pub const fn units(parameter: CalibrationParameter) -> (&'static str, &'static str, f64, usize) {
+    use CalibrationParameter as Parameter;
+    match parameter {
+        Parameter::SteeringGain => ("the steering gain", "%", 1e2, 1),
+        Parameter::SteeringTrim => ("the steering trim", "rad", 1.0, 4),
+        Parameter::StampOffset => ("the stamp offset of the cameras", "ms", 1e3, 1),
+        Parameter::GyroScale => ("the scale of the gyro", "%", 1e2, 1),
+        Parameter::BodyYaw => ("the yaw of the rigid body", "rad", 1.0, 4),
+        Parameter::PivotForward => ("the pivot of the rigid body, forward,", "mm", 1e3, 1),
+        Parameter::PivotLeft => ("the pivot of the rigid body, to the left,", "mm", 1e3, 1),
+        Parameter::PulseDistance => ("the distance for a motor pulse", "%", 1e2, 1),
+    }
+}
+
+/// What has to be written for the estimates that are off. The scale of the gyro has no key, and a
+/// steering table is measured by `singletrack calibrate`.
+#[must_use]
+pub fn corrections(config: &Config, estimates: &[CalibrationEstimate]) -> Vec<Correction> {
+    let off = |parameter| {
+        estimates
+            .iter()
+            .find(|estimate| estimate.parameter == parameter && estimate.is_off())
+            .map(|estimate| estimate.value)
+    };
+    let mut corrections = Vec::new();
+    let mut correct = |key: &str, configured: Json, value: Json| {
+        // What is rounded to what it was is no correction.
+        if configured != value {
+            corrections.push(Correction {
+                configured,
+                key: key.to_owned(),
+                value,
+            });
+        }
+    };
+    let gain = off(CalibrationParameter::SteeringGain);
+    let trim = off(CalibrationParameter::SteeringTrim);
+    if config.actuators.steering_table.is_none() && (gain.is_some() || trim.is_some()) {
+        let servo = &config.board.servo;
+        let gain_us_per_rad = f64::from(servo.gain_us_per_rad) / (1.0 + gain.unwrap_or(0.0));
+        let centre_us = f64::from(servo.centre_us) - trim.unwrap_or(0.0) * gain_us_per_rad;
+        let [gain_us_per_rad, centre_us] = [gain_us_per_rad, centre_us].map(f64::round);
+        correct(
+            "board.servo.gain_us_per_rad",
+            servo.gain_us_per_rad.into(),
+            (gain_us_per_rad as i64).into(),
+        );
+        correct(
+            "board.servo.centre_us",
+            servo.centre_us.into(),
+            (centre_us as i64).into(),
+        );
+        let [most, least] = [servo.max_us, servo.min_us].map(f64::from);
+        let reach = (most - centre_us).min(centre_us - least) / gain_us_per_rad.abs();
+        let most = config.limits.max_steering_rad;
+        if most > reach {
+            let value = (1e3 * reach).floor() / 1e3;
+            correct("limits.max_steering_rad", most.into(), value.into());
+        }
+    }
+    let cameras = &config.motion_capture;
+    if let Some(late) = off(CalibrationParameter::StampOffset) {
+        let configured = cameras.timing.stamp_offset_ms;
+        correct(
+            "motion_capture.timing.stamp_offset_ms",
+            configured.into(),
+            rounded(configured + 1e3 * late, 1e2).into(),
+        );
+    }
+    if let Some(yaw) = off(CalibrationParameter::BodyYaw) {
+        let configured = cameras.marker_yaw_rad;
+        correct(
+            "motion_capture.marker_yaw_rad",
+            configured.into(),
+            rounded(configured + yaw, 1e5).into(),
+        );
+    }
+    let pivot = [
+        CalibrationParameter::PivotForward,
+        CalibrationParameter::PivotLeft,
+    ]
+    .map(off);
+    if pivot.iter().any(Option::is_some) {
+        let configured = cameras.marker_offset_m;
+        let [forward, left] =
+            [0, 1].map(|axis| rounded(configured[axis] + pivot[axis].unwrap_or(0.0), 1e4));
+        correct(
+            "motion_capture.marker_offset_m",
+            vec![configured[0], configured[1]].into(),
+            vec![forward, left].into(),
+        );
+    }
+    if let Some(more) = off(CalibrationParameter::PulseDistance) {
+        let configured = config.board.speed.pulse_distance_um;
+        let distance_um = f64::from(configured) * (1.0 + more);
+        correct(
+            "board.speed.pulse_distance_um",
+            configured.into(),
+            (distance_um.round() as i64).into(),
+        );
+    }
+    corrections
+}
+
+fn rounded(value: f64, per_one: f64) -> f64 {
+    (value * per_one).round() / per_one
+}
+
+/// The configuration with these corrections.
+///
+/// # Errors
+///
+/// A value is not the one that was driven with; or a corrected one is out of range, or contradicts
+/// another one.
+pub fn corrected(config: &Config, corrections: &[Correction]) -> Result<Config, ConfigError> {
+    let unwritten = |error: &dyn core::fmt::Display| {
+        ConfigError::value("online_calibration", "corrections", error.to_string())
+    };
+    let text = config.to_toml().map_err(|error| unwritten(&error))?;
+    let mut table: toml::Table = toml::from_str(&text).map_err(|error| unwritten(&error))?;
+    for correction in corrections {
+        let Correction { key, .. } = correction;
+        let [configured, value] = [&correction.configured, &correction.value].map(Value::try_from);
+        let configured = configured.map_err(|error| unwritten(&error))?;
+        let value = value.map_err(|error| unwritten(&error))?;
+        let mut at = &mut table;
+        let mut parts = key.split('.').peekable();
+        while let Some(part) = parts.next() {
+            if parts.peek().is_none() {
+                let old = at.insert(part.to_owned(), value);
+                if old.as_ref() != Some(&configured) {
+                    let old = old.map_or_else(|| "absent".to_owned(), |old| old.to_string());
+                    return Err(ConfigError::value(
+                        "the configuration",
+                        "another one than that of the drives",
+                        format!("{key} is {old}, and was {configured}; drive with it first"),
+                    ));
+                }
+                break;
+            }
+            let next = at
+                .entry(part)
+                .or_insert_with(|| Value::Table(toml::Table::new()));
+            at = next
+                .as_table_mut()
+                .ok_or_else(|| unwritten(&format_args!("{part} is not a table")))?;
+        }
+    }
+    let text = toml::to_string(&table).map_err(|error| unwritten(&error))?;
+    Config::from_toml(&text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> Config {
+        Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap()
+    }
+
+    fn found(values: &[(CalibrationParameter, f64)]) -> Vec<CalibrationEstimate> {
+        let found = values
+            .iter()
+            .map(|&(parameter, value)| CalibrationEstimate {
+                parameter,
+                value,
+                half_width: 0.002,
+                observable: true,
+            });
+        found.collect()
+    }
+
+    #[test]
+    fn advice_says_what_is_off_and_what_to_write() {
+        let estimates = found(&[
+            (CalibrationParameter::SteeringGain, -0.041),
+            (CalibrationParameter::StampOffset, 0.001),
+        ]);
+        let found_off = advice(&config(), &estimates);
+        assert_eq!(
+            found_off.advice,
+            ["the steering gain is 4.1 +- 0.2 % less than configured"]
+        );
+        assert_eq!(
+            found_off.corrections,
+            [Correction {
+                configured: Json::from(-800),
+                key: "board.servo.gain_us_per_rad".to_owned(),
+                value: Json::from(-834),
+            }]
+        );
+        let good = advice(&config(), &found(&[(CalibrationParameter::BodyYaw, 0.003)]));
+        assert!(good.advice.is_empty() && good.corrections.is_empty());
+    }
+
+    #[test]
+    fn corrections_are_those_of_the_configured_values() {
+        let estimates = found(&[
+            (CalibrationParameter::SteeringGain, -0.2),
+            (CalibrationParameter::SteeringTrim, 0.05),
+            (CalibrationParameter::StampOffset, 0.02),
+            (CalibrationParameter::BodyYaw, 0.017_453),
+            (CalibrationParameter::PivotLeft, -0.01),
+            (CalibrationParameter::PulseDistance, 0.03),
+            (CalibrationParameter::GyroScale, 0.03),
+        ]);
+        let corrections = corrections(&config(), &estimates);
+        let config = corrected(&config(), &corrections).unwrap();
+        // The wheels turn 0.05 rad at 1500 us, and a radian for 1000 us.
+        assert_eq!(config.board.servo.gain_us_per_rad, -1_000);
+        assert_eq!(config.board.servo.centre_us, 1_550);
+        assert_eq!(config.limits.max_steering_rad, 0.37);
+        assert_eq!(config.motion_capture.timing.stamp_offset_ms, 20.0);
+        assert_eq!(config.motion_capture.marker_yaw_rad, 0.017_45);
+        assert_eq!(config.motion_capture.marker_offset_m, [0.0, -0.01]);
+        assert_eq!(config.board.speed.pulse_distance_um, 3_090);
+        assert_eq!(corrections.len(), 7);
+    }
+
+    #[test]
+    fn live_excludes_the_safety_filter() {
+        let mut config = config();
+        config.online_calibration.mode = OnlineCalibrationMode::Live;
+        config.validate().unwrap();
+        assert!(config.pilot().unwrap().learns);
+        config.safety_filter.enabled = true;
+        let error = config.validate().unwrap_err().to_string();
+        assert!(
+            error.contains("online_calibration.mode") && error.contains("\"advice\""),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn only_what_is_off_is_learned_and_kept_while_nothing_is_observable() {
+        let mut learner = Learner::default();
+        let all = |value: f64, observable| {
+            CalibrationParameter::ALL.map(|parameter| CalibrationEstimate {
+                parameter,
+                value: value * parameter.threshold(),
+                half_width: 0.5 * parameter.threshold(),
+                observable,
+            })
+        };
+        assert_eq!(learner.take(&all(0.9, true)), Learned::default());
+        assert_eq!(learner.take(&all(2.0, false)), Learned::default());
+        let learned = learner.take(&all(-2.0, true));
+        assert_eq!(learned.steering_gain, -0.04);
+        assert_eq!(learned.pivot_left, -0.006);
+        assert_eq!(learner.take(&all(5.0, false)), learned);
+        // It goes on to follow what it has found.
+        assert_eq!(learner.take(&all(0.5, true)).steering_gain, 0.01);
+    }
+}
