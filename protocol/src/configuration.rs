@@ -3,8 +3,8 @@
 //! The host keeps them in one file. The board loses them at a reset and refuses to
 //! arm without them.
 //!
-//! The board refuses values outside of the limits of a valid configuration. The host calls the same function
-//! first, so that its error names the line to correct.
+//! The board refuses values outside of the limits of a valid configuration. The host
+//! calls the same function first, so that its error names the line to correct.
 
 use core::ops::RangeInclusive;
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from typing import Any
 
 from ._errors import ArmError, SingletrackError
@@ -80,9 +81,12 @@ class FleetDrive:
         Raises :class:`ArmError` if a car was not armed: then no car drives.
         """
         try:
-            return self._native.hold(seconds)
+            goes_on = self._native.hold(seconds)
         except RuntimeError as error:
             raise ArmError(str(error)) from error
+        for warning in self._native.warnings():
+            warnings.warn(warning, RuntimeWarning, stacklevel=2)
+        return goes_on
 
     def disarm(self) -> dict[str, tuple[str, str | None]]:
         """Slows all cars down, and waits until they stand. Returns :attr:`ends`."""

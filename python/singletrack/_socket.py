@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -179,6 +180,8 @@ class SocketCar(Backend):
             if answer is None:
                 raise ArmError("no answer to arm")
             if answer.get("ok") is True:
+                for warning in answer.get("warnings", ()):
+                    warnings.warn(warning, RuntimeWarning, stacklevel=5)
                 return
             if "error" in answer:
                 raise ArmError(answer["error"], answer.get("code"))

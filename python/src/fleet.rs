@@ -132,6 +132,11 @@ impl FleetDrive {
         py.detach(|| self.drive().map(|mut drive| drive.disarm()))
     }
 
+    /// What the daemons have warned of since the last call.
+    fn warnings(&self) -> PyResult<Vec<String>> {
+        Ok(self.drive()?.warnings())
+    }
+
     /// The cars whose drives have ended: name, mode and reason.
     fn ends(&self) -> PyResult<Vec<(String, String, Option<String>)>> {
         let ends = self.drive()?.ends().map_err(fail)?;

@@ -472,6 +472,9 @@ mod tests {
             assert!(named.contains(&format!("\" {part} \"")), "{part}");
             assert_ne!(list(&[part]).trim(), "", "{part}");
         }
+        let read = |path: &str| fs::read_to_string(root().join(path)).unwrap();
+        assert!(read("packaging/Containerfile").contains("RUN prerequisites && "));
+        assert!(read(".ci/run").contains("\npackaging/prerequisites "));
         let all = list(&[]);
         assert!(all.contains("gcc-avr") && !all.contains("podman"), "{all}");
     }

@@ -295,7 +295,8 @@ impl UnderWay {
         place
     }
 
-    /// Velocities and accelerations by differences over 2 ms: the motions are smooth, and no sample of the IMU is finer.
+    /// Velocities and accelerations by differences over 2 ms: the motions are smooth, and no sample
+    /// of the IMU is finer.
     fn motion(&self, since: f64) -> HandledMotion {
         const STEP: f64 = 1e-3;
         let place = self.place(since);

@@ -48,7 +48,7 @@ mod vehicle;
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 pub use calibration::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
-    CalibrationTick,
+    CalibrationTick, student_quantile,
 };
 pub use compensation::{ActuatorModel, Predicted, Predictor};
 pub use convex_area::{AreaError, ConvexArea, MAX_AREA_CORNERS, Side};

@@ -13,4 +13,5 @@ mod mpc;
 mod references;
 mod safety_answers;
 mod safety_filter;
+mod safety_stops;
 mod vehicle_models;

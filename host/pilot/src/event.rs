@@ -49,7 +49,7 @@ pub enum Event {
     /// Other values of what can be tuned, from the operator. Without effect outside the bounds of
     /// [`crate::PilotConfig::tuning`].
     Tuning(Tuning),
-    /// A car that was armed by [`PilotRequest::Arm(Arming::Waiting)`] follows its reference, which began at this
+    /// A car that was armed by [`Arming::Waiting`] follows its reference, which began at this
     /// time. One that is not armed yet is not armed any more.
     Begin(Time),
     /// What a learner has learned of the car by now. Without effect unless

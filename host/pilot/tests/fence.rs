@@ -1,6 +1,5 @@
 //! The geometry of the geofence, with arbitrary corners, and the pilot with one.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use proptest::prelude::*;

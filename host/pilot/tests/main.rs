@@ -8,8 +8,10 @@
 mod bench;
 mod bits;
 mod fence;
+mod losses;
 mod outer_loops;
 mod pilot;
 mod safety;
+mod setpoints;
 mod tuning;
 mod watched;

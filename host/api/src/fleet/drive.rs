@@ -66,6 +66,8 @@ struct Held {
     ended: Option<Ended>,
     /// Why it was not armed.
     refused: Option<String>,
+    /// What its daemon has warned of since the last look.
+    warnings: Vec<String>,
 }
 
 impl FleetDrive {
@@ -100,6 +102,7 @@ impl FleetDrive {
                     heard: None,
                     ended: None,
                     refused: None,
+                    warnings: Vec::new(),
                 }),
                 Err(error) => failures.push(car.failure(&error)),
             }
@@ -171,6 +174,17 @@ impl FleetDrive {
                 car.lose("its daemon does not say that it stands");
             }
         }
+    }
+
+    /// What the daemons have warned of since the last call, such as a drive that is not recorded;
+    /// each with the name of its car.
+    pub fn warnings(&mut self) -> Vec<String> {
+        let cars = self.cars.iter_mut();
+        cars.flat_map(|car| {
+            let warnings = core::mem::take(&mut car.warnings).into_iter();
+            warnings.map(|warning| format!("{}: {warning}", car.name))
+        })
+        .collect()
     }
 
     /// How the drives ended that have ended.
@@ -254,11 +268,10 @@ impl Held {
         }
         match received {
             Ok(Some(Reply::Ended { ended, .. })) => self.ended = Some(ended),
-            Ok(Some(Reply::Answer(answer))) => {
-                if let Err(error) = answer.agreed() {
-                    self.refuse(&error.to_string());
-                }
-            }
+            Ok(Some(Reply::Answer(answer))) => match answer.agreed() {
+                Ok(answer) => self.warnings.extend(answer.warnings),
+                Err(error) => self.refuse(&error.to_string()),
+            },
             Ok(_) => {}
             Err(error) => self.lose(&error.to_string()),
         }

@@ -30,8 +30,9 @@ pub(crate) use gauss_newton::gauss_newton;
 pub(crate) use least_squares::{LeastSquares, least_squares};
 pub(crate) use sample_times::{Reading, sample_times};
 pub(crate) use signal_noise::{SignalNoise, signal_noise};
+pub(crate) use singletrack_control::student_quantile;
 pub(crate) use statistics::{
-    block_means, jackknife, mean, mean_interval, median, standard_deviation, student_quantile,
+    block_means, jackknife, mean, mean_interval, median, standard_deviation,
 };
 pub(crate) use track::{Motion, Signal, Track};
 pub(crate) use wheels::{Wheels, wheel_angles, wheels, yaw_rates};

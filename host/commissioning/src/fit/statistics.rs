@@ -2,27 +2,9 @@
 
 use core::borrow::Borrow;
 
+use singletrack_control::student_quantile;
+
 use crate::Interval;
-
-/// 97.5 % quantiles of Student's distribution, by degrees of freedom, from one.
-const STUDENT: [f64; 30] = [
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
-    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
-    2.052, 2.048, 2.045, 2.042,
-];
-
-/// The half width of a 95 % interval in standard errors, for a standard error that was estimated
-/// with so many degrees of freedom; infinite for none.
-pub(crate) fn student_quantile(degrees_of_freedom: usize) -> f64 {
-    let Some(index) = degrees_of_freedom.checked_sub(1) else {
-        return f64::INFINITY;
-    };
-    STUDENT.get(index).copied().unwrap_or_else(|| {
-        // To 0.001 from 30 degrees of freedom on.
-        let inverse = 1.0 / degrees_of_freedom as f64;
-        1.96 + inverse * (2.37 + 2.82 * inverse)
-    })
-}
 
 /// The values as a list.
 fn listed(values: impl IntoIterator<Item: Borrow<f64>>) -> Vec<f64> {
@@ -123,16 +105,6 @@ mod tests {
             })
             .count();
         100.0 * held as f64 / trials as f64
-    }
-
-    #[test]
-    fn the_quantile_falls_to_that_of_the_normal_distribution() {
-        assert_eq!(student_quantile(0), f64::INFINITY);
-        for (freedom, quantile) in [(1, 12.706), (4, 2.776), (31, 2.040), (60, 2.000)] {
-            let found = student_quantile(freedom);
-            assert!((found - quantile).abs() < 0.001, "{freedom}: {found}");
-        }
-        assert!((student_quantile(100_000) - 1.96).abs() < 0.001);
     }
 
     #[test]

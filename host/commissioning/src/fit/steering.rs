@@ -2,8 +2,8 @@
 
 use singletrack_statistics::Line;
 
-use super::student_quantile;
 use crate::Interval;
+use singletrack_control::student_quantile;
 
 /// What the readings say.
 #[derive(Clone, Copy, Debug)]

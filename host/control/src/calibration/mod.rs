@@ -23,6 +23,7 @@ mod window;
 
 use libm::{atanh, fabs, hypot, sincos, sqrt};
 use nalgebra::SVector;
+pub use regression::student_quantile;
 use regression::{Fit, Regression};
 use singletrack_words::words;
 use window::{Means, Windows, begin, first_open, follows, is_gap};

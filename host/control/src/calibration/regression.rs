@@ -154,7 +154,7 @@ impl<const N: usize> Regression<N> {
             excitation = excitation.inf(&excited);
         }
         let blocks = count as f64;
-        let t = student_quantile(blocks - N as f64);
+        let t = student_quantile(count.saturating_sub(N));
         Some(Fit {
             values,
             half_widths: squares.map(|sum| t * sqrt(sum * (blocks - 1.0) / blocks)),
@@ -202,10 +202,24 @@ fn whole<'a, const N: usize>(
     whole
 }
 
-/// The quantile of Student's t at 97.5 %, to 2 % from four degrees of freedom on.
-fn student_quantile(freedom: f64) -> f64 {
-    let inverse = 1.0 / freedom.max(1.5);
-    1.960 + inverse * (2.37 + inverse * (2.8 + 3.0 * inverse))
+/// 97.5 % quantiles of Student's distribution, by degrees of freedom, from one.
+const STUDENT: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160,
+    2.145, 2.131, 2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056,
+    2.052, 2.048, 2.045, 2.042,
+];
+
+/// The half width of a 95 % interval in standard errors, for a standard error that was estimated with
+/// so many degrees of freedom: Student's quantile at 97.5 %, to 0.001. Infinite for none.
+#[must_use]
+pub fn student_quantile(freedom: usize) -> f64 {
+    let Some(index) = freedom.checked_sub(1) else {
+        return f64::INFINITY;
+    };
+    STUDENT.get(index).copied().unwrap_or_else(|| {
+        let inverse = 1.0 / freedom as f64;
+        1.96 + inverse * (2.37 + 2.82 * inverse)
+    })
 }
 
 #[cfg(test)]
@@ -214,9 +228,11 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_the_tables() {
-        for (freedom, quantile) in [(4.0, 2.776), (8.0, 2.306), (14.0, 2.145), (60.0, 2.000)] {
-            assert!((student_quantile(freedom) / quantile - 1.0).abs() < 0.02);
+        assert_eq!(student_quantile(0), f64::INFINITY);
+        for (freedom, quantile) in [(1, 12.706), (4, 2.776), (31, 2.040), (60, 2.000)] {
+            assert!((student_quantile(freedom) - quantile).abs() < 0.001);
         }
+        assert!((student_quantile(100_000) - 1.96).abs() < 0.001);
     }
 
     #[test]

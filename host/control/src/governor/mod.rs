@@ -6,8 +6,8 @@
 //! while the wheels can be steered for that, and beside it otherwise. The leader tells which
 //! speed, lateral acceleration, steering rate and acceleration this takes; the governor lets it
 //! advance with a rate between 0 and 1, slower than time where the car could not follow, or could
-//! not stop inside the geofence. All that depends on the reference alone, so a reference that the car can follow is passed on as it is,
-//! to the bit.
+//! not stop inside the geofence. All that depends on the reference alone, so a reference that the
+//! car can follow is passed on as it is, to the bit.
 
 mod leader;
 

@@ -256,7 +256,7 @@ impl<L: Line> ControlLoop<L> {
         self.end_if_done(now.0);
         match self.controller.pilot().mode() {
             Mode::Ready if self.arm_when_ready => {
-                self.request(PilotRequest::Arm(Arming::Unattended))
+                self.request(PilotRequest::Arm(Arming::Unattended));
             }
             // Once only: a later stop is not overruled.
             Mode::Arming | Mode::Driving => self.arm_when_ready = false,

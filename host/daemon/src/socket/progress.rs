@@ -99,7 +99,8 @@ impl DriveWatch {
             None if self.asked.elapsed() > ARM_TIMEOUT => {
                 return Progress::Refused(Refused::new(
                     Code::Stalled,
-                    "can't arm: the control thread does not answer",
+                    "can't arm: neither armed nor refused within 12 s; does the control thread run (see the \
+                     log), and does the board answer?",
                 ));
             }
             None => {}

@@ -211,7 +211,7 @@ impl Drive {
 }
 
 /// Prints what the daemon warns of, above the line that shows the drive.
-fn warn(warnings: &[String]) {
+pub(crate) fn warn(warnings: &[String]) {
     for warning in warnings {
         // A terminal that has gone takes no output.
         let _ = writeln!(io::stderr(), "singletrack: warning: {warning}");

@@ -10,7 +10,6 @@ pub mod dump;
 pub mod fleet;
 pub mod import;
 pub mod jog;
-mod readable;
 pub mod recover;
 pub mod replay;
 pub mod set_reference;

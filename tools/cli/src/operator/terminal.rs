@@ -1,18 +1,38 @@
-//! The operator's terminal, taken over for a while.
+//! The terminal: raw keys, a screen that is drawn over, and the wait for input.
 
 use std::{
     env,
     io::{self, IsTerminal as _, Write as _},
-    os::fd::AsFd as _,
+    os::fd::{AsFd as _, BorrowedFd},
     time::Duration,
 };
 
-use rustix::termios::{
-    LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcgetwinsize,
-    tcsetattr,
+use rustix::{
+    event::{PollFd, PollFlags, Timespec, poll},
+    io::Errno,
+    termios::{
+        LocalModes, OptionalActions, QueueSelector, Termios, tcflush, tcgetattr, tcgetwinsize,
+        tcsetattr,
+    },
 };
 
-use crate::operator::readable::wait_to_read;
+/// Waits until one of the inputs has something to read, or its end, for `patience` at most, which is
+/// less than a second. Whether one has.
+pub(crate) fn wait_to_read<const N: usize>(
+    inputs: [BorrowedFd<'_>; N],
+    patience: Duration,
+) -> io::Result<bool> {
+    let mut polled = inputs.map(|input| PollFd::from_borrowed_fd(input, PollFlags::IN));
+    let patience = Timespec {
+        tv_sec: 0,
+        tv_nsec: patience.subsec_nanos().into(),
+    };
+    match poll(&mut polled, Some(&patience)) {
+        Ok(ready) => Ok(ready > 0),
+        Err(Errno::INTR) => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
 
 /// A terminal that gives every key at once. Dropping it restores its settings. What was typed before
 /// either is dropped.

@@ -1,7 +1,7 @@
 //! The sensors and commands of a log, column by column.
 
 use super::{
-    error::ImportError,
+    log::ImportError,
     log::Log,
     map::{ImuSection, Map, MotorSection, nanoseconds},
     row::{Header, Place, Row},

@@ -21,7 +21,6 @@ mod board;
 mod columns;
 mod csv_log;
 mod decimal;
-mod error;
 mod log;
 mod map;
 mod row;
@@ -34,7 +33,7 @@ use std::{collections::BTreeMap, fs, path::Path};
 
 use singletrack_record::{ClockMapping, Entry, Meta, Recorder, part_path};
 
-pub use error::ImportError;
+pub use log::ImportError;
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
     ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use super::{error::ImportError, map::Messages};
+use super::{log::ImportError, map::Messages};
 
 /// The place of a column in the rows of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

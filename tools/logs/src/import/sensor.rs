@@ -4,7 +4,7 @@ use singletrack_control::{direction, wrap};
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
 
 use super::{
-    error::ImportError,
+    log::ImportError,
     map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
     samples::Sample,

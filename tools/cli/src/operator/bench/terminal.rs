@@ -11,7 +11,7 @@ use rustix::io::Errno;
 use serde_json::{Value, json};
 use singletrack_commissioning::{Answer, Answers, Live, Question};
 
-use crate::operator::{readable::wait_to_read, terminal::RawTerminal};
+use crate::operator::terminal::{RawTerminal, wait_to_read};
 use crate::progress::progress_bar;
 
 /// Time after the last press of the held key from which it counts as released. A key repeats 10

@@ -28,8 +28,8 @@ use crate::interrupt::Interrupt;
 use crate::operator::{
     arm::ended_as_wanted,
     control::{ControlArgs, ControlError, EMERGENCY_STOPPED, print},
-    readable::wait_to_read,
     set_reference::read_reference,
+    terminal::wait_to_read,
 };
 use device::Source;
 use pad::{Driver, Pad, PadEvent, PadNote, PadRequest};

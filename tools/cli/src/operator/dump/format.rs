@@ -8,13 +8,12 @@ use std::{
 use clap::ValueEnum;
 use singletrack_record::{Value, write_json_object};
 
-use crate::help::printable;
-
 use super::{
-    error::DumpError,
-    kind::{Kind, Place, TIME, check_field},
+    DumpError,
+    select::{Kind, TIME, check_field},
     source::{Row, Source},
 };
+use crate::help::printable;
 
 /// Bytes that are printed at once, unless a reader waits for them.
 const BLOCK: usize = 64 << 10;
@@ -31,142 +30,181 @@ pub enum Format {
 }
 
 /// Prints rows.
-pub(super) struct Printer<W: Write> {
+pub(super) struct Printer<'a, W: Write> {
     output: W,
     format: Format,
-    /// What is printed and not yet handed over.
-    text: String,
-    /// A cell that is made of many values.
-    content: String,
-    header: Vec<String>,
+    kinds: &'a [Kind],
     /// The columns of each kind.
     columns: Vec<Vec<Column>>,
-    /// The name of each kind.
-    names: Vec<&'static str>,
-    /// Whether whole rows are printed as JSON.
+    /// Whether the source writes its entries as JSON.
     whole: bool,
     widths: Vec<usize>,
+    /// What is printed and not yet handed over.
+    text: String,
+    /// The cell that is being made.
+    cell: String,
 }
 
 /// What stands in a column.
 enum Column {
     /// The name of the row's kind.
     Topic,
-    /// A field, under this name.
-    Value(String, Place),
+    /// The field with this index.
+    Field(usize),
     /// Fields, each with its name.
-    Content(Vec<(String, Place)>),
+    Content(Vec<usize>),
     /// The kind has no such field.
     Nothing,
 }
 
-impl<W: Write> Printer<W> {
-    /// Prints the `chosen` of the `kinds`: the fields that are `wanted`, or those
-    /// that the format prints by itself if there are none.
+impl<'a, W: Write> Printer<'a, W> {
+    /// Prints the chosen of the `kinds`: the fields that are `wanted`, or those that the format
+    /// prints by itself if there are none. `entries`: whether the source has entries of a record,
+    /// which it writes as JSON itself.
     pub(super) fn new(
         output: W,
         format: Format,
-        kinds: &[Kind],
-        chosen: &[usize],
+        kinds: &'a [Kind],
         wanted: &[String],
+        entries: bool,
     ) -> Result<Self, DumpError> {
-        let chosen_kinds = chosen.iter().filter_map(|index| kinds.get(*index));
         for name in wanted {
-            check_field(chosen_kinds.clone(), name)?;
+            check_field(kinds, name)?;
         }
-        let (header, columns) = if let [only] = chosen
-            && let Some(kind) = kinds.get(*only)
-        {
-            let names = if wanted.is_empty() {
-                own_fields(kind, format)
-            } else {
-                wanted.to_vec()
-            };
-            let columns = kinds.iter().map(|kind| values(kind, &names)).collect();
-            (names, columns)
-        } else if !wanted.is_empty() {
-            let columns = kinds.iter().map(|kind| {
-                let topic = (format != Format::Json).then_some(Column::Topic);
-                topic.into_iter().chain(values(kind, wanted)).collect()
-            });
-            let topic = ["topic".to_owned()];
-            (
-                topic.into_iter().chain(wanted.iter().cloned()).collect(),
-                columns.collect(),
-            )
-        } else {
-            let mut leading = vec![TIME.to_owned()];
-            // Every frame has the two.
-            for name in ["offset", "length"] {
-                if kinds.iter().all(|kind| kind.index(name).is_some()) {
-                    leading.push(name.to_owned());
-                }
+        let mut chosen = kinds.iter().filter(|kind| kind.chosen);
+        let only = chosen.next().filter(|_| chosen.next().is_none());
+        let names = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+        let (header, columns): (_, Vec<_>) = match (only, wanted) {
+            _ if format == Format::Json => {
+                let time = names(&[TIME]);
+                let columns = kinds.iter().map(|kind| match wanted {
+                    [] => columns(kind, &[&time, kind.own_fields()].concat()),
+                    wanted => columns(kind, wanted),
+                });
+                (Vec::new(), columns.collect())
             }
-            let columns = kinds.iter().map(|kind| {
-                let mut columns = values(kind, &leading);
-                let mut content = own_fields(kind, format);
-                content.retain(|name| !leading.contains(name));
-                let content = content
-                    .into_iter()
-                    .filter_map(|name| kind.place(&name).map(|place| (name, place)));
-                columns.extend([Column::Topic, Column::Content(content.collect())]);
-                columns
-            });
-            let columns = columns.collect();
-            leading.extend(["topic".to_owned(), "content".to_owned()]);
-            (leading, columns)
+            (Some(only), wanted) => {
+                let header = match wanted {
+                    [] => shown_fields(only, format),
+                    wanted => wanted.to_vec(),
+                };
+                let columns = kinds.iter().map(|kind| columns(kind, &header)).collect();
+                (header, columns)
+            }
+            (None, []) => {
+                let mut header = names(&[TIME, "offset", "length"]);
+                // Every frame has an offset and a length.
+                header.retain(|name| kinds.iter().all(|kind| kind.index(name).is_some()));
+                let columns = kinds.iter().map(|kind| {
+                    let mut content = shown_fields(kind, format);
+                    content.retain(|name| !header.contains(name));
+                    let content = content.iter().filter_map(|name| kind.index(name)).collect();
+                    let mut columns = columns(kind, &header);
+                    columns.extend([Column::Topic, Column::Content(content)]);
+                    columns
+                });
+                let columns = columns.collect();
+                header.extend(names(&["topic", "content"]));
+                (header, columns)
+            }
+            (None, wanted) => {
+                let columns = kinds.iter().map(|kind| {
+                    let fields = columns(kind, wanted);
+                    [Column::Topic].into_iter().chain(fields).collect()
+                });
+                let columns = columns.collect();
+                ([&names(&["topic"]), wanted].concat(), columns)
+            }
         };
-        Ok(Self {
+        let mut printer = Self {
             output,
             format,
-            text: String::new(),
-            content: String::new(),
+            kinds,
+            whole: entries && format == Format::Json && wanted.is_empty(),
             widths: header.iter().map(|name| name.len().max(8)).collect(),
-            header,
+            text: String::new(),
+            cell: String::new(),
             columns,
-            names: kinds.iter().map(|kind| kind.name).collect(),
-            whole: format == Format::Json && wanted.is_empty(),
-        })
-    }
-
-    /// Prints the names of the columns, where the format has them.
-    pub(super) fn begin(&mut self) -> Result<(), DumpError> {
-        let header = std::mem::take(&mut self.header);
-        match self.format {
-            Format::Table => self.table_row(&header),
+        };
+        let text = &mut printer.text;
+        match format {
+            Format::Table => {
+                let columns = printer.columns.first().into_iter().flatten();
+                let cells = header.iter().zip(columns).zip(&mut printer.widths);
+                for (index, ((name, column), width)) in cells.enumerate() {
+                    push_table_cell(text, name, index, column, width);
+                }
+                text.push('\n');
+            }
             Format::Json => {}
             Format::Csv => {
-                self.text.push_str(&header.join(","));
-                self.text.push('\n');
+                text.push_str(&header.join(","));
+                text.push('\n');
             }
         }
-        self.flush()
+        Ok(printer)
     }
 
     /// Whether it looks at the fields of a row.
-    pub(super) fn needs_values(&self) -> bool {
+    pub(super) const fn needs_values(&self) -> bool {
         !self.whole
     }
 
-    /// Prints the row that the source is at; `values` are its fields, if it needs
-    /// them.
+    /// Prints the row that the source is at; `values` are its fields, if they are needed.
     pub(super) fn print(
         &mut self,
         row: &Row,
         values: &[Value],
         source: &mut dyn Source,
     ) -> Result<(), DumpError> {
-        if self.whole {
-            source.write_json(&mut self.text)?;
-            self.text.push('\n');
-        } else {
-            match self.format {
-                Format::Table => self.print_table(row, values),
-                Format::Json => self.print_json(row, values),
-                Format::Csv => self.print_csv(row, values),
+        let (Some(kind), Some(columns)) = (self.kinds.get(row.kind), self.columns.get(row.kind))
+        else {
+            return Ok(());
+        };
+        let text = &mut self.text;
+        let begin = text.len();
+        match self.format {
+            _ if self.whole => source.write_json(text)?,
+            Format::Json => {
+                let fields = columns.iter().filter_map(|column| match column {
+                    Column::Field(at) => Some((kind.fields.get(*at)?.as_str(), values.get(*at)?)),
+                    _ => None,
+                });
+                write_json_object(text, kind.name, fields);
+            }
+            Format::Csv => {
+                for (index, column) in columns.iter().enumerate() {
+                    if index > 0 {
+                        text.push(',');
+                    }
+                    match column {
+                        Column::Field(at) => match values.get(*at) {
+                            Some(Value::Text(value)) => push_csv_text(text, value),
+                            value => value.unwrap_or(&Value::Absent).push_to(text),
+                        },
+                        column => {
+                            self.cell.clear();
+                            column.push_to(&mut self.cell, kind, values, Value::push_to);
+                            push_csv_text(text, &self.cell);
+                        }
+                    }
+                }
+                if text.len() == begin {
+                    // An empty line is not a row in CSV.
+                    text.push_str("\"\"");
+                }
+            }
+            Format::Table => {
+                let columns = columns.iter().zip(&mut self.widths).enumerate();
+                for (index, (column, width)) in columns {
+                    self.cell.clear();
+                    column.push_to(&mut self.cell, kind, values, push_for_person);
+                    push_table_cell(text, &self.cell, index, column, width);
+                }
             }
         }
-        if self.text.len() >= BLOCK {
+        text.push('\n');
+        if text.len() >= BLOCK {
             self.hand_over()?;
         }
         Ok(())
@@ -189,173 +227,100 @@ impl<W: Write> Printer<W> {
         self.text.clear();
         Ok(written?)
     }
-
-    fn print_csv(&mut self, row: &Row, values: &[Value]) {
-        let Some(columns) = self.columns.get(row.kind) else {
-            return;
-        };
-        let (begin, time) = (self.text.len(), row.time());
-        for (index, column) in columns.iter().enumerate() {
-            if index > 0 {
-                self.text.push(',');
-            }
-            match column {
-                Column::Topic => self.text.push_str(name(&self.names, row)),
-                Column::Value(_, place) => match place.value(&time, values) {
-                    Value::Text(text) => push_csv_text(&mut self.text, text),
-                    value => value.push_to(&mut self.text),
-                },
-                Column::Content(fields) => {
-                    self.content.clear();
-                    push_content(&mut self.content, fields, &time, values, Value::push_to);
-                    push_csv_text(&mut self.text, &self.content);
-                }
-                Column::Nothing => {}
-            }
-        }
-        if self.text.len() == begin {
-            // An empty line is not a row in CSV.
-            self.text.push_str("\"\"");
-        }
-        self.text.push('\n');
-    }
-
-    fn print_json(&mut self, row: &Row, values: &[Value]) {
-        let time = row.time();
-        let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
-        let fields = columns.iter().filter_map(|column| match column {
-            Column::Value(name, place) => Some((name.as_str(), place.value(&time, values))),
-            _ => None,
-        });
-        write_json_object(&mut self.text, name(&self.names, row), fields);
-        self.text.push('\n');
-    }
-
-    fn print_table(&mut self, row: &Row, values: &[Value]) {
-        let time = row.time();
-        let columns = self.columns.get(row.kind).map_or(&[][..], Vec::as_slice);
-        let cells: Vec<_> = columns
-            .iter()
-            .map(|column| match column {
-                Column::Topic => name(&self.names, row).to_owned(),
-                Column::Value(_, place) => cell(place.value(&time, values)),
-                Column::Content(fields) => {
-                    let mut text = String::new();
-                    push_content(&mut text, fields, &time, values, |value, text| {
-                        text.push_str(&cell(value));
-                    });
-                    text
-                }
-                Column::Nothing => cell(&Value::Absent),
-            })
-            .collect();
-        self.table_row(&cells);
-    }
-
-    /// Right-aligned, but for sentences at the end.
-    fn table_row(&mut self, cells: &[String]) {
-        let last = cells.len().saturating_sub(1);
-        let sentences = matches!(
-            self.columns.first().and_then(|columns| columns.last()),
-            Some(Column::Content(_))
-        );
-        for (index, (cell, width)) in cells.iter().zip(&mut self.widths).enumerate() {
-            if index > 0 {
-                self.text.push_str("  ");
-            }
-            if sentences && index == last {
-                self.text.push_str(cell);
-                continue;
-            }
-            let length = cell.chars().count();
-            *width = (*width).max(length);
-            self.text.extend(std::iter::repeat_n(' ', *width - length));
-            self.text.push_str(cell);
-        }
-        self.text.push('\n');
-    }
 }
 
-/// The fields that a format prints of a kind by itself.
-fn own_fields(kind: &Kind, format: Format) -> Vec<String> {
+/// The fields that a table or CSV shows of a kind by itself.
+fn shown_fields(kind: &Kind, format: Format) -> Vec<String> {
     if format == Format::Table && !kind.brief.is_empty() {
         kind.brief.iter().map(ToString::to_string).collect()
     } else {
-        kind.fields.clone()
+        kind.own_fields().to_vec()
     }
 }
 
 /// A column for each of the fields.
-fn values(kind: &Kind, names: &[String]) -> Vec<Column> {
-    names
-        .iter()
-        .map(|name| match kind.place(name) {
-            Some(place) => Column::Value(name.clone(), place),
-            None => Column::Nothing,
-        })
-        .collect()
+fn columns(kind: &Kind, names: &[String]) -> Vec<Column> {
+    let column = |name: &String| kind.index(name).map_or(Column::Nothing, Column::Field);
+    names.iter().map(column).collect()
 }
 
-fn name(names: &[&'static str], row: &Row) -> &'static str {
-    names.get(row.kind).copied().unwrap_or_default()
-}
-
-/// Adds the fields that have a value, with their names.
-fn push_content(
-    text: &mut String,
-    fields: &[(String, Place)],
-    time: &Value,
-    values: &[Value],
-    push: impl Fn(&Value, &mut String),
-) {
-    let mut gap = "";
-    for (name, place) in fields {
-        let value = place.value(time, values);
-        if *value == Value::Absent {
-            continue;
+impl Column {
+    /// Adds its cell in a row of this kind with these values, each as `push` writes it.
+    fn push_to(
+        &self,
+        cell: &mut String,
+        kind: &Kind,
+        values: &[Value],
+        push: fn(&Value, &mut String),
+    ) {
+        match self {
+            Self::Topic => cell.push_str(kind.name),
+            Self::Field(at) => push(values.get(*at).unwrap_or(&Value::Absent), cell),
+            Self::Content(fields) => {
+                let mut gap = "";
+                for at in fields {
+                    let (Some(name), Some(value)) = (kind.fields.get(*at), values.get(*at)) else {
+                        continue;
+                    };
+                    if *value != Value::Absent {
+                        cell.extend([gap, name, "="]);
+                        push(value, cell);
+                        gap = " ";
+                    }
+                }
+            }
+            Self::Nothing => push(&Value::Absent, cell),
         }
-        for part in [gap, name, "="] {
-            text.push_str(part);
-        }
-        push(value, text);
-        gap = " ";
     }
 }
 
-/// A value for a person.
-fn cell(value: &Value) -> String {
+/// Adds a value as a person reads it.
+fn push_for_person(value: &Value, cell: &mut String) {
     match value {
-        Value::Absent => "-".to_owned(),
-        Value::Float(value) => format!("{value:.6}"),
-        Value::Text(text) => text
-            .chars()
-            .map(|character| {
+        Value::Absent => cell.push('-'),
+        Value::Float(value) => cell.push_str(&format!("{value:.6}")),
+        Value::Text(text) => {
+            for character in text.chars() {
                 // A line of the log must not break out of its row.
                 if character.is_control() {
-                    character.escape_default().to_string()
+                    cell.extend(character.escape_default());
                 } else {
-                    character.to_string()
+                    cell.push(character);
                 }
-            })
-            .collect(),
-        other => other.to_string(),
+            }
+        }
+        other => other.push_to(cell),
     }
 }
 
-/// In quotes where RFC 4180 requires them. Not by `csv::Writer`, which takes 1.5 times as
-/// long for a row of numbers: it looks for quotes in every digit.
+/// Adds a cell to a row of a table: right-aligned, but for the content at the end.
+fn push_table_cell(
+    text: &mut String,
+    cell: &str,
+    index: usize,
+    column: &Column,
+    width: &mut usize,
+) {
+    if index > 0 {
+        text.push_str("  ");
+    }
+    if !matches!(column, Column::Content(_)) {
+        let length = cell.chars().count();
+        *width = (*width).max(length);
+        text.extend(std::iter::repeat_n(' ', *width - length));
+    }
+    text.push_str(cell);
+}
+
+/// Adds a text in quotes where RFC 4180 requires them. Not by `csv::Writer`, which takes 1.5 times
+/// as long for a row of numbers: it looks for quotes in every digit.
 fn push_csv_text(csv: &mut String, text: &str) {
     if !text.contains([',', '"', '\r', '\n']) {
         csv.push_str(text);
         return;
     }
     csv.push('"');
-    for character in text.chars() {
-        if character == '"' {
-            csv.push('"');
-        }
-        csv.push(character);
-    }
+    csv.push_str(&text.replace('"', "\"\""));
     csv.push('"');
 }
 

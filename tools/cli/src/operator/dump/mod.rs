@@ -1,16 +1,13 @@
 //! `singletrack dump`: a record, the running daemon or the serial line, as a table, as
 //! lines of JSON, as CSV, or as statistics.
 
-mod error;
-mod filter;
 mod format;
-mod kind;
+mod line;
 mod moment;
-mod range;
+mod page;
+mod select;
 mod source;
-mod span;
 mod stats;
-mod words;
 
 use std::{
     fs::File,
@@ -21,23 +18,44 @@ use std::{
 };
 
 use clap::Args;
+use singletrack_api::ClientError;
 use singletrack_core::config::SerialSection;
-use singletrack_record::{Topic, Value};
+use singletrack_record::{RecordError, Topic, Value};
+use singletrackd::serial_port::PortError;
 
 use crate::operator::control::ControlArgs;
 use crate::{arguments::parse_duration, interrupt::Interrupt};
-use filter::{Filter, Verdict};
 use format::Printer;
-use kind::Kind;
-use range::Range;
-use source::{Close, Line, Live, Next, Place, Record, Row, Source};
+use line::Line;
+use moment::Range;
+use select::{Filter, Kind};
+use source::{Close, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
 
-pub use error::DumpError;
-pub use filter::Condition;
 pub use format::Format;
+pub use line::Direction;
 pub use moment::{Moment, ParseTimeError};
-pub use source::Direction;
+pub use select::Condition;
+
+/// Why a dump failed.
+#[derive(Debug, thiserror::Error)]
+pub enum DumpError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The serial port can't be opened.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The connection to the daemon broke.
+    #[error(transparent)]
+    Lost(#[from] ClientError),
+    /// The output can't be written.
+    #[error("can't write to standard output: {0}")]
+    Output(#[from] io::Error),
+    /// Anything else: a text which says what to do.
+    #[error("{0}")]
+    Other(String),
+}
 
 /// Options of `singletrack dump`.
 #[derive(Clone, Debug, Args)]
@@ -217,25 +235,23 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     }
     let place = args.place();
     let of_record = matches!(place, Place::Record(_) | Place::Live);
-    let kinds = if of_record {
+    let mut kinds = if of_record {
         Kind::topics()
     } else {
-        source::kinds(args.direction)
+        line::kinds(args.direction)
     };
-    let chosen = if !args.topic.is_empty() {
-        kind::choose(&kinds, &topic_names(&args.topic))?
-    } else if of_record && !args.stats {
-        kind::choose(&kinds, &[Topic::Telemetry.name().to_owned()])?
-    } else {
-        (0..kinds.len()).collect()
+    let topics = match args.topic.as_slice() {
+        [] if of_record && !args.stats => &[Topic::Telemetry.name().to_owned()],
+        topics => topics,
     };
+    select::choose(&mut kinds, topics)?;
+    let kinds = kinds.as_slice();
     // Mistakes on the command line are reported before anything is opened.
     let mut sink = if args.stats {
-        let stats = Stats::new(&kinds, &chosen);
-        Sink::Count(Box::new(stats.brief(args.brief)), output)
+        Sink::Count(Box::new(Stats::new(kinds, args.brief)), output)
     } else {
-        let fields = &args.fields;
-        Sink::Print(Printer::new(output, format, &kinds, &chosen, fields)?)
+        let printer = Printer::new(output, format, kinds, &args.fields, of_record)?;
+        Sink::Print(printer)
     };
     let range = Range {
         from: args.from,
@@ -245,11 +261,10 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     if !matches!(place, Place::Record(_)) {
         range.check_order(None)?;
     }
-    let filter = Filter::new(&kinds, &chosen, args.conditions.clone())?;
-    let mut source = open(args, &place, kinds, &chosen)?;
+    let mut filter = Filter::new(kinds, &args.conditions)?;
+    let mut source = open(args, &place, kinds)?;
     let source = source.as_mut();
-    let (from_ns, to_ns) = range.since(source, &place.to_string())?;
-    let filter = filter.within(from_ns, to_ns);
+    filter.range = range.since(source, &place.to_string())?;
     let end = args.duration.map(|duration| Instant::now() + duration);
     let interrupt = if args.stats {
         Interrupt::listen()
@@ -259,8 +274,8 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
         Interrupt::default()
     };
     let is_over = || interrupt.is_raised() || end.is_some_and(|end| Instant::now() >= end);
-    sink.begin()?;
-    let pumped = pump(source, &mut sink, &chosen, &filter, is_over);
+    sink.flush()?;
+    let pumped = pump(source, &mut sink, kinds, &filter, is_over);
     // The rows before a failure are printed as well.
     let close = source.close();
     sink.end(format, &place.to_string(), &close)?;
@@ -271,37 +286,17 @@ pub fn dump(args: &DumpArgs, format: Format, output: impl Write) -> Result<(), D
     Ok(())
 }
 
-/// The topics, without the folder of their channels in a record (`/singletrack/tick`).
-fn topic_names(topics: &[String]) -> Vec<String> {
-    topics
-        .iter()
-        .map(|name| {
-            Topic::ALL
-                .into_iter()
-                .find(|topic| topic.channel() == name)
-                .map_or_else(|| name.clone(), |topic| topic.name().to_owned())
-        })
-        .collect()
-}
-
 /// Receives the rows.
-enum Sink<W: Write> {
-    Print(Printer<W>),
-    Count(Box<Stats>, W),
+enum Sink<'a, W: Write> {
+    Print(Printer<'a, W>),
+    Count(Box<Stats<'a>>, W),
 }
 
-impl<W: Write> Sink<W> {
-    fn begin(&mut self) -> Result<(), DumpError> {
-        match self {
-            Self::Print(printer) => printer.begin(),
-            Self::Count(..) => Ok(()),
-        }
-    }
-
-    fn needs_values(&self) -> bool {
+impl<W: Write> Sink<'_, W> {
+    const fn needs_values(&self) -> bool {
         match self {
             Self::Print(printer) => printer.needs_values(),
-            Self::Count(..) => true,
+            Self::Count(..) => false,
         }
     }
 
@@ -312,12 +307,14 @@ impl<W: Write> Sink<W> {
         source: &mut dyn Source,
     ) -> Result<(), DumpError> {
         match self {
-            Self::Print(printer) => printer.print(row, values, source),
+            Self::Print(printer) => printer.print(row, values, source)?,
             Self::Count(stats, _) => {
-                stats.add(row, values);
-                Ok(())
+                if let Some(message) = source.message()? {
+                    stats.add(row, message);
+                }
             }
         }
+        Ok(())
     }
 
     fn flush(&mut self) -> Result<(), DumpError> {
@@ -328,84 +325,71 @@ impl<W: Write> Sink<W> {
     }
 
     fn end(&mut self, format: Format, name: &str, close: &Close) -> Result<(), DumpError> {
-        match self {
-            Self::Print(printer) => printer.flush(),
-            Self::Count(stats, output) => {
-                let report = stats.report(name, close);
-                let text = match format {
-                    Format::Json => serde_json::to_string_pretty(&report)
-                        .map_err(|error| DumpError::Output(error.into()))?,
-                    Format::Table | Format::Csv => report.to_string(),
-                };
-                output.write_all(text.as_bytes())?;
-                output.write_all(b"\n")?;
-                Ok(output.flush()?)
-            }
-        }
+        let Self::Count(stats, output) = self else {
+            return self.flush();
+        };
+        let report = stats.report(name, close);
+        let text = match format {
+            Format::Json => serde_json::to_string_pretty(&report).map_err(io::Error::from)?,
+            Format::Table | Format::Csv => report.to_string(),
+        };
+        writeln!(output, "{text}")?;
+        Ok(output.flush()?)
     }
 }
 
 /// Passes the rows of the source to the sink, until its end or until `is_over`.
 fn pump<W: Write>(
     source: &mut dyn Source,
-    sink: &mut Sink<W>,
-    chosen: &[usize],
-    filter: &Filter,
+    sink: &mut Sink<'_, W>,
+    kinds: &[Kind],
+    filter: &Filter<'_>,
     is_over: impl Fn() -> bool,
 ) -> Result<(), DumpError> {
     let needs_values = sink.needs_values() || filter.needs_values();
     let mut values = Vec::new();
-    loop {
-        if is_over() {
-            return Ok(());
-        }
-        match source.next()? {
-            Next::End => return Ok(()),
+    while !is_over() {
+        let row = match source.next()? {
+            Next::End => break,
             Next::Pending => {
                 sink.flush()?;
                 source.wait()?;
+                continue;
             }
-            Next::Row(row) => {
-                if !chosen.contains(&row.kind) {
-                    continue;
-                }
-                match filter.judge_time(&row) {
-                    Verdict::Stop => return Ok(()),
-                    Verdict::Leave => continue,
-                    Verdict::Take => {}
-                }
-                if needs_values {
-                    source.read_values(&mut values)?;
-                }
-                if filter.accepts(&row, &values) {
-                    sink.take(&row, &values, source)?;
-                }
-            }
+            Next::Row(row) => row,
+        };
+        if !kinds.get(row.kind).is_some_and(|kind| kind.chosen) {
+            continue;
+        }
+        if filter.is_over(&row) {
+            break;
+        }
+        if !filter.covers(&row) {
+            continue;
+        }
+        if needs_values {
+            source.read_values(&mut values)?;
+            let time_s = row.time_ns.map(|ns| ns as f64 / 1e9);
+            values.push(time_s.map_or(Value::Absent, Value::Float));
+        }
+        if filter.accepts(row.kind, &values) {
+            sink.take(&row, &values, source)?;
         }
     }
+    Ok(())
 }
 
-fn open(
-    args: &DumpArgs,
-    place: &Place,
-    kinds: Vec<Kind>,
-    chosen: &[usize],
-) -> Result<Box<dyn Source>, DumpError> {
+fn open(args: &DumpArgs, place: &Place, kinds: &[Kind]) -> Result<Box<dyn Source>, DumpError> {
     let (direction, follow, name) = (args.direction, args.follow, place.to_string());
+    let capture = |file, follow| Line::capture(name, file, direction, kinds, follow);
     Ok(match place {
-        Place::Record(path) => Box::new(Record::open(path, chosen, follow)?),
-        Place::Live => Box::new(Live::connect(&args.control.socket, &kinds, chosen)?),
+        Place::Record(path) => Box::new(Record::open(path, kinds, follow)?),
+        Place::Live => Box::new(Live::connect(&args.control.socket, kinds)?),
         Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
-        Place::Raw(path) => Box::new(Line::capture(
-            name,
-            File::open(path),
-            direction,
-            kinds,
-            follow,
-        )?),
+        Place::Raw(path) => Box::new(capture(File::open(path), follow)?),
         Place::Stdin => {
             let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
-            Box::new(Line::capture(name, file, direction, kinds, false)?)
+            Box::new(capture(file, false)?)
         }
     })
 }

@@ -1,8 +1,10 @@
-//! Times on the command line.
+//! Times on the command line, and the range between two of them.
 
 use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
+
+use super::{DumpError, source::Source};
 
 /// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +64,7 @@ impl fmt::Display for Moment {
 
 impl Moment {
     /// Whether it is after the other; false if one has seconds and the other a date.
-    pub(super) fn is_after(self, other: Self) -> bool {
+    fn is_after(self, other: Self) -> bool {
         match (self, other) {
             (Self::Seconds(one), Self::Seconds(other)) => one > other,
             (Self::WallNs(one), Self::WallNs(other)) => one > other,
@@ -72,7 +74,7 @@ impl Moment {
 
     /// The moment in ns since a start at `start_wall_ns`; none if it is on the
     /// wall and the start is not known there.
-    pub(super) fn since(self, start_wall_ns: Option<u64>) -> Option<i64> {
+    fn since(self, start_wall_ns: Option<u64>) -> Option<i64> {
         match self {
             // Saturates, which is as good as never or ever.
             Self::Seconds(seconds) => Some((seconds * 1e9) as i64),
@@ -92,6 +94,97 @@ fn wall_ns(text: &str) -> Option<i64> {
     }
     let time: Timestamp = text.parse().ok()?;
     i64::try_from(time.as_nanosecond()).ok()
+}
+
+/// The times of the entries of a record, in ns since its start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Span {
+    pub(super) first_ns: i64,
+    pub(super) last_ns: i64,
+    /// When the record starts, in ns since 1970.
+    pub(super) start_wall_ns: u64,
+}
+
+impl fmt::Display for Span {
+    /// The seconds, and the same times on the wall.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let wall = |ns: i64| {
+            let start_ns = i64::try_from(self.start_wall_ns).unwrap_or(i64::MAX);
+            // To a millisecond, as the seconds.
+            Moment::WallNs(start_ns.saturating_add(ns) / 1_000_000 * 1_000_000)
+        };
+        let [first_s, last_s] = [self.first_ns, self.last_ns].map(|ns| ns as f64 / 1e9);
+        let [first, last] = [self.first_ns, self.last_ns].map(wall);
+        write!(
+            formatter,
+            "{first_s:.3} s to {last_s:.3} s ({first} to {last})"
+        )
+    }
+}
+
+/// The range of time of the rows that are printed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Range {
+    pub(super) from: Option<Moment>,
+    pub(super) to: Option<Moment>,
+}
+
+impl Range {
+    /// Refuses a range that ends before it begins, as far as that is known without the source.
+    pub(super) fn check_order(self, span: Option<Span>) -> Result<(), DumpError> {
+        match (self.from, self.to) {
+            (Some(from), Some(to)) if from.is_after(to) => Err(backwards(from, to, span)),
+            _ => Ok(()),
+        }
+    }
+
+    /// The range in ns since the start of the source. One without an entry of the source is refused.
+    pub(super) fn since(
+        self,
+        source: &dyn Source,
+        name: &str,
+    ) -> Result<(Option<i64>, Option<i64>), DumpError> {
+        let span = source.span();
+        self.check_order(span)?;
+        let start_wall_ns = source.start_wall_ns();
+        let since =
+            |moment: Option<Moment>, option: &str, is_outside: &dyn Fn(i64, Span) -> bool| {
+                let Some(moment) = moment else {
+                    return Ok(None);
+                };
+                let Some(ns) = moment.since(start_wall_ns) else {
+                    return Err(format!(
+                        "{name} holds no wall time: give --{option} in seconds since its start"
+                    ));
+                };
+                match span {
+                    Some(span) if is_outside(ns, span) => Err(format!(
+                        "--{option} {moment} leaves nothing of {name}: its entries are from {span}"
+                    )),
+                    _ => Ok(Some(ns)),
+                }
+            };
+        // One may be a date and the other a number of seconds.
+        if let (Some(from), Some(to)) = (self.from, self.to)
+            && let Some((from_ns, to_ns)) = from.since(start_wall_ns).zip(to.since(start_wall_ns))
+            && from_ns > to_ns
+        {
+            return Err(backwards(from, to, span));
+        }
+        let from_ns = since(self.from, "from", &|ns, span| ns > span.last_ns);
+        let to_ns = since(self.to, "to", &|ns, span| ns < span.first_ns);
+        let range = from_ns.and_then(|from_ns| Ok((from_ns, to_ns?)));
+        range.map_err(DumpError::Other)
+    }
+}
+
+/// The range ends before it begins. `span` are the times of the record, if they are known.
+fn backwards(from: Moment, to: Moment, span: Option<Span>) -> DumpError {
+    let of_record = span.map(|span| format!("; the entries of the record are from {span}"));
+    DumpError::Other(format!(
+        "--from {from} is after --to {to}: give the earlier time to --from{}",
+        of_record.unwrap_or_default()
+    ))
 }
 
 #[cfg(test)]

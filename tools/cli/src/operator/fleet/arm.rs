@@ -8,7 +8,7 @@ use singletrackd::monotonic_ns;
 
 use crate::interrupt::Interrupt;
 use crate::operator::{
-    arm::{ended_as_wanted, is_wanted, parse_time},
+    arm::{ended_as_wanted, is_wanted, parse_time, warn},
     control::{ControlError, print},
 };
 
@@ -46,6 +46,7 @@ pub(super) fn run(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dy
             drive.disarm();
         }
         drive.step();
+        warn(&drive.warnings());
     }
     let mut as_wanted = true;
     for car in drive.ends()? {

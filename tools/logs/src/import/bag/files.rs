@@ -6,7 +6,7 @@ use std::{
 };
 
 use super::unreadable;
-use crate::import::error::ImportError;
+use crate::import::log::ImportError;
 
 /// The list of files in the folder of a bag.
 const METADATA: &str = "metadata.yaml";

@@ -17,7 +17,7 @@ use super::{
     messages::{Messages, Topic},
     unreadable,
 };
-use crate::import::error::ImportError;
+use crate::import::log::ImportError;
 
 /// The length of a record that every file may have, in bytes.
 const LONGEST: usize = 64 << 20;

@@ -9,7 +9,7 @@ use super::{
     row::{Entry, Row, message_error},
     wanted::{Source, Sources, Wanted},
 };
-use crate::import::error::ImportError;
+use crate::import::log::ImportError;
 
 /// Names of elements that are listed in an error, at most.
 const MAX_NAMES: usize = 20;

@@ -18,7 +18,7 @@ pub(super) use files::is_bag;
 use super::{
     FIRST_ROW_NS,
     columns::Columns,
-    error::ImportError,
+    log::ImportError,
     log::Log,
     map::{Map, nanoseconds},
 };

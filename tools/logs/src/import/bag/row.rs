@@ -4,7 +4,7 @@ use std::{borrow::Cow, path::Path};
 
 use super::{Seconds, wanted::Sources};
 use crate::import::{
-    error::ImportError,
+    log::ImportError,
     row::{self, Place},
 };
 

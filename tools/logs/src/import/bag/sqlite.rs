@@ -13,7 +13,7 @@ use super::{
     messages::{Messages, Topic},
     unreadable,
 };
-use crate::import::error::ImportError;
+use crate::import::log::ImportError;
 
 /// Reads a file.
 pub(super) fn read(path: &Path, messages: &mut Messages) -> Result<(), ImportError> {

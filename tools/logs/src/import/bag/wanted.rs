@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::path::{Path, Takes};
 use crate::import::{
-    error::ImportError,
+    log::ImportError,
     map::{Messages, Stamp},
     row::{Header, Place},
 };

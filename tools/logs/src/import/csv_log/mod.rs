@@ -10,7 +10,7 @@ use super::{
     FIRST_ROW_NS,
     columns::Columns,
     decimal,
-    error::ImportError,
+    log::ImportError,
     log::Log,
     map::{Map, TimeSection, TimeUnit, nanoseconds},
     row::Place,

@@ -10,7 +10,7 @@ use std::{
 use csv::{Position, StringRecord};
 
 use crate::import::{
-    error::ImportError,
+    log::ImportError,
     map::Messages,
     row::{self, Place},
 };

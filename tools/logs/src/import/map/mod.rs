@@ -16,7 +16,7 @@ pub use quantity::{Acceleration, Angle, AngularVelocity, Dimension, Length, Quan
 pub use steering::SteeringSection;
 pub use time::{TimeSection, TimeUnit};
 
-use super::{error::ImportError, samples::Interpolation};
+use super::{log::ImportError, samples::Interpolation};
 
 /// The longest delay, s. A time of the record is never before its zero.
 const LONGEST_DELAY_S: f64 = 0.9;

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::report::{BoardCounters, Durations, ModeSpan, Report};
+use super::stats::{BoardCounters, Durations, ModeSpan, Report};
 
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
@@ -100,13 +100,10 @@ impl Report {
     fn counters(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(board) = &self.board {
             let names = BoardCounters::NAMES.map(|name| name.replace('_', " "));
-            write!(
-                page,
-                "\nthe board counted: {}",
-                counts(names.iter().zip(&board.counts))
-            )?;
-            let refused = board.count("drives_refused") > 0;
-            if let Some(refusal) = board.last_refusal.as_ref().filter(|_| refused) {
+            let named = counts(names.iter().zip(&board.counts));
+            write!(page, "\nthe board counted: {named}")?;
+            let [_, _, drives_refused, ..] = board.counts;
+            if let Some(refusal) = board.last_refusal.filter(|_| drives_refused > 0) {
                 write!(page, " (the last refusal: {refusal})")?;
             }
         }
@@ -209,7 +206,7 @@ fn modes(page: &mut fmt::Formatter<'_>, title: &str, spans: &[ModeSpan]) -> fmt:
             span.mode,
             span.from_s,
             span.duration_s,
-            span.reason.as_deref().unwrap_or("-")
+            span.reason.unwrap_or("-")
         )?;
     }
     if let Some(more) = spans.len().checked_sub(MAX_SPANS).filter(|more| *more > 0) {

@@ -1,0 +1,387 @@
+//! Where rows come from: a record, the running daemon, or the [`Line`](super::line).
+
+use std::{
+    fmt,
+    fs::File,
+    io::Read,
+    os::{fd::AsFd as _, unix::fs::FileTypeExt},
+    path::{Path, PathBuf},
+    thread,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use singletrack_api::{ClientError, Connection, Request};
+use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
+use singletrackd::monotonic_ns;
+
+use super::{DumpError, line::Content, moment::Span, select::Kind};
+use crate::operator::terminal::wait_to_read;
+
+/// The longest time that a source waits for more.
+pub(super) const PATIENCE: Duration = Duration::from_millis(100);
+/// How long the daemon may take to answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Now, in ns since 1970; none if the wall clock is before that.
+pub(super) fn wall_ns() -> Option<u64> {
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    u64::try_from(wall.as_nanos()).ok()
+}
+
+/// A row before its message is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Row {
+    /// The index of its kind.
+    pub(super) kind: usize,
+    /// When it reached the host, in ns since the start; none before the first time
+    /// is known.
+    pub(super) time_ns: Option<i64>,
+}
+
+/// The message of a row.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Message<'a> {
+    /// An entry of a record or of the running daemon; a tick of a record is without its events.
+    Entry(&'a Entry),
+    /// What a stretch of bytes on the line holds.
+    Frame(&'a Content),
+}
+
+/// The next step of a source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// A row, which can be read until the next step.
+    Row(Row),
+    /// Nothing yet: [`Source::wait`] waits for more.
+    Pending,
+    /// The source has ended.
+    End,
+}
+
+/// How a source ended, with figures of the whole source.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Close {
+    /// A note for standard error.
+    pub(super) note: Option<String>,
+    /// Bytes that came over the line.
+    pub(super) line_bytes: Option<u64>,
+    /// Rows that the source could not hand over in time.
+    pub(super) missed: u64,
+    /// Whether a record has not been finished.
+    pub(super) unfinished: bool,
+}
+
+/// Gives rows, one after another.
+pub(super) trait Source {
+    /// When it starts, in ns since 1970 on the wall, if that is known.
+    fn start_wall_ns(&self) -> Option<u64>;
+
+    /// The times of its first and its last row, if they are known before it is read.
+    fn span(&self) -> Option<Span> {
+        None
+    }
+
+    /// Goes to the next row, without waiting.
+    fn next(&mut self) -> Result<Next, DumpError>;
+
+    /// Waits for more, but not for long.
+    fn wait(&mut self) -> Result<(), DumpError>;
+
+    /// The message of the row; none before the first.
+    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError>;
+
+    /// Replaces `values` with the fields of the message, in the order of its kind.
+    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
+
+    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
+    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+        if let Some(Message::Entry(entry)) = self.message()? {
+            entry.write_json(json);
+        }
+        Ok(())
+    }
+
+    /// How it ended.
+    fn close(&self) -> Close;
+}
+
+/// A record, finished or not. For printing, its messages become text without an [`Entry`] between.
+pub(super) struct Record {
+    name: String,
+    reader: Reader,
+    entry: Option<Entry>,
+    follow: bool,
+    start_wall_ns: u64,
+}
+
+impl Record {
+    /// Opens a record to read the chosen kinds.
+    pub(super) fn open(path: &Path, kinds: &[Kind], follow: bool) -> Result<Self, DumpError> {
+        let topics = Topic::ALL.into_iter().zip(kinds);
+        let chosen: Vec<_> = topics
+            .filter_map(|(topic, kind)| kind.chosen.then_some(topic))
+            .collect();
+        let reader = Reader::open(path)?.only(&chosen);
+        Ok(Self {
+            name: path.display().to_string(),
+            start_wall_ns: reader.meta().start.wall_ns,
+            reader,
+            entry: None,
+            follow,
+        })
+    }
+
+    fn is_unfinished(&self) -> bool {
+        matches!(self.reader.ending(), Some(Ending::Unfinished { .. }))
+    }
+
+    const fn since_start(&self, wall_ns: u64) -> i64 {
+        wall_ns.wrapping_sub(self.start_wall_ns).cast_signed()
+    }
+}
+
+impl Source for Record {
+    fn start_wall_ns(&self) -> Option<u64> {
+        Some(self.start_wall_ns)
+    }
+
+    fn span(&self) -> Option<Span> {
+        let [first_ns, last_ns] = self.reader.span_wall_ns()?.map(|ns| self.since_start(ns));
+        Some(Span {
+            first_ns,
+            last_ns,
+            start_wall_ns: self.start_wall_ns,
+        })
+    }
+
+    fn next(&mut self) -> Result<Next, DumpError> {
+        Ok(match self.reader.advance()? {
+            Some(Recorded { topic, wall_ns }) => Next::Row(Row {
+                kind: topic.index(),
+                time_ns: Some(self.since_start(wall_ns)),
+            }),
+            None if self.follow && self.is_unfinished() => Next::Pending,
+            None => Next::End,
+        })
+    }
+
+    fn wait(&mut self) -> Result<(), DumpError> {
+        thread::sleep(PATIENCE);
+        Ok(())
+    }
+
+    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError> {
+        self.entry = self.reader.read_entry()?;
+        Ok(self.entry.as_ref().map(Message::Entry))
+    }
+
+    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
+        Ok(self.reader.read_values(values)?)
+    }
+
+    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+        Ok(self.reader.write_json(json)?)
+    }
+
+    fn close(&self) -> Close {
+        let ending = self.reader.ending().filter(|_| self.is_unfinished());
+        Close {
+            note: ending.map(|ending| format!("{}: {ending}", self.name)),
+            unfinished: self.is_unfinished(),
+            ..Close::default()
+        }
+    }
+}
+
+/// The entries that the running daemon sends.
+pub(super) struct Live {
+    path: PathBuf,
+    connection: Connection,
+    entry: Option<Entry>,
+    start_ns: u64,
+    start_wall_ns: Option<u64>,
+    missed: u64,
+}
+
+impl Live {
+    /// Subscribes to the chosen kinds, and waits until the daemon agrees.
+    pub(super) fn connect(path: &Path, kinds: &[Kind]) -> Result<Self, DumpError> {
+        let chosen = kinds.iter().filter(|kind| kind.chosen);
+        let topics = chosen.map(|kind| kind.name.to_owned()).collect();
+        let mut connection = Connection::open(path, ANSWER_TIMEOUT).map_err(unreachable)?;
+        connection.send(&Request::Watch { topics })?;
+        let mut live = Self {
+            path: path.to_owned(),
+            connection,
+            entry: None,
+            start_ns: monotonic_ns(),
+            start_wall_ns: wall_ns(),
+            missed: 0,
+        };
+        let answer = live.connection.receive_within(ANSWER_TIMEOUT)?;
+        let answer: serde_json::Value =
+            answer.ok_or_else(|| ClientError::silent(path, ANSWER_TIMEOUT))?;
+        match (&answer["ok"], answer["error"].as_str()) {
+            (serde_json::Value::Bool(true), _) => Ok(live),
+            (_, Some(error)) => {
+                let path = path.display();
+                let text = format!("the daemon at {path} refuses: {error}");
+                Err(DumpError::Other(text))
+            }
+            _ => Err(live.not_understood(&format!("no answer: {answer}"))),
+        }
+    }
+
+    fn not_understood(&self, reason: &str) -> DumpError {
+        let path = self.path.display();
+        DumpError::Other(format!(
+            "can't understand the daemon at {path}: {reason}; use the singletrack of its release"
+        ))
+    }
+
+    /// The entry of a line; none if the line is not one, or of a topic that this program lacks.
+    fn take(&mut self, line: &serde_json::Value) -> Result<Option<Entry>, DumpError> {
+        if let Some(count) = line["missed"].as_u64() {
+            self.missed += count;
+            eprintln!(
+                "singletrack: {}: {count} entries of all topics missed: \
+                 what is printed is not taken as fast as they come",
+                self.path.display()
+            );
+            return Ok(None);
+        }
+        match line["topic"].as_str().map(str::parse) {
+            Some(Ok(topic)) => Entry::from_json(topic, line)
+                .map(Some)
+                .map_err(|reason| self.not_understood(&format!("{topic}: {reason}"))),
+            // A newer daemon may have more topics than this program.
+            Some(Err(_)) => Ok(None),
+            None => Err(self.not_understood(&format!("without a topic: {line}"))),
+        }
+    }
+}
+
+fn unreachable(error: ClientError) -> DumpError {
+    match error {
+        ClientError::Connect { path, source } => DumpError::Other(format!(
+            "can't reach the daemon at {}: {source}; start singletrackd, or name its socket with \
+             --socket",
+            path.display()
+        )),
+        other => other.into(),
+    }
+}
+
+impl Source for Live {
+    fn start_wall_ns(&self) -> Option<u64> {
+        self.start_wall_ns
+    }
+
+    fn next(&mut self) -> Result<Next, DumpError> {
+        loop {
+            let line = match self.connection.receive() {
+                Ok(Some(line)) => line,
+                Ok(None) => return Ok(Next::Pending),
+                Err(ClientError::Ended) => return Ok(Next::End),
+                Err(error) => return Err(error.into()),
+            };
+            self.entry = self.take(&line)?;
+            if let Some(entry) = &self.entry {
+                let time_ns = entry.time_ns().wrapping_sub(self.start_ns);
+                return Ok(Next::Row(Row {
+                    kind: entry.topic().index(),
+                    time_ns: Some(time_ns.cast_signed()),
+                }));
+            }
+        }
+    }
+
+    fn wait(&mut self) -> Result<(), DumpError> {
+        wait_to_read([self.connection.as_fd()], PATIENCE)
+            .map(drop)
+            .map_err(|error| DumpError::Lost(error.into()))
+    }
+
+    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError> {
+        Ok(self.entry.as_ref().map(Message::Entry))
+    }
+
+    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
+        *values = self.entry.as_ref().map(Entry::values).unwrap_or_default();
+        Ok(())
+    }
+
+    fn close(&self) -> Close {
+        Close {
+            missed: self.missed,
+            ..Close::default()
+        }
+    }
+}
+
+/// The source that the command line names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Place {
+    /// The running daemon.
+    Live,
+    /// A record.
+    Record(PathBuf),
+    /// A serial port.
+    Serial(PathBuf),
+    /// Bytes of the line, in a file.
+    Raw(PathBuf),
+    /// Bytes of the line, on standard input.
+    Stdin,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Live => formatter.write_str("live"),
+            Self::Stdin => formatter.write_str("standard input"),
+            Self::Record(path) | Self::Serial(path) | Self::Raw(path) => {
+                path.display().fmt(formatter)
+            }
+        }
+    }
+}
+
+/// The beginning of every MCAP file.
+const MCAP_MAGIC: [u8; 5] = *b"\x89MCAP";
+
+impl Place {
+    /// The source with this name.
+    pub(super) fn of(path: &Path, raw: bool) -> Self {
+        let name = path.to_string_lossy();
+        if path.as_os_str() == "-" {
+            return Self::Stdin;
+        }
+        if raw {
+            return Self::Raw(path.to_owned());
+        }
+        if path.as_os_str() == "live" {
+            return Self::Live;
+        }
+        if name.ends_with(".mcap") || name.ends_with(".mcap.part") {
+            return Self::Record(path.to_owned());
+        }
+        let Ok(metadata) = path.metadata() else {
+            // Opening a record reports best why it failed.
+            return Self::Record(path.to_owned());
+        };
+        if metadata.file_type().is_char_device() {
+            return Self::Serial(path.to_owned());
+        }
+        if !(metadata.is_file() || metadata.is_dir()) {
+            // Of a pipe, what is looked at is gone.
+            return Self::Raw(path.to_owned());
+        }
+        let mut magic = [0; MCAP_MAGIC.len()];
+        let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
+        if metadata.is_dir() || (read.is_ok() && magic == MCAP_MAGIC) {
+            Self::Record(path.to_owned())
+        } else {
+            Self::Raw(path.to_owned())
+        }
+    }
+}

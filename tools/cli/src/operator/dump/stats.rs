@@ -1,0 +1,529 @@
+//! Statistics: rates, gaps, losses, errors, latencies, modes.
+
+use std::collections::BTreeMap;
+
+use serde::{Serialize, Serializer, ser::SerializeMap};
+use singletrack_mocap::{Observation, PoseState};
+use singletrack_protocol::{
+    RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToHost,
+};
+use singletrack_record::{Entry, StatusRecord, TelemetryRecord, TickRecord};
+use singletrack_statistics::{Arrivals, Distribution, Gap};
+
+use super::{
+    line::Content,
+    select::Kind,
+    source::{Close, Message, Row},
+};
+
+/// All statistics. Values that the source does not have are null or empty.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct Report {
+    /// The source.
+    pub(super) source: String,
+    /// Whether the page leaves out the distributions.
+    #[serde(skip)]
+    pub(super) brief: bool,
+    /// Whether it is a record that has not been finished.
+    pub(super) unfinished: bool,
+    /// Rows that arrived faster than they were read, and are not counted.
+    pub(super) missed: u64,
+    /// From the first row to the last.
+    pub(super) span_s: f64,
+    /// How often each topic came.
+    pub(super) topics: Vec<TopicReport>,
+    /// The line from the board to the host.
+    pub(super) line: LineReport,
+    /// The board's counters.
+    pub(super) board: Option<BoardCounters>,
+    /// Poses of the motion capture.
+    pub(super) poses: Option<PoseReport>,
+    /// Ticks of the control thread.
+    pub(super) ticks: Option<TickReport>,
+    /// Entries that did not reach the record.
+    pub(super) entries_dropped: u64,
+    /// How late ticks began.
+    #[serde(rename = "lateness_us")]
+    pub(super) lateness: Option<Durations>,
+    /// From mid-exposure to the command leaving, in ticks with a new pose.
+    #[serde(rename = "capture_to_command_us")]
+    pub(super) capture_to_command: Option<Durations>,
+    /// The pilot's modes.
+    pub(super) modes: Vec<ModeSpan>,
+    /// The modes of the board's safety machine.
+    pub(super) board_modes: Vec<ModeSpan>,
+}
+
+/// How often a topic came.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct TopicReport {
+    pub(super) topic: &'static str,
+    pub(super) count: u64,
+    pub(super) rate_hz: Option<f64>,
+    pub(super) first_s: Option<f64>,
+    pub(super) last_s: Option<f64>,
+    pub(super) longest_gap_ms: Option<f64>,
+    /// When the longest gap began.
+    pub(super) longest_gap_at_s: Option<f64>,
+}
+
+/// Frames on the line.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct LineReport {
+    /// Whether there was telemetry.
+    #[serde(skip)]
+    pub(super) telemetry: bool,
+    /// Telemetry records that the board's clock misses.
+    pub(super) telemetry_lost: u64,
+    /// In how many gaps.
+    pub(super) gaps: u64,
+    pub(super) longest_gap_ms: Option<f64>,
+    pub(super) longest_gap_at_s: Option<f64>,
+    pub(super) board_restarts: u64,
+    /// Bytes that are not a frame, by reason.
+    pub(super) broken: BTreeMap<String, u64>,
+    pub(super) bytes: Option<u64>,
+    pub(super) bytes_per_s: Option<f64>,
+}
+
+/// The board's counters, by how much they rose.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct BoardCounters {
+    /// In the order of [`Self::NAMES`].
+    pub(super) counts: [u64; Self::NAMES.len()],
+    /// Why a drive command was last refused.
+    pub(super) last_refusal: Option<&'static str>,
+}
+
+impl BoardCounters {
+    /// The fields of a status record that count.
+    pub(super) const NAMES: [&str; 6] = [
+        "frames_received",
+        "frames_damaged",
+        "drives_refused",
+        "frames_dropped",
+        "bytes_overrun",
+        "imu_errors",
+    ];
+
+    /// The counters in a status record. They wrap.
+    const fn of(status: &Status) -> [u16; Self::NAMES.len()] {
+        [
+            status.frames_received,
+            status.frames_damaged,
+            status.drives_refused,
+            status.frames_dropped,
+            status.bytes_overrun,
+            status.imu_errors,
+        ]
+    }
+}
+
+impl Serialize for BoardCounters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        for (name, count) in Self::NAMES.iter().zip(self.counts) {
+            map.serialize_entry(name, &count)?;
+        }
+        map.serialize_entry("last_refusal", &self.last_refusal)?;
+        map.end()
+    }
+}
+
+/// Poses of the motion capture.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct PoseReport {
+    /// Frames by the state of the car in them.
+    pub(super) states: BTreeMap<String, u64>,
+    /// Frame numbers that never arrived.
+    pub(super) frames_missing: u64,
+    /// The longest time between two valid poses, if there are two.
+    pub(super) longest_between_valid_ms: Option<f64>,
+    pub(super) longest_between_valid_at_s: Option<f64>,
+}
+
+/// Ticks of the control thread.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(super) struct TickReport {
+    /// Points of the grid without a tick: the one before took too long.
+    pub(super) skipped: u64,
+    /// Events that the pilot never saw.
+    pub(super) events_dropped: u64,
+    /// Ticks without a new valid pose.
+    pub(super) without_new_pose: u64,
+    /// Commands that the line had no room for.
+    pub(super) commands_not_written: u64,
+}
+
+/// For how long a mode lasted, and why it was.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct ModeSpan {
+    #[serde(skip)]
+    begin_ns: i64,
+    pub(super) mode: &'static str,
+    pub(super) reason: Option<&'static str>,
+    pub(super) from_s: f64,
+    pub(super) duration_s: f64,
+}
+
+/// How durations are distributed, in microseconds. Every percentile is one of
+/// the durations.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Durations {
+    pub(super) count: u64,
+    pub(super) min: f64,
+    pub(super) p50: f64,
+    pub(super) p90: f64,
+    pub(super) p99: f64,
+    #[serde(rename = "p99.9")]
+    pub(super) p999: f64,
+    pub(super) max: f64,
+    pub(super) histogram: Vec<Bucket>,
+}
+
+/// Durations of about the same length.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Bucket {
+    /// More than the bucket before, and at most this.
+    pub(super) up_to: f64,
+    pub(super) count: u64,
+}
+
+impl Durations {
+    /// Of durations in microseconds; none if there are none.
+    fn of(durations_us: &[f64]) -> Option<Self> {
+        let durations = Distribution::of(durations_us.iter().copied());
+        Some(Self {
+            count: durations.count() as u64,
+            min: durations.min()?,
+            p50: durations.quantile(0.5)?,
+            p90: durations.quantile(0.9)?,
+            p99: durations.quantile(0.99)?,
+            p999: durations.quantile(0.999)?,
+            max: durations.max()?,
+            histogram: histogram(&durations),
+        })
+    }
+}
+
+/// Buckets that end at 1, 2, 5, 10, 20, ... us, from the first to the last that
+/// is not empty.
+fn histogram(durations: &Distribution) -> Vec<Bucket> {
+    let ends = (0..=15).flat_map(|decade| [1, 2, 5].map(|step| step * 10_i64.pow(decade)));
+    let mut buckets = Vec::new();
+    let mut before = 0;
+    for end_us in [0].into_iter().chain(ends) {
+        if before == durations.count() {
+            break;
+        }
+        let up_to = end_us as f64;
+        let count = durations.count_up_to(up_to) - before;
+        if count > 0 || !buckets.is_empty() {
+            buckets.push(Bucket {
+                up_to,
+                count: count as u64,
+            });
+        }
+        before += count;
+    }
+    buckets
+}
+
+/// Counts the rows of the chosen kinds.
+pub(super) struct Stats<'a> {
+    kinds: &'a [Kind],
+    /// The arrivals of each kind.
+    arrivals: Vec<Arrivals>,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+    /// When the last telemetry came, and the board's clock in it.
+    telemetry: Option<(i64, u32)>,
+    telemetry_gap: Gap,
+    status: Option<Status>,
+    frame_number: Option<i32>,
+    valid_ns: Option<i64>,
+    between_valid: Gap,
+    /// In us, as all that is reported of them.
+    lateness_us: Vec<f64>,
+    capture_to_command_us: Vec<f64>,
+    report: Report,
+}
+
+impl<'a> Stats<'a> {
+    /// `brief`: whether the page leaves out the distributions.
+    pub(super) fn new(kinds: &'a [Kind], brief: bool) -> Self {
+        Self {
+            kinds,
+            arrivals: vec![Arrivals::default(); kinds.len()],
+            first_ns: None,
+            last_ns: None,
+            telemetry: None,
+            telemetry_gap: Gap::new(),
+            status: None,
+            frame_number: None,
+            valid_ns: None,
+            between_valid: Gap::new(),
+            lateness_us: Vec::new(),
+            capture_to_command_us: Vec::new(),
+            report: Report {
+                brief,
+                ..Report::default()
+            },
+        }
+    }
+
+    /// Counts a row.
+    pub(super) fn add(&mut self, row: &Row, message: Message<'_>) {
+        if let Some(time_ns) = row.time_ns {
+            self.first_ns = Some(self.first_ns.map_or(time_ns, |first| first.min(time_ns)));
+            self.last_ns = Some(self.last_ns.map_or(time_ns, |last| last.max(time_ns)));
+        }
+        if let Some(arrivals) = self.arrivals.get_mut(row.kind) {
+            arrivals.add(row.time_ns);
+        }
+        let time_ns = row.time_ns.unwrap_or_default();
+        match message {
+            Message::Entry(Entry::Tick(tick)) => self.add_tick(time_ns, tick),
+            Message::Entry(Entry::Telemetry(TelemetryRecord { telemetry, .. }))
+            | Message::Frame(Content::ToHost(ToHost::Telemetry(telemetry))) => {
+                self.add_telemetry(time_ns, telemetry);
+            }
+            Message::Entry(Entry::Status(StatusRecord { status, .. }))
+            | Message::Frame(Content::ToHost(ToHost::Status(status))) => self.add_status(status),
+            Message::Entry(Entry::Pose(observation)) => self.add_pose(time_ns, observation),
+            // The count since the record began.
+            Message::Entry(Entry::Drops(drops)) => {
+                let dropped = &mut self.report.entries_dropped;
+                *dropped = drops.entries.max(*dropped);
+            }
+            Message::Frame(Content::Broken { reason, .. }) => {
+                count(&mut self.report.line.broken, (*reason).to_owned());
+            }
+            Message::Entry(Entry::Log(_) | Entry::Configuration(_)) | Message::Frame(_) => {}
+        }
+    }
+
+    fn add_tick(&mut self, time_ns: i64, tick: &TickRecord) {
+        let output = &tick.output;
+        let counts = self.report.ticks.get_or_insert_default();
+        counts.skipped += u64::from(tick.skipped);
+        counts.events_dropped += u64::from(tick.events_dropped);
+        counts.without_new_pose += u64::from(output.held);
+        counts.commands_not_written += u64::from(tick.drive.is_some_and(|drive| !drive.written));
+        self.lateness_us.push(microseconds(tick.lateness_ns()));
+        // In a held tick the pose is an old one, which says nothing of the latency.
+        let latency_ns = tick.capture_to_command_ns().filter(|_| !output.held);
+        self.capture_to_command_us
+            .extend(latency_ns.map(microseconds));
+        let reason = output.reason.map(|reason| reason.name());
+        enter(&mut self.report.modes, time_ns, output.mode.name(), reason);
+    }
+
+    /// Counts lost telemetry, by the board's clock.
+    fn add_telemetry(&mut self, time_ns: i64, telemetry: &Telemetry) {
+        let board_us = telemetry.board_time_us;
+        let line = &mut self.report.line;
+        line.telemetry = true;
+        if let Some((last_ns, last_us)) = self.telemetry.replace((time_ns, board_us)) {
+            let passed_us = board_us.wrapping_sub(last_us);
+            if passed_us.cast_signed() < 0 {
+                line.board_restarts += 1;
+            } else {
+                // Rounded: a record may be up to half a period early or late.
+                let periods = (passed_us + TELEMETRY_PERIOD_US / 2) / TELEMETRY_PERIOD_US;
+                let lost = periods.saturating_sub(1);
+                if lost > 0 {
+                    line.telemetry_lost += u64::from(lost);
+                    line.gaps += 1;
+                    let gap = &mut self.telemetry_gap;
+                    gap.add(last_ns, last_ns + i64::from(passed_us) * 1_000);
+                    line.longest_gap_ms = Some(milliseconds(gap.longest_ns));
+                    line.longest_gap_at_s = Some(seconds(gap.begin_ns));
+                }
+            }
+        }
+        let cause = telemetry.stop_cause;
+        let reason = (cause != StopCause::None).then(|| cause.name());
+        let mode = telemetry.mode.name();
+        enter(&mut self.report.board_modes, time_ns, mode, reason);
+    }
+
+    /// Counts what the board has counted. It starts at zero when it restarts.
+    fn add_status(&mut self, status: &Status) {
+        let now = BoardCounters::of(status);
+        let before = match self.status.replace(*status) {
+            Some(last)
+                if status
+                    .board_time_us
+                    .wrapping_sub(last.board_time_us)
+                    .cast_signed()
+                    < 0 =>
+            {
+                [0; _]
+            }
+            Some(last) => BoardCounters::of(&last),
+            // Counts before the record began do not belong to it.
+            None => now,
+        };
+        let counters = self.report.board.get_or_insert_default();
+        for ((sum, now), before) in counters.counts.iter_mut().zip(now).zip(before) {
+            *sum += u64::from(now.wrapping_sub(before));
+        }
+        let refusal = status.last_refusal;
+        counters.last_refusal = (refusal != RefusalReason::None).then(|| refusal.name());
+    }
+
+    fn add_pose(&mut self, time_ns: i64, observation: &Observation) {
+        let report = self.report.poses.get_or_insert_default();
+        let number = observation.frame_number;
+        if let Some(last) = self.frame_number.replace(number) {
+            // Numbers that go back belong to another stream.
+            let missing = i64::from(number) - i64::from(last) - 1;
+            report.frames_missing += u64::try_from(missing).unwrap_or_default();
+        }
+        let (state, why) = match observation.state {
+            PoseState::NoFrames => ("no-frames", None),
+            PoseState::Unbound(_) => ("unbound", None),
+            PoseState::Valid(_) => ("valid", None),
+            PoseState::Untracked => ("untracked", None),
+            PoseState::Absent => ("absent", None),
+            PoseState::Rejected(why) => ("rejected", Some(why)),
+            PoseState::LockedOut(why) => ("locked-out", Some(why)),
+            PoseState::Stale { .. } => ("stale", None),
+        };
+        let why = why.map_or_else(String::new, |why| format!(": {}", why.name()));
+        count(&mut report.states, format!("{state}{why}"));
+        if let PoseState::Valid(_) = observation.state
+            && let Some(last_ns) = self.valid_ns.replace(time_ns)
+        {
+            let gap = &mut self.between_valid;
+            gap.add(last_ns, time_ns);
+            let some = |value: f64| (gap.longest_ns > 0).then_some(value);
+            report.longest_between_valid_ms = some(milliseconds(gap.longest_ns));
+            report.longest_between_valid_at_s = some(seconds(gap.begin_ns));
+        }
+    }
+
+    /// All that has been counted.
+    pub(super) fn report(&self, source: &str, close: &Close) -> Report {
+        let span_ns = self
+            .first_ns
+            .zip(self.last_ns)
+            .map(|(first, last)| last - first);
+        let span_s = span_ns.map_or(0.0, seconds);
+        let mut report = Report {
+            source: source.to_owned(),
+            unfinished: close.unfinished,
+            missed: close.missed,
+            span_s,
+            lateness: Durations::of(&self.lateness_us),
+            capture_to_command: Durations::of(&self.capture_to_command_us),
+            ..self.report.clone()
+        };
+        let topics = self.kinds.iter().zip(&self.arrivals);
+        for (kind, arrivals) in topics.filter(|(kind, _)| kind.chosen) {
+            let gap = arrivals.longest_gap();
+            report.topics.push(TopicReport {
+                topic: kind.name,
+                count: arrivals.count(),
+                rate_hz: arrivals.rate_hz(),
+                first_s: arrivals.first_ns().map(seconds),
+                last_s: arrivals.last_ns().map(seconds),
+                longest_gap_ms: gap.map(|gap| milliseconds(gap.longest_ns)),
+                longest_gap_at_s: gap.map(|gap| seconds(gap.begin_ns)),
+            });
+        }
+        report.line.bytes = close.line_bytes;
+        let rate = |bytes: u64| (span_s > 0.0).then(|| bytes as f64 / span_s);
+        report.line.bytes_per_s = close.line_bytes.and_then(rate);
+        for modes in [&mut report.modes, &mut report.board_modes] {
+            leave(modes, self.last_ns.unwrap_or_default());
+        }
+        report
+    }
+}
+
+/// Begins a span unless the last one has the same mode and reason.
+fn enter(
+    modes: &mut Vec<ModeSpan>,
+    begin_ns: i64,
+    mode: &'static str,
+    reason: Option<&'static str>,
+) {
+    let last = modes.last();
+    if last.is_none_or(|last| (last.mode, last.reason) != (mode, reason)) {
+        leave(modes, begin_ns);
+        modes.push(ModeSpan {
+            begin_ns,
+            mode,
+            reason,
+            from_s: seconds(begin_ns),
+            duration_s: 0.0,
+        });
+    }
+}
+
+/// Ends the last span.
+fn leave(modes: &mut [ModeSpan], end_ns: i64) {
+    if let Some(last) = modes.last_mut() {
+        last.duration_s = seconds(end_ns - last.begin_ns);
+    }
+}
+
+fn count(counts: &mut BTreeMap<String, u64>, what: String) {
+    *counts.entry(what).or_default() += 1;
+}
+
+fn seconds(ns: i64) -> f64 {
+    ns as f64 / 1e9
+}
+
+fn milliseconds(ns: i64) -> f64 {
+    ns as f64 / 1e6
+}
+
+fn microseconds(ns: i64) -> f64 {
+    ns as f64 / 1e3
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_durations_that_occurred() {
+        let durations: Vec<f64> = (1..=1_000).rev().map(f64::from).collect();
+        let distribution = Durations::of(&durations).unwrap();
+        assert_eq!(
+            [
+                distribution.min,
+                distribution.p50,
+                distribution.p90,
+                distribution.p99,
+                distribution.p999,
+                distribution.max
+            ],
+            [1.0, 500.0, 900.0, 990.0, 999.0, 1_000.0]
+        );
+        assert_eq!(Durations::of(&[]), None);
+        assert_eq!(Durations::of(&[-0.007]).unwrap().p999, -0.007);
+    }
+
+    #[test]
+    fn every_duration_is_in_one_bucket() {
+        let durations = [-5, 0, 1, 1_000, 1_001, 2_000, 40_000, i64::MAX];
+        let durations = durations.map(|ns| ns as f64 / 1e3);
+        let buckets = histogram(&Distribution::of(durations));
+        let shown: Vec<_> = buckets
+            .iter()
+            .filter(|bucket| bucket.count > 0)
+            .map(|bucket| (bucket.up_to, bucket.count))
+            .collect();
+        assert_eq!(shown[..4], [(0.0, 2), (1.0, 2), (2.0, 2), (50.0, 1)]);
+        assert_eq!(
+            buckets.iter().map(|bucket| bucket.count).sum::<u64>(),
+            durations.len() as u64 - u64::from(i64::MAX as f64 / 1e3 > 5e15)
+        );
+    }
+}
