@@ -46,26 +46,10 @@ impl Manager {
         Self::start_with(address, |_| {})
     }
 
-    /// As [`start`](Self::start); `prepare` changes the command that starts the daemon.
+    /// With a command that `prepare` changes before it starts the daemon.
     fn start_with(
         address: impl FnOnce(&Path) -> (SocketAddr, String),
         prepare: impl FnOnce(&mut Command),
-    ) -> Self {
-        Self::start_changed(address, prepare, |text| text)
-    }
-
-    /// With both, and a changed configuration.
-    fn start_configured(
-        prepare: impl FnOnce(&mut Command),
-        change: impl FnOnce(String) -> String,
-    ) -> Self {
-        Self::start_changed(path, prepare, change)
-    }
-
-    fn start_changed(
-        address: impl FnOnce(&Path) -> (SocketAddr, String),
-        prepare: impl FnOnce(&mut Command),
-        change: impl FnOnce(String) -> String,
     ) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (address, name) = address(folder.path());
@@ -74,7 +58,7 @@ impl Manager {
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
         let config = folder.path().join("singletrackd.toml");
-        fs::write(&config, change(configuration(folder.path()))).unwrap();
+        fs::write(&config, configuration(folder.path())).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_singletrackd"));
         command
             .arg("--config")
@@ -321,40 +305,6 @@ fn a_full_disk_ends_the_record_and_not_the_daemon_and_is_reported() {
         exit.is_some()
     });
     assert_eq!(exit.unwrap().code(), Some(1));
-}
-
-#[test]
-fn a_configuration_of_a_daemon_with_page_and_live_view_starts_without_them_and_names_their_commands()
- {
-    let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("log");
-    let ports = [(); 2].map(|()| {
-        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        free.local_addr().unwrap()
-    });
-    let manager = Manager::start_configured(
-        |command| {
-            command.stderr(fs::File::create(&log).unwrap());
-        },
-        |text| {
-            let [live, page] = ports.map(|address| address.port());
-            text.replace("[live]", &format!("[live]\nenabled = true\nport = {live}"))
-                .replace("[page]", &format!("[page]\nenabled = true\nport = {page}"))
-        },
-    );
-    manager.wait_for("READY=1");
-    let status = manager.status();
-    for (key, port) in ["live", "page"].into_iter().zip(ports) {
-        assert_eq!(status.get(key), Some(&serde_json::Value::Null));
-        assert!(std::net::TcpStream::connect(port).is_err());
-        let log = fs::read_to_string(&log).unwrap();
-        assert_eq!(
-            log.matches(&format!("`singletrack {key} --config FILE`"))
-                .count(),
-            1,
-            "{log}"
-        );
-    }
 }
 
 #[test]

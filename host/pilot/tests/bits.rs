@@ -81,7 +81,7 @@ fn the_outputs_of_drives_have_the_bits_of_this_controller() {
     assert_eq!(
         (CONTROLLER, found),
         (
-            14,
+            15,
             [
                 15_625_051_856_845_853_031,
                 9_898_423_362_311_391_843,

@@ -46,7 +46,11 @@ impl ConfigurationFile {
 /// The daemon refuses the configuration.
 pub(crate) fn config(situation: &Situation, file: ConfigurationFile) -> Result<Config, SetupError> {
     let speed = file.speed_share() * f64::from(situation.speed_mm_s) * 1e-3;
-    let marker_loss = if situation.coast { "coast" } else { "hold" };
+    let marker_loss = if situation.coast {
+        "dead-reckon"
+    } else {
+        "hold"
+    };
     let (outer_loop, reference) = match situation.reference {
         ReferenceKind::Circle => {
             let radius = radius(speed);

@@ -3,7 +3,7 @@
 use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::request::Place;
+use super::place::Place;
 use crate::{
     Attendance, Bench, BoardReading, Jog, Live, Observation, Refused, Trouble,
     finding::{failed, require},

@@ -3,9 +3,10 @@
 
 use super::{
     car::{Car, armed},
-    kill, request,
+    kill,
     request::change,
     spin::mean_speed,
+    stand,
 };
 use crate::{
     Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
@@ -32,7 +33,7 @@ const MEASURE_S: f64 = 4.0;
 
 fn find(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     // In every run: the car may have been put down after an interruption.
-    request::find(bench)?;
+    stand::find(bench)?;
     let kill = kill::find(bench)?;
     let at_rest = Car::look(bench)?.watch(REST_S, "at rest")?;
     let mut levels = vec![level(0.0, &[at_rest])?];

@@ -15,9 +15,11 @@ mod imu_noise;
 mod kill;
 mod motor;
 mod neutral;
+mod place;
 mod questions;
 mod request;
 mod spin;
+mod stand;
 mod steering;
 mod stops;
 
@@ -31,7 +33,7 @@ pub const STEPS: &[Step] = &steps_with::<60>();
 #[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
-        request::STEP,
+        stand::STEP,
         kill::STEP,
         neutral::step_with::<NEUTRAL_S>(),
         steering::DIRECTION,

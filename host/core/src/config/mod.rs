@@ -42,7 +42,7 @@ pub use fence::FenceSection;
 pub use fence::GovernorSection;
 pub use fence::NeighboursSection;
 pub use fence::SafetyFilterSection;
-pub use loop_model::LoopModel;
+pub use loop_model::{LoopModel, LqiWeights, MpcWeights};
 pub use meta::record_meta;
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
@@ -51,7 +51,6 @@ pub use motion_capture::{
 pub use outer_loop::CompensationSection;
 pub use outer_loop::OuterLoopSection;
 pub use outer_loop::{LawKind, LawSection};
-pub use outer_loop::{LqiWeights, MpcWeights};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
 pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
 pub use restart_keys::restart_keys;

@@ -309,17 +309,23 @@ impl Reader {
         let Some(Recorded { topic, .. }) = self.at else {
             return Ok(None);
         };
-        let decoded = match (topic, self.events_at) {
-            (Topic::Tick, Some(list_at)) => {
-                let mut head = self.content.get(..list_at).unwrap_or_default().to_vec();
-                head.extend([0; LENGTH]);
-                Entry::decode(topic, &head)
+        let events_at = self.events_at.filter(|_| topic == Topic::Tick);
+        let head = events_at.and_then(|at| self.content.split_at_mut_checked(at + LENGTH));
+        let decoded = match head {
+            Some((head, _)) => {
+                let encoded = head.last_chunk_mut::<LENGTH>().map(mem::take);
+                let decoded = Entry::decode(topic, head);
+                if let (Some(length), Some(encoded)) = (head.last_chunk_mut(), encoded) {
+                    *length = encoded;
+                }
+                decoded
             }
-            _ => Entry::decode(topic, &self.content),
+            None => Entry::decode(topic, &self.content),
         };
-        decoded
-            .map(Some)
-            .map_err(|reason| self.invalid(topic, &reason))
+        match decoded {
+            Ok(entry) => Ok(Some(entry)),
+            Err(reason) => Err(self.invalid(topic, &reason)),
+        }
     }
 
     /// Adds the message that [`Reader::advance`] went to to `json`, as

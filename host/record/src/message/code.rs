@@ -12,8 +12,8 @@ use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopC
 use singletrack_words::words;
 
 use super::{
-    Definition,
-    field::{Field, InvalidMessage, Represents},
+    Definition, InvalidMessage,
+    field::{Field, Represents},
 };
 use crate::{
     Level, LinkPhase,

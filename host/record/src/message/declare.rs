@@ -3,7 +3,7 @@
 use byteorder::LittleEndian;
 use serde::{Serialize, de::DeserializeOwned};
 
-use super::{Definition, field::InvalidMessage};
+use super::{Definition, InvalidMessage};
 use crate::value::Visitor;
 
 /// The package that all messages belong to.
@@ -109,7 +109,7 @@ macro_rules! fields {
 
             fn parse(
                 object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::field::InvalidMessage> {
+            ) -> Result<Self, $crate::message::InvalidMessage> {
                 use $crate::message::field::Field;
                 Ok(Self { $( $field: <$kind as Field>::parse(stringify!($field), object)?, )* })
             }
@@ -130,7 +130,7 @@ macro_rules! fields {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::field::InvalidMessage> {
+            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
                 fields!(@value self $source {} $( $field $(= $part)? $(=> $function)?, )*)
             }
         }
@@ -177,7 +177,7 @@ macro_rules! array {
                 Self { $($field),* }
             }
 
-            fn value(self) -> Result<[$item; $length], $crate::message::field::InvalidMessage> {
+            fn value(self) -> Result<[$item; $length], $crate::message::InvalidMessage> {
                 Ok([$(self.$field),*])
             }
         }
@@ -222,7 +222,7 @@ macro_rules! message {
             fn parse(
                 name: &'static str,
                 object: &serde_json::Value,
-            ) -> Result<Self, $crate::message::field::InvalidMessage> {
+            ) -> Result<Self, $crate::message::InvalidMessage> {
                 $crate::message::declare::Fields::parse(&object[name])
             }
         }
@@ -271,7 +271,7 @@ macro_rules! choice {
                 }
             }
 
-            fn value(self) -> Result<$source, $crate::message::field::InvalidMessage> {
+            fn value(self) -> Result<$source, $crate::message::InvalidMessage> {
                 let part = $crate::message::field::Part($what);
                 Ok(match self.kind.0 {
                     $($kind::$variant => $source::$variant $((part.take(self.$field, $part)?))?,)*

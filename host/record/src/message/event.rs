@@ -10,11 +10,10 @@ use singletrack_pilot::{
 };
 
 use super::{
+    InvalidMessage,
     code::{Code, OptionalCode},
     declare::{Fields, choice, fields, message},
-    field::{
-        GainMessage, Group, InvalidMessage, Maybe, Part, PointMessage, Represents, VelocityMessage,
-    },
+    field::{GainMessage, Group, Maybe, Part, PointMessage, Represents, VelocityMessage},
 };
 
 choice! {

@@ -6,7 +6,7 @@ use singletrack_control::{Position, Time, Velocity};
 use singletrack_protocol::Sequence;
 
 use super::{
-    Definition,
+    Definition, InvalidMessage,
     declare::{Fields, Message, declare, fields, message},
 };
 use crate::value::{Value, Visitor};
@@ -42,22 +42,6 @@ pub(crate) trait Represents<T>: Sized {
     ///
     /// When no value has it.
     fn value(self) -> Result<T, InvalidMessage>;
-}
-
-/// A message that no entry of a record has as its form.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum InvalidMessage {
-    #[error("{count} events in a tick, which has at most {max}")]
-    TooManyEvents { count: usize, max: usize },
-    #[error("{kind} without {part}")]
-    PartMissing {
-        kind: &'static str,
-        part: &'static str,
-    },
-    #[error("a count of {0}, which is more than this machine can represent")]
-    CountTooLarge(u64),
-    #[error("{0} is missing, or not of its type")]
-    Field(&'static str),
 }
 
 /// Takes the parts that a message of a certain kind must have, here named for errors.

@@ -8,9 +8,10 @@ use singletrack_protocol::{
 };
 
 use super::{
+    InvalidMessage,
     code::{BindingKind, Code, OptionalCode, PoseKind},
     declare::{Fields, array, fields, message},
-    field::{Group, InvalidMessage, Maybe, Part, Represents},
+    field::{Group, Maybe, Part, Represents},
 };
 use crate::{ConfigurationRecord, Drops, Level, Log, StatusRecord, TelemetryRecord};
 

@@ -6,10 +6,11 @@ use singletrack_pilot::{
 };
 
 use super::{
+    InvalidMessage,
     code::{Code, OptionalCode},
     declare::{fields, message},
     event::{EventMessage, JogMessage, StampMessage},
-    field::{GainMessage, Group, InvalidMessage, Maybe, PointMessage, Represents, VelocityMessage},
+    field::{GainMessage, Group, Maybe, PointMessage, Represents, VelocityMessage},
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
 

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::{
     fit::Fit,
     parameter::{self, Parameter, Values},
-    problem::Settings,
+    settings::Settings,
 };
 
 /// An estimated parameter.

@@ -6,11 +6,11 @@ use num_dual::DualSVec64;
 use singletrack_control::{Tyres, wrap};
 
 use super::{
+    channel::Channel,
     data::{DriveData, ServoTarget, Span},
     model::Model,
     noise::NoiseLevels,
     parameter::{Parameter, Values},
-    problem::Channel,
     timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 

@@ -11,7 +11,7 @@ use super::{
     parameter::{Parameter, Values},
     predictor::Prediction,
     problem::Problem,
-    problem::Settings,
+    settings::Settings,
     uncertainty::{BLOCK, Spread, bounds, spread},
 };
 

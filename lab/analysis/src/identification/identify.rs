@@ -13,9 +13,9 @@ use super::{
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     plausibility,
-    problem::{Criterion, Settings},
     residuals::{self, Residuals},
     score::Score,
+    settings::{Criterion, Settings},
     simulation::{self, Inputs, SimulationPoint},
     warning::{self, Warning},
 };

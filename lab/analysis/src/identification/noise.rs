@@ -3,8 +3,8 @@
 use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
 use super::{
+    channel::Channel,
     data::{DriveData, Span},
-    problem::Channel,
 };
 
 /// Standard deviations of measurement and process noise.

@@ -1,9 +1,9 @@
 //! The noise levels under which a drive is most likely.
 
 use super::{
+    channel::Channel,
     filter::FilterRun,
     noise::{LEAST_FORCE, NoiseLevels},
-    problem::Channel,
 };
 
 impl NoiseLevels {

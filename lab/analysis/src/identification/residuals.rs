@@ -1,6 +1,6 @@
 //! Prediction errors by channel, and their autocorrelation.
 
-use super::{fit::Fit, problem::Channel};
+use super::{channel::Channel, fit::Fit};
 
 /// The prediction errors of a channel.
 #[derive(Clone, Debug, PartialEq)]

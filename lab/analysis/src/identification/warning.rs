@@ -3,15 +3,15 @@
 use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
+    channel::Channel,
     data::Span,
     estimate::Estimate,
     filter::TrackPoint,
     fit::Fit,
     parameter::Parameter,
-    problem::Channel,
-    problem::Criterion,
     residuals::Residuals,
     score::{Output, Score},
+    settings::Criterion,
 };
 
 /// A reason to doubt an identification.

@@ -217,7 +217,7 @@ impl Invariant for Waits {
             match event {
                 // One that comes in a drive is without effect.
                 Event::Request(PilotRequest::Arm(Arming::Waiting)) => {
-                    self.waiting |= !self.underway
+                    self.waiting |= !self.underway;
                 }
                 Event::Request(PilotRequest::Arm(_)) => {
                     self.waiting &= self.underway;

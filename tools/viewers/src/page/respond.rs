@@ -18,8 +18,8 @@ use tokio::{
 
 use super::{
     request::{BadRequest, Request},
-    server::Shared,
-    server::asset,
+    shared::Shared,
+    shared::asset,
 };
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow

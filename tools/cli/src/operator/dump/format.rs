@@ -71,60 +71,54 @@ impl<'a, W: Write> Printer<'a, W> {
         for name in wanted {
             check_field(kinds, name)?;
         }
-        let mut chosen = kinds.iter().filter(|kind| kind.chosen);
-        let only = chosen.next().filter(|_| chosen.next().is_none());
-        let names = |names: &[&str]| names.iter().map(ToString::to_string).collect::<Vec<_>>();
-        let (header, columns): (_, Vec<_>) = match (only, wanted) {
-            _ if format == Format::Json => {
-                let time = names(&[TIME]);
-                let columns = kinds.iter().map(|kind| match wanted {
-                    [] => columns(kind, &[&time, kind.own_fields()].concat()),
-                    wanted => columns(kind, wanted),
-                });
-                (Vec::new(), columns.collect())
-            }
-            (Some(only), wanted) => {
-                let header = match wanted {
-                    [] => shown_fields(only, format),
-                    wanted => wanted.to_vec(),
-                };
-                let columns = kinds.iter().map(|kind| columns(kind, &header)).collect();
-                (header, columns)
-            }
-            (None, []) => {
-                let mut header = names(&[TIME, "offset", "length"]);
+        let json = format == Format::Json;
+        let chosen: Vec<_> = kinds.iter().filter(|kind| kind.chosen).collect();
+        let several = chosen.len() != 1;
+        let header: Vec<_> = match (chosen.as_slice(), wanted) {
+            ([only], []) if format == Format::Table => only.brief.clone(),
+            ([only], []) => only.own_fields().to_vec(),
+            ([_], wanted) => wanted.to_vec(),
+            (_, []) => {
                 // Every frame has an offset and a length.
-                header.retain(|name| kinds.iter().all(|kind| kind.index(name).is_some()));
-                let columns = kinds.iter().map(|kind| {
-                    let mut content = shown_fields(kind, format);
-                    content.retain(|name| !header.contains(name));
-                    let content = content.iter().filter_map(|name| kind.index(name)).collect();
-                    let mut columns = columns(kind, &header);
-                    columns.extend([Column::Topic, Column::Content(content)]);
-                    columns
-                });
-                let columns = columns.collect();
-                header.extend(names(&["topic", "content"]));
-                (header, columns)
+                let in_all = |name: &&str| kinds.iter().all(|kind| kind.index(name).is_some());
+                let leading = [TIME, "offset", "length"].into_iter().filter(in_all);
+                let header = leading.chain(["topic", "content"]);
+                header.map(ToOwned::to_owned).collect()
             }
-            (None, wanted) => {
-                let columns = kinds.iter().map(|kind| {
-                    let fields = columns(kind, wanted);
-                    [Column::Topic].into_iter().chain(fields).collect()
-                });
-                let columns = columns.collect();
-                ([&names(&["topic"]), wanted].concat(), columns)
+            (_, wanted) => [&["topic".to_owned()], wanted].concat(),
+        };
+        let columns = |kind: &Kind| -> Vec<Column> {
+            let own = 0..kind.own_fields().len();
+            if json && wanted.is_empty() {
+                return [own.end]
+                    .into_iter()
+                    .chain(own)
+                    .map(Column::Field)
+                    .collect();
             }
+            let column = |name: &String| match name.as_str() {
+                "topic" if several => Column::Topic,
+                "content" if several => {
+                    let shown = match format {
+                        Format::Table => &kind.brief,
+                        Format::Json | Format::Csv => kind.own_fields(),
+                    };
+                    let content = shown.iter().filter(|name| !header.contains(name));
+                    Column::Content(content.filter_map(|name| kind.index(name)).collect())
+                }
+                name => kind.index(name).map_or(Column::Nothing, Column::Field),
+            };
+            header.iter().map(column).collect()
         };
         let mut printer = Self {
             output,
             format,
             kinds,
-            whole: entries && format == Format::Json && wanted.is_empty(),
+            whole: entries && json && wanted.is_empty(),
             widths: header.iter().map(|name| name.len().max(8)).collect(),
             text: String::new(),
             cell: String::new(),
-            columns,
+            columns: kinds.iter().map(columns).collect(),
         };
         let text = &mut printer.text;
         match format {
@@ -229,21 +223,6 @@ impl<'a, W: Write> Printer<'a, W> {
     }
 }
 
-/// The fields that a table or CSV shows of a kind by itself.
-fn shown_fields(kind: &Kind, format: Format) -> Vec<String> {
-    if format == Format::Table && !kind.brief.is_empty() {
-        kind.brief.iter().map(ToString::to_string).collect()
-    } else {
-        kind.own_fields().to_vec()
-    }
-}
-
-/// A column for each of the fields.
-fn columns(kind: &Kind, names: &[String]) -> Vec<Column> {
-    let column = |name: &String| kind.index(name).map_or(Column::Nothing, Column::Field);
-    names.iter().map(column).collect()
-}
-
 impl Column {
     /// Adds its cell in a row of this kind with these values, each as `push` writes it.
     fn push_to(
@@ -251,7 +230,7 @@ impl Column {
         cell: &mut String,
         kind: &Kind,
         values: &[Value],
-        push: fn(&Value, &mut String),
+        push: impl Fn(&Value, &mut String),
     ) {
         match self {
             Self::Topic => cell.push_str(kind.name),
@@ -263,7 +242,9 @@ impl Column {
                         continue;
                     };
                     if *value != Value::Absent {
-                        cell.extend([gap, name, "="]);
+                        for part in [gap, name, "="] {
+                            cell.push_str(part);
+                        }
                         push(value, cell);
                         gap = " ";
                     }

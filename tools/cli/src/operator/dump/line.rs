@@ -12,9 +12,10 @@ use std::{
 
 use clap::ValueEnum;
 use singletrack_protocol::{
-    Acknowledgement, Arm, Configure, DecodeError, Decoder, Disarm, Drive, EmergencyStop, EscKind,
-    FailsafeAction, FrameError, Hello, Identity, ImuAxis, Jog, MAX_PAYLOAD_LENGTH, Packet, Refusal,
-    RefusalReason, Request, Sequence, ToBoard, ToHost, VERSION,
+    Acknowledgement, Arm, Configuration, Configure, DecodeError, Decoder, Disarm, Drive,
+    EmergencyStop, EscKind, FailsafeAction, FrameError, Hello, Identity, ImuAxis, Jog,
+    MAX_PAYLOAD_LENGTH, Packet, Refusal, RefusalReason, Request, Sequence, Status, Telemetry,
+    ToBoard, ToHost, VERSION,
 };
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, Topic, Value};
 use singletrackd::serial_port::{self, ReadHalf};
@@ -51,17 +52,21 @@ pub(super) enum Content {
     /// A message of the host.
     ToBoard(ToBoard),
     /// No frame.
-    Broken {
-        /// Why, in a word.
-        reason: &'static str,
-        /// Why, in a sentence.
-        detail: String,
-        /// Its first bytes.
-        bytes: Vec<u8>,
-    },
+    Broken(Broken),
 }
 
-/// The form of a field of a message in which it is printed.
+/// Bytes that are not a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Broken {
+    /// Why, in a word.
+    pub(super) reason: &'static str,
+    /// Why, in a sentence.
+    detail: String,
+    /// Its first bytes.
+    bytes: Vec<u8>,
+}
+
+/// The form of a field in which it is printed.
 trait Show {
     fn show(&self) -> Value;
 }
@@ -84,33 +89,124 @@ show! {
     Sequence => |value| Value::Unsigned(value.0.into());
     EscKind, FailsafeAction, ImuAxis, RefusalReason, Request =>
         |value| Value::Text(value.name().into());
-    String => |value| Value::Text(value.clone().into());
+    // A version.
+    [u8; 3] => |value| Value::Text(value.map(|part| part.to_string()).join(".").into());
 }
 
-/// Gives each of the places, with its text as its name.
-macro_rules! give {
-    ($field:ident: $($place:expr),* $(,)?) => {
-        {$($field(stringify!($place), $place.show());)*}
-    };
+/// The fields of a message, by their names.
+trait Fields {
+    /// Gives each to `field`.
+    fn fields(&self, field: &mut dyn FnMut(&str, Value));
+}
+
+macro_rules! fields {
+    ($($message:ident: $($first:ident $(. $next:ident)*),*;)*) => {$(
+        impl Fields for $message {
+            fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+                $(field(
+                    concat!(stringify!($first) $(, ".", stringify!($next))*),
+                    self.$first $(. $next)* .show(),
+                );)*
+            }
+        }
+    )*};
+}
+
+fields! {
+    Hello: protocol_version, software_version, nonce;
+    Acknowledgement: request, sequence, configuration_hash;
+    Refusal: request, sequence, reason;
+    Identity: car_id;
+    Configuration: esc.kind, servo.centre_us, servo.gain_us_per_rad, servo.min_us, servo.max_us,
+        servo.slew_us_per_20ms, esc.neutral_us, esc.deadband_us, esc.min_us, esc.max_us,
+        esc.slew_us_per_20ms, esc.brake_us, speed.pulse_distance_um, speed.feed_forward_us_per_m_s,
+        speed.proportional_us_per_m_s, speed.integral_us_per_m, speed.integral_limit_us,
+        speed.max_forward_mm_s, speed.max_reverse_mm_s, failsafe, max_pose_age_ms, stop_input,
+        kill_output, max_roll_out_ms, car_id, imu_axes.forward, imu_axes.left, imu_axes.up;
+    Arm: request, configuration_hash, telemetry_time_us;
+    Disarm: request;
+    EmergencyStop: request;
+    Drive: sequence, speed_mm_s, steering_100urad, telemetry_time_us, pose_age_ms, brake;
+    Jog: sequence, telemetry_time_us, servo_us, esc_us;
+}
+
+impl Fields for Configure {
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        field("request", self.request.show());
+        field("configuration_hash", self.configuration.hash().show());
+        self.configuration.fields(field);
+    }
+}
+
+impl Fields for Entry {
+    /// The fields that come over the line: all from the board's clock on. The host adds those
+    /// before.
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        let names = self.topic().fields();
+        let fields = names.iter().zip(self.values());
+        for (name, value) in fields.skip_while(|(name, _)| *name != "board_time_us") {
+            field(name, value);
+        }
+    }
+}
+
+impl Fields for Telemetry {
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        let record = TelemetryRecord {
+            receive_time_ns: 0,
+            board_time_host_ns: 0,
+            imu_time_host_ns: None,
+            telemetry: *self,
+        };
+        Entry::Telemetry(record).fields(field);
+    }
+}
+
+impl Fields for Status {
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        let record = StatusRecord {
+            receive_time_ns: 0,
+            status: *self,
+        };
+        Entry::Status(record).fields(field);
+    }
+}
+
+impl Fields for Broken {
+    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
+        let mut bytes: Vec<_> = self
+            .bytes
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        if bytes.len() == SHOWN_BYTES {
+            bytes.push("...".to_owned());
+        }
+        field("reason", Value::Text(self.reason.into()));
+        field("detail", Value::Text(self.detail.clone().into()));
+        field("bytes", Value::Text(bytes.join(" ").into()));
+    }
 }
 
 impl Content {
-    /// The name of its kind.
-    const fn name(&self) -> &'static str {
+    /// The name of its kind, and its fields.
+    const fn message(&self) -> (&'static str, &dyn Fields) {
         match self {
-            Self::ToHost(ToHost::Hello(_)) | Self::ToBoard(ToBoard::Hello(_)) => "hello",
-            Self::ToHost(ToHost::Telemetry(_)) => Topic::Telemetry.name(),
-            Self::ToHost(ToHost::Status(_)) => Topic::Status.name(),
-            Self::ToHost(ToHost::Acknowledgement(_)) => "acknowledgement",
-            Self::ToHost(ToHost::Refusal(_)) => "refusal",
-            Self::ToHost(ToHost::Identity(_)) => "identity",
-            Self::ToBoard(ToBoard::Configure(_)) => "configure",
-            Self::ToBoard(ToBoard::Arm(_)) => "arm",
-            Self::ToBoard(ToBoard::Disarm(_)) => "disarm",
-            Self::ToBoard(ToBoard::Drive(_)) => "drive",
-            Self::ToBoard(ToBoard::EmergencyStop(_)) => "emergency-stop",
-            Self::ToBoard(ToBoard::Jog(_)) => "jog",
-            Self::Broken { .. } => "broken",
+            Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
+                ("hello", hello)
+            }
+            Self::ToHost(ToHost::Telemetry(telemetry)) => (Topic::Telemetry.name(), telemetry),
+            Self::ToHost(ToHost::Status(status)) => (Topic::Status.name(), status),
+            Self::ToHost(ToHost::Acknowledgement(answer)) => ("acknowledgement", answer),
+            Self::ToHost(ToHost::Refusal(answer)) => ("refusal", answer),
+            Self::ToHost(ToHost::Identity(identity)) => ("identity", identity),
+            Self::ToBoard(ToBoard::Configure(configure)) => ("configure", configure),
+            Self::ToBoard(ToBoard::Arm(arm)) => ("arm", arm),
+            Self::ToBoard(ToBoard::Disarm(disarm)) => ("disarm", disarm),
+            Self::ToBoard(ToBoard::Drive(drive)) => ("drive", drive),
+            Self::ToBoard(ToBoard::EmergencyStop(stop)) => ("emergency-stop", stop),
+            Self::ToBoard(ToBoard::Jog(jog)) => ("jog", jog),
+            Self::Broken(broken) => ("broken", broken),
         }
     }
 
@@ -124,137 +220,6 @@ impl Content {
             Self::ToBoard(ToBoard::Arm(arm)) => Some(arm.telemetry_time_us),
             _ => None,
         }
-    }
-
-    /// Gives its fields with their names.
-    fn fields(&self, field: &mut dyn FnMut(&str, Value)) {
-        match self {
-            Self::ToHost(ToHost::Hello(hello)) | Self::ToBoard(ToBoard::Hello(hello)) => {
-                let Hello {
-                    protocol_version,
-                    software_version,
-                    nonce,
-                } = hello;
-                let [major, minor, patch] = software_version;
-                let software_version = format!("{major}.{minor}.{patch}");
-                give!(field: protocol_version, software_version, nonce);
-            }
-            Self::ToHost(ToHost::Telemetry(telemetry)) => {
-                let record = TelemetryRecord {
-                    receive_time_ns: 0,
-                    board_time_host_ns: 0,
-                    imu_time_host_ns: None,
-                    telemetry: *telemetry,
-                };
-                recorded(&Entry::Telemetry(record), field);
-            }
-            Self::ToHost(ToHost::Status(status)) => {
-                let record = StatusRecord {
-                    receive_time_ns: 0,
-                    status: *status,
-                };
-                recorded(&Entry::Status(record), field);
-            }
-            Self::ToHost(ToHost::Acknowledgement(answer)) => {
-                let Acknowledgement {
-                    request,
-                    sequence,
-                    configuration_hash,
-                } = answer;
-                give!(field: request, sequence, configuration_hash);
-            }
-            Self::ToHost(ToHost::Refusal(Refusal {
-                request,
-                sequence,
-                reason,
-            })) => {
-                give!(field: request, sequence, reason);
-            }
-            Self::ToHost(ToHost::Identity(Identity { car_id })) => give!(field: car_id),
-            Self::ToBoard(ToBoard::Configure(Configure {
-                request,
-                configuration,
-            })) => {
-                let configuration_hash = configuration.hash();
-                let singletrack_protocol::Configuration {
-                    servo,
-                    esc,
-                    speed,
-                    failsafe,
-                    max_pose_age_ms,
-                    stop_input,
-                    kill_output,
-                    max_roll_out_ms,
-                    car_id,
-                    imu_axes,
-                } = configuration;
-                give!(field: request, configuration_hash, esc.kind);
-                give!(field: servo.centre_us, servo.gain_us_per_rad, servo.min_us, servo.max_us);
-                give!(field: servo.slew_us_per_20ms, esc.neutral_us, esc.deadband_us, esc.min_us);
-                give!(field: esc.max_us, esc.slew_us_per_20ms, esc.brake_us);
-                give!(field: speed.pulse_distance_um, speed.feed_forward_us_per_m_s);
-                give!(field: speed.proportional_us_per_m_s, speed.integral_us_per_m);
-                give!(field: speed.integral_limit_us, speed.max_forward_mm_s);
-                give!(field: speed.max_reverse_mm_s, failsafe, max_pose_age_ms, stop_input);
-                give!(field: kill_output, max_roll_out_ms, car_id);
-                give!(field: imu_axes.forward, imu_axes.left, imu_axes.up);
-            }
-            Self::ToBoard(ToBoard::Arm(arm)) => {
-                let Arm {
-                    request,
-                    configuration_hash,
-                    telemetry_time_us,
-                } = arm;
-                give!(field: request, configuration_hash, telemetry_time_us);
-            }
-            Self::ToBoard(
-                ToBoard::Disarm(Disarm { request })
-                | ToBoard::EmergencyStop(EmergencyStop { request }),
-            ) => give!(field: request),
-            Self::ToBoard(ToBoard::Drive(drive)) => {
-                let Drive {
-                    sequence,
-                    speed_mm_s,
-                    steering_100urad,
-                    telemetry_time_us,
-                    pose_age_ms,
-                    brake,
-                } = drive;
-                give!(field: sequence, speed_mm_s, steering_100urad, telemetry_time_us);
-                give!(field: pose_age_ms, brake);
-            }
-            Self::ToBoard(ToBoard::Jog(jog)) => {
-                let Jog {
-                    sequence,
-                    telemetry_time_us,
-                    servo_us,
-                    esc_us,
-                } = jog;
-                give!(field: sequence, telemetry_time_us, servo_us, esc_us);
-            }
-            Self::Broken {
-                reason,
-                detail,
-                bytes,
-            } => {
-                let mut bytes: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
-                if bytes.len() == SHOWN_BYTES {
-                    bytes.push("...".to_owned());
-                }
-                let (reason, bytes) = ((*reason).to_owned(), bytes.join(" "));
-                give!(field: reason, detail, bytes);
-            }
-        }
-    }
-}
-
-/// Gives the fields of a record's entry that come over the line: all from the board's clock on.
-/// The host adds those before.
-fn recorded(entry: &Entry, field: &mut dyn FnMut(&str, Value)) {
-    let names = entry.topic().fields();
-    let fields = names.iter().zip(entry.values());
-    for (name, value) in fields.skip_while(|(name, _)| *name != "board_time_us") {
-        field(name, value);
     }
 }
 
@@ -280,26 +245,26 @@ pub(super) fn kinds(direction: Direction) -> Vec<Kind> {
     let broken = broken("", String::new(), &[]);
     let examples = (0..=u8::MAX).filter_map(example).chain([broken]);
     let kind = |content: Content| {
+        let (name, message) = content.message();
         let mut fields = vec!["offset".to_owned(), "length".to_owned()];
-        content.fields(&mut |name, _| fields.push(name.to_owned()));
+        message.fields(&mut |name, _| fields.push(name.to_owned()));
         let brief = match content {
             Content::ToHost(ToHost::Telemetry(_)) => {
-                [&["offset", "length", "board_time_us"], TELEMETRY].concat()
+                &format!("offset length board_time_us {TELEMETRY}")
             }
-            _ => Vec::new(),
+            _ => "",
         };
-        Kind::new(content.name(), fields, brief)
+        Kind::new(name, fields, brief)
     };
     examples.map(kind).collect()
 }
 
 fn broken(reason: &'static str, detail: String, bytes: &[u8]) -> Content {
-    let bytes = bytes.to_owned();
-    Content::Broken {
+    Content::Broken(Broken {
         reason,
         detail,
-        bytes,
-    }
+        bytes: bytes.to_owned(),
+    })
 }
 
 /// A stretch of bytes up to a zero.
@@ -312,18 +277,18 @@ struct Found {
 }
 
 /// The frames of a line.
-pub(super) struct Line {
+pub(super) struct Line<'a> {
     name: String,
     input: Input,
     clock: Clock,
+    kinds: &'a [Kind],
+    direction: Direction,
     follow: bool,
     received: Vec<u8>,
     /// The next byte in `received`.
     at: usize,
-    /// There is no more to read.
+    /// There is no more to read: a capture is read, or a port hung up.
     ended: bool,
-    hung_up: bool,
-    direction: Direction,
     decoder: Decoder,
     /// Bytes taken.
     taken: u64,
@@ -335,12 +300,11 @@ pub(super) struct Line {
     other_version: Option<u16>,
     /// How many frames were whole.
     whole: u64,
-    /// The names of the kinds, in their order.
-    names: Vec<&'static str>,
     found: Option<Found>,
 }
 
-enum Input {
+/// Where the bytes come from.
+pub(super) enum Input {
     Serial(ReadHalf),
     File(File),
 }
@@ -376,67 +340,56 @@ impl Clock {
     }
 }
 
-impl Line {
+impl Input {
     /// Opens a serial port, and never writes to it.
-    pub(super) fn serial(
-        path: &Path,
-        baud: u32,
-        direction: Direction,
-        kinds: &[Kind],
-    ) -> Result<Self, DumpError> {
+    pub(super) fn serial(path: &Path, baud: u32) -> Result<Self, DumpError> {
         // The half that writes is closed unused.
         let (read, _) = serial_port::open(path, baud)?;
-        let name = path.display().to_string();
-        let clock = Clock::Arrival {
-            start: Instant::now(),
-            start_wall_ns: wall_ns(),
-        };
-        Ok(Self::new(
-            name,
-            Input::Serial(read),
-            clock,
-            direction,
-            kinds,
-        ))
+        Ok(Self::Serial(read))
     }
 
-    /// Takes the line's bytes from a capture: a file, or standard input.
-    pub(super) fn capture(
+    /// A capture with this name: a file, or standard input.
+    pub(super) fn capture(name: &str, file: io::Result<File>) -> Result<Self, DumpError> {
+        file.map(Self::File)
+            .map_err(|error| unreadable(name, &error))
+    }
+}
+
+impl<'a> Line<'a> {
+    /// The frames of `kinds`, which are those of the direction.
+    pub(super) fn new(
         name: String,
-        file: io::Result<File>,
+        input: Input,
         direction: Direction,
-        kinds: &[Kind],
+        kinds: &'a [Kind],
         follow: bool,
-    ) -> Result<Self, DumpError> {
-        let file = file.map_err(|error| unreadable(&name, &error))?;
-        let clock = Clock::Board {
-            last_us: None,
-            since_us: 0,
+    ) -> Self {
+        let clock = match input {
+            Input::Serial(_) => Clock::Arrival {
+                start: Instant::now(),
+                start_wall_ns: wall_ns(),
+            },
+            Input::File(_) => Clock::Board {
+                last_us: None,
+                since_us: 0,
+            },
         };
-        Ok(Self {
-            follow,
-            ..Self::new(name, Input::File(file), clock, direction, kinds)
-        })
-    }
-
-    fn new(name: String, input: Input, clock: Clock, direction: Direction, kinds: &[Kind]) -> Self {
         Self {
             name,
             input,
             clock,
-            follow: false,
+            kinds,
+            direction,
+            follow,
             received: Vec::new(),
             at: 0,
             ended: false,
-            hung_up: false,
-            direction,
             decoder: Decoder::new(),
             taken: 0,
             begin: 0,
             bytes: Vec::new(),
             other_version: None,
             whole: 0,
-            names: kinds.iter().map(|kind| kind.name).collect(),
             found: None,
         }
     }
@@ -511,7 +464,7 @@ impl Line {
         self.begin = self.taken;
         self.bytes.clear();
         let content = content?;
-        self.whole += u64::from(!matches!(content, Content::Broken { .. }));
+        self.whole += u64::from(!matches!(content, Content::Broken(_)));
         Some(Found {
             offset,
             length: self.taken - offset,
@@ -525,7 +478,7 @@ fn unreadable(name: &str, error: &io::Error) -> DumpError {
     DumpError::Other(format!("can't read {name}: {error}"))
 }
 
-impl Source for Line {
+impl Source for Line<'_> {
     fn start_wall_ns(&self) -> Option<u64> {
         match self.clock {
             Clock::Arrival { start_wall_ns, .. } => start_wall_ns,
@@ -548,8 +501,8 @@ impl Source for Line {
             }
             return Ok(Next::End);
         };
-        let name = found.content.name();
-        let kind = self.names.iter().position(|known| *known == name);
+        let (name, _) = found.content.message();
+        let kind = self.kinds.iter().position(|kind| kind.name == name);
         let time_ns = self.clock.date(&found.content);
         self.found = Some(found);
         Ok(Next::Row(Row {
@@ -573,7 +526,6 @@ impl Source for Line {
             Input::Serial(port) => match port.read(&mut self.received) {
                 // Unplugged, or the other end of a pseudo-terminal is closed.
                 Some(Ok(0) | Err(_)) => {
-                    self.hung_up = true;
                     self.ended = true;
                     Ok(0)
                 }
@@ -597,29 +549,27 @@ impl Source for Line {
         }
     }
 
-    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError> {
-        let found = self.found.as_ref();
-        Ok(found.map(|found| Message::Frame(&found.content)))
+    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
+        if let Some(found) = &self.found {
+            take(Message::Frame(&found.content));
+        }
+        Ok(())
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
         values.clear();
-        if let Some(Found {
-            offset,
-            length,
-            content,
-        }) = &self.found
-        {
-            values.extend([*offset, *length].map(Value::Unsigned));
-            content.fields(&mut |_, value| values.push(value));
+        if let Some(found) = &self.found {
+            values.extend([found.offset, found.length].map(Value::Unsigned));
+            let (_, message) = found.content.message();
+            message.fields(&mut |_, value| values.push(value));
         }
         Ok(())
     }
 
     fn close(&self) -> Close {
-        let hung_up = || format!("{}: the line hung up", self.name);
+        let hung_up = self.ended && matches!(self.input, Input::Serial(_));
         Close {
-            note: self.hung_up.then(hung_up),
+            note: hung_up.then(|| format!("{}: the line hung up", self.name)),
             line_bytes: Some(self.taken),
             ..Close::default()
         }

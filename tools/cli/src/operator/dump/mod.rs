@@ -26,7 +26,7 @@ use singletrackd::serial_port::PortError;
 use crate::operator::control::ControlArgs;
 use crate::{arguments::parse_duration, interrupt::Interrupt};
 use format::Printer;
-use line::Line;
+use line::{Input, Line};
 use moment::Range;
 use select::{Filter, Kind};
 use source::{Close, Live, Next, Place, Record, Row, Source};
@@ -309,9 +309,7 @@ impl<W: Write> Sink<'_, W> {
         match self {
             Self::Print(printer) => printer.print(row, values, source)?,
             Self::Count(stats, _) => {
-                if let Some(message) = source.message()? {
-                    stats.add(row, message);
-                }
+                source.take_message(&mut |message| stats.add(row, message))?;
             }
         }
         Ok(())
@@ -379,17 +377,22 @@ fn pump<W: Write>(
     Ok(())
 }
 
-fn open(args: &DumpArgs, place: &Place, kinds: &[Kind]) -> Result<Box<dyn Source>, DumpError> {
-    let (direction, follow, name) = (args.direction, args.follow, place.to_string());
-    let capture = |file, follow| Line::capture(name, file, direction, kinds, follow);
-    Ok(match place {
-        Place::Record(path) => Box::new(Record::open(path, kinds, follow)?),
-        Place::Live => Box::new(Live::connect(&args.control.socket, kinds)?),
-        Place::Serial(path) => Box::new(Line::serial(path, args.baud, direction, kinds)?),
-        Place::Raw(path) => Box::new(capture(File::open(path), follow)?),
+fn open<'a>(
+    args: &DumpArgs,
+    place: &Place,
+    kinds: &'a [Kind],
+) -> Result<Box<dyn Source + 'a>, DumpError> {
+    let name = place.to_string();
+    let (input, follow) = match place {
+        Place::Record(path) => return Ok(Box::new(Record::open(path, kinds, args.follow)?)),
+        Place::Live => return Ok(Box::new(Live::connect(&args.control.socket, kinds)?)),
+        Place::Serial(path) => (Input::serial(path, args.baud)?, false),
+        Place::Raw(path) => (Input::capture(&name, File::open(path))?, args.follow),
         Place::Stdin => {
             let file = io::stdin().as_fd().try_clone_to_owned().map(File::from);
-            Box::new(capture(file, false)?)
+            (Input::capture(&name, file)?, false)
         }
-    })
+    };
+    let line = Line::new(name, input, args.direction, kinds, follow);
+    Ok(Box::new(line))
 }

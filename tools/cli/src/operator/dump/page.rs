@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use super::stats::{BoardCounters, Durations, ModeSpan, Report};
+use super::stats::{Durations, ModeSpan, Report};
 
 /// The longest bar of a histogram, in characters.
 const BAR: u64 = 50;
@@ -21,17 +21,17 @@ impl fmt::Display for Report {
         self.topics(page)?;
         self.line(page)?;
         self.counters(page)?;
-        if let Some(lateness) = self.lateness.as_ref().filter(|_| !self.brief) {
-            write!(page, "\n\nlateness of ticks, in us")?;
-            distribution(page, lateness)?;
-        }
-        let latency = self.capture_to_command.as_ref();
-        if let Some(latency) = latency.filter(|_| !self.brief) {
-            write!(
-                page,
-                "\n\nfrom mid-exposure to the command leaving, in us (ticks with a new pose)"
-            )?;
-            distribution(page, latency)?;
+        for (title, durations) in [
+            ("lateness of ticks, in us", &self.lateness),
+            (
+                "from mid-exposure to the command leaving, in us (ticks with a new pose)",
+                &self.capture_to_command,
+            ),
+        ] {
+            if let Some(durations) = durations.as_ref().filter(|_| !self.brief) {
+                write!(page, "\n\n{title}")?;
+                distribution(page, durations)?;
+            }
         }
         modes(page, "modes", &self.modes)?;
         modes(page, "modes of the board", &self.board_modes)?;
@@ -70,21 +70,17 @@ impl Report {
     fn line(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         let line = &self.line;
         if line.telemetry {
-            write!(
-                page,
-                "\n\ntelemetry lost on the line: {} of {}",
-                line.telemetry_lost,
-                line.telemetry_lost + self.count_of("telemetry"),
-            )?;
-            if let (Some(gap_ms), Some(at_s)) = (line.longest_gap_ms, line.longest_gap_at_s) {
+            let (lost, gaps, restarts) = (line.telemetry_lost, line.gaps, line.board_restarts);
+            let all = lost + self.count_of("telemetry");
+            write!(page, "\n\ntelemetry lost on the line: {lost} of {all}")?;
+            if let (Some(ms), Some(at_s)) = (line.longest_gap_ms, line.longest_gap_at_s) {
                 write!(
                     page,
-                    " (in {} gaps, the longest {gap_ms:.1} ms at {at_s:.3} s)",
-                    line.gaps
+                    " (in {gaps} gaps, the longest {ms:.1} ms at {at_s:.3} s)"
                 )?;
             }
-            if line.board_restarts > 0 {
-                write!(page, "; the board restarted {} times", line.board_restarts)?;
+            if restarts > 0 {
+                write!(page, "; the board restarted {restarts} times")?;
             }
         }
         if let Some(bytes) = line.bytes {
@@ -99,69 +95,59 @@ impl Report {
 
     fn counters(&self, page: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(board) = &self.board {
-            let names = BoardCounters::NAMES.map(|name| name.replace('_', " "));
-            let named = counts(names.iter().zip(&board.counts));
-            write!(page, "\nthe board counted: {named}")?;
-            let [_, _, drives_refused, ..] = board.counts;
-            if let Some(refusal) = board.last_refusal.filter(|_| drives_refused > 0) {
+            let counted = counts([
+                ("frames received", &board.frames_received),
+                ("frames damaged", &board.frames_damaged),
+                ("drives refused", &board.drives_refused),
+                ("frames dropped", &board.frames_dropped),
+                ("bytes overrun", &board.bytes_overrun),
+                ("imu errors", &board.imu_errors),
+            ]);
+            write!(page, "\nthe board counted: {counted}")?;
+            if let Some(refusal) = board.last_refusal.filter(|_| board.drives_refused > 0) {
                 write!(page, " (the last refusal: {refusal})")?;
             }
         }
         if let Some(poses) = &self.poses {
-            write!(
-                page,
-                "\nposes: {}; {} frames missing",
-                counts(&poses.states),
-                poses.frames_missing
-            )?;
-            if let (Some(gap_ms), Some(at_s)) = (
-                poses.longest_between_valid_ms,
-                poses.longest_between_valid_at_s,
-            ) {
+            let (states, missing) = (counts(&poses.states), poses.frames_missing);
+            write!(page, "\nposes: {states}; {missing} frames missing")?;
+            let longest = poses.longest_between_valid_ms;
+            if let Some((ms, at_s)) = longest.zip(poses.longest_between_valid_at_s) {
                 write!(
                     page,
-                    "; at most {gap_ms:.1} ms between valid ones, at {at_s:.3} s"
+                    "; at most {ms:.1} ms between valid ones, at {at_s:.3} s"
                 )?;
             }
         }
         if let Some(ticks) = &self.ticks {
-            write!(
-                page,
-                "\nticks: {} skipped, {} events dropped, {} without a new pose, {} commands not written",
-                ticks.skipped,
-                ticks.events_dropped,
-                ticks.without_new_pose,
-                ticks.commands_not_written,
-            )?;
+            let counted = counts([
+                ("skipped", &ticks.skipped),
+                ("events dropped", &ticks.events_dropped),
+                ("without a new pose", &ticks.without_new_pose),
+                ("commands not written", &ticks.commands_not_written),
+            ]);
+            write!(page, "\nticks: {counted}")?;
         }
-        if self.count_of("tick") > 0 || self.entries_dropped > 0 {
-            write!(
-                page,
-                "\nentries that did not reach the record: {}",
-                self.entries_dropped
-            )?;
+        let (dropped, missed) = (self.entries_dropped, self.missed);
+        if self.count_of("tick") > 0 || dropped > 0 {
+            write!(page, "\nentries that did not reach the record: {dropped}")?;
         }
-        if self.missed > 0 {
-            write!(
-                page,
-                "\nmissed, because they came faster than they were taken: {}",
-                self.missed
-            )?;
+        if missed > 0 {
+            let why = "because they came faster than they were taken";
+            write!(page, "\nmissed, {why}: {missed}")?;
         }
         Ok(())
     }
 
     fn count_of(&self, name: &str) -> u64 {
-        self.topics
-            .iter()
-            .find(|topic| topic.topic == name)
-            .map_or(0, |topic| topic.count)
+        let topic = self.topics.iter().find(|topic| topic.topic == name);
+        topic.map_or(0, |topic| topic.count)
     }
 }
 
-fn counts<'a>(counts: impl IntoIterator<Item = (&'a String, &'a u64)>) -> String {
+fn counts<'a, T: fmt::Display>(counts: impl IntoIterator<Item = (T, &'a u64)>) -> String {
+    let counts = counts.into_iter();
     let counts: Vec<_> = counts
-        .into_iter()
         .map(|(what, count)| format!("{count} {what}"))
         .collect();
     match counts.as_slice() {

@@ -17,63 +17,31 @@ pub(super) struct Kind {
     pub(super) name: &'static str,
     /// The paths of its fields, in the order of its values. The last one is [`TIME`].
     pub(super) fields: Vec<String>,
-    /// The fields that a table shows unless others are asked for; empty for all.
-    pub(super) brief: Vec<&'static str>,
+    /// The fields that a table shows unless others are asked for.
+    pub(super) brief: Vec<String>,
     /// Whether its rows are asked for.
     pub(super) chosen: bool,
 }
 
 /// The fields of telemetry that a table shows beside its time.
-pub(super) const TELEMETRY: &[&str] = &[
-    "mode",
-    "stop_cause",
-    "last_sequence",
-    "imu",
-    "forward_acceleration_mm_s2",
-    "left_acceleration_mm_s2",
-    "yaw_rate_mrad_s",
-    "motor_speed_mm_s",
-    "servo_us",
-    "esc_us",
-];
-
+pub(super) const TELEMETRY: &str = "mode stop_cause last_sequence imu forward_acceleration_mm_s2 \
+    left_acceleration_mm_s2 yaw_rate_mrad_s motor_speed_mm_s servo_us esc_us";
 /// The fields of a tick that a table shows.
-const TICK: &[&str] = &[
-    "index",
-    "mode",
-    "reason",
-    "held",
-    "point.x_m",
-    "point.y_m",
-    "reference.position.x_m",
-    "reference.position.y_m",
-    "estimate.yaw_rad",
-    "estimate.speed_m_s",
-    "actuation.steering_rad",
-    "lateness_ns",
-    "capture_to_command_ns",
-];
-
+const TICK: &str = "index mode reason held point.x_m point.y_m reference.position.x_m \
+    reference.position.y_m estimate.yaw_rad estimate.speed_m_s actuation.steering_rad lateness_ns \
+    capture_to_command_ns";
 /// The fields of a pose that a table shows.
-const POSE: &[&str] = &[
-    "frame_number",
-    "receive_time_ns",
-    "state",
-    "rejected",
-    "pose.x_m",
-    "pose.y_m",
-    "pose.yaw_rad",
-    "pose.mean_error_m",
-    "pose.capture_time_ns",
-];
+const POSE: &str = "frame_number receive_time_ns state rejected pose.x_m pose.y_m pose.yaw_rad \
+    pose.mean_error_m pose.capture_time_ns";
 
 impl Kind {
-    /// A kind with these fields and [`TIME`].
-    pub(super) fn new(
-        name: &'static str,
-        mut fields: Vec<String>,
-        brief: Vec<&'static str>,
-    ) -> Self {
+    /// A kind with these fields and [`TIME`]. A table shows the fields `brief`, which are separated
+    /// by spaces; all if there are none.
+    pub(super) fn new(name: &'static str, mut fields: Vec<String>, brief: &str) -> Self {
+        let brief = match brief {
+            "" => fields.clone(),
+            brief => brief.split(' ').map(ToOwned::to_owned).collect(),
+        };
         fields.push(TIME.to_owned());
         Self {
             name,
@@ -87,12 +55,12 @@ impl Kind {
     pub(super) fn topics() -> Vec<Self> {
         let kind = |topic: Topic| {
             let brief = match topic {
-                Topic::Tick => TICK.to_vec(),
-                Topic::Telemetry => [&["receive_time_ns"], TELEMETRY].concat(),
-                Topic::Pose => POSE.to_vec(),
+                Topic::Tick => TICK,
+                Topic::Telemetry => &format!("receive_time_ns {TELEMETRY}"),
+                Topic::Pose => POSE,
                 // The whole of it is a page of text.
-                Topic::Configuration => vec!["time_ns", "number"],
-                _ => Vec::new(),
+                Topic::Configuration => "time_ns number",
+                _ => "",
             };
             Self::new(topic.name(), topic.fields(), brief)
         };
@@ -199,11 +167,11 @@ fn words(topic: &str, field: &str) -> Vec<String> {
         }
     }
     let first = constants.first().copied().unwrap_or_default();
-    let beginnings = first
+    let mut beginnings = first
         .match_indices('_')
         .filter_map(|(at, _)| first.get(..=at));
     let shared = |beginning: &&str| constants.iter().all(|name| name.starts_with(beginning));
-    let prefix = beginnings.filter(shared).last().unwrap_or_default();
+    let prefix = beginnings.rfind(shared).unwrap_or_default();
     constants
         .iter()
         .map(|name| {

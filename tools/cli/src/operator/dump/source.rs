@@ -87,18 +87,19 @@ pub(super) trait Source {
     /// Waits for more, but not for long.
     fn wait(&mut self) -> Result<(), DumpError>;
 
-    /// The message of the row; none before the first.
-    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError>;
+    /// Passes the message of the row to `take`.
+    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError>;
 
     /// Replaces `values` with the fields of the message, in the order of its kind.
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
 
     /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
     fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
-        if let Some(Message::Entry(entry)) = self.message()? {
-            entry.write_json(json);
-        }
-        Ok(())
+        self.take_message(&mut |message| {
+            if let Message::Entry(entry) = message {
+                entry.write_json(json);
+            }
+        })
     }
 
     /// How it ended.
@@ -109,7 +110,6 @@ pub(super) trait Source {
 pub(super) struct Record {
     name: String,
     reader: Reader,
-    entry: Option<Entry>,
     follow: bool,
     start_wall_ns: u64,
 }
@@ -126,7 +126,6 @@ impl Record {
             name: path.display().to_string(),
             start_wall_ns: reader.meta().start.wall_ns,
             reader,
-            entry: None,
             follow,
         })
     }
@@ -170,9 +169,11 @@ impl Source for Record {
         Ok(())
     }
 
-    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError> {
-        self.entry = self.reader.read_entry()?;
-        Ok(self.entry.as_ref().map(Message::Entry))
+    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
+        if let Some(entry) = &self.reader.read_entry()? {
+            take(Message::Entry(entry));
+        }
+        Ok(())
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {
@@ -302,8 +303,11 @@ impl Source for Live {
             .map_err(|error| DumpError::Lost(error.into()))
     }
 
-    fn message(&mut self) -> Result<Option<Message<'_>>, DumpError> {
-        Ok(self.entry.as_ref().map(Message::Entry))
+    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
+        if let Some(entry) = &self.entry {
+            take(Message::Entry(entry));
+        }
+        Ok(())
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {

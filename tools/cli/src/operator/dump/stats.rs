@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Serialize, Serializer, ser::SerializeMap};
+use serde::Serialize;
 use singletrack_mocap::{Observation, PoseState};
+use singletrack_pilot::Reason;
 use singletrack_protocol::{
     RefusalReason, Status, StopCause, TELEMETRY_PERIOD_US, Telemetry, ToHost,
 };
@@ -87,47 +88,16 @@ pub(super) struct LineReport {
 }
 
 /// The board's counters, by how much they rose.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(super) struct BoardCounters {
-    /// In the order of [`Self::NAMES`].
-    pub(super) counts: [u64; Self::NAMES.len()],
+    pub(super) frames_received: u64,
+    pub(super) frames_damaged: u64,
+    pub(super) drives_refused: u64,
+    pub(super) frames_dropped: u64,
+    pub(super) bytes_overrun: u64,
+    pub(super) imu_errors: u64,
     /// Why a drive command was last refused.
     pub(super) last_refusal: Option<&'static str>,
-}
-
-impl BoardCounters {
-    /// The fields of a status record that count.
-    pub(super) const NAMES: [&str; 6] = [
-        "frames_received",
-        "frames_damaged",
-        "drives_refused",
-        "frames_dropped",
-        "bytes_overrun",
-        "imu_errors",
-    ];
-
-    /// The counters in a status record. They wrap.
-    const fn of(status: &Status) -> [u16; Self::NAMES.len()] {
-        [
-            status.frames_received,
-            status.frames_damaged,
-            status.drives_refused,
-            status.frames_dropped,
-            status.bytes_overrun,
-            status.imu_errors,
-        ]
-    }
-}
-
-impl Serialize for BoardCounters {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        for (name, count) in Self::NAMES.iter().zip(self.counts) {
-            map.serialize_entry(name, &count)?;
-        }
-        map.serialize_entry("last_refusal", &self.last_refusal)?;
-        map.end()
-    }
 }
 
 /// Poses of the motion capture.
@@ -296,8 +266,8 @@ impl<'a> Stats<'a> {
                 let dropped = &mut self.report.entries_dropped;
                 *dropped = drops.entries.max(*dropped);
             }
-            Message::Frame(Content::Broken { reason, .. }) => {
-                count(&mut self.report.line.broken, (*reason).to_owned());
+            Message::Frame(Content::Broken(broken)) => {
+                count(&mut self.report.line.broken, broken.reason.to_owned());
             }
             Message::Entry(Entry::Log(_) | Entry::Configuration(_)) | Message::Frame(_) => {}
         }
@@ -315,7 +285,7 @@ impl<'a> Stats<'a> {
         let latency_ns = tick.capture_to_command_ns().filter(|_| !output.held);
         self.capture_to_command_us
             .extend(latency_ns.map(microseconds));
-        let reason = output.reason.map(|reason| reason.name());
+        let reason = output.reason.map(Reason::name);
         enter(&mut self.report.modes, time_ns, output.mode.name(), reason);
     }
 
@@ -348,29 +318,26 @@ impl<'a> Stats<'a> {
         enter(&mut self.report.board_modes, time_ns, mode, reason);
     }
 
-    /// Counts what the board has counted. It starts at zero when it restarts.
+    /// Counts what the board has counted.
     fn add_status(&mut self, status: &Status) {
-        let now = BoardCounters::of(status);
-        let before = match self.status.replace(*status) {
-            Some(last)
-                if status
-                    .board_time_us
-                    .wrapping_sub(last.board_time_us)
-                    .cast_signed()
-                    < 0 =>
-            {
-                [0; _]
-            }
-            Some(last) => BoardCounters::of(&last),
-            // Counts before the record began do not belong to it.
-            None => now,
+        // Counts before the record began do not belong to it.
+        let last = self.status.replace(*status).unwrap_or(*status);
+        let passed_us = status.board_time_us.wrapping_sub(last.board_time_us);
+        let has_restarted = passed_us.cast_signed() < 0;
+        // The counters wrap, and start at zero when the board restarts.
+        let rise = |count: fn(&Status) -> u16| {
+            let before = if has_restarted { 0 } else { count(&last) };
+            u64::from(count(status).wrapping_sub(before))
         };
-        let counters = self.report.board.get_or_insert_default();
-        for ((sum, now), before) in counters.counts.iter_mut().zip(now).zip(before) {
-            *sum += u64::from(now.wrapping_sub(before));
-        }
+        let board = self.report.board.get_or_insert_default();
+        board.frames_received += rise(|status| status.frames_received);
+        board.frames_damaged += rise(|status| status.frames_damaged);
+        board.drives_refused += rise(|status| status.drives_refused);
+        board.frames_dropped += rise(|status| status.frames_dropped);
+        board.bytes_overrun += rise(|status| status.bytes_overrun);
+        board.imu_errors += rise(|status| status.imu_errors);
         let refusal = status.last_refusal;
-        counters.last_refusal = (refusal != RefusalReason::None).then(|| refusal.name());
+        board.last_refusal = (refusal != RefusalReason::None).then(|| refusal.name());
     }
 
     fn add_pose(&mut self, time_ns: i64, observation: &Observation) {
