@@ -47,5 +47,5 @@ pub use file::{
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickInput, TickOutput, TickRecord, tick_feed};
-pub use topic::{Channel, ParseEntryError, Shown, Topic, UnknownTopic, write_json_object};
+pub use topic::{Channel, Topic, UnknownTopic, write_json_object};
 pub use value::Value;

@@ -299,15 +299,15 @@ impl Reader {
             .map_err(|reason| self.invalid(topic, &reason))
     }
 
-    /// The message that [`Reader::advance`] went to; none before the first. A tick is without its
-    /// events, which are half of it.
+    /// Passes the message that [`Reader::advance`] went to to `take`; nothing before the first. A
+    /// tick is without its events, which are half of it.
     ///
     /// # Errors
     ///
     /// When the message is damaged.
-    pub fn read_entry(&mut self) -> Result<Option<Entry>, RecordError> {
+    pub fn read_entry(&mut self, take: impl FnOnce(&Entry)) -> Result<(), RecordError> {
         let Some(Recorded { topic, .. }) = self.at else {
-            return Ok(None);
+            return Ok(());
         };
         let events_at = self.events_at.filter(|_| topic == Topic::Tick);
         let head = events_at.and_then(|at| self.content.split_at_mut_checked(at + LENGTH));
@@ -323,9 +323,10 @@ impl Reader {
             None => Entry::decode(topic, &self.content),
         };
         match decoded {
-            Ok(entry) => Ok(Some(entry)),
-            Err(reason) => Err(self.invalid(topic, &reason)),
+            Ok(entry) => take(&entry),
+            Err(reason) => return Err(self.invalid(topic, &reason)),
         }
+        Ok(())
     }
 
     /// Adds the message that [`Reader::advance`] went to to `json`, as

@@ -10,8 +10,8 @@ use singletrack_record::{Value, write_json_object};
 
 use super::{
     DumpError,
+    row::{Row, Source},
     select::{Kind, TIME, check_field},
-    source::{Row, Source},
 };
 use crate::help::printable;
 
@@ -241,7 +241,7 @@ impl Column {
                     let (Some(name), Some(value)) = (kind.fields.get(*at), values.get(*at)) else {
                         continue;
                     };
-                    if *value != Value::Absent {
+                    if !matches!(value, Value::Absent) {
                         for part in [gap, name, "="] {
                             cell.push_str(part);
                         }

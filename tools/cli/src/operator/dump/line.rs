@@ -22,8 +22,8 @@ use singletrackd::serial_port::{self, ReadHalf};
 
 use super::{
     DumpError,
+    row::{Broken, Close, Content, Message, Next, PATIENCE, Row, Source, wall_ns},
     select::{Kind, TELEMETRY},
-    source::{Close, Message, Next, PATIENCE, Row, Source, wall_ns},
 };
 use crate::operator::terminal::wait_to_read;
 
@@ -43,28 +43,6 @@ const READ_LENGTH: usize = 64 << 10;
 const SHOWN_BYTES: usize = 64;
 /// A board whose clock went back by more than this has restarted.
 const RESTART_US: i32 = -1_000_000;
-
-/// What a stretch of bytes up to a zero holds.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Content {
-    /// A message of the board.
-    ToHost(ToHost),
-    /// A message of the host.
-    ToBoard(ToBoard),
-    /// No frame.
-    Broken(Broken),
-}
-
-/// Bytes that are not a frame.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Broken {
-    /// Why, in a word.
-    pub(super) reason: &'static str,
-    /// Why, in a sentence.
-    detail: String,
-    /// Its first bytes.
-    bytes: Vec<u8>,
-}
 
 /// The form of a field in which it is printed.
 trait Show {

@@ -5,6 +5,7 @@ mod format;
 mod line;
 mod moment;
 mod page;
+mod row;
 mod select;
 mod source;
 mod stats;
@@ -28,8 +29,9 @@ use crate::{arguments::parse_duration, interrupt::Interrupt};
 use format::Printer;
 use line::{Input, Line};
 use moment::Range;
+use row::{Close, Next, Row, Source};
 use select::{Filter, Kind};
-use source::{Close, Live, Next, Place, Record, Row, Source};
+use source::{Live, Place, Record};
 use stats::Stats;
 
 pub use format::Format;

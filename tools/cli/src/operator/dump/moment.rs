@@ -4,7 +4,10 @@ use std::{fmt, str::FromStr};
 
 use jiff::Timestamp;
 
-use super::{DumpError, source::Source};
+use super::{
+    DumpError,
+    row::{Source, Span},
+};
 
 /// A time within a record.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,15 +97,6 @@ fn wall_ns(text: &str) -> Option<i64> {
     }
     let time: Timestamp = text.parse().ok()?;
     i64::try_from(time.as_nanosecond()).ok()
-}
-
-/// The times of the entries of a record, in ns since its start.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Span {
-    pub(super) first_ns: i64,
-    pub(super) last_ns: i64,
-    /// When the record starts, in ns since 1970.
-    pub(super) start_wall_ns: u64,
 }
 
 impl fmt::Display for Span {

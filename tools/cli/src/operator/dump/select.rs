@@ -4,7 +4,7 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::{Topic, Value};
 
-use super::{DumpError, source::Row};
+use super::{DumpError, row::Row};
 
 /// The field that every row has beside its own: seconds since the start of the
 /// record, of the capture, or of listening.

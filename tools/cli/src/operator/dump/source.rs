@@ -7,104 +7,22 @@ use std::{
     os::{fd::AsFd as _, unix::fs::FileTypeExt},
     path::{Path, PathBuf},
     thread,
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::Duration,
 };
 
 use singletrack_api::{ClientError, Connection, Request};
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
-use super::{DumpError, line::Content, moment::Span, select::Kind};
+use super::{
+    DumpError,
+    row::{Close, Message, Next, PATIENCE, Row, Source, Span, wall_ns},
+    select::Kind,
+};
 use crate::operator::terminal::wait_to_read;
 
-/// The longest time that a source waits for more.
-pub(super) const PATIENCE: Duration = Duration::from_millis(100);
 /// How long the daemon may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// Now, in ns since 1970; none if the wall clock is before that.
-pub(super) fn wall_ns() -> Option<u64> {
-    let wall = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
-    u64::try_from(wall.as_nanos()).ok()
-}
-
-/// A row before its message is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Row {
-    /// The index of its kind.
-    pub(super) kind: usize,
-    /// When it reached the host, in ns since the start; none before the first time
-    /// is known.
-    pub(super) time_ns: Option<i64>,
-}
-
-/// The message of a row.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Message<'a> {
-    /// An entry of a record or of the running daemon; a tick of a record is without its events.
-    Entry(&'a Entry),
-    /// What a stretch of bytes on the line holds.
-    Frame(&'a Content),
-}
-
-/// The next step of a source.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Next {
-    /// A row, which can be read until the next step.
-    Row(Row),
-    /// Nothing yet: [`Source::wait`] waits for more.
-    Pending,
-    /// The source has ended.
-    End,
-}
-
-/// How a source ended, with figures of the whole source.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Close {
-    /// A note for standard error.
-    pub(super) note: Option<String>,
-    /// Bytes that came over the line.
-    pub(super) line_bytes: Option<u64>,
-    /// Rows that the source could not hand over in time.
-    pub(super) missed: u64,
-    /// Whether a record has not been finished.
-    pub(super) unfinished: bool,
-}
-
-/// Gives rows, one after another.
-pub(super) trait Source {
-    /// When it starts, in ns since 1970 on the wall, if that is known.
-    fn start_wall_ns(&self) -> Option<u64>;
-
-    /// The times of its first and its last row, if they are known before it is read.
-    fn span(&self) -> Option<Span> {
-        None
-    }
-
-    /// Goes to the next row, without waiting.
-    fn next(&mut self) -> Result<Next, DumpError>;
-
-    /// Waits for more, but not for long.
-    fn wait(&mut self) -> Result<(), DumpError>;
-
-    /// Passes the message of the row to `take`.
-    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError>;
-
-    /// Replaces `values` with the fields of the message, in the order of its kind.
-    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
-
-    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
-    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
-        self.take_message(&mut |message| {
-            if let Message::Entry(entry) = message {
-                entry.write_json(json);
-            }
-        })
-    }
-
-    /// How it ended.
-    fn close(&self) -> Close;
-}
 
 /// A record, finished or not. For printing, its messages become text without an [`Entry`] between.
 pub(super) struct Record {
@@ -170,10 +88,8 @@ impl Source for Record {
     }
 
     fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError> {
-        if let Some(entry) = &self.reader.read_entry()? {
-            take(Message::Entry(entry));
-        }
-        Ok(())
+        let take = |entry: &Entry| take(Message::Entry(entry));
+        Ok(self.reader.read_entry(take)?)
     }
 
     fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError> {

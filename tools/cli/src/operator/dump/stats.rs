@@ -12,9 +12,8 @@ use singletrack_record::{Entry, StatusRecord, TelemetryRecord, TickRecord};
 use singletrack_statistics::{Arrivals, Distribution, Gap};
 
 use super::{
-    line::Content,
+    row::{Close, Content, Message, Row},
     select::Kind,
-    source::{Close, Message, Row},
 };
 
 /// All statistics. Values that the source does not have are null or empty.
