@@ -108,24 +108,6 @@ fn a_drive_is_replayed_to_the_bit() {
 }
 
 #[test]
-fn a_record_from_before_references_could_begin_elsewhere_is_replayed_to_the_bit() {
-    let folder = tempfile::tempdir().unwrap();
-    let reader = Reader::open(&circle(&folder)).unwrap();
-    let mut meta = reader.meta().clone();
-    let old = meta.configuration.replace("start = \"beginning\"\n", "");
-    assert_ne!(old, meta.configuration);
-    meta.configuration = old;
-    let path = folder.path().join("old.mcap");
-    let mut recorder = Recorder::create(&path, &meta).unwrap();
-    for entry in reader {
-        recorder.write(&entry.unwrap()).unwrap();
-    }
-    recorder.finish().unwrap();
-    let told = stdout(&replay(&path, &["--verify"]));
-    assert!(told.contains("every output the same to the bit"), "{told}");
-}
-
-#[test]
 fn a_drive_with_each_outer_loop_is_replayed_to_the_bit() {
     for (name, outer_loop) in [
         ("lqi", OuterLoopSection::Lqi(LqiWeights::default())),
