@@ -83,10 +83,9 @@ pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
-pub use parameters::{
-    ConfigError, SimulationConfig, SimulationFileError, default_board_configuration,
-};
 #[cfg(feature = "real-time")]
+pub use parameters::SimulationFileError;
+pub use parameters::{ConfigError, SimulationConfig, default_board_configuration};
 #[cfg(feature = "real-time")]
 pub use pty::{Pty, PtyError};
 pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
