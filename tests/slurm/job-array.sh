@@ -33,7 +33,7 @@ compare_files
 echo "faults: 3 jobs gave file and report of one process"
 
 compare="singletrack compare --controllers p-ff,stanley --paths lane-change --speeds 1.0,1.5
-    --conditions nominal --seeds 3"
+    --conditions nominal --count 3"
 $compare --json whole.jsonl --format csv > whole.csv
 array 1-3 $compare
 singletrack compare --from shard-*.jsonl --format csv | cmp - whole.csv
