@@ -12,9 +12,10 @@ pub struct Line {
 }
 
 /// Programs whose lines are read.
-const PROGRAMS: [&str; 9] = [
+const PROGRAMS: [&str; 10] = [
     "singletrack",
     "singletrackd",
+    "singletrack-lab",
     "singletrack-sim",
     "singletrack-exploration",
     "singletrack-faults",

@@ -165,6 +165,7 @@ fn wrap_programs(folder: &Path, address: &str) -> Result<(), Failed> {
     for name in [
         "singletrack",
         "singletrackd",
+        "singletrack-lab",
         "singletrack-sim",
         "singletrack-faults",
     ] {
