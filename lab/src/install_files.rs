@@ -45,7 +45,16 @@ pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), String> {
             clap_mangen::generate_to(command.clone(), folder)
         })?;
     }
-    Ok(())
+    // Its commands have their pages as those of `singletrack`, as which they are typed.
+    let mut own = Command::new("singletrack-lab")
+        .version(env!("CARGO_PKG_VERSION"))
+        .after_help("Its commands are typed as `singletrack COMMAND`: see singletrack(1).");
+    if let Some(about) = command.get_about() {
+        own = own.about(about.clone());
+    }
+    write_to(&args.out.join("man"), |folder| {
+        clap_mangen::generate_to(own, folder)
+    })
 }
 
 /// The command without the subcommands that its help does not show, which completions do.
