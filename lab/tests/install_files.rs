@@ -17,6 +17,22 @@ fn text(bytes: &[u8]) -> String {
 }
 
 #[test]
+fn singletrack_lists_and_passes_on_the_commands_of_this_program() {
+    let help = text(&run(&["--help"]).stdout);
+    let (_, commands) = help.split_once("Commands:\n").unwrap();
+    let (commands, _) = commands.split_once("\n\n").unwrap();
+    // A line that is too long goes on below, without a name.
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let known = words(commands);
+    let known = known.split_once(" help Print").unwrap().0;
+    let mut listed = String::new();
+    for (name, about) in singletrack::lab::COMMANDS {
+        listed += &format!("{name} {about} ");
+    }
+    assert_eq!(known, listed.trim_end());
+}
+
+#[test]
 fn completions_and_manual_pages_name_every_command() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().to_str().unwrap();

@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn libraries_are_those_without_a_path() {
-        let tree = "singletrack v0.1.0 (/work/tools/cli)|MIT OR Apache-2.0\n\
+        let tree = "singletrack v0.1.0 (/checkout/tools/cli)|MIT OR Apache-2.0\n\
                     serde_derive v1.0.1 (proc-macro)|MIT\n\
                     zstd v0.14.3|BSD-3-Clause\n\
                     \n\

@@ -1,7 +1,6 @@
 //! A drive that a connection holds: the client's side of the dead-man switch.
 
 use std::{
-    os::fd::{AsFd, BorrowedFd},
     path::Path,
     time::{Duration, Instant},
 };
@@ -107,11 +106,5 @@ impl HeldDrive {
     /// The connection is lost.
     pub fn send(&mut self, request: &Request) -> Result<(), ClientError> {
         self.connection.send(request)
-    }
-}
-
-impl AsFd for HeldDrive {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.connection.as_fd()
     }
 }

@@ -4,6 +4,7 @@ use core::fmt;
 use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
+use singletrack_words::words;
 
 use crate::{ClientError, Clocks, SOCKET_VERSION, State, Status};
 
@@ -41,53 +42,53 @@ pub enum Reply {
     },
 }
 
-/// Why a request is refused, for programs: control flow rests on it, never on the text beside it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Code {
-    /// The line, a key or a value is wrong.
-    Invalid,
-    /// A number of a set-point is not finite.
-    NotFinite,
-    /// A value is out of its range.
-    OutOfRange,
-    /// A set-point was decided later than now.
-    Future,
-    /// A set-point is older than the time-out.
-    Old,
-    /// A set-point has a number that is not above the last one.
-    Sequence,
-    /// Another connection gives the set-points.
-    OtherSource,
-    /// The reference takes no set-points.
-    NotExternal,
-    /// The mode does not allow it: the car is not ready, is driven already, or stopped meanwhile.
-    NotReady,
-    /// Another client has armed, or is being judged.
-    OtherClient,
-    /// Doctor, bring-up or calibrate has not passed.
-    NotCommissioned,
-    /// The car can't drive its reference from where it stands.
-    NotFeasible,
-    /// Another request or configuration came meanwhile.
-    Superseded,
-    /// The connection holds no drive.
-    NoDrive,
-    /// The connection holds a drive, or jogs, and takes other requests.
-    Occupied,
-    /// The change needs a restart of the daemon.
-    NeedsRestart,
-    /// The daemon has no such file, or can't write it.
-    File,
-    /// The control loop does not answer.
-    Stalled,
-    /// Too many clients.
-    Busy,
-    /// The token is wrong or missing.
-    Token,
-    /// A word of a newer daemon.
-    #[serde(other)]
-    Other,
+words! {
+    /// Why a request is refused, for programs: control flow rests on it, never on the text beside it.
+    pub enum Code: serde {
+        /// The line, a key or a value is wrong.
+        Invalid = "invalid",
+        /// A number of a set-point is not finite.
+        NotFinite = "not-finite",
+        /// A value is out of its range.
+        OutOfRange = "out-of-range",
+        /// A set-point was decided later than now.
+        Future = "future",
+        /// A set-point is older than the time-out.
+        Old = "old",
+        /// A set-point has a number that is not above the last one.
+        Sequence = "sequence",
+        /// Another connection gives the set-points.
+        OtherSource = "other-source",
+        /// The reference takes no set-points.
+        NotExternal = "not-external",
+        /// The mode does not allow it: the car is not ready, is driven already, or stopped meanwhile.
+        NotReady = "not-ready",
+        /// Another client has armed, or is being judged.
+        OtherClient = "other-client",
+        /// Doctor, bring-up or calibrate has not passed.
+        NotCommissioned = "not-commissioned",
+        /// The car can't drive its reference from where it stands.
+        NotFeasible = "not-feasible",
+        /// Another request or configuration came meanwhile.
+        Superseded = "superseded",
+        /// The connection holds no drive.
+        NoDrive = "no-drive",
+        /// The connection holds a drive, or jogs, and takes other requests.
+        Occupied = "occupied",
+        /// The change needs a restart of the daemon.
+        NeedsRestart = "needs-restart",
+        /// The daemon has no such file, or can't write it.
+        File = "file",
+        /// The control loop does not answer.
+        Stalled = "stalled",
+        /// Too many clients.
+        Busy = "busy",
+        /// The token is wrong or missing.
+        Token = "token",
+        /// A word of a newer daemon.
+        #[serde(other)]
+        Other = "other",
+    }
 }
 
 impl Code {
@@ -102,34 +103,6 @@ impl Code {
         Self::OtherSource,
         Self::NotExternal,
     ];
-
-    /// Its word.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Invalid => "invalid",
-            Self::NotFinite => "not-finite",
-            Self::OutOfRange => "out-of-range",
-            Self::Future => "future",
-            Self::Old => "old",
-            Self::Sequence => "sequence",
-            Self::OtherSource => "other-source",
-            Self::NotExternal => "not-external",
-            Self::NotReady => "not-ready",
-            Self::OtherClient => "other-client",
-            Self::NotCommissioned => "not-commissioned",
-            Self::NotFeasible => "not-feasible",
-            Self::Superseded => "superseded",
-            Self::NoDrive => "no-drive",
-            Self::Occupied => "occupied",
-            Self::NeedsRestart => "needs-restart",
-            Self::File => "file",
-            Self::Stalled => "stalled",
-            Self::Busy => "busy",
-            Self::Token => "token",
-            Self::Other => "other",
-        }
-    }
 }
 
 /// A refused request.

@@ -530,6 +530,18 @@ mod tests {
     }
 
     #[test]
+    fn the_documentation_names_every_code_of_a_refusal() {
+        let page = include_str!("../../../docs/control-socket.md");
+        let (_, table) = page.split_once("| code | the request |\n").unwrap();
+        let (table, _) = table.split_once("\n\n").unwrap();
+        for code in crate::Code::ALL {
+            assert!(table.contains(&format!("`{code}`")), "{code}");
+        }
+        let newer: crate::Code = serde_json::from_str("\"melted\"").unwrap();
+        assert_eq!(newer, crate::Code::Other);
+    }
+
+    #[test]
     fn a_line_of_another_version_is_told_so_whatever_it_holds() {
         for line in [
             r#"{"version":3,"command":"fly","fast":true}"#,

@@ -322,7 +322,7 @@ impl<P: Number<P>> Axles<P> {
         let front = across + motion.yaw_rate * self.vehicle.front_axle_distance_m;
         let rear = across - motion.yaw_rate * self.vehicle.rear_axle_distance_m;
         let (sine, cosine) = F::sin_cos(motion.steering);
-        // Of the velocity of the front axle, along and across its wheels.
+        // The components of the velocity of the front axle, along and across its wheels.
         let rolling = along * cosine + front * sine;
         let sliding = front * cosine - along * sine;
         [

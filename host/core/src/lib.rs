@@ -6,11 +6,36 @@
 //! socket; time, bytes and datagrams are arguments.
 
 pub mod config;
-mod explain;
-mod run;
+/// What is told to people: what a reason means, what is wrong with the cameras, whether a reference can
+/// be driven, and what is still to be done with a new car.
+mod explain {
+    pub mod commissioned;
+    pub mod diagnosis;
+    pub mod feasibility;
+    pub mod reasons;
+}
 
-pub use config::{Config, ConfigError};
-pub use config::{record_meta, restart_keys};
+/// The loop that runs the car, in real or virtual time.
+mod run {
+    pub mod cameras;
+    pub mod control_loop;
+    pub mod controller;
+    pub mod grid;
+    pub mod host;
+    pub mod line;
+    pub mod online_calibration;
+    pub(crate) mod proof;
+    pub mod reconfigure;
+    pub(crate) mod report;
+    pub(crate) mod requests;
+    pub mod serial;
+    pub mod setpoint;
+    pub mod slot;
+    pub mod state_stream;
+    pub mod virtual_host;
+}
+
+pub use config::{Config, ConfigError, record_meta, restart_keys};
 pub use controller::pose_event;
 pub use explain::{commissioned, diagnosis, feasibility, reasons};
 pub use host::{Host, HostOptions};

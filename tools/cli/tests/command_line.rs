@@ -177,3 +177,23 @@ fn the_page_names_every_variable_that_help_names() {
         );
     }
 }
+
+#[test]
+fn a_command_of_the_laboratory_without_it_names_the_program_and_how_to_get_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let alone = folder.path().join("singletrack");
+    std::fs::copy(env!("CARGO_BIN_EXE_singletrack"), &alone).unwrap();
+    let output = Command::new(&alone)
+        .args(["stability", "--help"])
+        .env("PATH", folder.path())
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let error = text(&output.stderr);
+    for part in [
+        "singletrack-lab",
+        "cargo build --release -p singletrack-lab",
+    ] {
+        assert!(error.contains(part), "{error}");
+    }
+}

@@ -65,7 +65,7 @@ fn p_is_given_what_is_wanted_where_nothing_limits_it_and_less_elsewhere() {
         law.actuation.steering = 0.1;
         let wanted = 0.52 * direction(0.6);
         let gentle = law.law.command(&bend, 0.1, &wanted).unwrap();
-        // As fast as that, so that the acceleration limits nothing.
+        // The speed before is the same, so that the acceleration limits nothing.
         law.actuation.speed = gentle.speed + lead.map_or(0.0, |lead| lead.speed);
         law.step_ahead(&bend, 0.5, &wanted, &ahead, PERIOD).unwrap();
         assert!((law.point_velocity() - wanted).norm() < 1e-12, "{lead:?}");

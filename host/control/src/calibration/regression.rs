@@ -210,7 +210,7 @@ const STUDENT: [f64; 30] = [
 ];
 
 /// The half width of a 95 % interval in standard errors, for a standard error that was estimated with
-/// so many degrees of freedom: Student's quantile at 97.5 %, to 0.001. Infinite for none.
+/// so many degrees of freedom: Student's quantile at 97.5 %, to 0.001. Infinite for zero degrees of freedom.
 #[must_use]
 pub fn student_quantile(freedom: usize) -> f64 {
     let Some(index) = freedom.checked_sub(1) else {

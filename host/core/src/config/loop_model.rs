@@ -16,11 +16,11 @@ section! {
     "outer_loop" => pub LqiWeights: Copy;
     [default];
 
-    /// Of the error's integral, (m s)⁻².
+    /// Weight of the error's integral, (m s)⁻².
     integral_weight: f64 = 3.0;
-    /// Of the error, m⁻².
+    /// Weight of the error, m⁻².
     error_weight: f64 = ERROR_WEIGHT;
-    /// Of the correcting velocity, (m/s)⁻².
+    /// Weight of the correcting velocity, (m/s)⁻².
     velocity_weight: f64 = VELOCITY_WEIGHT;
     /// The largest velocity that the integral adds on either axis, m/s.
     integral_limit_m_s: f64 = 0.3;
@@ -31,11 +31,11 @@ section! {
     "outer_loop" => pub MpcWeights: Copy;
     [default];
 
-    /// Of the error, m⁻².
+    /// Weight of the error, m⁻².
     error_weight: f64 = ERROR_WEIGHT;
-    /// Of the velocity's error, (m/s)⁻².
+    /// Weight of the velocity's error, (m/s)⁻².
     velocity_weight: f64 = VELOCITY_WEIGHT;
-    /// Of the acceleration beyond the reference's, (m/s²)⁻².
+    /// Weight of the acceleration beyond the reference's, (m/s²)⁻².
     acceleration_weight: f64 = 0.0003;
     /// The share of an unexplained velocity that is believed at once.
     disturbance_gain: f64 = 0.05;

@@ -368,7 +368,7 @@ impl Level {
         }
     }
 
-    /// Whether the pose makes no sense with the configured up axis and does with the other.
+    /// Whether the pose is that of a car only if the other axis points up, and not the configured one.
     #[must_use]
     pub fn suggests_other_axis(&self) -> bool {
         let sensible = |height_m: f64, tilt_rad: f64| {

@@ -129,8 +129,8 @@ const COMPARED: f64 = 0.04;
 const OPPOSITE: f64 = -0.3;
 
 impl GyroWatch {
-    /// A step of a drive. The newest steps in which the cameras see a turn are compared, each
-    /// time anew: those before a fault must not hide those after it.
+    /// A step of a drive. Each time, the newest steps in which the cameras see a turn are
+    /// compared: steps from before a fault must not hide those after it.
     pub(crate) fn step(&mut self, step: &Step) {
         self.steps.write([step.time, step.turn, step.gyro_turn]);
         let [mut time, mut turn, mut gyro_turn] = [0.0; 3];
