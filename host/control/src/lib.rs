@@ -42,6 +42,7 @@ mod safety_filter;
 mod setpoint;
 mod single_track;
 mod steering_map;
+mod stop;
 mod tracking;
 mod vehicle;
 
@@ -92,5 +93,6 @@ pub use single_track::{
 pub use steering_map::{
     MAX_STEERING_PAIRS, SteeringMap, SteeringTable, SteeringTableError, interpolate,
 };
+pub use stop::{Stop, along_bend};
 pub use tracking::TrackingLoop;
 pub use vehicle::{GRAVITY, VehicleParameterError, VehicleParameters};

@@ -135,18 +135,22 @@ impl Fence {
     /// the margin, and the path crosses no side. False if a coordinate is not finite.
     #[must_use]
     pub fn contains_way(&self, point: &Position, way: &Velocity) -> bool {
-        self.contains_ways(point, &[*way])
+        self.contains_path(point, &[*way])
     }
 
-    /// Whether the fence [contains](Self::contains_way) several ways one after the other.
-    pub(crate) fn contains_ways(&self, point: &Position, ways: &[Velocity]) -> bool {
-        let mut at = *point;
+    /// Whether the path from `point` straight to each of the `places` (m, from `point`) in turn
+    /// stays inside, as [`Fence::contains_way`] has it.
+    #[must_use]
+    pub fn contains_path(&self, point: &Position, places: &[Velocity]) -> bool {
+        let mut from = *point;
         self.contains(point)
-            && ways.iter().all(|way| {
-                let from = at;
-                at += way;
+            && places.iter().all(|place| {
+                let at = point + place;
                 // Both ends may be inside with a corner of the polygon between them.
-                self.contains(&at) && !self.sides().any(|(_, a, b)| sides_meet(&from, &at, &a, &b))
+                let stays = self.contains(&at)
+                    && !self.sides().any(|(_, a, b)| sides_meet(&from, &at, &a, &b));
+                from = at;
+                stays
             })
     }
 

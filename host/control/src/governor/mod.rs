@@ -11,10 +11,13 @@
 
 mod leader;
 
-use libm::{fabs, floor, rint, sin, sincos, sqrt};
+use libm::{floor, rint, sin, sqrt};
 
 use self::leader::{Leader, STEP, Sample};
-use crate::{ConvexArea, FrontPointLaw, Limits, Position, Reference, ReferencePoint, Velocity};
+use crate::{
+    ConvexArea, FrontPointLaw, Limits, Position, Reference, ReferencePoint, Stop, Velocity,
+    along_bend,
+};
 
 /// The part of a limit that the reference may take; the rest is for corrections.
 const USABLE: f64 = 0.95;
@@ -360,10 +363,7 @@ const HALVES: u32 = 12;
 pub struct Room {
     /// The area of G, m.
     area: ConvexArea,
-    /// The deceleration of a stop, m/s².
-    braking: f64,
-    /// The time before it begins, s.
-    reaction: f64,
+    stop: Stop,
 }
 
 impl Room {
@@ -375,8 +375,7 @@ impl Room {
         let area = area.shrunk(RESERVE).ok()?;
         (is_valid && reaction.is_finite()).then_some(Self {
             area,
-            braking,
-            reaction,
+            stop: Stop { reaction, braking },
         })
     }
 
@@ -389,15 +388,11 @@ impl Room {
         }
         let along = velocity / speed;
         let curvature = turn_rate / speed;
-        // Half of the way and all of it, each as the chord of its bend.
         let stays = |way: f64| {
-            [0.5 * way, way].into_iter().all(|way| {
-                let turned = 0.5 * way * curvature;
-                self.area.clearance(&(from + way * chord(&along, turned))) >= 0.0
-            })
+            let mut places = along_bend(&along, curvature, way).into_iter();
+            places.all(|place| self.area.clearance(&(from + place)) >= 0.0)
         };
-        let judged = JUDGED * speed;
-        let whole = judged * self.reaction + 0.5 * judged * judged / self.braking;
+        let whole = self.stop.way(JUDGED * speed);
         if stays(whole) {
             return speed;
         }
@@ -410,25 +405,8 @@ impl Room {
                 outside = middle;
             }
         }
-        let reaction = self.braking * self.reaction;
-        (sqrt(reaction * reaction + 2.0 * self.braking * inside) - reaction) / JUDGED
+        self.stop.fastest(inside) / JUDGED
     }
-}
-
-/// The direction turned to the left by an angle (rad), as long as the chord of a bend that turns
-/// by twice the angle is, as a part of its way.
-fn chord(along: &Velocity, angle: f64) -> Velocity {
-    let (sine, cosine) = sincos(angle);
-    let turned = Velocity::new(
-        cosine * along.x - sine * along.y,
-        sine * along.x + cosine * along.y,
-    );
-    let part = if fabs(angle) < 1e-6 {
-        1.0
-    } else {
-        sine / angle
-    };
-    part * turned
 }
 
 #[cfg(test)]
@@ -454,8 +432,7 @@ mod tests {
         for before in [0.01, 0.1, 0.3, 0.59] {
             let from = Position::new(1.0 - before, 0.0);
             let speed = room().speed(&from, &Velocity::new(1.0, 0.0), 0.0);
-            let judged = JUDGED * speed;
-            let way = 0.1 * judged + 0.5 * judged * judged;
+            let way = room().stop.way(JUDGED * speed);
             assert!((way - before).abs() < 1e-3, "{before}: {speed} {way}");
         }
         let outside = Position::new(1.001, 0.0);

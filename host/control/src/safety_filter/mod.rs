@@ -10,17 +10,15 @@
 //! has proved to stay inside. `docs/safety-filter.md` states the claim with its assumptions.
 
 mod projection;
-mod stop_way;
 
 use heapless::Vec;
 use libm::{atan, cos, fabs, sin, sqrt, tan};
 
-use self::{
-    projection::{HalfPlane, MOST, nearest},
-    stop_way::{ROUNDED, Range, StopWay, Wheels},
-};
+use self::projection::{HalfPlane, MOST, nearest};
 use crate::{
-    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Velocity, direction,
+    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Stop, Velocity,
+    direction,
+    stop::{ROUNDED, Range, StopWay, Wheels},
 };
 
 /// The number of ticks whose steering commands may still be on their way to the wheels.
@@ -280,11 +278,12 @@ impl SafetyFilter {
             .law
             .law()
             .point(estimate.position, estimate.yaw, input.wheels);
+        let stop = self.stop(input, 0.0);
         let bound = |side: &Side| {
             let room = side.distance(&point) - self.config.position_error - input.blind;
             HalfPlane {
                 along: side.outward,
-                most: self.approach(input, room),
+                most: stop.fastest(room),
             }
         };
         let mut planes: Vec<_, MOST> = self.config.area.sides().iter().map(bound).collect();
@@ -294,14 +293,12 @@ impl SafetyFilter {
         planes
     }
 
-    /// The speed towards a side from which P can stop within `room` (m): it goes on for the
-    /// reaction time and slows down then.
-    fn approach(&self, input: &SafetyInput<'_>, room: f64) -> f64 {
-        if room.is_nan() || room <= 0.0 {
-            return 0.0;
+    /// A stop that is decided `early` (s) after the next tick.
+    fn stop(&self, input: &SafetyInput<'_>, early: f64) -> Stop {
+        Stop {
+            reaction: self.config.reaction + input.period + early,
+            braking: input.braking,
         }
-        let reaction = self.config.reaction + input.period;
-        input.braking * (sqrt(reaction * reaction + 2.0 * room / input.braking) - reaction)
     }
 
     /// The bounds by the lateral acceleration: on the speed in the bend that the car is on, and
@@ -394,7 +391,6 @@ impl SafetyFilter {
         if fabs(next.steering) > fabs(now).max(self.widest_steering() + ROUNDING) {
             return false;
         }
-        let reaction = self.config.reaction + input.period + early;
         let (of_curvature, of_course) = (self.config.curvature_error, self.config.course_error);
         // By more than a tangent or its inverse is rounded.
         let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
@@ -414,8 +410,7 @@ impl SafetyFilter {
         let forward = StopWay {
             from: estimate.position,
             heading: estimate.yaw,
-            length: (input.blind + pace * reaction + 0.5 * pace * pace / input.braking)
-                * (1.0 + ROUNDED),
+            length: (input.blind + self.stop(input, early).way(pace)) * (1.0 + ROUNDED),
             first: wheels(first),
             settles_after: (input.blind
                 + pace * input.period * (self.config.steering_ticks + 1) as f64)

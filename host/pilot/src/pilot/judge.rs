@@ -1,9 +1,7 @@
 //! What a tick judges: whether the car may drive, and what is asked of the board.
 
-use core::f64::consts::PI;
-
-use libm::{copysign, fabs, sin, tan};
-use singletrack_control::{Estimate, Reference, Velocity, direction};
+use libm::{copysign, fabs, tan};
+use singletrack_control::{Estimate, Reference, Stop, Velocity, along_bend, direction};
 
 use super::{Begins, Pilot, sense::Sensed};
 use crate::{
@@ -164,15 +162,15 @@ impl Pilot {
 
     /// Whether the car is inside the geofence, and stays inside if it stops now.
     ///
-    /// The path ahead is the distance since the last pose, the reaction distance and the
-    /// braking distance v²/2a, at the speed `pace` (m/s). A stop holds the steering, so the
+    /// The path ahead is the distance since the last pose and the way of a stop from the speed
+    /// `pace` (m/s). A stop holds the steering, so the
     /// path follows the commanded curvature; and the present one, from which the wheels turn
     /// there.
     fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
         let fence = &self.config.fence;
         self.stops(estimate, pace)
             .iter()
-            .all(|[half, whole]| fence.contains_ways(&estimate.position, &[*half, whole - half]))
+            .all(|places| fence.contains_path(&estimate.position, places))
     }
 
     /// Which reason of other bodies forbids to drive: a car that stands can't do better.
@@ -197,25 +195,19 @@ impl Pilot {
     /// The ways of a stop, half and whole, that the car may take from the estimate (m): the bend of
     /// the present path, and that of the commanded steering.
     fn stops(&self, estimate: &Estimate, pace: f64) -> [[Velocity; 2]; 2] {
-        let braking = 0.5 * pace * pace / self.watches.braking(&self.config);
-        let ahead = self.watches.blind.distance() + pace * REACTION + braking;
+        let stop = Stop {
+            reaction: REACTION,
+            braking: self.watches.braking(&self.config),
+        };
+        let ahead = self.watches.blind.distance() + stop.way(pace);
         let present = if fabs(estimate.speed) > BENDS_FROM {
             estimate.yaw_rate / estimate.speed
         } else {
             0.0
         };
         let commanded = tan(self.commanded_steering) / self.config.estimator.wheelbase;
-        let way = |curvature: f64, distance: f64| {
-            let distance = copysign(distance, estimate.speed);
-            // The arc turns by this angle; its chord is sin(turn/2)/(turn/2) as long.
-            let turn = (curvature * distance).clamp(-PI, PI);
-            let chord = if turn == 0.0 {
-                distance
-            } else {
-                distance * sin(0.5 * turn) / (0.5 * turn)
-            };
-            chord * direction(estimate.yaw + estimate.sideslip + 0.5 * turn)
-        };
-        [present, commanded].map(|curvature| [way(curvature, 0.5 * ahead), way(curvature, ahead)])
+        let course = direction(estimate.yaw + estimate.sideslip);
+        [present, commanded]
+            .map(|curvature| along_bend(&course, curvature, copysign(ahead, estimate.speed)))
     }
 }

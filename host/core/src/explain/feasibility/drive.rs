@@ -2,8 +2,8 @@
 
 use singletrack_control::{
     Ahead, Governor, LimitedLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop,
-    Reference, ReferencePoint, SlowedBy, TrackingInput, TrackingLoop, VehicleParameters, Velocity,
-    direction,
+    Reference, ReferencePoint, SlowedBy, Stop, TrackingInput, TrackingLoop, VehicleParameters,
+    Velocity, along_bend, direction,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
@@ -11,9 +11,6 @@ use super::{Stand, begun, duration};
 
 /// The reaction of the geofence's watch, and the age of a pose, in s.
 const REACTION_S: f64 = 0.13;
-
-/// Where on the way of a stop the geofence is checked.
-const CHECKS: u8 = 2;
 
 /// A governed reference that takes this many times its time does not come to its end.
 const LONGER: f64 = 10.0;
@@ -45,7 +42,7 @@ pub(super) struct Car {
     path: f64,
     vehicle: VehicleParameters,
     limits: Limits,
-    braking: f64,
+    stop: Stop,
     period: f64,
     time: f64,
     position: Position,
@@ -142,7 +139,10 @@ impl Car {
             path: 0.0,
             vehicle: *vehicle,
             limits: pilot.limits,
-            braking: pilot.braking,
+            stop: Stop {
+                reaction: REACTION_S,
+                braking: pilot.braking,
+            },
             period: pilot.period,
             time: 0.0,
             position: Position::new(stand.x_m, stand.y_m),
@@ -297,18 +297,8 @@ impl Car {
     fn stops_inside(&self, fence: &Fence) -> bool {
         let actuation = self.law.actuation();
         let (sideslip, curvature) = self.rolls(actuation.steering);
-        let pace = actuation.speed.abs();
-        let ahead = pace * REACTION_S + 0.5 * pace * pace / self.braking;
-        let part = ahead.copysign(actuation.speed) / f64::from(CHECKS);
-        let mut from = self.position;
-        let mut yaw = self.yaw;
-        (0..CHECKS).all(|_| {
-            let turned = part * curvature;
-            let way: Velocity = part * direction(yaw + sideslip + 0.5 * turned);
-            let stays = fence.contains_way(&from, &way);
-            from += way;
-            yaw += turned;
-            stays
-        })
+        let ahead = self.stop.way(actuation.speed).copysign(actuation.speed);
+        let course = direction(self.yaw + sideslip);
+        fence.contains_path(&self.position, &along_bend(&course, curvature, ahead))
     }
 }

@@ -10,24 +10,24 @@ const PIECES: usize = 12;
 
 /// More than the part of a number that the operations between two uses of this round away: each
 /// half of `EPSILON`, a sine or cosine one.
-pub(super) const ROUNDED: f64 = 16.0 * f64::EPSILON;
+pub(crate) const ROUNDED: f64 = 16.0 * f64::EPSILON;
 
 /// A range of curvatures (1/m) or angles (rad); positive to the left.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Range {
-    pub(super) least: f64,
-    pub(super) most: f64,
+pub(crate) struct Range {
+    pub(crate) least: f64,
+    pub(crate) most: f64,
 }
 
 impl Range {
-    pub(super) const fn only(value: f64) -> Self {
+    pub(crate) const fn only(value: f64) -> Self {
         Self {
             least: value,
             most: value,
         }
     }
 
-    pub(super) const fn with(self, value: f64) -> Self {
+    pub(crate) const fn with(self, value: f64) -> Self {
         Self {
             least: self.least.min(value),
             most: self.most.max(value),
@@ -35,14 +35,14 @@ impl Range {
     }
 
     /// The range on the other side.
-    pub(super) const fn mirrored(self) -> Self {
+    pub(crate) const fn mirrored(self) -> Self {
         Self {
             least: -self.most,
             most: -self.least,
         }
     }
 
-    pub(super) const fn widened(self, by: f64) -> Self {
+    pub(crate) const fn widened(self, by: f64) -> Self {
         Self {
             least: self.least - by,
             most: self.most + by,
@@ -52,27 +52,27 @@ impl Range {
 
 /// How the wheels may stand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Wheels {
+pub(crate) struct Wheels {
     /// The change of the heading for each metre of the way, rad/m.
-    pub(super) curvatures: Range,
+    pub(crate) curvatures: Range,
     /// The angle from the heading to the direction of motion, rad.
-    pub(super) sideslips: Range,
+    pub(crate) sideslips: Range,
 }
 
 /// Every way that a stopping car may take from where it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct StopWay {
-    pub(super) from: Position,
+pub(crate) struct StopWay {
+    pub(crate) from: Position,
     /// The heading: the yaw of a car that goes forward, rad.
-    pub(super) heading: f64,
+    pub(crate) heading: f64,
     /// The length, m.
-    pub(super) length: f64,
+    pub(crate) length: f64,
     /// What is possible until the wheels have settled.
-    pub(super) first: Wheels,
+    pub(crate) first: Wheels,
     /// The way that this takes, m.
-    pub(super) settles_after: f64,
+    pub(crate) settles_after: f64,
     /// What is possible then.
-    pub(super) then: Wheels,
+    pub(crate) then: Wheels,
 }
 
 impl StopWay {
@@ -82,7 +82,7 @@ impl StopWay {
     /// and the course differs from it by the sideslip. Over a piece, the motion towards a side is
     /// bounded by that of the worst course in it. So no way comes nearer to the side than the sum
     /// of the pieces.
-    pub(super) fn stays_inside<'a>(
+    pub(crate) fn stays_inside<'a>(
         &self,
         sides: impl IntoIterator<Item = &'a Side>,
         margin: f64,
