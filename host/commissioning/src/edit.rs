@@ -12,6 +12,7 @@ use std::{
 
 use similar::TextDiff;
 use singletrack_core::{Config, ConfigError};
+use singletrack_record::put_in_place;
 use toml_edit::{DocumentMut, Item, Table, TableLike, TomlError, Value};
 
 /// Why a file was not changed.
@@ -154,7 +155,7 @@ impl Edit {
         let path = fs::canonicalize(path).map_err(EditError::of(path))?;
         let staged = path.with_added_extension("new");
         stage(&path, &staged, &self.old)?;
-        replace(&staged, &path)
+        put_in_place(&staged, &path).map_err(EditError::of(&path))
     }
 
     /// Writes the text beside the file and removes it, as the first half of [`Self::write`].
@@ -201,7 +202,7 @@ impl Edit {
                 Ok(())
             })
             .and_then(|()| keep(&path, &kept))
-            .and_then(|()| replace(&staged, &path));
+            .and_then(|()| put_in_place(&staged, &path).map_err(EditError::of(&path)));
         if result.is_err() {
             let _ = fs::remove_file(&staged);
         }
@@ -245,16 +246,6 @@ fn keep(path: &Path, kept: &Path) -> Result<(), EditError> {
     fs::copy(path, kept).map_err(failed)?;
     File::open(kept)
         .and_then(|file| file.sync_all())
-        .map_err(failed)
-}
-
-/// Puts the new file in the place of the old one.
-fn replace(staged: &Path, path: &Path) -> Result<(), EditError> {
-    let failed = EditError::of(path);
-    fs::rename(staged, path).map_err(failed)?;
-    let folder = path.parent().unwrap_or(Path::new("/"));
-    File::open(folder)
-        .and_then(|folder| folder.sync_all())
         .map_err(failed)
 }
 

@@ -2,8 +2,7 @@
 //! one or the new one.
 
 use std::{
-    fs::{self, File},
-    io::{self, Write as _},
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -76,14 +75,9 @@ impl JsonFile {
     pub(crate) fn replace(&self, content: &impl Serialize) -> io::Result<()> {
         let folder = self.path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(folder)?;
-        let new = self.path.with_extension("json.new");
-        let mut file = File::create(&new)?;
-        serde_json::to_writer_pretty(&mut file, content)?;
-        file.write_all(b"\n")?;
-        file.sync_all()?;
-        fs::rename(&new, &self.path)?;
-        // The rename itself must survive a loss of power too.
-        File::open(folder)?.sync_all()
+        let mut text = serde_json::to_vec_pretty(content)?;
+        text.push(b'\n');
+        singletrack_record::replace(&self.path, &text)
     }
 
     /// Deletes a file that could not be replaced, which also works on a full disk: rather no

@@ -42,7 +42,7 @@ pub use entry::{
 #[cfg(feature = "files")]
 pub use file::{
     Ending, FeedInput, FeedOutput, Finished, Reader, RecordError, Recorded, Recorder,
-    RecorderThread, Recovery, feed, part_path, recover,
+    RecorderThread, Recovery, feed, part_path, put_in_place, recover, replace,
 };
 pub use replay::{Difference, Replay, ReplayError};
 pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};

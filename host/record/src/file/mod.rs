@@ -7,7 +7,11 @@ mod reader;
 mod recorder;
 mod recover;
 
-use std::{io, path::PathBuf};
+use std::{
+    fs::{self, File},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+};
 
 use crate::EncodeError;
 
@@ -15,6 +19,32 @@ pub use feed::{FeedInput, FeedOutput, RecorderThread, feed};
 pub use reader::{Ending, Reader, Recorded};
 pub use recorder::{Finished, Recorder, part_path};
 pub use recover::{Recovery, recover};
+
+/// Replaces a file as a whole: after a loss of power it is the old one or the new one. The new text
+/// is first written to `FILE.new`, beside it.
+///
+/// # Errors
+///
+/// The system's error: the file is as before.
+pub fn replace(path: &Path, text: &[u8]) -> io::Result<()> {
+    let staged = path.with_added_extension("new");
+    let mut file = File::create(&staged)?;
+    file.write_all(text)?;
+    file.sync_all()?;
+    put_in_place(&staged, path)
+}
+
+/// Gives a file that is on the disk the name of the one that it replaces, down to the disk.
+///
+/// # Errors
+///
+/// The system's error.
+pub fn put_in_place(staged: &Path, path: &Path) -> io::Result<()> {
+    fs::rename(staged, path)?;
+    // The new name itself must survive a loss of power, too.
+    let folder = path.parent().filter(|it| *it != Path::new(""));
+    File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+}
 
 /// A record can't be written or read.
 #[derive(Debug, thiserror::Error)]

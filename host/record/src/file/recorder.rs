@@ -14,7 +14,7 @@ use std::{
 
 use mcap::{Compression, McapError, WriteOptions, Writer, records::MessageHeader};
 
-use super::RecordError;
+use super::{RecordError, put_in_place};
 use crate::{Channel, Encoder, Entry, Meta};
 
 /// A killed process loses the entries since the last flush. The documented limit is one
@@ -332,7 +332,7 @@ impl Container {
         if path.exists() {
             return Err(RecordError::Exists(path));
         }
-        fs::rename(&part, &path).map_err(failure("rename", &part))?;
+        put_in_place(&part, &path).map_err(failure("rename", &part))?;
         Ok(bytes)
     }
 

@@ -1,8 +1,7 @@
 //! What a procedure found, kept from one start to the next.
 
 use std::{
-    fs::{self, File},
-    io::{self, Write as _},
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -10,6 +9,7 @@ use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use singletrack_commissioning::{Finding, Step, Verdict, edit::Edit};
+use singletrack_record::replace;
 
 /// Age after which a finding is found again: the car may have been changed.
 const VALID: SignedDuration = SignedDuration::from_hours(24);
@@ -79,7 +79,7 @@ impl FileJournal {
         let finding = finding.clone();
         self.entries.push(Entry { time, finding });
         let json = json!({ "car_id": self.car_id, "entries": self.entries });
-        write(&self.path, &json.to_string())
+        replace(&self.path, json.to_string().as_bytes())
     }
 
     /// The procedure has run to its end: the next one begins with its first step.
@@ -110,15 +110,6 @@ pub(super) fn remove(path: &Path) -> io::Result<()> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
-}
-
-/// Replaces a file as a whole, down to the disk.
-pub(super) fn write(path: &Path, text: &str) -> io::Result<()> {
-    let staged = path.with_added_extension("new");
-    let mut file = File::create(&staged)?;
-    file.write_all(text.as_bytes())?;
-    file.sync_all()?;
-    fs::rename(&staged, path)
 }
 
 #[cfg(test)]

@@ -228,7 +228,7 @@ impl Bench for LiveBench {
         let mut path = self.pictures.clone().into_os_string();
         path.push(format!("-{}.svg", plot.name));
         let path = PathBuf::from(path);
-        if let Err(error) = journal::write(&path, &picture::svg(plot)) {
+        if let Err(error) = singletrack_record::replace(&path, picture::svg(plot).as_bytes()) {
             self.terminal
                 .say(&format!("no figure {}: {error}", path.display()));
         }

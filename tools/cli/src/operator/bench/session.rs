@@ -15,6 +15,7 @@ use singletrack_commissioning::{
     self as commissioning, Finding, Interrupted, Journal, Step, Verdict, report,
 };
 use singletrack_core::{Config, configuration_hash};
+use singletrack_record::replace;
 
 use super::{
     BenchArgs, LiveBench,
@@ -163,7 +164,7 @@ fn write_page(
         diff: &bench.diff()?,
     };
     let path = folder.join(format!("{name}.md"));
-    journal::write(&path, &report::page(&about, findings))?;
+    replace(&path, report::page(&about, findings).as_bytes())?;
     let json = json!({
         "procedure": procedure.name,
         "time": now.to_string(),
@@ -171,7 +172,7 @@ fn write_page(
         "configuration": format!("{configuration:016x}"),
         "findings": findings.iter().map(report::to_json).collect::<Vec<_>>(),
     });
-    journal::write(&folder.join(format!("{name}.json")), &json.to_string())?;
+    replace(&folder.join(format!("{name}.json")), json.to_string().as_bytes())?;
     Ok(path)
 }
 
