@@ -3,6 +3,8 @@
 //! `cargo clippy` and `cargo doc` would each read all dependencies again, and then every crate of the
 //! workspace. Here cargo calls a copy of this program in place of the compiler, which compiles a crate,
 //! lints it and, unless it is a test, documents it. Cargo takes a crate as compiled only if all succeed.
+//! Clippy reads a library once, together with its unit tests; the compiler's own warnings are errors of
+//! the compiler.
 //!
 //! What is tested is the compiler's own output: clippy's driver does not optimise as the compiler does.
 //!
@@ -84,16 +86,18 @@ fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
     }
     let is_a_crate = arguments.iter().any(|argument| argument.ends_with(".rs"));
     if is_a_crate {
+        commands[0].args(["-D", "warnings"]);
+    }
+    if is_a_crate && !(is_library(arguments) && has_unit_tests()?) {
         let mut clippy = Command::new(beside(compiler, "clippy-driver"));
         clippy.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
+        clippy.args(kept(arguments)).arg("--emit=metadata");
         commands.push(clippy);
-        commands[1].args(kept(arguments)).arg("--emit=metadata");
     }
     if is_a_crate && is_documented(arguments) {
         let mut rustdoc = Command::new(beside(compiler, "rustdoc"));
-        rustdoc.args(["-D", "warnings"]);
+        rustdoc.args(["-D", "warnings"]).args(kept(arguments));
         commands.push(rustdoc);
-        commands[2].args(kept(arguments));
     }
     for looks in &mut commands[1..] {
         looks.arg("--out-dir").arg(results);
@@ -131,7 +135,7 @@ fn kept(arguments: &[String]) -> Vec<String> {
 
 /// Whether `cargo doc` would document the crate: not a test, and no build script.
 fn is_documented(arguments: &[String]) -> bool {
-    !arguments.iter().any(|argument| argument == "--test")
+    !is_test(arguments)
         && !arguments
             .iter()
             .any(|argument| argument == "build_script_build")
@@ -139,15 +143,41 @@ fn is_documented(arguments: &[String]) -> bool {
 
 /// Whether a crate keeps the optimisation of its profile: all but tests, and tests that compute.
 fn is_optimised(arguments: &[String], package: &str) -> bool {
-    let is_test = arguments.iter().any(|argument| argument == "--test");
-    let is_library = arguments
-        .iter()
-        .any(|argument| argument.ends_with("src/lib.rs"));
+    let is_test = is_test(arguments);
     match package {
         "singletrack-commissioning" => true,
-        "singletrack-analysis" | "singletrack-control" => !(is_test && is_library),
+        "singletrack-analysis" | "singletrack-control" => !(is_test && has_library_root(arguments)),
         _ => !is_test,
     }
+}
+
+fn is_test(arguments: &[String]) -> bool {
+    arguments.iter().any(|argument| argument == "--test")
+}
+
+fn has_library_root(arguments: &[String]) -> bool {
+    let mut arguments = arguments.iter();
+    arguments.any(|argument| argument.ends_with("src/lib.rs"))
+}
+
+/// Whether a library is compiled without its unit tests.
+fn is_library(arguments: &[String]) -> bool {
+    has_library_root(arguments) && !is_test(arguments)
+}
+
+/// Whether cargo compiles the unit tests of the library of the package, too.
+fn has_unit_tests() -> Result<bool, Failure> {
+    let folder = env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default();
+    let manifest = Path::new(&folder).join("Cargo.toml");
+    let text = fs::read_to_string(&manifest)
+        .map_err(|error| failure!("{}: {error}", manifest.display()))?;
+    Ok(tests_library(&text))
+}
+
+fn tests_library(manifest: &str) -> bool {
+    let (_, library) = manifest.split_once("\n[lib]").unwrap_or_default();
+    let library = library.split("\n[").next().unwrap_or_default();
+    !library.lines().any(|line| line == "test = false")
 }
 
 /// A program that comes with the compiler: beside it, or on the search path.
@@ -195,6 +225,21 @@ mod tests {
         assert!(optimised(
             "control/tests/main.rs --test",
             "singletrack-control"
+        ));
+    }
+
+    #[test]
+    fn clippy_reads_a_library_with_its_unit_tests_if_it_has_some() {
+        assert!(is_library(&words("--crate-name a core/src/lib.rs")));
+        assert!(!is_library(&words("--crate-name a core/src/lib.rs --test")));
+        assert!(tests_library(
+            "[package]\nname = \"a\"\n\n[[test]]\ntest = false\n"
+        ));
+        assert!(tests_library(
+            "[package]\n\n[lib]\nname = \"a\"\n\n[[test]]\ntest = false\n"
+        ));
+        assert!(!tests_library(
+            "[package]\n\n[lib]\ntest = false\n\n[features]\n"
         ));
     }
 

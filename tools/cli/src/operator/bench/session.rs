@@ -172,7 +172,10 @@ fn write_page(
         "configuration": format!("{configuration:016x}"),
         "findings": findings.iter().map(report::to_json).collect::<Vec<_>>(),
     });
-    replace(&folder.join(format!("{name}.json")), json.to_string().as_bytes())?;
+    replace(
+        &folder.join(format!("{name}.json")),
+        json.to_string().as_bytes(),
+    )?;
     Ok(path)
 }
 
