@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::{
+    collections::BTreeSet,
     fs,
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -81,6 +82,41 @@ fn the_papers_slips_differ_and_say_what_is_so_instead() {
         assert!((value - measured).abs() <= tolerance, "{id}: {value}");
         assert!(claim["measured"][0]["should_be"].is_string(), "{id}");
         assert!(!claim["why"].as_str().unwrap().is_empty(), "{id}");
+    }
+}
+
+#[test]
+fn every_claim_has_a_name_a_number_and_a_reason_and_only_slips_differ() {
+    let json = Reproduced::get().json();
+    let claims = json["claims"].as_array().unwrap();
+    let ids: BTreeSet<_> = claims.iter().map(|claim| claim["id"].to_string()).collect();
+    assert_eq!(ids.len(), claims.len());
+    for claim in claims {
+        let id = &claim["id"];
+        let numbers = claim["measured"].as_array().unwrap();
+        assert!(!numbers.is_empty(), "{id}");
+        for text in ["claim", "paper", "why"].map(|key| claim[key].as_str().unwrap()) {
+            assert!(
+                !text.is_empty() && !text.contains(['{', '\n']),
+                "{id}: {text}"
+            );
+            assert!(!text.contains("</"), "{id}: {text}");
+        }
+        let is_slip = numbers.iter().any(|number| !number["should_be"].is_null());
+        assert_eq!(claim["verdict"] == "differs", is_slip, "{id}");
+    }
+}
+
+#[test]
+fn the_documentation_has_every_claim() {
+    let page = include_str!("../../docs/reproduction.md");
+    for claim in Reproduced::get().json()["claims"].as_array().unwrap() {
+        let row = format!(
+            "| {} | {} |",
+            claim["section"],
+            claim["claim"].as_str().unwrap()
+        );
+        assert!(page.contains(&row), "docs/reproduction.md lacks {row}");
     }
 }
 

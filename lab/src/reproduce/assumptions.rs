@@ -5,53 +5,18 @@ use libm::{atan, atan2, cos, hypot, sin, tan};
 use nalgebra::Rotation2;
 use singletrack_analysis::stability::{Belief, ClosedLoop, Law, SampledLoop};
 use singletrack_control::{
-    FrontPointLaw, Motion, SingleTrack, SingleTrackState, SlipAngles, VehicleParameters, Velocity,
-    direction,
+    FrontPointLaw, Motion, SingleTrack, SingleTrackState, Singularity, SlipAngles,
+    VehicleParameters, Velocity, direction,
 };
 
-use super::{
-    Setup,
-    claims::Measurements,
-    setup::{GAIN, TURN_RATE},
-};
+use super::{GAIN, Setup, TURN_RATE};
 
 /// The speeds of the studies, for the paper's car, in m/s.
 const SPEEDS: [f64; 7] = [0.1, 0.3, 0.5, 1.0, 2.0, 4.0, 8.0];
 
-/// All of them. One that fails is left out, and its claim says so.
-pub(super) fn measure(setup: &Setup, measurements: &mut Measurements) {
-    let mut add = |name: &str, value: Option<f64>| {
-        measurements.add(format!("assumptions.{name}"), value.unwrap_or(f64::NAN));
-    };
-    add("similitude", similitude(setup));
-    let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
-    let [model, exact] = [SlipAngles::Small, SlipAngles::Exact]
-        .map(|angles| steering_on_circle(setup, amplitude, angles));
-    add("steering.model", Some(model));
-    add("steering.exact", Some(exact));
-    add("steering.off", Some(100.0 * (model / exact - 1.0)));
-    add("direction", direction_matters(setup));
-    add("any-p", error_of_any_p(setup));
-    add("measured-point", measured_point(setup));
-    let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let inside = with_position_loop(setup, [from, to]);
-    add(
-        "unstable-with-position-loop",
-        inside.map(|counts| counts[0]),
-    );
-    let outside = with_position_loop(setup, [5.0 * from, from]);
-    add("unstable-motions", outside.map(|counts| counts[1]));
-    add(
-        "stable-only-with-position-loop",
-        outside.map(|counts| counts[2]),
-    );
-    add("reference-diameter", Some(2.0 * setup.radius_m()));
-    add("path-diameter", Some(2.0 * amplitude));
-}
-
 /// The largest relative difference between the eigenvalues of the car and those of a car ten
 /// times as long, 850 times as heavy, on a time scale √10 times as long.
-fn similitude(setup: &Setup) -> Option<f64> {
+pub(super) fn similitude(setup: &Setup) -> Option<f64> {
     let (length, mass, time) = (10.0, 850.0, 10.0_f64.sqrt());
     let car = setup.vehicle;
     let stiffness = mass * length / (time * time);
@@ -88,9 +53,9 @@ fn similitude(setup: &Setup) -> Option<f64> {
     Some(largest)
 }
 
-/// The steering angle with which P goes round on a circle of radius `amplitude` (m), with
-/// linear tyres, in rad.
-fn steering_on_circle(setup: &Setup, amplitude: f64, angles: SlipAngles) -> f64 {
+/// The steering angle with which P goes round on its path, with linear tyres, in rad.
+pub(super) fn steering_on_circle(setup: &Setup, angles: SlipAngles) -> f64 {
+    let amplitude = setup.amplitude_m();
     let VehicleParameters {
         mass_kg: m,
         front_axle_distance_m: l_f,
@@ -160,7 +125,7 @@ const fn disturbed([yaw, yaw_rate, sideslip, steering]: [f64; 4]) -> (Motion, f6
 }
 
 /// By how much the motion differs between directions of the velocity of P, at most.
-fn direction_matters(setup: &Setup) -> Option<f64> {
+pub(super) fn direction_matters(setup: &Setup) -> Option<f64> {
     let law = law(setup, 0.0, setup.point_distance_m())?;
     let model = SingleTrack::new(setup.vehicle);
     let mut largest: f64 = 0.0;
@@ -226,7 +191,7 @@ fn velocity_of_point(
 }
 
 /// The largest error of the velocity of P under the law, over distances p, in m/s.
-fn error_of_any_p(setup: &Setup) -> Option<f64> {
+pub(super) fn error_of_any_p(setup: &Setup) -> Option<f64> {
     let mut largest: f64 = 0.0;
     for p in [0.01, 0.05, 0.2, 1.0, 5.0].map(|p| p * setup.scale()) {
         let law = law(setup, 0.0, p)?;
@@ -244,7 +209,7 @@ fn error_of_any_p(setup: &Setup) -> Option<f64> {
 /// The largest difference between the commands of a controller that measures the centre of
 /// mass and one that measures another point of the axis, in m/s and rad/s: the speed of the
 /// rear wheels, and the steering rate.
-fn measured_point(setup: &Setup) -> Option<f64> {
+pub(super) fn measured_point(setup: &Setup) -> Option<f64> {
     let p = setup.point_distance_m();
     let [to_front, to_rear] = ClosedLoop::meaningful_deviations(&setup.vehicle).map(|dl| -dl);
     let mut largest: f64 = 0.0;
@@ -277,7 +242,7 @@ fn measured_point(setup: &Setup) -> Option<f64> {
 /// Steady motions over a range of dl: how many are unstable with the paper's position loop
 /// around the law, whose states are the position of P as well; how many are without it; and how
 /// many of these are stable with it. In ticks of 1 ms. None if one can't be studied.
-fn with_position_loop(setup: &Setup, [from, to]: [f64; 2]) -> Option<[f64; 3]> {
+pub(super) fn with_position_loop(setup: &Setup, [from, to]: [f64; 2]) -> Option<[f64; 3]> {
     let mut counts = [0.0; 3];
     for speed in SPEEDS.map(|speed| speed * setup.scale()) {
         for step in 0..=20 {
@@ -305,32 +270,48 @@ fn with_position_loop(setup: &Setup, [from, to]: [f64; 2]) -> Option<[f64; 3]> {
     Some(counts)
 }
 
+/// cos(β - δ) at which the law has no solution, if that is so at these angles, in
+/// degrees.
+pub(super) fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
+    let motion = Motion {
+        yaw: 0.0,
+        yaw_rate: 0.0,
+        sideslip: sideslip.to_radians(),
+    };
+    let law = law(setup, 0.0, setup.point_distance_m())?;
+    match law.command(&motion, steering.to_radians(), &direction(0.0)) {
+        Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
+        _ => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn the_assumptions_have_the_numbers_of_an_independent_computation() {
-        let setup = Setup {
-            vehicle: VehicleParameters::paper(),
-            name: "the paper's car".to_owned(),
-            quick: true,
-        };
-        let mut measurements = Measurements::default();
-        measure(&setup, &mut measurements);
-        println!("{measurements:?}");
-        let get = |name: &str| measurements.get(&format!("assumptions.{name}")).unwrap();
-        assert!(get("similitude") < 1e-9);
-        assert!((get("steering.model") - 0.328_643).abs() < 1e-6);
+        let setup = Setup::paper();
+        assert!(similitude(&setup).unwrap() < 1e-9);
+        let steering = |angles| steering_on_circle(&setup, angles);
+        assert!((steering(SlipAngles::Small) - 0.328_643).abs() < 1e-6);
         // Of a simulation of the exact car under the law, written apart from this.
-        assert!((get("steering.exact") - 0.322_630).abs() < 2e-6);
-        assert!(get("direction") < 1e-12);
-        assert!(get("any-p") < 1e-12);
-        assert!(get("measured-point") < 1e-12);
-        assert_eq!(get("unstable-with-position-loop"), 0.0);
+        assert!((steering(SlipAngles::Exact) - 0.322_630).abs() < 2e-6);
+        assert!(direction_matters(&setup).unwrap() < 1e-12);
+        assert!(error_of_any_p(&setup).unwrap() < 1e-12);
+        assert!(measured_point(&setup).unwrap() < 1e-12);
+        let [from, to] = ClosedLoop::meaningful_deviations(&setup.vehicle);
+        assert_eq!(with_position_loop(&setup, [from, to]).unwrap()[0], 0.0);
         // The claim's text names the number.
-        assert_eq!(get("unstable-motions"), 47.0);
-        assert_eq!(get("stable-only-with-position-loop"), 0.0);
-        assert!((get("path-diameter") - 1.788_854).abs() < 1e-6);
+        let outside = with_position_loop(&setup, [5.0 * from, from]).unwrap();
+        assert_eq!(outside[1..], [47.0, 0.0]);
+        assert!((2.0 * setup.amplitude_m() - 1.788_854).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_law_has_no_answer_at_the_corner_of_the_stated_ranges() {
+        let cosine = cosine_refused(&Setup::paper(), 40.0, -50.0).unwrap();
+        assert!(cosine.abs() < 1e-15, "{cosine}");
+        assert_eq!(cosine_refused(&Setup::paper(), 40.0, -26.0), None);
     }
 }

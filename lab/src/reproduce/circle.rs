@@ -5,16 +5,17 @@ use std::f64::consts::TAU;
 use indicatif::ProgressBar;
 use singletrack_core::config::{LawKind, OuterLoopSection, ReferenceSection, Start};
 use singletrack_figures::figure::{Axis, Curve, Figure, Look, Symbol, Width};
-use singletrack_scenario::tracking::{Sample, Tracking, last_turn};
+use singletrack_scenario::{
+    simulate::Row,
+    tracking::{Sample, Tracking, last_turn},
+};
 
 use super::{
-    Setup,
+    GAIN, Setup, TURN_RATE,
+    claims::{Scope, below, near},
     drive::{Drives, Experiment, PLANTS, Run},
-    pictures,
-    section::{Picture, Section},
-    setup::{GAIN, TURN_RATE},
-    setup::{largest, least},
-    text::{number, with_digits},
+    largest, least, pictures,
+    section::{Picture, Section, metres, number, told, with_digits},
 };
 
 /// Start of P on the path behind its reference, in rad. At distance zero the position loop
@@ -35,12 +36,7 @@ fn starts() -> [(&'static str, &'static str, [f64; 2], f64); 4] {
 }
 
 /// The tracking experiment from a point, in units of the circle's radius.
-pub(super) fn experiment(
-    setup: &Setup,
-    point: [f64; 2],
-    yaw_deg: f64,
-    feed_forward: bool,
-) -> Experiment {
+fn experiment(setup: &Setup, point: [f64; 2], yaw_deg: f64, feed_forward: bool) -> Experiment {
     Experiment {
         law: LawKind::FrontPoint,
         deviation_m: 0.0,
@@ -81,12 +77,12 @@ fn tracking(run: &Run) -> Option<Tracking> {
 const FEED_FORWARD: &str = "feed-forward";
 
 pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
-    let mut section = Section::new(3, "Tracking a circle");
-    section.intro = format!(
+    let intro = format!(
         "Radius {} m, {TURN_RATE} rad/s, proportional control with unit gain around the law, from \
          several starts; and from the first again with the reference's velocity fed forward.",
         number(setup.radius_m())
     );
+    let mut section = Section::new(3, "Tracking a circle", intro);
     let mut drives = Drives::default();
     let mut drive = |case, what: &str, experiment: &Experiment| {
         progress.set_message(format!("circle, {what}"));
@@ -102,60 +98,157 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let [(_, _, point, yaw_deg), ..] = starts();
     let experiment = experiment(setup, point, yaw_deg, true);
     drive(FEED_FORWARD, "with feed-forward", &experiment);
-    measure(&drives, &mut section);
-    draw(setup, &drives, &mut section);
+    for (_, plant, _) in PLANTS {
+        for (case, run) in drives.of(plant) {
+            section.table(format!("circle-{case}-{plant}"), run.table());
+        }
+    }
+    claims(setup, &drives, &mut section);
+    plates(setup, &drives, &mut section);
     section
 }
 
-fn measure(drives: &Drives, section: &mut Section) {
-    let measurements = &mut section.measurements;
-    for (_, plant, _) in PLANTS {
-        let mut all = Vec::new();
-        for (case, run) in drives.of(plant) {
-            let name = format!("circle-{case}-{plant}");
-            section.tables.push((name, run.table()));
-            let Some(tracking) = tracking(run) else {
-                continue;
-            };
-            if case == FEED_FORWARD {
-                let name = format!("circle.feed-forward.error.{plant}");
-                measurements.add(name, tracking.rms_error_m);
-                continue;
-            }
-            let mut add =
-                |what, value| measurements.add(format!("circle.{what}.{case}.{plant}"), value);
-            add("amplitude", tracking.amplitude_m);
-            add("lag", tracking.lag_rad);
-            add("error", tracking.rms_error_m);
-            if let Some(row) = run.rows.last() {
-                add("speed", row.speed);
-                add("steering", row.steering);
-                add("sideslip", row.sideslip);
-                add("yaw-rate", row.yaw_rate);
-            }
-            all.push(tracking);
-        }
-        if all.len() == starts().len() {
-            let spread = |value: fn(&Tracking) -> f64| {
-                largest(all.iter().map(value)) - least(all.iter().map(value))
-            };
-            let apart = spread(|tracking| tracking.amplitude_m).max(spread(|one| one.lag_rad));
-            measurements.add(format!("circle.spread.{plant}"), apart);
-        }
+fn amplitude(one: &Tracking) -> f64 {
+    one.amplitude_m
+}
+
+fn lag(one: &Tracking) -> f64 {
+    one.lag_rad
+}
+
+fn error(one: &Tracking) -> f64 {
+    one.rms_error_m
+}
+
+/// A result of the last turn of a drive.
+fn of(drives: &Drives, case: &str, plant: &str, value: fn(&Tracking) -> f64) -> Option<f64> {
+    drives
+        .get(case, plant)
+        .and_then(tracking)
+        .as_ref()
+        .map(value)
+}
+
+/// The largest difference between the starts in amplitude (m) and lag (rad).
+fn spread(drives: &Drives, plant: &str) -> Option<f64> {
+    let spread = |value| {
+        let each = starts().map(|(case, ..)| of(drives, case, plant, value));
+        let each = || each.iter().map(|value| value.unwrap_or(f64::NAN));
+        largest(each()) - least(each())
+    };
+    let (amplitude, lag) = (spread(amplitude), spread(lag));
+    (!amplitude.is_nan() && !lag.is_nan()).then(|| amplitude.max(lag))
+}
+
+fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
+    let (radius, reach) = (setup.radius_m(), setup.amplitude_m());
+    // Of two integrators under proportional control.
+    let gain = reach / radius;
+    let behind = (TURN_RATE / GAIN).atan();
+    let distance = radius / (1.0 + (GAIN / TURN_RATE).powi(2)).sqrt();
+    // The criteria of the simulated car are for one of the paper's size.
+    let count = if setup.is_paper() { 2 } else { 1 };
+    let plants = |labels: [&'static str; 2], tolerances: [f64; 2]| {
+        let plants = labels.into_iter().zip(["ideal", "car"]).zip(tolerances);
+        plants
+            .take(count)
+            .map(|((label, plant), tolerance)| (label, plant, tolerance))
+    };
+    let claim = section.claim(
+        "circle-converges",
+        "m, rad",
+        "P converges to the path, wherever it starts",
+        "\"guarantees the convergence to the desired trajectory even in this situation\": all \
+         starts end alike",
+        "amplitude and lag of the last turn, from four starts; to a path of its own: see below",
+    );
+    for (label, plant, tolerance) in plants(["apart, ideal", "apart, car"], [1e-4, 0.01]) {
+        claim.number(label, spread(drives, plant), near(0.0, tolerance));
+    }
+    let claim = section.claim(
+        "circle-amplitude",
+        "m",
+        "Reference and actual position have the same amplitude",
+        format!("\"sinusoids with the same amplitude\": {}", metres(radius)),
+        format!(
+            "two integrators under unit gain are a low-pass: 1/√(1 + 0.5²) = {} of the \
+             reference's amplitude",
+            with_digits(gain, 6)
+        ),
+    );
+    for (label, plant, tolerance) in plants(["ideal", "car"], [1e-5, 0.02]) {
+        let value = of(drives, "outside", plant, amplitude);
+        let same = near(radius, 0.01 * radius);
+        claim.slip(label, value, same, near(reach, tolerance * radius));
+    }
+    let claim = section.claim(
+        "circle-lag",
+        "rad",
+        "The delay comes from the start outside the path",
+        "\"as the vehicle starts outside the desired path\": a start on the path would have none",
+        format!(
+            "it is the steady state of proportional control, atan(0.5) = {} rad, from every \
+             start, also from one on the path",
+            with_digits(behind, 6)
+        ),
+    );
+    for (label, plant, tolerance) in
+        plants(["on the path, ideal", "on the path, car"], [1e-5, 0.02])
+    {
+        let value = of(drives, "on-the-path", plant, lag);
+        claim.slip(label, value, near(0.0, 0.01), near(behind, tolerance));
+    }
+    let claim = section.claim(
+        "circle-linear-tools",
+        "m",
+        "Any tool of linear control can be put around the law",
+        "\"any linear system tool can be applied\": with the reference's velocity fed forward two \
+         integrators follow without error",
+        "amplitude and delay are then those of the reference; on the car noise, lags and delays \
+         are left",
+    );
+    for (label, plant, tolerance) in plants(["error, ideal", "error, car"], [1e-4 * radius, 0.02]) {
+        let value = of(drives, FEED_FORWARD, plant, error);
+        claim.number(label, value, near(0.0, tolerance));
+    }
+    section
+        .claim(
+            "circle-carpet",
+            "m",
+            "A circle of 1 m is driven on a carpet of 4 m²",
+            "\"a four square meter carpet\", \"a radius of 1 m\": taken as a square, P within 2 m",
+            "P goes round on 0.894 m and leaves 0.1 m; a car that followed the reference itself \
+             would touch the edges, and a start outside of the circle is in a corner or off the \
+             carpet",
+        )
+        .of(Scope::PaperCar)
+        .number("reference", 2.0 * radius, near(2.0, 1e-9))
+        .number("P", 2.0 * reach, below(2.0));
+    let claim = section.claim(
+        "circle-satisfactory",
+        "m",
+        "The tracking of the circle is satisfactory",
+        "\"satisfactory tracking performance even with a proportional position control law\"; no \
+         number",
+        "P stays 0.447 m from its reference, nearly half of the radius: r/√(1 + (K/ω)²). With the \
+         reference's velocity fed forward it is zero",
+    );
+    claim.of(Scope::Nobody);
+    for (label, plant, tolerance) in plants(["ideal", "car"], [1e-3, 0.02]) {
+        let value = of(drives, "outside", plant, error);
+        claim.number(label, value, near(distance, tolerance));
     }
 }
 
-fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let amplitude = setup.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt();
-    let lag = (TURN_RATE / GAIN).atan();
+fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
+    let amplitude_m = setup.amplitude_m();
+    let behind = (TURN_RATE / GAIN).atan();
+    let at = |case, plant, value, unit| told(of(drives, case, plant, value), unit);
     // A picture for each plant.
     let pictures = |what: &str, draw: &dyn Fn(&str) -> Option<Figure>| -> Vec<Picture> {
         let drawn = PLANTS.into_iter().filter_map(|(_, plant, label)| {
-            Some(Picture::new(
-                format!("circle-{what}-{plant}"),
-                label,
-                draw(plant)?,
-            ))
+            let name = format!("circle-{what}-{plant}");
+            Some(Picture::new(name, label, draw(plant)?))
         });
         drawn.collect()
     };
@@ -166,12 +259,15 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
     section.plate(
         "Trajectory of P",
         "Reference and actual path; the car starts outside the circle and converges.",
-        "From everywhere it converges, to a circle of {circle.amplitude.outside.ideal m} on the \
-         ideal plant and {circle.amplitude.outside.car m} on the car: the reference's radius over \
-         √1.25 ({amplitude} m) is what unit-gain proportional control without feed-forward gives. \
-         The car, whose speed, acceleration and steering have limits, makes detours where the \
-         ideal plant turns at once.",
-        &[("amplitude", with_digits(amplitude, 4))],
+        format!(
+            "From everywhere it converges, to a circle of {} on the ideal plant and {} on the car: \
+             the reference's radius over √1.25 ({} m) is what unit-gain proportional control \
+             without feed-forward gives. The car, whose speed, acceleration and steering have \
+             limits, makes detours where the ideal plant turns at once.",
+            at("outside", "ideal", amplitude, "m"),
+            at("outside", "car", amplitude, "m"),
+            with_digits(amplitude_m, 4)
+        ),
         pictures("trajectory", &|plant| {
             let runs = drives.of(plant).filter(|(case, _)| *case != FEED_FORWARD);
             let runs: Vec<&Run> = runs.map(|(_, run)| run).collect();
@@ -182,54 +278,69 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
         "Position of P over time",
         "Sinusoids with a delay between reference and actual position and, as the text says, with \
          the same amplitude; the delay is put down to the start outside the path.",
-        "The delay is {circle.lag.outside.ideal rad} on the ideal plant and \
-         {circle.lag.outside.car rad} on the car (theory: atan 0.5 = {lag} rad, or {lag_s} s), and \
-         the amplitude is not the same.",
-        &[
-            ("lag", with_digits(lag, 4)),
-            ("lag_s", with_digits(lag / TURN_RATE, 3)),
-        ],
+        format!(
+            "The delay is {} on the ideal plant and {} on the car (theory: atan 0.5 = {} rad, or \
+             {} s), and the amplitude is not the same.",
+            at("outside", "ideal", lag, "rad"),
+            at("outside", "car", lag, "rad"),
+            with_digits(behind, 4),
+            with_digits(behind / TURN_RATE, 3)
+        ),
         each("position", Run::position),
     );
     section.plate(
         "The delay is no effect of the start",
         "No figure: the text says that the delay comes from starting outside the path.",
-        "P that starts on the path and along it, {behind} rad behind its reference, falls back to \
-         {circle.lag.on-the-path.ideal rad} as well ({circle.lag.on-the-path.car rad} on the car); \
-         with feed-forward P from outside comes to within {circle.feed-forward.error.ideal m} of \
-         its reference ({circle.feed-forward.error.car m} on the car).",
-        &[("behind", BEHIND.to_string())],
-        pictures("lag", &|plant| lag_figure(drives, plant, lag)),
+        format!(
+            "P that starts on the path and along it, {BEHIND} rad behind its reference, falls back \
+             to {} as well ({} on the car); with feed-forward P from outside comes to within {} of \
+             its reference ({} on the car).",
+            at("on-the-path", "ideal", lag, "rad"),
+            at("on-the-path", "car", lag, "rad"),
+            at(FEED_FORWARD, "ideal", error, "m"),
+            at(FEED_FORWARD, "car", error, "m")
+        ),
+        pictures("lag", &|plant| lag_figure(drives, plant, behind)),
     );
     section.plate(
         "Velocity commanded of P",
         "The outputs of the two position regulators.",
-        "After the approach sinusoids of {speed} m/s: the amplitude times {rate} rad/s.",
-        &[
-            ("speed", with_digits(amplitude * TURN_RATE, 4)),
-            ("rate", TURN_RATE.to_string()),
-        ],
+        format!(
+            "After the approach sinusoids of {} m/s: the amplitude times {TURN_RATE} rad/s.",
+            with_digits(amplitude_m * TURN_RATE, 4)
+        ),
         each("commanded-velocity", Run::commanded_velocity),
     );
+    // On either plant, at the end.
+    let settled = |value: fn(&Row) -> f64, unit: &str| {
+        ["ideal", "car"].map(|plant| {
+            let run = drives.get("outside", plant);
+            told(run.and_then(|run| run.rows.last()).map(value), unit)
+        })
+    };
+    let [steering, car_steering] = settled(|row| row.steering, "rad");
+    let [speed, car_speed] = settled(|row| row.speed, "m/s");
     let mut outputs = each("steering", Run::steering);
     outputs.extend(each("speed", Run::speed));
     section.plate(
         "Outputs of the law",
         "Steering and reference speed from the law, and the car's speed.",
-        "On the ideal plant and on the car the steering settles on \
-         {circle.steering.outside.ideal rad} and {circle.steering.outside.car rad}, the speed on \
-         {circle.speed.outside.ideal m/s} and {circle.speed.outside.car m/s}.",
-        &[],
+        format!(
+            "On the ideal plant and on the car the steering settles on {steering} and \
+             {car_steering}, the speed on {speed} and {car_speed}."
+        ),
         outputs,
     );
+    let [sideslip, car_sideslip] = settled(|row| row.sideslip, "rad");
+    let [yaw_rate, car_yaw_rate] = settled(|row| row.yaw_rate, "rad/s");
     section.plate(
         "Sideslip angle and yaw rate",
         "The measured sideslip angle and yaw rate.",
-        "On the ideal plant and on the car the sideslip settles on \
-         {circle.sideslip.outside.ideal rad} and {circle.sideslip.outside.car rad}, the yaw rate \
-         on {circle.yaw-rate.outside.ideal rad/s} and {circle.yaw-rate.outside.car rad/s}: the car \
-         turns as fast as the reference.",
-        &[],
+        format!(
+            "On the ideal plant and on the car the sideslip settles on {sideslip} and \
+             {car_sideslip}, the yaw rate on {yaw_rate} and {car_yaw_rate}: the car turns as fast \
+             as the reference."
+        ),
         each("sideslip-yaw-rate", Run::sideslip_and_yaw_rate),
     );
 }

@@ -11,19 +11,18 @@ use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
 
 use super::{
     Setup, assumptions,
+    claims::{Scope, above, below, near},
     drive::{Drives, Experiment, Run},
-    pictures,
-    section::{Picture, Section},
-    setup::largest,
+    largest, pictures,
+    section::{Picture, Section, metres, mm, number, told, with_digits},
     steps,
-    text::{metres, mm, number, with_digits},
 };
 use crate::table::Table;
 
 /// The deviation dl of the laws' centre of mass to the rear, for the paper's car, in m.
-pub(super) const DEVIATION_M: f64 = 0.01;
+const DEVIATION_M: f64 = 0.01;
 /// Relative error of the wrong masses and stiffnesses.
-pub(super) const WRONG: f64 = 0.2;
+const WRONG: f64 = 0.2;
 
 /// Mass and stiffnesses: the symbol in a figure, and the name.
 const PARAMETERS: [(&str, &str); 3] = [("$m$", "mass"), ("$C_f$", "front"), ("$C_r$", "rear")];
@@ -49,8 +48,7 @@ const FACTORS: [(&str, f64); 2] = [("low", 1.0 - WRONG), ("high", 1.0 + WRONG)];
 
 pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let deviation = DEVIATION_M * setup.scale();
-    let mut section = Section::new(7, "The two laws compared");
-    section.intro = format!(
+    let intro = format!(
         "The open-loop steps of section 2 on the ideal plant under both laws: with everything \
          right, with the centre of mass believed {} behind its place, and with mass and \
          cornering stiffnesses believed {} % wrong. The simulated car is not driven under the \
@@ -58,6 +56,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         mm(deviation),
         number(WRONG * 100.0)
     );
+    let mut section = Section::new(7, "The two laws compared", intro);
     let mut drives = Drives::default();
     let mut drive = |case: &str, (law, kind, name): (_, _, &str), deviation, believed| {
         let name = format!("{name}, dl = {}", mm(deviation));
@@ -88,20 +87,14 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     }
     let mut worst = Vec::new();
     for (case, law, run) in drives.iter() {
-        let largest = run.largest_deviation();
-        let name = format!("compare.largest.{case}.{law}");
-        section.measurements.add(name, largest);
-        let name = format!("compare-{case}-{law}");
-        section.table(name, run.table());
+        section.table(format!("compare-{case}-{law}"), run.table());
         if !["right", "deviation"].contains(&case) {
-            worst.push(largest);
+            worst.push(run.largest_deviation());
         }
     }
     // A case without a result may have been the worst.
-    if worst.len() == FACTORS.len() * PARAMETERS.len() {
-        let name = "compare.largest.parameters.velocity-point";
-        section.measurements.add(name, largest(worst.into_iter()));
-    }
+    let is_complete = worst.len() == FACTORS.len() * PARAMETERS.len();
+    let worst = is_complete.then(|| largest(worst.into_iter()));
     // The proposed law uses none of them: only the car can differ.
     let mut front = 0.0_f64;
     for (_, parameter) in PARAMETERS {
@@ -116,16 +109,156 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
             }
         }
     }
-    let name = "compare.largest.parameters.front-point";
-    section.measurements.add(name, front);
-    standstill(setup, &mut section);
-    stiffnesses(setup, &mut section);
-    draw(setup, &drives, &mut section);
+    let stiffnesses = stiffnesses(setup);
+    claims(
+        setup,
+        &drives,
+        [Some(front), worst],
+        &stiffnesses,
+        &mut section,
+    );
+    plates(setup, &drives, &mut section);
+    parameter_plate(&drives, [Some(front), worst], &stiffnesses, &mut section);
+    section.table("compare-stiffnesses", stiffnesses);
     section
 }
 
-/// Whether each law has a solution for a car at standstill that is to stay there: 1 or 0.
-fn standstill(setup: &Setup, section: &mut Section) {
+/// The largest deviation of a drive, in m.
+fn off(drives: &Drives, case: &str, law: &str) -> Option<f64> {
+    drives.get(case, law).map(Run::largest_deviation)
+}
+
+/// The claims; `parameters` are the largest deviations with wrong parameters under either law.
+fn claims(
+    setup: &Setup,
+    drives: &Drives,
+    parameters: [Option<f64>; 2],
+    stiffnesses: &Table,
+    section: &mut Section,
+) {
+    let dl = DEVIATION_M * setup.scale();
+    let percent = number(WRONG * 100.0);
+    let [proposed, appendix] = standstill(setup).map(|answers| f64::from(u8::from(answers)));
+    section
+        .claim(
+            "compare-standstill",
+            "",
+            "The appendix's law is singular at standstill, the proposed one is not",
+            "\"singular when the vehicle velocity is equal to zero\"; answers (1) or not (0): 1 \
+             and 0",
+            "v = 0 divides the yaw rate in equation 11; equation 8 has no v below a line",
+        )
+        .number("proposed", proposed, near(1.0, 0.0))
+        .number("appendix's", appendix, near(0.0, 0.0));
+    section
+        .claim(
+            "compare-right",
+            "m",
+            "With everything right both laws linearise their point exactly",
+            "equations 7 and 11: deviation 0",
+            "the open-loop steps on the ideal plant",
+        )
+        .number(
+            "proposed",
+            off(drives, "right", "front-point"),
+            near(0.0, 1e-6),
+        )
+        .number(
+            "appendix's",
+            off(drives, "right", "velocity-point"),
+            near(0.0, 1e-6),
+        );
+    section
+        .claim(
+            "compare-wrong-proposed",
+            "m",
+            format!("The proposed law takes dl = {}", mm(dl)),
+            "robust: at most 2 dl",
+            "2 |dl sin(Δψ/2)|",
+        )
+        .number(
+            "proposed",
+            off(drives, "deviation", "front-point"),
+            below(2.000_002 * dl),
+        );
+    section
+        .claim(
+            "compare-wrong-appendix",
+            "m",
+            format!("The appendix's law does not take dl = {}", mm(dl)),
+            "\"unsuitable in real cases\"; taken as off by more than a wheelbase on the same \
+             steps",
+            "at these speeds the motion is unstable with 10 mm: the steering diverges at the \
+             first turn, until the speed is zero and the law has no answer",
+        )
+        .of(Scope::PaperCar)
+        .number(
+            "appendix's",
+            off(drives, "deviation", "velocity-point"),
+            above(setup.vehicle.wheelbase_m()),
+        );
+    section
+        .claim(
+            "compare-parameters",
+            "m",
+            "The proposed law depends on no parameter but the position of the centre of mass",
+            format!(
+                "\"does not depend on any model parameter\": deviation 0 on cars with m, C_f \
+                     or C_r {percent} % different"
+            ),
+            "it uses none of them",
+        )
+        .number("proposed", parameters[0], near(0.0, 1e-6));
+    section
+        .claim(
+            "compare-parameters-appendix",
+            "m",
+            "The appendix's law does depend on them",
+            format!(
+                "\"requires an estimate of vehicle parameters\": off with m, C_f or C_r \
+                     {percent} % wrong; taken as by more than 10 mm"
+            ),
+            "the worst of the six; the motion stays stable, but P is not where it should be",
+        )
+        .of(Scope::PaperCar)
+        .number("appendix's", parameters[1], above(0.01));
+    section
+        .claim(
+            "compare-stiffnesses",
+            "",
+            "Its stability is robust to wrong cornering stiffnesses",
+            format!(
+                "\"robust with respect to uncertainties on C_f and C_r\": no unstable case \
+                     with ±{percent} %"
+            ),
+            "nine speeds from 0.1 to 8 m/s, nine combinations, Hurwitz' criterion",
+        )
+        .of(Scope::PaperCar)
+        .number(
+            "unstable of 81",
+            unstable(stiffnesses) as f64,
+            near(0.0, 0.0),
+        );
+    section
+        .claim(
+            "parameter-is-a-distance",
+            "m/s, rad/s",
+            "The law's only parameter is the position of the centre of mass",
+            "\"apart from the position of the center of mass\": another point gives other \
+             commands",
+            "it depends on less: on the distance of the front axle from the point to which pose \
+             and sideslip refer. Any point of the axis gives the same commands; the centre of \
+             mass need not be known",
+        )
+        .number(
+            "commands differ by",
+            assumptions::measured_point(setup),
+            near(0.0, 1e-9),
+        );
+}
+
+/// Whether each law has a solution for a car at standstill that is to stay there.
+fn standstill(setup: &Setup) -> [bool; 2] {
     let p = setup.point_distance_m();
     let velocity = Velocity::zeros();
     let motion = Motion {
@@ -133,45 +266,41 @@ fn standstill(setup: &Setup, section: &mut Section) {
         yaw_rate: 0.0,
         sideslip: 0.0,
     };
-    let front = assumptions::law(setup, 0.0, p)
-        .is_some_and(|law| law.command(&motion, 0.0, &velocity).is_ok());
-    let velocity_point = VelocityPointLaw::new(setup.vehicle, p)
-        .is_ok_and(|law| law.command(&motion, &velocity).is_ok());
-    for (name, answers) in [("front-point", front), ("velocity-point", velocity_point)] {
-        let name = format!("compare.standstill.{name}");
-        let answers = f64::from(u8::from(answers));
-        section.measurements.add(name, answers);
-    }
+    [
+        assumptions::law(setup, 0.0, p)
+            .is_some_and(|law| law.command(&motion, 0.0, &velocity).is_ok()),
+        VelocityPointLaw::new(setup.vehicle, p)
+            .is_ok_and(|law| law.command(&motion, &velocity).is_ok()),
+    ]
 }
 
 /// Speeds at which the stability under wrong stiffnesses is checked, for the paper's
 /// car, in m/s.
 const SPEEDS: [f64; 9] = [0.1, 0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 5.0, 8.0];
 
-/// At how many of the speeds, and of the combinations of wrong stiffnesses, the steady
-/// motion under the appendix's law is unstable.
-fn stiffnesses(setup: &Setup, section: &mut Section) {
+/// Whether the steady motion under the appendix's law is stable at each of the speeds, with each
+/// combination of wrong stiffnesses.
+fn stiffnesses(setup: &Setup) -> Table {
     let factors = [1.0 - WRONG, 1.0, 1.0 + WRONG];
     let mut rows = Vec::new();
-    let mut unstable = 0_u32;
     for speed in SPEEDS.map(|speed| speed * setup.scale()) {
         for front in factors {
             for rear in factors {
                 let believed = scaled(setup.vehicle, "front", front);
                 let believed = scaled(believed, "rear", rear);
                 let stable = is_stable(setup, believed, speed);
-                unstable += u32::from(!stable);
                 rows.push(vec![speed, front, rear, f64::from(u8::from(stable))]);
             }
         }
     }
-    let combinations = SPEEDS.len() * factors.len() * factors.len();
-    let measurements = &mut section.measurements;
-    measurements.add("compare.stiffnesses.unstable", f64::from(unstable));
-    measurements.add("compare.stiffnesses.combinations", combinations as f64);
     let header = "speed_m_s,front_stiffness_factor,rear_stiffness_factor,is_stable".to_owned();
-    let table = Table { header, rows };
-    section.table("compare-stiffnesses", table);
+    Table { header, rows }
+}
+
+/// How many of these motions are unstable.
+fn unstable(stiffnesses: &Table) -> usize {
+    let rows = stiffnesses.rows.iter();
+    rows.filter(|row| row.last() == Some(&0.0)).count()
 }
 
 /// Whether the steady motion at a speed is stable under the appendix's law with the
@@ -213,7 +342,7 @@ fn is_stable(setup: &Setup, believed: VehicleParameters, speed: f64) -> bool {
     a2 > 0.0 && a0 > 0.0 && a2 * a1 > a0
 }
 
-fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
+fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
     let deviation = DEVIATION_M * setup.scale();
     let wrong = format!("dl = {}", metres(deviation));
     // A picture for each law.
@@ -235,18 +364,17 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
         "The steps under both laws",
         "No experiment: the appendix compares the laws by their equations and by their stability, \
          and calls its own unsuitable in real cases.",
-        "With everything right both follow their nominal paths \
-         ({compare.largest.right.front-point m} and {compare.largest.right.velocity-point m} off \
-         at most). With the centre of mass {dl} wrong the proposed law is \
-         {compare.largest.deviation.front-point m} off at most; under the appendix's law P is \
-         {compare.largest.deviation.velocity-point m} off at most{ended}.",
-        &[
-            ("dl", mm(deviation)),
-            (
-                "ended",
-                ended.map_or_else(String::new, |ended| format!(", and {ended}")),
-            ),
-        ],
+        format!(
+            "With everything right both follow their nominal paths ({} and {} off at most). With \
+             the centre of mass {} wrong the proposed law is {} off at most; under the appendix's \
+             law P is {} off at most{}.",
+            told(off(drives, "right", "front-point"), "m"),
+            told(off(drives, "right", "velocity-point"), "m"),
+            mm(deviation),
+            told(off(drives, "deviation", "front-point"), "m"),
+            told(off(drives, "deviation", "velocity-point"), "m"),
+            ended.map_or_else(String::new, |ended| format!(", and {ended}"))
+        ),
         steps,
     );
     let steepest = |law: &str| {
@@ -258,19 +386,22 @@ fn draw(setup: &Setup, drives: &Drives, section: &mut Section) {
     section.plate(
         "Steering under both laws",
         "No figure.",
-        "At its largest it is {proposed} under the proposed law and {appendix} under the \
-         appendix's.",
-        &[
-            ("proposed", steepest("front-point")),
-            ("appendix", steepest("velocity-point")),
-        ],
+        format!(
+            "At its largest it is {} under the proposed law and {} under the appendix's.",
+            steepest("front-point"),
+            steepest("velocity-point")
+        ),
         pictures("steering", "deviation", &wrong, Run::steering),
     );
-    parameter_plate(drives, section);
 }
 
 /// The deviation of P with wrong parameters, over time.
-fn parameter_plate(drives: &Drives, section: &mut Section) {
+fn parameter_plate(
+    drives: &Drives,
+    [proposed, appendix]: [Option<f64>; 2],
+    stiffnesses: &Table,
+    section: &mut Section,
+) {
     let looks = [("too low", Look::Actual), ("too high", Look::Truth)];
     let panels = PARAMETERS.into_iter().filter_map(|(symbol, parameter)| {
         let curves = FACTORS.into_iter().zip(looks);
@@ -293,26 +424,23 @@ fn parameter_plate(drives: &Drives, section: &mut Section) {
         width: Width::Page,
         panels: panels.collect(),
     };
-    let unstable = section.measurements.get("compare.stiffnesses.unstable");
-    let unstable = match unstable.unwrap_or(0.0) {
-        0.0 => "none is".to_owned(),
-        count => format!("{} are", number(count)),
-    };
-    let combinations = section.measurements.get("compare.stiffnesses.combinations");
     section.plate(
         "What a wrong parameter does under the appendix's law",
         "No figure: the text says that the law needs mass and cornering stiffnesses, and that its \
          stability is robust to wrong stiffnesses.",
-        "With one of them {percent} % wrong P is up to \
-         {compare.largest.parameters.velocity-point m} off; the proposed law, which is not told \
-         them, stays within {compare.largest.parameters.front-point m} on cars whose m, \
-         C<sub>f</sub> or C<sub>r</sub> is as much different. Of {combinations} combinations of \
-         speed and wrong stiffnesses {unstable} unstable.",
-        &[
-            ("percent", number(WRONG * 100.0)),
-            ("combinations", number(combinations.unwrap_or(0.0))),
-            ("unstable", unstable),
-        ],
+        format!(
+            "With one of them {} % wrong P is up to {} off; the proposed law, which is not told \
+             them, stays within {} on cars whose m, C<sub>f</sub> or C<sub>r</sub> is as much \
+             different. Of {} combinations of speed and wrong stiffnesses {} unstable.",
+            number(WRONG * 100.0),
+            told(appendix, "m"),
+            told(proposed, "m"),
+            stiffnesses.rows.len(),
+            match unstable(stiffnesses) {
+                0 => "none is".to_owned(),
+                count => format!("{count} are"),
+            }
+        ),
         vec![Picture::new("compare-parameters", "", figure)],
     );
 }

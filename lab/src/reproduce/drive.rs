@@ -10,7 +10,7 @@ use singletrack_scenario::simulate::{
 use singletrack_sim::BoardKind;
 use singletrack_statistics::RootMeanSquare;
 
-use super::{Setup, setup::largest};
+use super::{Setup, largest};
 use crate::table::Table;
 
 /// An experiment, independent of the plant.

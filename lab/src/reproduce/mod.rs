@@ -2,35 +2,27 @@
 //! measured results.
 
 mod assumptions;
-mod catalogue;
 mod circle;
-pub mod claims;
+mod claims;
 mod comparison;
 mod drive;
-mod folder;
 mod model;
+mod output;
 mod pictures;
-mod report;
-mod sampled;
 mod section;
-mod setup;
 mod stability;
 mod steps;
-mod table;
-mod text;
 
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_control::{Motion, Singularity, direction};
+use singletrack_control::VehicleParameters;
+use singletrack_figures::output::WriteError;
 
-pub use section::{Picture, Plate, Reproduction, Section};
-pub use setup::ReproduceError;
-pub use setup::Setup;
-
-use crate::vehicle_file;
-use claims::{Claim, Measurements, judge, surprises};
+use crate::vehicle_file::{self, VehicleFileError};
+use claims::Claim;
+use section::Section;
 
 /// Options of `singletrack reproduce`.
 #[derive(Clone, Debug, Args)]
@@ -48,7 +40,41 @@ pub struct ReproduceArgs {
     pub quick: bool,
 }
 
-/// Reproduces the paper: the table of claims on standard output, all else in a folder.
+/// Why a reproduction failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReproduceError {
+    /// The car can't be used.
+    #[error(transparent)]
+    Vehicle(#[from] VehicleFileError),
+    /// A file or folder can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
+    /// The folder holds files that this command did not write.
+    #[error(
+        "{} holds files that are not of an earlier reproduction ({found}); choose another folder \
+         with --out",
+        path.display()
+    )]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+        /// The first of these files.
+        found: String,
+    },
+    /// A claim's verdict is not the expected one.
+    #[error(
+        "{count} of the claims have another verdict than expected: see the lines marked with ! and {}",
+        report.display()
+    )]
+    Surprise {
+        /// The number of such claims.
+        count: usize,
+        /// The report.
+        report: PathBuf,
+    },
+}
+
+/// Reproduces the paper: the claims on standard output, all else in a folder.
 ///
 /// # Errors
 ///
@@ -66,28 +92,38 @@ pub fn run(args: &ReproduceArgs) -> Result<(), ReproduceError> {
     {
         setup.name = format!("the car of {}", path.display());
     }
-    folder::prepare(&args.out)?;
-    let reproduction = reproduce(setup)?;
-    let report = folder::write(&args.out, &reproduction)?;
-    table::print(&reproduction, &report);
-    outcome(&reproduction.claims, report)
-}
-
-/// Fails if a claim's verdict is not the expected one.
-fn outcome(claims: &[Claim], report: PathBuf) -> Result<(), ReproduceError> {
-    match surprises(claims) {
+    output::prepare(&args.out)?;
+    let reproduction = reproduce(setup);
+    let report = output::write(&args.out, &reproduction)?;
+    output::print(&reproduction, &report);
+    match surprises(reproduction.claims()) {
         0 => Ok(()),
         count => Err(ReproduceError::Surprise { count, report }),
     }
 }
 
+/// The number of unexpected verdicts.
+fn surprises<'a>(claims: impl Iterator<Item = &'a Claim>) -> usize {
+    claims.filter(|claim| claim.surprise.is_some()).count()
+}
+
+/// All results of a reproduction.
+#[derive(Clone, Debug)]
+struct Reproduction {
+    setup: Setup,
+    /// The sections of the report, in order.
+    sections: Vec<Section>,
+}
+
+impl Reproduction {
+    /// All claims with their verdicts, in the order of the report.
+    fn claims(&self) -> impl Iterator<Item = &Claim> + Clone {
+        self.sections.iter().flat_map(|section| &section.claims)
+    }
+}
+
 /// Computes everything; shows progress on a terminal.
-///
-/// # Errors
-///
-/// The catalogue of the claims can't be read.
-pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
-    let claims = catalogue::claims(&setup)?;
+fn reproduce(setup: Setup) -> Reproduction {
     let parts: [fn(&Setup, &ProgressBar) -> Section; 8] = [
         model::section,
         steps::section,
@@ -96,7 +132,7 @@ pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
         stability::eigenvalues,
         stability::appendix,
         comparison::section,
-        sampled::section,
+        stability::sampled,
     ];
     // Hidden when standard error is no terminal.
     let progress = ProgressBar::new(parts.len() as u64);
@@ -105,115 +141,115 @@ pub fn reproduce(setup: Setup) -> Result<Reproduction, ReproduceError> {
     }
     progress.enable_steady_tick(Duration::from_millis(200));
     let mut sections = Vec::new();
-    let mut measurements = basics(&setup);
     for part in parts {
-        let section = part(&setup, &progress);
-        measurements.extend(section.measurements.clone());
+        let mut section = part(&setup, &progress);
+        for claim in &mut section.claims {
+            claim.judge(setup.is_paper());
+        }
         sections.push(section);
         progress.inc(1);
     }
     progress.finish_and_clear();
-    let claims = judge(claims, &measurements, setup.is_paper());
-    Ok(Reproduction {
-        setup,
-        sections,
-        claims,
-    })
+    Reproduction { setup, sections }
 }
 
-/// Results without an experiment: the car's parameters, and the singularity of the law.
-fn basics(setup: &Setup) -> Measurements {
-    let mut measurements = Measurements::default();
-    measurements.add("vehicle.l_r", setup.vehicle.rear_axle_distance_m);
-    // A corner of the ranges that the paper states.
-    if let Some(cosine) = cosine_refused(setup, 40.0, -50.0) {
-        measurements.add("law.cosine_at_corner", cosine);
+/// Wheelbase of the paper's car, in m, for which its experiments are sized.
+const PAPER_WHEELBASE_M: f64 = 0.26;
+/// Angular velocity of the circle's reference, in rad/s.
+const TURN_RATE: f64 = 0.5;
+/// Gain of the position loop, per second.
+const GAIN: f64 = 1.0;
+
+/// The car of the reproduction, and its thoroughness.
+#[derive(Clone, Debug)]
+struct Setup {
+    vehicle: VehicleParameters,
+    /// The name of the car.
+    name: String,
+    /// Coarser maps, shorter drives and fewer seeds.
+    quick: bool,
+}
+
+impl Setup {
+    /// Whether the paper's numbers hold for this car.
+    fn is_paper(&self) -> bool {
+        self.vehicle == VehicleParameters::paper()
     }
-    assumptions::measure(setup, &mut measurements);
-    measurements
+
+    /// The car's size in units of the paper's: another car drives the paper's
+    /// experiments on a floor that is larger by this, in the same time.
+    fn scale(&self) -> f64 {
+        self.vehicle.wheelbase_m() / PAPER_WHEELBASE_M
+    }
+
+    /// Whether the simulated car can represent it: actuators, limits and hall are those
+    /// of a car of the paper's kind.
+    fn fits_simulated_car(&self) -> bool {
+        (0.5..=2.0).contains(&self.scale())
+    }
+
+    /// The distance p of P from the front axle: 0.35 m on the paper's car.
+    fn point_distance_m(&self) -> f64 {
+        0.35 * self.scale()
+    }
+
+    /// The radius of the circle: 1 m for the paper's car.
+    fn radius_m(&self) -> f64 {
+        self.scale()
+    }
+
+    /// The radius on which P follows the circle: that of two integrators under proportional
+    /// control, a low-pass.
+    fn amplitude_m(&self) -> f64 {
+        self.radius_m() / (1.0 + (TURN_RATE / GAIN).powi(2)).sqrt()
+    }
+
+    /// The deviation dl of the paper's second open-loop test: the law's centre of mass is
+    /// at the rear axle.
+    const fn rear_deviation_m(&self) -> f64 {
+        self.vehicle.rear_axle_distance_m
+    }
 }
 
-/// cos(β - δ) at which the law has no solution, if that is so at these angles, in
-/// degrees.
-fn cosine_refused(setup: &Setup, sideslip: f64, steering: f64) -> Option<f64> {
-    let motion = Motion {
-        yaw: 0.0,
-        yaw_rate: 0.0,
-        sideslip: sideslip.to_radians(),
+/// The largest, or not a number.
+fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    extreme(values, f64::max)
+}
+
+/// The least, or not a number.
+fn least(values: impl Iterator<Item = f64>) -> f64 {
+    extreme(values, f64::min)
+}
+
+fn extreme(values: impl Iterator<Item = f64>, of: fn(f64, f64) -> f64) -> f64 {
+    let either = |one: f64, other: f64| {
+        if one.is_nan() || other.is_nan() {
+            f64::NAN
+        } else {
+            of(one, other)
+        }
     };
-    let law = assumptions::law(setup, 0.0, setup.point_distance_m())?;
-    match law.command(&motion, steering.to_radians(), &direction(0.0)) {
-        Err(Singularity::WheelsAcrossVelocity { cosine }) => Some(cosine),
-        _ => None,
-    }
+    values.reduce(either).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
-mod tests {
-    use singletrack_control::VehicleParameters;
-
-    use super::*;
-
-    fn setup() -> Setup {
-        Setup {
+impl Setup {
+    fn paper() -> Self {
+        Self {
             vehicle: VehicleParameters::paper(),
             name: "the paper's car".to_owned(),
             quick: true,
         }
     }
+}
 
-    #[test]
-    fn a_measurement_that_should_agree_and_does_not_fails_the_command() {
-        let wrong = |value| {
-            let mut measurements = Measurements::default();
-            measurements.add("hopf.velocity.threshold_mm", value);
-            let claims = catalogue::claims(&setup()).unwrap();
-            let claims = claims
-                .into_iter()
-                .filter(|claim| claim.id == "appendix-threshold");
-            let judged = judge(claims.collect(), &measurements, true);
-            assert_eq!(judged.len(), 1);
-            (
-                judged[0].verdict,
-                outcome(&judged, PathBuf::from("report.html")).map_err(|error| error.to_string()),
-            )
-        };
-        assert_eq!(wrong(0.135_977).0, claims::Verdict::Agrees);
-        assert_eq!(wrong(0.135_977).1, Ok(()));
-        let (verdict, outcome) = wrong(0.442);
-        assert_eq!(verdict, claims::Verdict::Differs);
-        let error = outcome.unwrap_err();
-        assert!(
-            error.contains("1 of the claims") && error.contains("report.html"),
-            "{error}"
-        );
-    }
-
-    #[test]
-    fn the_law_has_no_answer_at_the_corner_of_the_stated_ranges() {
-        let cosine = cosine_refused(&setup(), 40.0, -50.0).unwrap();
-        assert!(cosine.abs() < 1e-15, "{cosine}");
-        assert_eq!(cosine_refused(&setup(), 40.0, -26.0), None);
-    }
-
-    #[test]
-    fn without_measurements_nothing_agrees_and_every_claim_is_a_surprise() {
-        let judged = judge(
-            catalogue::claims(&setup()).unwrap(),
-            &Measurements::default(),
-            true,
-        );
-        assert_eq!(surprises(&judged), judged.len());
-        assert!(
-            judged
-                .iter()
-                .all(|one| one.verdict != claims::Verdict::Agrees)
-        );
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
 
     #[test]
     fn another_car_drives_the_same_experiments_as_much_larger_as_it_is() {
-        let paper = setup();
+        let paper = Setup::paper();
         let twice = Setup {
             vehicle: VehicleParameters {
                 front_axle_distance_m: 0.2736,
@@ -226,5 +262,20 @@ mod tests {
         assert!((paper.scale() - 1.0).abs() < 1e-12 && (twice.scale() - 2.0).abs() < 1e-12);
         assert!((twice.point_distance_m() - 0.7).abs() < 1e-12);
         assert!((twice.radius_m() - 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn nothing_and_what_is_not_a_number_have_no_extremes() {
+        assert_eq!(largest([1.0, -3.0, 2.0].into_iter()), 2.0);
+        assert_eq!(least([1.0, -3.0, 2.0].into_iter()), -3.0);
+        for values in [
+            &[][..],
+            &[f64::NAN, 1.0],
+            &[1.0, f64::NAN],
+            &[1.0, f64::NAN, 2.0],
+        ] {
+            assert!(largest(values.iter().copied()).is_nan(), "{values:?}");
+            assert!(least(values.iter().copied()).is_nan(), "{values:?}");
+        }
     }
 }

@@ -1,22 +1,23 @@
-//! The bifurcation studies of both laws and their eigenvalue maps.
+//! The bifurcation studies of both laws, their eigenvalue maps, and the sampled loop.
 
 use indicatif::ProgressBar;
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, HopfPoint, Law, critical_speed, infinite_speed_limit,
+    Belief, ClosedLoop, HopfPoint, Law, MarginLimits, critical_speed, infinite_speed_limit,
     smallest_point_distance,
 };
+use singletrack_control::VehicleParameters;
 use singletrack_figures::figure::Figure;
 
 use super::{
-    Setup,
-    section::{Picture, Section, or_note},
-    setup::{largest, least},
-    text::{metres, mm, number, with_digits},
+    Setup, assumptions,
+    claims::{Scope, above, below, near},
+    largest, least,
+    section::{Picture, Section, metres, mm, number, told, with_digits},
 };
 use crate::stability::{
-    EigenvalueRow, Grid, Subject, eigenvalue_map, eigenvalue_table,
+    EigenvalueRow, Grid, Subject, TimingArgs, eigenvalue_map, eigenvalue_table,
     figures::{self, Scene},
-    hopf_curve, hopf_table, region,
+    first_unstable, hopf_curve, hopf_table, region, sampled_map, sampled_table,
 };
 
 /// The speeds of the study, for the paper's car, in m/s. The paper does not state its
@@ -24,7 +25,7 @@ use crate::stability::{
 const SPEEDS: [f64; 2] = [0.1, 8.0];
 
 /// A car, its P and a law, as in the paper's analyses.
-pub(super) fn subject(setup: &Setup, law: Law) -> Subject {
+fn subject(setup: &Setup, law: Law) -> Subject {
     Subject {
         vehicle: setup.vehicle,
         law,
@@ -56,7 +57,7 @@ fn curve(setup: &Setup, law: Law, section: &mut Section) -> Vec<HopfPoint> {
 }
 
 /// The curves in every map of a car under a law.
-pub(super) fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
+fn scene(subject: &Subject, setup: &Setup, section: &mut Section) -> Option<Scene> {
     let hopf = curve(setup, subject.law, section);
     section.or_note("Hopf points", Scene::new(subject, &hopf))
 }
@@ -117,8 +118,7 @@ fn lyapunov(curve: &[HopfPoint]) -> String {
 pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
     progress.set_message("bifurcations of the proposed law");
     let [ahead, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let mut section = Section::new(4, "Bifurcations under the proposed law");
-    section.intro = format!(
+    let intro = format!(
         "The steady motion under the law with a wrong l<sub>f</sub>, over the speed and the \
          deviation dl of the centre of mass, which is physically meaningful from −l<sub>f</sub> = \
          {} to l<sub>r</sub> = {}. Hopf points are found in closed form, their first Lyapunov \
@@ -126,6 +126,7 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
         metres(ahead),
         metres(behind)
     );
+    let mut section = Section::new(4, "Bifurcations under the proposed law", intro);
     let mut curve = curve(setup, Law::FrontPoint, &mut section);
     curve.retain(HopfPoint::ends_stability);
     let limit = infinite_speed_limit(setup.vehicle, setup.point_distance_m())
@@ -159,30 +160,121 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
         Err(error) => error.to_string(),
     };
     let deviations = || curve.iter().map(|point| point.deviation);
-    let measurements = &mut section.measurements;
-    measurements.add("hopf.front.largest_dl", largest(deviations()));
-    measurements.add("hopf.front.least_l1", least(curve.iter().map(l1)));
-    measurements.add("hopf.front.limit", limit);
-    if let Ok(Some(smallest)) = smallest_point_distance(setup.vehicle, [ahead, behind]) {
-        measurements.add("point.smallest", smallest);
-    }
-    measurements.add("hopf.front.unstable_in_range", unstable as f64);
+    let highest = largest(deviations());
+    let inside = assumptions::with_position_loop(setup, [ahead, behind]);
+    let outside = assumptions::with_position_loop(setup, [5.0 * ahead, ahead]);
+    let smallest = smallest_point_distance(setup.vehicle, [ahead, behind]);
+    section
+        .claim(
+            "hopf-negative",
+            "m",
+            "Hopf bifurcations are at negative dl",
+            "\"detected at negative values of dl\": below 0",
+            "closed form: Hurwitz' determinant is quadratic in dl",
+        )
+        .of(Scope::PaperCar)
+        .number("largest", highest, below(0.0));
+    section
+        .claim(
+            "hopf-outside",
+            "m",
+            "They are outside the physically meaningful range at all speeds considered",
+            format!(
+                "\"outside the range [−l_f, l_r] for all considered velocity values\": below \
+                     {}",
+                number(ahead)
+            ),
+            "and so they are at any speed: the paper does not say which it considers, and not \
+             that the limit is so near (5.9 mm)",
+        )
+        .of(Scope::PaperCar)
+        .number("largest", highest, below(ahead))
+        .number("v → ∞", limit, below(ahead));
+    section
+        .claim(
+            "hopf-subcritical",
+            "",
+            "They are subcritical",
+            "\"subcritical Hopf bifurcations\": l₁ above 0",
+            "exact derivatives; Kuznetsov's normalisation, on which the sign does not depend",
+        )
+        .of(Scope::PaperCar)
+        .number("least l₁", least(curve.iter().map(l1)), above(0.0));
+    section
+        .claim(
+            "structurally-stable",
+            "",
+            "The steady motion is stable over the whole meaningful range",
+            "\"structurally asymptotically stable\": no unstable point",
+            "Hurwitz' criterion at 201 values of dl and 9 speeds from 0.01 to 1000 m/s",
+        )
+        .of(Scope::PaperCar)
+        .number("unstable points", unstable as f64, near(0.0, 0.0));
+    section
+        .claim(
+            "necessary-and-sufficient",
+            "",
+            "The stability of ξ decides that of the whole system",
+            "\"necessary, but also sufficient\": with the position loop around the law no \
+             unstable point where ξ is stable, and no stable one where it is not",
+            "without a position loop the positions do not act on ξ; with one and a wrong l_f \
+             they do, and the paper's gain of 1 takes no stability over the meaningful range and \
+             gives none at the unstable ones of 147 motions beyond it, down to dl = −5 l_f",
+        )
+        .of(Scope::PaperCar)
+        .number(
+            "unstable of 147",
+            inside.map(|counts| counts[0]),
+            near(0.0, 0.0),
+        )
+        .number(
+            "stable of 47",
+            outside.map(|counts| counts[2]),
+            near(0.0, 0.0),
+        );
+    section
+        .claim(
+            "direction",
+            "",
+            "The direction of the motion may be 45° without loss of generality",
+            "\"without loss of generality\": the same motion in every direction",
+            "law and model turn with the world; four directions and four states",
+        )
+        .number(
+            "differ by",
+            assumptions::direction_matters(setup),
+            near(0.0, 1e-9),
+        );
+    section
+        .claim(
+            "point-stability",
+            "m",
+            "Stable with P at another distance",
+            "analysed with p = 0.35 m only",
+            "our extension, in closed form: stable over the whole meaningful range at every \
+             speed from this p on. With the servo of the simulated car the least p grows with \
+             the speed",
+        )
+        .of(Scope::Nobody)
+        .number(
+            "p for every speed",
+            smallest.ok().flatten(),
+            near(0.35, 0.01),
+        );
     section.table("hopf-front-point", hopf_table(&curve));
     let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
     section.plate(
         "Stability over speed and deviation",
         "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, outside the \
          physically meaningful range, with values of the first Lyapunov coefficient along it.",
-        "Between {slowest} and {fastest} m/s the Hopf curve rises from dl = {least} to {largest}, \
-         {stable}. {lyapunov}",
-        &[
-            ("slowest", number(SPEEDS[0] * setup.scale())),
-            ("fastest", number(SPEEDS[1] * setup.scale())),
-            ("least", metres(least(deviations()))),
-            ("largest", metres(largest(deviations()))),
-            ("stable", stable),
-            ("lyapunov", lyapunov(&curve)),
-        ],
+        format!(
+            "Between {} and {} m/s the Hopf curve rises from dl = {} to {}, {stable}. {}",
+            number(SPEEDS[0] * setup.scale()),
+            number(SPEEDS[1] * setup.scale()),
+            metres(least(deviations())),
+            metres(largest(deviations())),
+            lyapunov(&curve)
+        ),
         pictures,
     );
     section
@@ -200,12 +292,15 @@ fn largest_within(map: &[EigenvalueRow], index: usize, [from, to]: [f64; 2]) -> 
 /// The eigenvalue maps of both laws.
 pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
     let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
-    let mut section = Section::new(5, "Eigenvalues under both laws");
-    section.intro =
+    let mut section = Section::new(
+        5,
+        "Eigenvalues under both laws",
         "The real parts of the eigenvalues of the same steady motions, numbered by ascending real \
-         part at every point."
-            .to_owned();
-    for (law, name, title, paper) in [
+         part at every point.",
+    );
+    // The largest real part of each, under either law.
+    let mut found = [Vec::new(), Vec::new()];
+    let laws = [
         (
             Law::FrontPoint,
             "front",
@@ -220,7 +315,8 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
             "Three maps, of \"the four eigenvalues\"; that of the most critical, λ<sub>3</sub>, has \
              a region where it is not negative.",
         ),
-    ] {
+    ];
+    for ((law, name, title, paper), parts) in laws.into_iter().zip(&mut found) {
         progress.set_message(format!("eigenvalues under {title}"));
         let subject = subject(setup, law);
         let [speeds, deviations] = map_grids(setup, &subject);
@@ -231,50 +327,80 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
         let count = map.first().map_or(0, |row| row.eigenvalues.len());
         let file = format!("eigenvalues-{name}-point");
         section.table(file.clone(), eigenvalue_table(&map));
-        let measurements = &mut section.measurements;
-        measurements.add(format!("eigenvalues.{name}.count"), count as f64);
-        let mut unstable = 0;
-        let mut told = Vec::new();
-        for index in 0..count {
-            let largest = largest_within(&map, index, range);
-            let name = format!("eigenvalues.{name}.{}", index + 1);
-            measurements.add(&name, largest);
-            told.push(or_note(measurements.get(&name), "1/s"));
-            if largest >= 0.0 {
-                unstable += 1;
-            }
-        }
-        measurements.add(format!("eigenvalues.{name}.unstable"), f64::from(unstable));
+        parts.extend((0..count).map(|index| largest_within(&map, index, range)));
         let pictures = match scene(&subject, setup, &mut section) {
             Some(scene) => picture(&mut section, &file, figures::eigenvalues(&scene, &map)),
             None => Vec::new(),
         };
-        let crossing = if unstable > 0 {
-            format!(": {unstable} become positive, having crossed the axis as a pair")
-        } else {
-            String::new()
+        let crossing = match unstable(parts) {
+            0 => String::new(),
+            count => format!(": {count} become positive, having crossed the axis as a pair"),
         };
+        let parts: Vec<String> = parts.iter().map(|part| told(Some(*part), "1/s")).collect();
         section.plate(
             format!("Real parts under {title}"),
             paper,
-            "{count} eigenvalues, for as many states; within the meaningful range their real parts \
-             are at most {largest}{crossing}.",
-            &[
-                (
-                    "count",
-                    match count {
-                        3 => "Three".to_owned(),
-                        4 => "Four".to_owned(),
-                        other => other.to_string(),
-                    },
-                ),
-                ("largest", told.join(", ")),
-                ("crossing", crossing),
-            ],
+            format!(
+                "{} eigenvalues, for as many states; within the meaningful range their real parts \
+                 are at most {}{crossing}.",
+                match count {
+                    3 => "Three".to_owned(),
+                    4 => "Four".to_owned(),
+                    other => other.to_string(),
+                },
+                parts.join(", ")
+            ),
             pictures,
         );
     }
+    let [front, velocity] = &found;
+    let measured = (!velocity.is_empty()).then_some(velocity);
+    let count = measured.map(|parts| parts.len() as f64);
+    let critical = measured.map(|parts| unstable(parts) as f64);
     section
+        .claim(
+            "eigenvalues-negative",
+            "1/s",
+            "All four real parts are negative within the meaningful range",
+            "\"R(λ_i) < 0 for all i = 1, …, 4\": below 0",
+            "over the map of speed and dl, sorted by real part",
+        )
+        .of(Scope::PaperCar)
+        .number("λ₁ at most", front.get(0).copied(), below(0.0))
+        .number("λ₂ at most", front.get(1).copied(), below(0.0))
+        .number("λ₃ at most", front.get(2).copied(), below(0.0))
+        .number("λ₄ at most", front.get(3).copied(), below(0.0));
+    section
+        .claim(
+            "eigenvalues-appendix-count",
+            "",
+            "The appendix's law has four eigenvalues",
+            "\"the four eigenvalues of the dynamics of ξ̃\": 4",
+            "ξ̃ is yaw, yaw rate and sideslip: three states, as the law commands the steering \
+             angle itself; and the paper shows three maps",
+        )
+        .slip("eigenvalues", count, near(4.0, 0.0), near(3.0, 0.0));
+    section
+        .claim(
+            "eigenvalues-appendix-critical",
+            "",
+            "Only λ₃ of the appendix's law becomes positive",
+            "the caption of its map has a region with R ≥ 0, those of λ₁ and λ₂ have none: 1",
+            "at a Hopf bifurcation a complex pair crosses the axis: λ₂ goes with λ₃",
+        )
+        .of(Scope::PaperCar)
+        .slip(
+            "with R ≥ 0 in the range",
+            critical,
+            near(1.0, 0.0),
+            near(2.0, 0.0),
+        );
+    section
+}
+
+/// How many of the largest real parts are not negative.
+fn unstable(parts: &[f64]) -> usize {
+    parts.iter().filter(|part| **part >= 0.0).count()
 }
 
 /// The speed of the appendix's threshold, for the paper's car, in m/s.
@@ -283,13 +409,14 @@ const SLOW: f64 = 0.1;
 /// The bifurcation study of the appendix's law.
 pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
     progress.set_message("bifurcations of the appendix's law");
-    let mut section = Section::new(6, "Bifurcations under the appendix's law");
-    section.intro =
+    let mut section = Section::new(
+        6,
+        "Bifurcations under the appendix's law",
         "The same study of the law of the appendix, which needs l<sub>r</sub>, the mass and the \
          cornering stiffnesses besides: with its centre of mass dl behind its place on a \
          wheelbase that is known, l<sub>f</sub> + dl and l<sub>r</sub> − dl, unless told \
-         otherwise."
-            .to_owned();
+         otherwise.",
+    );
     let mut curve = curve(setup, Law::VelocityPoint, &mut section);
     curve.retain(HopfPoint::ends_stability);
     let [_, behind] = ClosedLoop::meaningful_deviations(&setup.vehicle);
@@ -312,13 +439,68 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         .iter()
         .find(|point| point.deviation > behind)
         .map_or(f64::NAN, |point| point.speed);
-    let measurements = &mut section.measurements;
-    measurements.add("hopf.velocity.threshold_mm", both * 1000.0);
-    measurements.add("hopf.velocity.threshold_front_only_mm", front * 1000.0);
-    let least_dl = least(curve.iter().map(|point| point.deviation));
-    measurements.add("hopf.velocity.least_dl", least_dl);
-    measurements.add("hopf.velocity.least_l1", least(curve.iter().map(l1)));
-    measurements.add("hopf.velocity.leaves_range", leaves);
+    let VehicleParameters {
+        front_cornering_stiffness_n_rad: c_f,
+        rear_cornering_stiffness_n_rad: c_r,
+        ..
+    } = setup.vehicle;
+    // The law uses the distances only in C_r l_r − C_f l_f.
+    let stiffness_ratio = (c_f + c_r) / c_f;
+    section
+        .claim(
+            "appendix-threshold",
+            "mm",
+            "At 0.1 m/s the appendix's law is unstable from dl = 0.136 mm on",
+            "\"for v = 0.1, the threshold value for dl is equal to 0.136 mm\"",
+            "exact: with both distances wrong, on a wheelbase that is known",
+        )
+        .of(Scope::PaperCar)
+        .number("l_f + dl and l_r − dl", both * 1000.0, near(0.136, 0.0005));
+    section
+        .claim(
+            "appendix-threshold-front-only",
+            "mm",
+            "That is with l_f alone estimated",
+            "of the two only an estimate of l_f is spoken of: 0.136 mm",
+            format!(
+                "the law needs C_r l_r − C_f l_f: with l_f alone wrong dl counts (C_f + \
+                     C_r)/C_f = {} times less",
+                with_digits(stiffness_ratio, 4)
+            ),
+        )
+        .of(Scope::PaperCar)
+        .slip(
+            "l_f + dl, l_r as it is",
+            front * 1000.0,
+            near(0.136, 0.0005),
+            near(0.135_977_266 * stiffness_ratio, 1e-6),
+        );
+    section
+        .claim(
+            "appendix-inside",
+            "",
+            "Its bifurcations are at positive dl, at small speeds inside the meaningful range",
+            "\"at positive values of dl\", \"especially for small velocities\" inside: above 0 \
+             and inside up to some speed",
+            format!("the curve crosses l_r = {} m there", number(behind)),
+        )
+        .of(Scope::PaperCar)
+        .number(
+            "least dl, m",
+            least(curve.iter().map(|point| point.deviation)),
+            above(0.0),
+        )
+        .number("inside up to, m/s", leaves, above(0.1));
+    section
+        .claim(
+            "appendix-subcritical",
+            "",
+            "They are subcritical",
+            "\"subcritical Hopf bifurcations\": l₁ above 0",
+            "exact derivatives; it falls by five decades from 0.1 to 8 m/s",
+        )
+        .of(Scope::PaperCar)
+        .number("least l₁", least(curve.iter().map(l1)), above(0.0));
     section.table("hopf-velocity-point", hopf_table(&curve));
     let pictures = region_picture(
         setup,
@@ -330,17 +512,138 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         "Stability over speed and deviation",
         "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at small \
          speeds inside the meaningful range and close to zero: 0.136 mm at 0.1 m/s.",
-        "At {slow} m/s stability ends at dl = {both} with l<sub>f</sub> and l<sub>r</sub> both \
-         wrong (with only l<sub>f</sub> wrong it would be {front}), and the curve leaves the \
-         meaningful range (l<sub>r</sub> = {behind}) at {leaves} m/s. {lyapunov}",
-        &[
-            ("slow", number(SLOW * setup.scale())),
-            ("both", mm(both)),
-            ("front", mm(front)),
-            ("behind", metres(behind)),
-            ("leaves", with_digits(leaves, 2)),
-            ("lyapunov", lyapunov(&curve)),
-        ],
+        format!(
+            "At {} m/s stability ends at dl = {} with l<sub>f</sub> and l<sub>r</sub> both wrong \
+             (with only l<sub>f</sub> wrong it would be {}), and the curve leaves the meaningful \
+             range (l<sub>r</sub> = {}) at {} m/s. {}",
+            number(SLOW * setup.scale()),
+            mm(both),
+            mm(front),
+            metres(behind),
+            with_digits(leaves, 2),
+            lyapunov(&curve)
+        ),
+        pictures,
+    );
+    section
+}
+
+/// A time in ms, in words; `None` is beyond the searched range.
+fn ms(time: Option<f64>, limit: f64) -> String {
+    time.map_or_else(
+        || format!("more than {} ms", number(limit * 1000.0)),
+        |time| format!("{} ms", with_digits(time * 1000.0, 3)),
+    )
+}
+
+/// The speeds whose margins the text names, for the paper's car, in m/s.
+const MARGIN_SPEEDS: [f64; 4] = [0.5, 1.0, 1.5, 3.0];
+
+/// The largest speed of the maps, for the paper's car, in m/s.
+const FASTEST: f64 = 5.0;
+
+/// The real loop, which the paper leaves out: in ticks, with delay and marker losses.
+pub(super) fn sampled(setup: &Setup, progress: &ProgressBar) -> Section {
+    // The paper's 100 Hz, and a tick from measurement to command.
+    let timing = TimingArgs::default();
+    let intro = format!(
+        "The paper analyses the law in continuous time, and runs it at 100 Hz. Here it runs every \
+         {} ms, its command acts {} ms after the measurement, and the pose may be seen at every \
+         n-th tick only and held in between.",
+        number(timing.period_ms),
+        number(timing.delay_ms)
+    );
+    let mut section = Section::new(8, "The loop as it runs: what the paper leaves out", intro);
+    progress.set_message("the sampled loop");
+    let range = ClosedLoop::meaningful_deviations(&setup.vehicle);
+    let (columns, rows): (u32, usize) = if setup.quick { (5, 5) } else { (20, 21) };
+    let fastest = FASTEST * setup.scale();
+    let speeds = Grid::spanning([fastest / f64::from(columns), fastest], columns as usize);
+    let deviations = Grid::spanning(range, rows);
+    let subject = subject(setup, Law::FrontPoint);
+    let map = sampled_map(&subject, &speeds, &deviations, timing, || {});
+    let map = section.or_note("the sampled loop", map).unwrap_or_default();
+    let largest = largest(map.iter().map(|row| row.spectral_radius));
+    let first = first_unstable(
+        &subject,
+        TimingArgs::simulated_car(),
+        Grid::spanning(range, 9).values(),
+        subject.point_distance,
+    );
+    let first = section.or_note("the first unstable speed", first).flatten();
+    section
+        .claim(
+            "sampled-stable",
+            "",
+            "The motion is as stable in ticks of 10 ms, a tick late",
+            "the controller has \"a rate of 100 Hz\", the analysis is in continuous time: \
+             spectral radius below 1 over the meaningful range",
+            "up to 5 m/s, with a pose at every tick and wheels that follow at once; the paper \
+             leaves this out",
+        )
+        .of(Scope::PaperCar)
+        .number("largest radius", largest, below(1.0));
+    section
+        .claim(
+            "sampled-servo",
+            "m/s",
+            "The motion is stable with a steering servo",
+            "the analysis has none; δ is an input of the model",
+            "with the servo of the simulated car, 40 ms of lag, 9 ms from tick to wheels, a \
+             pulse every 20 ms and a yaw rate 15 ms old, over the whole meaningful range; with \
+             the pilot's compensation up to 7.6 m/s",
+        )
+        .of(Scope::Nobody)
+        .number("up to", first, near(2.90, 0.01));
+    if map.is_empty() {
+        return section;
+    }
+    section.table("sampled-front-point", sampled_table(&map));
+    let limits = MarginLimits::default();
+    let mut margins = Vec::new();
+    for speed in MARGIN_SPEEDS.map(|speed| speed * setup.scale()) {
+        let at = Grid::spanning([speed, speed], 1);
+        let right = sampled_map(&subject, &at, &Grid::spanning([0.0, 0.0], 1), timing, || {});
+        if let Some([row]) = section.or_note("margins", right).as_deref() {
+            margins.push(format!(
+                "{} m/s: {} and {}",
+                number(speed),
+                ms(row.delay_margin_s, limits.delay),
+                ms(
+                    row.longest_marker_interval_s,
+                    f64::from(limits.marker_interval) * timing.period_ms * 1e-3
+                )
+            ));
+        }
+    }
+    let mut pictures = Vec::new();
+    if let Some(scene) = scene(&subject, setup, &mut section) {
+        let labels = [
+            "spectral radius",
+            "delay margin",
+            "longest survivable marker interval",
+        ];
+        let drawn = figures::sampled(&scene, timing, &map);
+        let drawn = section.or_note("the sampled loop", drawn);
+        let drawn = drawn.into_iter().flatten().zip(labels);
+        pictures.extend(
+            drawn.map(|((name, figure), label)| {
+                Picture::new(format!("sampled-{name}"), label, figure)
+            }),
+        );
+    }
+    section.plate(
+        "Spectral radius, delay margin and marker interval",
+        "Nothing: the analysis has neither sampling nor delay.",
+        format!(
+            "Between {} and {} m/s the sampled loop has a spectral radius of at most {} over the \
+             whole meaningful range of dl. With dl = 0, the delay that makes it unstable and the \
+             longest interval between poses are, at {}.",
+            number(fastest / f64::from(columns)),
+            number(fastest),
+            with_digits(largest, 6),
+            margins.join("; ")
+        ),
         pictures,
     );
     section

@@ -7,12 +7,11 @@ use singletrack_scenario::simulate::{MarkerLoss, PlantKind};
 use singletrack_statistics::RootMeanSquare;
 
 use super::{
-    Setup,
+    Setup, assumptions,
+    claims::{Scope, above, below, near},
     drive::{Drives, Experiment, PLANTS, Run},
-    pictures,
-    section::{Picture, Section},
-    setup::largest,
-    text::{metres, mm, number, with_digits},
+    largest, pictures,
+    section::{self, Picture, Section, metres, mm, number, with_digits},
 };
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
@@ -58,7 +57,7 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
     }
 }
 
-/// The drives with right and with wrong parameters, by their names in a measurement and a file.
+/// The drives with right and with wrong parameters, by their names here and in a file.
 const CASES: [(&str, &str); 2] = [("right", "dl-0"), ("rear", "dl-rear")];
 /// The first drive of the car, without marker losses.
 const SEEN: &str = "seen";
@@ -69,24 +68,23 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         "dl = 0".to_owned(),
         format!("dl = {}", metres(setup.rear_deviation_m())),
     ];
-    let mut section = Section::new(2, "The law alone: open-loop steps");
-    section.intro = format!(
+    let intro = format!(
         "The law is fed with six constant velocities of P, {STEP_S} s each, without position \
          control: once with the right l<sub>f</sub>, once with one that puts the centre of mass at \
          the rear axle ({}). The paper's velocities are known from its picture only; ours turn P \
          through 225°. On the car the markers are lost four times for 200 ms.",
         names[1]
     );
+    let mut section = Section::new(2, "The law alone: open-loop steps", intro);
     let mut drives = Drives::default();
     for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
         let seen = experiment(setup, LawKind::FrontPoint, deviation);
+        let losses = LOSSES.map(|first_tick| MarkerLoss {
+            first_tick,
+            ticks: LOSS_TICKS,
+        });
         let experiment = Experiment {
-            losses: LOSSES
-                .map(|first_tick| MarkerLoss {
-                    first_tick,
-                    ticks: LOSS_TICKS,
-                })
-                .to_vec(),
+            losses: losses.to_vec(),
             ..seen.clone()
         };
         progress.set_message(format!("open-loop steps, {name}"));
@@ -99,8 +97,15 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
             drives.add(case, kind, run);
         }
     }
-    measure(setup, &drives, &mut section);
-    draw(setup, &names, &drives, &mut section);
+    for (_, plant, _) in PLANTS {
+        for (case, file) in CASES {
+            if let Some(run) = drives.get(case, plant) {
+                section.table(format!("steps-{file}-{plant}"), run.table());
+            }
+        }
+    }
+    claims(setup, &drives, &mut section);
+    plates(setup, &names, &drives, &mut section);
     section
 }
 
@@ -113,40 +118,137 @@ fn predicted(deviation_m: f64, run: &Run) -> impl Iterator<Item = f64> + '_ {
         .map(move |row| 2.0 * (deviation_m * ((row.yaw - yaw) / 2.0).sin()).abs())
 }
 
-fn measure(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let measurements = &mut section.measurements;
-    for (_, plant, _) in PLANTS {
-        for (case, file) in CASES {
-            let Some(run) = drives.get(case, plant) else {
-                continue;
-            };
-            let mut add =
-                |what, value| measurements.add(format!("steps.{what}.{case}.{plant}"), value);
-            add("largest", run.largest_deviation());
-            add("rms", run.rms_deviation());
-            add("path", run.path());
-            // The peaks of the steering angle, in rad.
-            add("steepest", run.steepest());
-            let name = format!("steps-{file}-{plant}");
-            section.tables.push((name, run.table()));
-        }
-    }
-    if let Some(rear) = drives.get("rear", "ideal") {
-        let both = rear
-            .deviations()
-            .zip(predicted(setup.rear_deviation_m(), rear));
-        let residual = largest(both.map(|(measured, predicted)| (measured - predicted).abs()));
-        measurements.add("steps.residual.rear.ideal", residual);
-    }
-    if let Some(right) = drives.get("right", "car") {
-        // Both start from standstill; their difference does not contain that error.
-        if let Some(rear) = drives.get("rear", "car") {
-            measurements.add("steps.due_to_dl.car", rear.largest_difference(right));
-        }
-        if let Some(seen) = drives.get(SEEN, "car") {
-            measurements.add("steps.due_to_losses.car", right.largest_difference(seen));
-        }
-    }
+/// The largest difference of the measured deviation from the one of theory, in m.
+fn residual(setup: &Setup, drives: &Drives) -> Option<f64> {
+    let rear = drives.get("rear", "ideal")?;
+    let theory = predicted(setup.rear_deviation_m(), rear);
+    let both = rear.deviations().zip(theory);
+    Some(largest(
+        both.map(|(measured, theory)| (measured - theory).abs()),
+    ))
+}
+
+/// The largest distance between the P of two drives of the car, in m. Both start from standstill:
+/// their difference does not contain that error.
+fn apart(drives: &Drives, one: &str, other: &str) -> Option<f64> {
+    let one = drives.get(one, "car")?;
+    Some(one.largest_difference(drives.get(other, "car")?))
+}
+
+fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
+    let largest = |case, plant| drives.get(case, plant).map(Run::largest_deviation);
+    let [right, rear] = ["right", "rear"].map(|case| largest(case, "ideal"));
+    let wheelbase = setup.vehicle.wheelbase_m();
+    let dl = setup.rear_deviation_m();
+    section
+        .claim(
+            "steps-integrators",
+            "m",
+            "With the right l_f the law makes of P two independent integrators",
+            "\"behaves as predicted by the theory, i.e., as two independent integrators\": \
+             deviation 0",
+            "equations 4 to 7; the deviation left is the integrator's",
+        )
+        .number("ideal", right, near(0.0, 1e-6));
+    section
+        .claim(
+            "steps-close",
+            "m",
+            "Without position control P stays very close to its nominal path",
+            "\"very close to the nominal one\"; no number: taken as within a wheelbase",
+            format!(
+                "the wheelbase is {}; the largest deviation is 2 dl",
+                metres(wheelbase)
+            ),
+        )
+        .of(Scope::PaperCar)
+        .number("ideal, dl = 0", right, below(wheelbase))
+        .number("ideal, dl = l_r", rear, below(wheelbase));
+    section
+        .claim(
+            "steps-close-car",
+            "m",
+            "So it does on the car, in spite of non-idealities and marker losses",
+            "\"very close to the nominal one\", \"robust to this disturbance as well\"; no \
+             number: taken as within a wheelbase",
+            "most of it arises in the first second: the nominal P moves at once, the simulated \
+             car has to start; there are no data of the real one to compare with",
+        )
+        .of(Scope::PaperCar)
+        .number("dl = 0", largest("right", "car"), below(wheelbase))
+        .number("dl = l_r", largest("rear", "car"), below(wheelbase));
+    section
+        .claim(
+            "steps-losses",
+            "m",
+            "Holding the last pose while the markers are lost does little harm",
+            "\"robust to this disturbance as well\"; no number: taken as below 0.1 m",
+            "four losses of 200 ms against the same drive without them",
+        )
+        .of(Scope::PaperCar)
+        .number("car", apart(drives, "right", SEEN), below(0.1));
+    section
+        .claim(
+            "steps-uncertain-integrators",
+            "m",
+            format!("They stay integrators with dl = {}", metres(dl)),
+            "\"as two independent integrators, even in the presence of uncertainty\": deviation 0",
+            format!(
+                "the law linearises the P it believes in; the true one deviates by 2 |dl \
+                 sin(Δψ/2)|: {} over a turn of 180°",
+                metres(2.0 * dl)
+            ),
+        )
+        .slip("ideal", rear, near(0.0, 1e-6), near(2.0 * dl, 1e-3 * dl));
+    section
+        .claim(
+            "steps-deviation-law",
+            "m",
+            "With a wrong l_f P's velocity is off by dl r, across the car",
+            "equation 9, which integrates to a deviation of 2 |dl sin(Δψ/2)|",
+            "the deviation measured, less the one of theory, at most",
+        )
+        .number("residual, ideal", residual(setup, drives), near(0.0, 1e-6));
+    section
+        .claim(
+            "steps-caption",
+            "m",
+            "The second test has dl = 0.132 m",
+            "0.132 m in the captions, 0.1232 m in the text",
+            "\"as if the center of mass were located at the rear wheel contact point\" is dl = \
+             l_r = 0.1232 m; 0.132 m would be behind the rear axle, outside the range",
+        )
+        .of(Scope::PaperCar)
+        .slip("l_r", dl, near(0.132, 0.0005), near(0.1232, 1e-9));
+    section
+        .claim(
+            "singularity",
+            "",
+            "The singularity β − δ = 90° is out of reach",
+            "\"never satisfied\" for sideslip up to ±40° and steering up to ±50°",
+            "the corner of the stated ranges is 40° + 50° = 90°, where the law refuses to \
+             answer; with steering up to 26°, as the car has, it is out of reach",
+        )
+        .slip(
+            "cos(β − δ) at 40°, −50°",
+            assumptions::cosine_refused(setup, 40.0, -50.0),
+            above(0.1),
+            near(0.0, 1e-15),
+        );
+    section
+        .claim(
+            "point-anywhere",
+            "m/s",
+            "P may be at any distance p but zero",
+            "\"can be arbitrarily selected, excluding the case p = 0\": velocity of P as wanted",
+            "equation 7 makes P an integrator for every p from 0.01 to 5 m; whether the motion \
+             is stable is another question",
+        )
+        .number(
+            "off by",
+            assumptions::error_of_any_p(setup),
+            near(0.0, 1e-9),
+        );
 }
 
 /// A picture of each drive, with right and wrong parameters, on either plant.
@@ -168,15 +270,20 @@ fn pictures_of(
     pictures
 }
 
-fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
+fn plates(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
     let right = |plant| drives.get("right", plant);
+    let told = |case, plant, value: fn(&Run) -> f64, unit| {
+        section::told(drives.get(case, plant).map(value), unit)
+    };
     if let Some(run) = right("ideal").or(right("car")) {
         let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
         section.plate(
             "Commanded velocity of P",
             "The two components of the velocity, steps that both tests share.",
-            "Six steps, of up to {fastest} m/s, that both tests and both plants share.",
-            &[("fastest", with_digits(fastest, 2))],
+            format!(
+                "Six steps, of up to {} m/s, that both tests and both plants share.",
+                with_digits(fastest, 2)
+            ),
             vec![Picture::new(
                 "steps-commanded-velocity",
                 "",
@@ -187,44 +294,54 @@ fn draw(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Secti
     section.plate(
         "Steering angle generated by the law",
         "The reference steering angle for both l<sub>f</sub>.",
-        "Every turn of v<sub>P</sub> is a peak that decays as the car turns into the new \
-         direction: up to {steps.steepest.right.ideal rad} on the ideal plant and \
-         {steps.steepest.right.car rad} on the car; with the wrong l<sub>f</sub> \
-         {steps.steepest.rear.ideal rad} and {steps.steepest.rear.car rad}, and slower to decay.",
-        &[],
+        format!(
+            "Every turn of v<sub>P</sub> is a peak that decays as the car turns into the new \
+             direction: up to {} on the ideal plant and {} on the car; with the wrong \
+             l<sub>f</sub> {} and {}, and slower to decay.",
+            told("right", "ideal", Run::steepest, "rad"),
+            told("right", "car", Run::steepest, "rad"),
+            told("rear", "ideal", Run::steepest, "rad"),
+            told("rear", "car", Run::steepest, "rad")
+        ),
         pictures_of("steering", names, drives, Run::steering),
     );
     section.plate(
         "Reference and actual speed",
         "The reference speed from the law (grey) and the car's (black), which follows it.",
-        "The ideal plant has the speed at once; the car follows {lag}. The dips are the turns, in \
-         which P moves mostly by steering.",
-        &[("lag", speed_lag(right("car")))],
+        format!(
+            "The ideal plant has the speed at once; the car follows {}. The dips are the turns, in \
+             which P moves mostly by steering.",
+            speed_lag(right("car"))
+        ),
         pictures_of("speed", names, drives, Run::speed),
     );
     section.plate(
         "Trajectory of P",
         "Nominal (grey) and actual (black) path, from the triangle to the circle, very close to \
          each other even with the wrong l<sub>f</sub>.",
-        "Over a path of {steps.path.right.ideal m} the true P of the ideal plant is at most \
-         {steps.largest.right.ideal m} from nominal with the right l<sub>f</sub> and \
-         {steps.largest.rear.ideal m} with the wrong one; that of the car \
-         {steps.largest.right.car m} and {steps.largest.rear.car m} ({steps.rms.right.car m} and \
-         {steps.rms.rear.car m} RMS): it has to start, while the nominal P moves at once.",
-        &[],
+        format!(
+            "Over a path of {} the true P of the ideal plant is at most {} from nominal with the \
+             right l<sub>f</sub> and {} with the wrong one; that of the car {} and {} ({} and {} \
+             RMS): it has to start, while the nominal P moves at once.",
+            told("right", "ideal", Run::path, "m"),
+            told("right", "ideal", Run::largest_deviation, "m"),
+            told("rear", "ideal", Run::largest_deviation, "m"),
+            told("right", "car", Run::largest_deviation, "m"),
+            told("rear", "car", Run::largest_deviation, "m"),
+            told("right", "car", Run::rms_deviation, "m"),
+            told("rear", "car", Run::rms_deviation, "m")
+        ),
         pictures_of("trajectory", names, drives, Run::trajectory),
     );
-    let losses = section.measurements.get("steps.due_to_losses.car");
     section.plate(
         "Position of P over time",
         "Nominal and actual coordinates; where the cameras lose the markers the measured position \
          stays constant though the car moves.",
-        "The same, with four losses of 200 ms on the car (shaded); they move P by at most {moved} \
-         from where it goes without them.",
-        &[(
-            "moved",
-            losses.map_or_else(|| "(not driven)".to_owned(), mm),
-        )],
+        format!(
+            "The same, with four losses of 200 ms on the car (shaded); they move P by at most {} \
+             from where it goes without them.",
+            apart(drives, "right", SEEN).map_or_else(|| "(not driven)".to_owned(), mm)
+        ),
         pictures_of("position", names, drives, Run::position),
     );
     deviation_plate(setup, drives, section);
@@ -250,7 +367,8 @@ fn speed_lag(run: Option<&Run>) -> String {
 
 /// The deviation of the true P over time, and that of a wrong `l_f` by theory.
 fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
-    let Some(rear) = drives.get("rear", "ideal") else {
+    let (Some(rear), Some(residual)) = (drives.get("rear", "ideal"), residual(setup, drives))
+    else {
         return;
     };
     let time = rear.column(|row| row.t);
@@ -266,22 +384,18 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
         let name = "car, from that with dl = 0";
         curves.push(Curve::new(name, Look::Truth, &time, apart));
     }
-    let residual = section.measurements.get("steps.residual.rear.ideal");
     section.plate(
         "What a wrong centre of mass costs",
         "No figure: equation 9 says that P's velocity is off by dl r, and the text that the path \
          stays very close to the nominal one.",
-        "Equation 9 integrates to 2 |dl sin(Δψ/2)|, which the ideal plant meets to {residual}: \
-         {steps.largest.rear.ideal m} when the car has turned by 180°, nothing after a full turn. \
-         On the car, {steps.due_to_dl.car m} at most from where P goes with the right \
-         l<sub>f</sub>.",
-        &[(
-            "residual",
-            residual.map_or_else(
-                || "nothing".to_owned(),
-                |value| format!("{} m", number(value)),
-            ),
-        )],
+        format!(
+            "Equation 9 integrates to 2 |dl sin(Δψ/2)|, which the ideal plant meets to {} m: {} \
+             when the car has turned by 180°, nothing after a full turn. On the car, {} at most \
+             from where P goes with the right l<sub>f</sub>.",
+            number(residual),
+            section::told(Some(rear.largest_deviation()), "m"),
+            section::told(apart(drives, "rear", "right"), "m")
+        ),
         vec![Picture::new(
             "steps-deviation",
             "",
