@@ -15,7 +15,6 @@
 )]
 
 mod daemon;
-mod head;
 #[cfg(feature = "live")]
 pub mod live;
 #[cfg(feature = "page")]

@@ -3,8 +3,8 @@
 use std::{
     collections::BTreeMap,
     io::{Read as _, Write as _},
-    net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
-    time::{Duration, Instant},
+    net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream},
+    time::Duration,
 };
 
 use serde_json::{Value, json};
@@ -63,15 +63,6 @@ impl Viewer {
     }
 
     fn on(stream: TcpStream, address: SocketAddr) -> Self {
-        Self::try_on(stream, address).unwrap()
-    }
-
-    /// A viewer, unless the server turns it away.
-    fn try_connect(address: SocketAddr) -> Option<Self> {
-        Self::try_on(TcpStream::connect(address).unwrap(), address)
-    }
-
-    fn try_on(stream: TcpStream, address: SocketAddr) -> Option<Self> {
         stream
             .set_read_timeout(Some(Duration::from_secs(20)))
             .unwrap();
@@ -79,7 +70,7 @@ impl Viewer {
         request
             .headers_mut()
             .insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().unwrap());
-        let (socket, _) = tungstenite::client(request, stream).ok()?;
+        let (socket, _) = tungstenite::client(request, stream).unwrap();
         let mut viewer = Self {
             socket,
             info: Value::Null,
@@ -91,7 +82,7 @@ impl Viewer {
             let topic = channel["topic"].as_str().unwrap().to_owned();
             viewer.channels.insert(topic, channel.clone());
         }
-        Some(viewer)
+        viewer
     }
 
     /// The next text message with this `op`.
@@ -141,7 +132,7 @@ impl Viewer {
 }
 
 #[test]
-fn a_viewer_of_the_old_protocol_alone_is_told_to_be_updated() {
+fn a_viewer_of_the_old_protocol_alone_is_turned_away() {
     let folder = tempfile::tempdir().unwrap();
     let live = live(&folder);
     let answer = |protocols: &str| {
@@ -161,10 +152,6 @@ fn a_viewer_of_the_old_protocol_alone_is_told_to_be_updated() {
     };
     let old = answer("foxglove.websocket.v1");
     assert!(old.starts_with("HTTP/1.1 400 "), "{old}");
-    assert!(
-        old.contains("too old: it does not speak foxglove.sdk.v1"),
-        "{old}"
-    );
     let both = answer("foxglove.websocket.v1, foxglove.sdk.v1");
     assert!(both.starts_with("HTTP/1.1 101 "), "{both}");
 }
@@ -266,59 +253,26 @@ fn a_port_in_use_is_named() {
 }
 
 #[test]
-fn eight_viewers_are_served_a_ninth_is_turned_away_and_a_free_place_is_taken() {
-    let (_daemon, live, _folder) = start();
-    let address = live.address();
-    let mut viewers: Vec<_> = (0..8).map(|_| Viewer::connect(address)).collect();
-    let mut ninth = TcpStream::connect(address).unwrap();
-    ninth
-        .set_read_timeout(Some(Duration::from_secs(20)))
-        .unwrap();
-    let request = "GET / HTTP/1.1\r\nUpgrade: websocket\r\n\r\n";
-    ninth.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    ninth.read_to_string(&mut answer).unwrap();
-    assert!(answer.starts_with("HTTP/1.1 503 "), "{answer}");
-    assert!(answer.contains("Too many viewers"), "{answer}");
-    for viewer in &mut viewers {
-        viewer.subscribe(&["/singletrack/tick"]);
-        viewer.message();
+fn an_address_that_other_computers_reach_is_refused() {
+    let section = LiveSection {
+        address: Ipv4Addr::UNSPECIFIED.into(),
+        ..LiveSection::default()
+    };
+    let error = Live::start("/nowhere.sock".into(), section).unwrap_err();
+    let text = error.to_string();
+    for part in ["0.0.0.0", "live.address", "ssh -L"] {
+        assert!(text.contains(part), "{text}");
     }
-    viewers.pop();
-    // The relay needs a moment to see that the place is free.
-    let begin = Instant::now();
-    let mut taken = None;
-    while taken.is_none() && begin.elapsed() < Duration::from_secs(20) {
-        taken = Viewer::try_connect(address);
-    }
-    let mut taken = taken.unwrap();
-    taken.subscribe(&["/singletrack/tick"]);
-    taken.message();
 }
 
 #[test]
-fn clients_that_send_one_byte_keep_nobody_out() {
-    let (_daemon, live, _folder) = start();
-    let address = live.address();
-    let silent: Vec<_> = (0..100)
-        .map(|_| {
-            let mut stream = TcpStream::connect(address).unwrap();
-            stream.write_all(b"G").unwrap();
-            stream
-        })
-        .collect();
-    let begin = Instant::now();
-    let mut viewer = Viewer::connect(address);
-    viewer.subscribe(&["/singletrack/tick"]);
-    viewer.message();
-    // Not by waiting until they have had their time.
-    assert!(begin.elapsed() < Duration::from_secs(4));
-    for mut client in silent {
-        client
-            .set_read_timeout(Some(Duration::from_secs(20)))
-            .unwrap();
-        assert_eq!(client.read(&mut [0]).unwrap_or(0), 0, "closed");
-    }
+fn the_other_loopback_is_served_too() {
+    let section = LiveSection {
+        address: Ipv6Addr::LOCALHOST.into(),
+        port: 0,
+    };
+    let live = Live::start("/nowhere.sock".into(), section).unwrap();
+    Viewer::connect(live.address());
 }
 
 #[test]

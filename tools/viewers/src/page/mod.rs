@@ -20,7 +20,6 @@ mod request;
 mod respond;
 mod server;
 mod setup;
-mod shared;
 
 pub use feed::OtherCar;
 pub use request::{BadRequest, Request};

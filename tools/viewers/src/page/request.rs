@@ -1,10 +1,17 @@
 //! Reads the head of a request.
 
-use std::{io, net::IpAddr};
+use std::{io, net::IpAddr, time::Duration};
 
-use tokio::io::AsyncRead;
+use tokio::{
+    io::{AsyncRead, AsyncReadExt as _},
+    time::timeout,
+};
 
-use crate::head::{LONGEST_HEAD, read_head};
+/// The longest head, in bytes.
+const LONGEST_HEAD: usize = 8_192;
+
+/// The longest wait for the whole head.
+const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The largest number of headers.
 const HEADERS: usize = 64;
@@ -33,13 +40,25 @@ pub enum BadRequest {
 impl Request {
     /// Reads a head. `None` if the client leaves or is silent before its end.
     pub(super) async fn read(
-        stream: impl AsyncRead + Unpin,
+        mut stream: impl AsyncRead + Unpin,
     ) -> io::Result<Option<Result<Self, BadRequest>>> {
-        let parse = |head: &[u8]| match Self::parse(head) {
-            Ok(None) if head.len() >= LONGEST_HEAD => Some(Err(BadRequest::TooLong)),
-            parsed => parsed.transpose(),
+        let mut head = Vec::new();
+        let read = async {
+            loop {
+                match Self::parse(&head) {
+                    Ok(None) if head.len() >= LONGEST_HEAD => {
+                        return Ok(Some(Err(BadRequest::TooLong)));
+                    }
+                    Ok(None) => {}
+                    parsed => return Ok(parsed.transpose()),
+                }
+                let room = LONGEST_HEAD.saturating_sub(head.len());
+                if (&mut stream).take(room as u64).read_buf(&mut head).await? == 0 {
+                    return Ok(None);
+                }
+            }
         };
-        Ok(read_head(stream, parse).await?.map(|(request, _)| request))
+        timeout(HEAD_TIMEOUT, read).await.unwrap_or(Ok(None))
     }
 
     /// The request, as soon as its head is complete; `None` before.

@@ -18,8 +18,7 @@ use tokio::{
 
 use super::{
     request::{BadRequest, Request},
-    shared::Shared,
-    shared::asset,
+    server::{Shared, asset},
 };
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow

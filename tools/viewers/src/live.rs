@@ -1,8 +1,14 @@
-//! The WebSocket server of the live view, and the thread that fills it.
+//! The live view: the messages of the record, as they are made, for Foxglove,
+//! Lichtblick and PlotJuggler.
+//!
+//! The server only publishes: a client can subscribe and nothing else. Commands go through the
+//! control socket. There is no authentication, nor a limit to the number of viewers: it listens on
+//! loopback only. For a slow viewer a bounded number of messages waits, and then messages are
+//! dropped.
 
 use std::{
     io,
-    net::{Ipv4Addr, SocketAddr},
+    net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
     sync::{
         Arc, Mutex, PoisonError,
@@ -20,13 +26,11 @@ use singletrack_api::{ClientError, Message, MessageStream, Received};
 use singletrack_core::config::LiveSection;
 use singletrack_record::{Channel, ClockMapping};
 use tokio::{
-    net::TcpListener,
     runtime::{self, Runtime},
     sync::Notify,
-    time::{sleep, timeout},
+    time::timeout,
 };
 
-use super::relay::{Inner, relay};
 use crate::daemon::{Follower, PATIENCE};
 
 /// Messages that may wait for a viewer beyond the kernel's queue: older ones are out of
@@ -45,6 +49,12 @@ const LOST: &str = "daemon";
 /// Why the live view does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
+    /// The address can be reached from other computers.
+    #[error(
+        "{0} is not an address of loopback: the live view has no authentication; leave live.address \
+         and --address at 127.0.0.1, and forward the port with `ssh -L`"
+    )]
+    NotLoopback(IpAddr),
     /// Another program listens on the address, or listening is not permitted.
     #[error(
         "can't listen on {address} for the live view: {source}; choose another live.address or \
@@ -92,23 +102,26 @@ impl Live {
     /// The address can't be listened on, or a thread does not start.
     pub fn start(socket: PathBuf, section: LiveSection) -> Result<Self, LiveError> {
         let address = SocketAddr::new(section.address, section.port);
-        let listen = |source| LiveError::Listen { address, source };
+        if !address.ip().is_loopback() {
+            return Err(LiveError::NotLoopback(address.ip()));
+        }
         let runtime = runtime::Builder::new_current_thread()
             .enable_io()
             .enable_time()
             .build()?;
-        let listener = runtime
-            .block_on(TcpListener::bind(address))
-            .map_err(listen)?;
-        let address = listener.local_addr().map_err(listen)?;
         let publisher = Publisher::new()?;
-        let context = Arc::clone(&publisher.context);
-        let handle = runtime.block_on(listen_inside(&context))?;
+        let handle = runtime
+            .block_on(listen(address, &publisher.context))
+            .map_err(|error| match error {
+                FoxgloveError::Bind(source) => LiveError::Listen { address, source },
+                other => LiveError::Server(other),
+            })?;
+        let address = SocketAddr::new(address.ip(), handle.port());
         let shared = Arc::new(Shared::default());
         let stop = Arc::new(Notify::new());
         let thread = thread::Builder::new().name("live".to_owned()).spawn({
             let (shared, stop) = (Arc::clone(&shared), Arc::clone(&stop));
-            move || serve(&runtime, listener, &context, handle, &shared, &stop)
+            move || serve(&runtime, handle, &shared, &stop)
         })?;
         let (watched, followed, lost) = (Arc::clone(&shared), Arc::clone(&shared), shared);
         let follower = Follower::start(
@@ -116,9 +129,6 @@ impl Live {
             move || follow(&socket, &publisher, &followed),
             move |why| lost.set_lost(Some(why)),
         )?;
-        if !address.ip().is_loopback() {
-            tracing::warn!(%address, "the live view listens beyond loopback and has no authentication");
-        }
         Ok(Self {
             address,
             stop,
@@ -230,34 +240,11 @@ fn follow(socket: &Path, publisher: &Publisher, shared: &Shared) -> Result<(), C
 }
 
 /// Serves viewers until `stop`.
-fn serve(
-    runtime: &Runtime,
-    listener: TcpListener,
-    context: &Arc<Context>,
-    mut handle: WebSocketServerHandle,
-    shared: &Shared,
-    stop: &Notify,
-) {
-    let inner = Inner::default();
-    inner.listens(handle.port());
-    runtime.spawn(relay(listener, inner.clone()));
+fn serve(runtime: &Runtime, handle: WebSocketServerHandle, shared: &Shared, stop: &Notify) {
     runtime.block_on(async {
         let mut told = Told::default();
         let mut stopped = core::pin::pin!(stop.notified());
         while timeout(POLL_INTERVAL, &mut stopped).await.is_err() {
-            if inner.take_ended() {
-                match listen_inside(context).await {
-                    Ok(new) => {
-                        inner.listens(new.port());
-                        // Its viewers connect again.
-                        drop(core::mem::replace(&mut handle, new).stop());
-                    }
-                    Err(error) => {
-                        tracing::warn!(%error, "the live view does not listen");
-                        sleep(POLL_INTERVAL).await;
-                    }
-                }
-            }
             let viewers = handle.client_count();
             shared.is_watched.store(viewers > 0, Ordering::Relaxed);
             told.tell(&handle, viewers, shared.lost());
@@ -289,15 +276,23 @@ impl Told {
     }
 }
 
-/// Starts a WebSocket server on loopback, for the relay.
-async fn listen_inside(context: &Arc<Context>) -> Result<WebSocketServerHandle, FoxgloveError> {
+/// Starts the WebSocket server.
+async fn listen(
+    address: SocketAddr,
+    context: &Arc<Context>,
+) -> Result<WebSocketServerHandle, FoxgloveError> {
+    // The server joins them with a colon.
+    let host = match address.ip() {
+        IpAddr::V4(ip) => ip.to_string(),
+        IpAddr::V6(ip) => format!("[{ip}]"),
+    };
     WebSocketServer::new()
         .name(concat!("singletrack ", env!("CARGO_PKG_VERSION")))
         .context(context)
         // Viewers can only subscribe.
         .capabilities([])
         .message_backlog_size(BACKLOG)
-        .bind(Ipv4Addr::LOCALHOST.to_string(), 0)
+        .bind(host, address.port())
         .start()
         .await
 }
