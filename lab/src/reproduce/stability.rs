@@ -366,7 +366,7 @@ pub(super) fn eigenvalues(setup: &Setup, progress: &ProgressBar) -> Section {
             "over the map of speed and dl, sorted by real part",
         )
         .of(Scope::PaperCar)
-        .number("λ₁ at most", front.get(0).copied(), below(0.0))
+        .number("λ₁ at most", front.first().copied(), below(0.0))
         .number("λ₂ at most", front.get(1).copied(), below(0.0))
         .number("λ₃ at most", front.get(2).copied(), below(0.0))
         .number("λ₄ at most", front.get(3).copied(), below(0.0));
