@@ -30,7 +30,7 @@ class Client:
             self.socket.connect(path)
 
     def send(self, command, **keys):
-        line = json.dumps({"version": 2, "command": command, **keys})
+        line = json.dumps({"version": 3, "command": command, **keys})
         self.socket.sendall(line.encode() + b"\n")
 
     def read(self):

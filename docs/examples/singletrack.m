@@ -11,7 +11,7 @@ function state = singletrack(file, radius, seconds)
 if exist('OCTAVE_VERSION', 'builtin'), pkg('load', 'instrument-control'); end
 speed = 0.3; gain = 1.0;                                     % m/s, 1/s
 drive = connect(file);
-send(drive, ['{"version":2,"command":"set-reference",' ...
+send(drive, ['{"version":3,"command":"set-reference",' ...
              '"reference":{"kind":"external","setpoint_timeout_ms":200}}']);
 heard = ''; answered = 0; begin = tic;
 while answered < 2         % token and reference: a car that was ready before is not just after it
@@ -24,7 +24,7 @@ while answered < 2         % token and reference: a car that was ready before is
   end
 end
 states = connect(file);
-send(states, '{"version":2,"command":"watch","topics":["state"]}');
+send(states, '{"version":3,"command":"watch","topics":["state"]}');
 state = []; armed = false; seen = ''; begin = tic; newest = tic;
 while toc(begin) < seconds
   [answers, heard] = receive(drive, heard);
@@ -36,24 +36,24 @@ while toc(begin) < seconds
   end
   [lines, seen] = receive(states, seen);
   if toc(newest) > 1, error('the daemon is silent'); end
-  if isempty(lines) || ~isfield(lines{end}, 'point'), pause(0.002); continue; end
+  if isempty(lines) || ~isfield(lines{end}, 'point_m'), pause(0.002); continue; end
   state = lines{end}; newest = tic;                          % only the newest counts
-  if isempty(state.point), continue; end                     % no cameras
+  if isempty(state.point_m), continue; end                   % no cameras
   % The controller: along the circle, and back to it.
-  outwards = state.point(:) / norm(state.point);
+  outwards = state.point_m(:) / norm(state.point_m);
   along = [-outwards(2); outwards(1)];
-  velocity = speed * along + gain * (radius - norm(state.point)) * outwards;
+  velocity = speed * along + gain * (radius - norm(state.point_m)) * outwards;
   % As old as the state that it answers: one that is late is rejected.
-  send(drive, sprintf(['{"version":2,"command":"setpoint","velocity_m_s":[%.6f,%.6f],' ...
+  send(drive, sprintf(['{"version":3,"command":"setpoint","velocity_m_s":[%.6f,%.6f],' ...
                        '"time_ns":%.0f}'], velocity, state.time_ns));
   if armed
-    send(drive, '{"version":2,"command":"hold"}');
+    send(drive, '{"version":3,"command":"hold"}');
   elseif strcmp(state.mode, 'ready')
-    send(drive, '{"version":2,"command":"arm","attendance":"hold"}');
+    send(drive, '{"version":3,"command":"arm","attendance":"hold"}');
     armed = true;
   end
 end
-send(drive, '{"version":2,"command":"disarm"}');
+send(drive, '{"version":3,"command":"disarm"}');
 while armed && ~any(cellfun(@(answer) isfield(answer, 'ended'), answers))
   if toc(begin) > seconds + 5, error('the daemon does not say that the car stands'); end
   pause(0.01);
@@ -67,7 +67,7 @@ if ~exist(file, 'file')
 end
 key = jsondecode(fileread(file));
 connection = tcpclient(key.address, key.port);
-send(connection, sprintf('{"version":2,"command":"token","token":"%s"}', key.token));
+send(connection, sprintf('{"version":3,"command":"token","token":"%s"}', key.token));
 end
 
 function send(connection, line)

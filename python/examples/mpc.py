@@ -96,16 +96,16 @@ def main(target: str = "sim", uncalibrated: bool = False, seconds: float = 13.0)
     if target == "sim":
         options = {"point": (RADIUS, 0.0, math.pi / 2)}
     with singletrack.Car(target, **options).drive() as drive:
-        px, py = next(drive).point
+        px, py = next(drive).point_m
         for state in drive:
-            now = state.drive_time
+            now = state.drive_time_s
             angle = math.atan2(py, px) + RATE * (now + LAG + STEP * np.arange(1, HORIZON + 1))
             wanted = RADIUS * np.stack([np.cos(angle), np.sin(angle)])
             began = time.perf_counter()
-            vx, vy = controller(np.array(state.point), wanted)
+            vx, vy = controller(np.array(state.point_m), wanted)
             times.append(time.perf_counter() - began)
             drive.point_velocity(vx, vy)
-            beyond = max(beyond, state.point[1] - WALL)
+            beyond = max(beyond, state.point_m[1] - WALL)
             if now > seconds:
                 break
     print(f"{1e3 * beyond:.1f} mm beyond the wall; solved in {1e3 * np.median(times):.2f} ms (median)")

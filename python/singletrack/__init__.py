@@ -8,7 +8,7 @@ One script drives the simulator and the car::
     with car.drive() as drive:
         for state in drive:
             drive.point_velocity(0.4, 0.0)
-            if state.drive_time > 5:
+            if state.drive_time_s > 5:
                 break
 
 Units are SI and radians. The world frame lies on the floor; yaw, yaw rate, sideslip and

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import threading
+from dataclasses import asdict
 from typing import Any
 
 from ._closing import Closing
@@ -97,8 +98,7 @@ class SimulatedCar(Backend):
         return self.simulator.state
 
     def status(self) -> dict[str, Any]:
-        state = self.simulator.state
-        return {"mode": state.mode, "reason": state.reason, "truth": self.simulator.truth()}
+        return {"state": asdict(self.simulator.state), "truth": self.simulator.truth()}
 
     def close(self) -> None:
         self.simulator.close()

@@ -30,7 +30,7 @@ class Path:
         return self._native.until
 
     def at(self, drive_time: float) -> tuple[Pair, Pair]:
-        """Position (m) and velocity (m/s) at a :attr:`State.drive_time` (s), or one to come."""
+        """Position (m) and velocity (m/s) at a :attr:`State.drive_time_s` (s), or one to come."""
         return self._native.at(drive_time)
 
 

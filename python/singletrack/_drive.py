@@ -238,7 +238,7 @@ class Drive:
 
         Args:
             points: Shape ``(n, 5)``, 2 to 100 rows of ``t, x, y, vx, vy``: the time on the
-                scale of :attr:`State.t` in s, position (m) and velocity (m/s) of P. A new
+                scale of :attr:`State.t_s` in s, position (m) and velocity (m/s) of P. A new
                 trajectory replaces the old one without a jump. It must be renewed before
                 ``reference.setpoint_timeout_ms`` has passed.
         """
@@ -248,7 +248,7 @@ class Drive:
         state = self._newest()
         if not np.isfinite(rows).all():
             raise Rejected("a value is not finite", "not-finite")
-        times = rows[:, 0] - state.t
+        times = rows[:, 0] - state.t_s
         if (np.abs(times) > 1e6).any():
             # Beyond the range of the clock.
             raise Rejected("a time of the trajectory is beyond all drives", "out-of-range")

@@ -21,7 +21,7 @@ class State:
     """
 
     #: Time since the first tick of the daemon or of the simulation, in s.
-    t: float
+    t_s: float
     #: The tick's time on ``CLOCK_MONOTONIC`` (on the virtual clock of a simulation), in ns.
     time_ns: int
     #: Mode of the supervisor: ``driving``, ``slowing``, ``stopping``, ``ready``, ...
@@ -30,46 +30,62 @@ class State:
     reason: str | None
     #: Number of the tick.
     tick: int = 0
+    #: Why an arm request would be refused now.
+    preflight: str | None = None
+    #: Phase of the session with the board.
+    link: str = "disconnected"
     #: Position of G along x, in m.
-    x: float = nan
+    x_m: float = nan
     #: Position of G along y, in m.
-    y: float = nan
+    y_m: float = nan
     #: Yaw, in rad, not wrapped.
-    yaw: float = nan
+    yaw_rad: float = nan
     #: Speed of G, in m/s.
-    speed: float = nan
+    speed_m_s: float = nan
     #: Angle from the car's axis to the velocity of G, in rad.
-    sideslip: float = nan
+    sideslip_rad: float = nan
     #: Yaw rate, in rad/s.
-    yaw_rate: float = nan
+    yaw_rate_rad_s: float = nan
     #: Steering angle that was commanded with this tick, within the limits, in rad.
-    steering: float = 0.0
+    steering_rad: float = 0.0
     #: Speed that was commanded with this tick, within the limits, in m/s.
-    commanded_speed: float = 0.0
+    commanded_speed_m_s: float = 0.0
+    #: Time by which the state was predicted for the command, in s.
+    looked_ahead_s: float = nan
     #: Position of P, in m.
-    point: Pair = (nan, nan)
+    point_m: Pair = (nan, nan)
     #: Velocity of P that the law was given, in m/s.
-    point_velocity: Pair | None = None
+    point_velocity_m_s: Pair | None = None
     #: Where P should be, in m.
-    reference: Pair | None = None
+    reference_m: Pair | None = None
+    #: Path parameter of the reference, in s; NaN outside of a drive.
+    path_s: float = nan
+    #: Why the reference is slowed down.
+    slowed_by: str | None = None
     #: Age of the newest accepted pose, in s.
-    pose_age: float = nan
+    pose_age_s: float = nan
     #: Whether the tick had no new pose.
     held: bool = True
     #: Time since the first driving tick, in s; NaN outside of a drive.
-    drive_time: float = nan
+    drive_time_s: float = nan
     #: Number of the set-point in force.
     sequence: int | None = None
     #: Age of the set-point in force, in s.
-    setpoint_age: float = nan
+    setpoint_age_s: float = nan
     #: Age of the newest telemetry of the board, in s.
-    board_age: float = nan
-    #: What the safety filter did: none, limited, scaled or stopped.
+    board_age_s: float = nan
+    #: Why a set-point was refused in this tick.
+    setpoint_refused: str | None = None
+    #: What the safety filter did: none, limited, scaled, stopped or yielded.
     filtering: str = "none"
+    #: Number of ticks of this or the last drive in which the safety filter acted.
+    filtered_ticks: int = 0
     #: Gains of the position loop along x and y, in 1/s; ``None`` if nothing can be tuned.
-    gain: Pair | None = None
+    gain_per_s: Pair | None = None
     #: Distance p of P from the front axle, in m; NaN if nothing can be tuned.
-    point_distance: float = nan
+    point_distance_m: float = nan
+    #: The distance that p goes to, in m; NaN if nothing can be tuned.
+    wanted_point_distance_m: float = nan
 
     @property
     def driving(self) -> bool:
@@ -91,14 +107,14 @@ def refuse_driven(state: State) -> None:
 def state(values: Mapping[str, Any]) -> State:
     """The state of a line of the stream, or of a tick of the simulation."""
     known = {name: values[name] for name in _NAMES if values.get(name) is not None}
-    for name in ("point", "point_velocity", "reference", "gain"):
+    for name in ("point_m", "point_velocity_m_s", "reference_m", "gain_per_s"):
         if name in known:
             x, y = known[name]
             known[name] = (float(x), float(y))
     setpoint = values.get("setpoint")
     if isinstance(setpoint, Mapping):
         known["sequence"] = setpoint.get("sequence")
-        known["setpoint_age"] = setpoint.get("age", nan)
+        known["setpoint_age_s"] = setpoint.get("age_s", nan)
     known.setdefault("reason", None)
     return State(**known)
 

@@ -27,10 +27,10 @@ def survives(milliseconds):
     with singletrack.Car(simulator).drive() as drive:
         for state in drive:
             drive.actuate(0.3, 0.5)
-            if state.drive_time > 2 and not lost:
+            if state.drive_time_s > 2 and not lost:
                 simulator.lose_markers(f"{milliseconds:.0f}ms")
                 lost = True
-            if state.drive_time > 5:
+            if state.drive_time_s > 5:
                 break
     return drive.reason == "requested"
 longest_ms = bisect(survives, 20, 2000, 7)

@@ -16,11 +16,11 @@ def circle(car: singletrack.Car, seconds: float) -> list[float]:
     with car.drive() as drive:
         start = None
         for state in drive:
-            start = state.t if start is None else start
-            time = state.t - start
+            start = state.t_s if start is None else start
+            time = state.t_s - start
             angle = RATE * time
             x, y = RADIUS * math.cos(angle), RADIUS * math.sin(angle)
-            px, py = state.point
+            px, py = state.point_m
             drive.point_velocity(-RATE * y + GAIN * (x - px), RATE * x + GAIN * (y - py))
             if time > 3.0:
                 errors.append(math.hypot(x - px, y - py))

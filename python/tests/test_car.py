@@ -25,25 +25,25 @@ def test_actuation_is_followed_within_the_limits() -> None:
     with car.drive() as drive:
         for state in drive:
             drive.actuate(0.2, 0.5)
-            if state.drive_time > 2.0:
+            if state.drive_time_s > 2.0:
                 break
-        assert abs(state.steering - 0.2) < 1e-9 and abs(state.commanded_speed - 0.5) < 1e-9
+        assert abs(state.steering_rad - 0.2) < 1e-9 and abs(state.commanded_speed_m_s - 0.5) < 1e-9
         truth = car.status()["truth"]
         assert abs(truth["steering"] - 0.2) < 0.02 and abs(truth["speed"] - 0.5) < 0.1
         for state in drive:
             drive.actuate(1.5, 50.0)
-            if state.drive_time > 4.0:
+            if state.drive_time_s > 4.0:
                 break
-        assert state.steering <= 0.45 and state.commanded_speed <= 1.5
+        assert state.steering_rad <= 0.45 and state.commanded_speed_m_s <= 1.5
 
 
 def test_a_rate_and_an_acceleration_are_actuation_too() -> None:
     with Car("sim").drive() as drive:
         for state in drive:
             drive.actuate(steering_rate_rad_s=0.1, acceleration_m_s2=0.2)
-            if state.drive_time >= 1.0:
+            if state.drive_time_s >= 1.0:
                 break
-        assert 0.08 < state.steering < 0.11 and 0.17 < state.commanded_speed < 0.21
+        assert 0.08 < state.steering_rad < 0.11 and 0.17 < state.commanded_speed_m_s < 0.21
         with pytest.raises(TypeError):
             drive.actuate(0.1)
 
@@ -54,15 +54,15 @@ def test_a_trajectory_is_followed() -> None:
         start = None
         for state in drive:
             if start is None:
-                start, origin = state.t, state.point
+                start, origin = state.t_s, state.point_m
             if state.tick % 5 == 0:
-                ahead = [state.t + 0.1 * step for step in range(10)]
+                ahead = [state.t_s + 0.1 * step for step in range(10)]
                 drive.trajectory(
                     [(t, origin[0] + 0.3 * (t - start), origin[1], 0.3, 0.0) for t in ahead]
                 )
-            if state.t - start > 3.0:
-                errors.append(math.dist(state.point, (origin[0] + 0.3 * (state.t - start), origin[1])))
-            if state.t - start > 6.0:
+            if state.t_s - start > 3.0:
+                errors.append(math.dist(state.point_m, (origin[0] + 0.3 * (state.t_s - start), origin[1])))
+            if state.t_s - start > 6.0:
                 break
     assert len(errors) > 200 and max(errors) < 0.06
 
@@ -72,7 +72,7 @@ def test_leaving_the_block_stops_the_car_also_by_an_exception() -> None:
     with pytest.raises(ZeroDivisionError), car.drive() as drive:
         for state in drive:
             drive.point_velocity(0.5, 0.0)
-            if state.speed > 0.3:
+            if state.speed_m_s > 0.3:
                 raise ZeroDivisionError
     assert car.state.mode in ("ready", "idle")
     assert abs(car.status()["truth"]["speed"]) < 0.01
@@ -107,7 +107,7 @@ def test_full_speed_at_the_fence_ends_inside_of_it() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.actuate(0.0, 1.5)
-            assert state.t < 30.0
+            assert state.t_s < 30.0
     assert drive.reason is not None and "fence" in drive.reason
     assert abs(simulator.truth()["x"]) < 3.0
 
@@ -124,9 +124,9 @@ def test_faults_reach_the_system() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.point_velocity(0.4, 0.0)
-            if state.drive_time > 1.0:
+            if state.drive_time_s > 1.0:
                 simulator.fault("imu", "silent")
-            assert state.t < 20.0
+            assert state.t_s < 20.0
     assert drive.reason is not None and "imu" in drive.reason
     with pytest.raises(ValueError, match="unknown fault"):
         simulator.fault("imus", "silent")
@@ -138,7 +138,7 @@ def test_truth_and_belief_are_two_things() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.actuate(0.0, 0.4)
-            if state.drive_time > 1.0:
+            if state.drive_time_s > 1.0:
                 break
     assert abs(simulator.truth()["steering"] - 0.05) < 0.01
     with pytest.raises(ValueError, match="servo.lag_ms"):
@@ -152,11 +152,11 @@ def test_asyncio_drives_too() -> None:
         async with Car("sim").drive() as drive:
             async for state in drive:
                 drive.point_velocity(0.4, 0.0)
-                if state.drive_time > 1.0:
+                if state.drive_time_s > 1.0:
                     return state
         raise AssertionError(drive.reason)
 
-    assert asyncio.run(drives()).speed > 0.3
+    assert asyncio.run(drives()).speed_m_s > 0.3
 
 
 def test_a_daemon_that_is_not_there_is_named() -> None:
@@ -169,13 +169,13 @@ TUNING = {"tuning": {"enabled": True, "gain_per_s": [0.5, 4.0], "point_distance_
 
 def test_a_simulated_car_is_tuned_within_the_bounds() -> None:
     car = Car("sim", configuration=TUNING)
-    assert car.state.gain is not None
+    assert car.state.gain_per_s is not None
     car.tune(gain=2.0, point_distance=0.4)
     assert car.simulator is not None
     state = car.simulator.step(300)
-    assert state.gain == (2.0, 2.0) and state.point_distance == 0.4
+    assert state.gain_per_s == (2.0, 2.0) and state.point_distance_m == 0.4
     car.tune(gain=(1.0, 1.5))
-    assert car.simulator.step().gain == (1.0, 1.5)
+    assert car.simulator.step().gain_per_s == (1.0, 1.5)
     for wrong in (9.0, math.nan):
         with pytest.raises(singletrack.SingletrackError, match="between 0.5 and 4"):
             car.tune(gain=wrong)
@@ -185,6 +185,6 @@ def test_a_simulated_car_is_tuned_within_the_bounds() -> None:
 
 def test_a_car_that_can_not_be_tuned_says_what_to_set() -> None:
     car = Car("sim")
-    assert car.state.gain is None and math.isnan(car.state.point_distance)
+    assert car.state.gain_per_s is None and math.isnan(car.state.point_distance_m)
     with pytest.raises(singletrack.SingletrackError, match="tuning.enabled = true"):
         car.tune(gain=2.0)

@@ -16,8 +16,8 @@ SHORT: dict[str, Any] = {"paths": ["lane-change"], "speeds": [1.0], "count": 2}
 
 
 def follow(state: singletrack.State, path: singletrack.Path) -> singletrack._state.Pair:
-    (x, y), (vx, vy) = path.at(state.drive_time)
-    return vx + 4.0 * (x - state.point[0]), vy + 4.0 * (y - state.point[1])
+    (x, y), (vx, vy) = path.at(state.drive_time_s)
+    return vx + 4.0 * (x - state.point_m[0]), vy + 4.0 * (y - state.point_m[1])
 
 
 class Stanley:
@@ -27,13 +27,13 @@ class Stanley:
         self.path = path
 
     def __call__(self, state: singletrack.State) -> tuple[float, float]:
-        (x, y), (vx, vy) = self.path.at(state.drive_time)
-        front_x = state.x + 0.1368 * math.cos(state.yaw)
-        front_y = state.y + 0.1368 * math.sin(state.yaw)
-        heading = math.atan2(vy, vx) if math.hypot(vx, vy) > 1e-3 else state.yaw
+        (x, y), (vx, vy) = self.path.at(state.drive_time_s)
+        front_x = state.x_m + 0.1368 * math.cos(state.yaw_rad)
+        front_y = state.y_m + 0.1368 * math.sin(state.yaw_rad)
+        heading = math.atan2(vy, vx) if math.hypot(vx, vy) > 1e-3 else state.yaw_rad
         left = (front_y - y) * math.cos(heading) - (front_x - x) * math.sin(heading)
         ahead = (front_x - x) * math.cos(heading) + (front_y - y) * math.sin(heading)
-        steering = heading - state.yaw - math.atan2(4.0 * left, max(state.speed, 0.2))
+        steering = heading - state.yaw_rad - math.atan2(4.0 * left, max(state.speed_m_s, 0.2))
         return steering, max(0.0, math.hypot(vx, vy) - 2.0 * ahead)
 
 

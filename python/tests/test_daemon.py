@@ -46,8 +46,8 @@ def test_the_client_of_the_documentation_drives(daemon: Any, path: str) -> None:
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     (state,) = [line for line in lines if "setpoint" in line]
-    assert state["mode"] == "driving" and state["speed"] > 0.2, done.stdout
-    assert state["setpoint"]["age"] < 0.2, done.stdout
+    assert state["mode"] == "driving" and state["speed_m_s"] > 0.2, done.stdout
+    assert state["setpoint"]["age_s"] < 0.2, done.stdout
 
 
 def test_the_client_of_the_documentation_ends_with_one_message_on_an_error(tmp_path: Path) -> None:
@@ -63,20 +63,20 @@ def test_actuation_and_trajectories_pass_the_socket(daemon: Any) -> None:
     with car.drive() as drive:
         for state in drive:
             drive.actuate(0.3, 0.4)
-            if state.drive_time > 1.2:
+            if state.drive_time_s > 1.2:
                 break
-        assert abs(state.steering - 0.3) < 1e-6
-        assert state.setpoint_age < 0.2 and state.sequence is not None
-        until = state.t + 1.0
+        assert abs(state.steering_rad - 0.3) < 1e-6
+        assert state.setpoint_age_s < 0.2 and state.sequence is not None
+        until = state.t_s + 1.0
         for state in drive:
-            (x, y), yaw = state.point, state.yaw
+            (x, y), yaw = state.point_m, state.yaw_rad
             vx, vy = 0.4 * math.cos(yaw), 0.4 * math.sin(yaw)
             drive.trajectory(
-                [(state.t + s, x + vx * s, y + vy * s, vx, vy) for s in (0.0, 0.3, 0.6)]
+                [(state.t_s + s, x + vx * s, y + vy * s, vx, vy) for s in (0.0, 0.3, 0.6)]
             )
-            if state.t > until:
+            if state.t_s > until:
                 break
-        assert state.speed > 0.2
+        assert state.speed_m_s > 0.2
     assert drive.state is not None and not drive.state.driving
 
 
@@ -98,7 +98,7 @@ def test_an_error_a_rejection_and_ctrl_c_stop_the_car_at_the_socket(daemon: Any)
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 20
-    while car.state.speed < 0.2 or car.state.mode != "driving":
+    while car.state.speed_m_s < 0.2 or car.state.mode != "driving":
         assert time.monotonic() < deadline and program.poll() is None
     program.send_signal(signal.SIGINT)
     assert program.wait(15) != 0
@@ -131,11 +131,11 @@ def test_a_second_program_does_not_disturb_the_first(daemon: Any) -> None:
     with Car(str(daemon.socket)).drive() as drive:
         for state in drive:
             drive.point_velocity(0.0, 0.4)
-            if state.drive_time > 1.0:
-                speeds.append(state.commanded_speed)
+            if state.drive_time_s > 1.0:
+                speeds.append(state.commanded_speed_m_s)
                 if other.ident is None:
                     other.start()
-            if state.drive_time > 1.8:
+            if state.drive_time_s > 1.8:
                 break
     other.join()
     assert drive.reason == "requested", drive.state
@@ -186,7 +186,7 @@ def test_cars_that_are_forgotten_or_closed_give_their_connections_back(daemon: A
     with pytest.raises(ConnectionError), car.drive() as drive:
         for state in drive:
             drive.point_velocity(0.0, 0.3)
-            if state.drive_time > 0.3:
+            if state.drive_time_s > 0.3:
                 car.close()
                 car.close()
     wait_until_still(car)
@@ -199,12 +199,12 @@ with Car(sys.argv[1]).drive() as drive:
     child = 0
     for state in drive:
         drive.point_velocity(0.0, 0.3)
-        if state.drive_time > 0.3 and not child:
+        if state.drive_time_s > 0.3 and not child:
             child = os.fork()
             if not child:
                 # Leaves the block too.
                 sys.exit(3)
-        if state.drive_time > 1.0:
+        if state.drive_time_s > 1.0:
             break
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
     assert drive.reason is None, drive.reason
@@ -229,7 +229,7 @@ def test_a_daemon_that_dies_ends_the_drive_with_an_error(daemon: Any) -> None:
     with pytest.raises(ConnectionError), car.drive() as drive:
         for state in drive:
             drive.point_velocity(0.0, 0.3)
-            if state.drive_time > 0.3:
+            if state.drive_time_s > 0.3:
                 daemon.daemon.kill()
     with pytest.raises(ConnectionError, match="is singletrackd running"):
         assert car.state

@@ -50,13 +50,13 @@ def test_a_car_that_is_driven_otherwise_is_refused_and_left_alone() -> None:
             break
     with pytest.raises(ArmError, match="driven already"), Car(simulator).drive():
         pass
-    assert simulator.step(100).mode == "driving" and simulator.state.speed > 0.2
+    assert simulator.step(100).mode == "driving" and simulator.state.speed_m_s > 0.2
     # Another car of the same simulator is refused, and the drive of the first goes on.
     simulator = Simulator()
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.point_velocity(0.3, 0.0)
-            if state.drive_time > 0.3:
+            if state.drive_time_s > 0.3:
                 break
         with pytest.raises(ArmError, match="driven already"), Car(simulator).drive():
             pass
@@ -69,7 +69,7 @@ def test_a_drive_that_has_ended_says_so_to_what_goes_on() -> None:
     with Car(simulator).drive() as drive:
         for state in drive:
             drive.point_velocity(0.3, 0.0)
-            if state.drive_time > 0.5:
+            if state.drive_time_s > 0.5:
                 simulator.fault("imu", "silent")
         with pytest.raises(singletrack.SingletrackError, match="has ended: imu-silent"):
             drive.point_velocity(0.3, 0.0)
@@ -92,7 +92,7 @@ def test_a_rejected_setpoint_has_the_daemons_word(
     send: Callable[[Drive, float], None], word: str
 ) -> None:
     with pytest.raises(Rejected) as rejected, Car("sim").drive() as drive:
-        send(drive, next(drive).t)
+        send(drive, next(drive).t_s)
     assert rejected.value.word == word
 
 
@@ -101,7 +101,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
         for state in drive:
             drive.actuate(np.float32(0.1), np.array(0.3))
             drive.point_velocity(np.int64(0), np.float64(0.2), position=np.array([1.0, 0.0]))
-            if state.drive_time > 0.2:
+            if state.drive_time_s > 0.2:
                 break
         with pytest.raises(TypeError):
             drive.point_velocity(np.zeros(3), 0.0)

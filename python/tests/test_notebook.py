@@ -21,8 +21,8 @@ def test_a_record_of_a_simulation_is_read_into_arrays(
     with Car("sim", record=path, seed=5) as car, car.drive() as drive:
         for state in drive:
             drive.point_velocity(0.4, 0.1)
-            speeds.append(state.commanded_speed)
-            if state.drive_time > 2.0:
+            speeds.append(state.commanded_speed_m_s)
+            if state.drive_time_s > 2.0:
                 break
     record = singletrack.read(path)
     assert record.finished and record.damage is None and record.seed == 5

@@ -93,7 +93,7 @@ def start(programs, folder):
 def ask(folder, command, **keys):
     """Sends a request; the lines of the answers."""
     client = unix(folder / "control.sock")
-    client.sendall(json.dumps({"version": 2, "command": command, **keys}).encode() + b"\n")
+    client.sendall(json.dumps({"version": 3, "command": command, **keys}).encode() + b"\n")
     return (json.loads(line) for line in client.makefile())
 
 
@@ -101,7 +101,7 @@ def wait_ready(folder):
     for _ in range(400):
         try:
             status = next(ask(folder, "status"))["status"]
-            if status["mode"] == "ready":
+            if status["state"] and status["state"]["mode"] == "ready":
                 return
         except OSError:
             status = None
@@ -124,8 +124,8 @@ class Watch(threading.Thread):
             if "mode" not in state:
                 continue
             now = state["time_ns"] - self.ahead_ns
-            if state["drive_time"] is not None:
-                self.begun = self.begun or now - round(1e9 * state["drive_time"])
+            if state["drive_time_s"] is not None:
+                self.begun = self.begun or now - round(1e9 * state["drive_time_s"])
             if self.begun and state["mode"] not in ("driving", "slowing"):
                 self.stopped = now
                 return

@@ -236,12 +236,12 @@ def check_standard(
             transform.child_frame_id == "base_link"
             and transform.transform.translation.x == pose.position.x
             and transform.transform.rotation == pose.orientation,
-            f"{transform} is not the pose of tick {tick['index']}",
+            f"{transform} is not the pose of tick {tick['tick']}",
         )
     for tick, command in pairs("/cmd", [tick for tick in ticks if tick["command"]]):
         told = tick["command"]
         check(
-            stamp(command.header) == clocks.at(tick["pilot_time_ns"])
+            stamp(command.header) == clocks.at(tick["time_ns"])
             and abs(command.drive.speed - told["rear_speed_m_s"]) < 1e-6
             and abs(command.drive.steering_angle - told["steering_rad"]) < 1e-6,
             f"{command} is not {told}",

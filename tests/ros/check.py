@@ -253,8 +253,8 @@ class System:
         return json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
 
     def mode(self):
-        status = self.status()
-        return status["mode"], status["reason"]
+        state = self.status()["state"] or {}
+        return state.get("mode"), state.get("reason")
 
     def end(self):
         for name in ("singletrack-ros", "singletrackd", "singletrack-sim"):

@@ -261,7 +261,7 @@ mod tests {
         let daemon = thread::spawn(move || {
             let (mut stream, _) = listener.accept().unwrap();
             stream
-                .write_all(b"{\"ok\":false,\"error\":\"the car is gone\",\"version\":2}\n")
+                .write_all(b"{\"ok\":false,\"error\":\"the car is gone\",\"version\":3}\n")
                 .unwrap();
             stream
         });

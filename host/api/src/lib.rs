@@ -28,9 +28,9 @@ pub use request::{
 };
 pub use state::{SetpointInForce, State};
 pub use status::{
-    Board, Calibration, Cameras, Change, Command, Configuration, Correction, Estimate, Learned,
-    Status, record_trouble,
+    Board, Calibration, Cameras, Change, Configuration, Correction, Learned, Status, Tunable,
+    record_trouble,
 };
 
 /// The version of the protocol. Client and daemon must have the same one.
-pub const SOCKET_VERSION: u32 = 2;
+pub const SOCKET_VERSION: u32 = 3;

@@ -149,13 +149,13 @@ mod tests {
     #[test]
     fn messages_are_received_with_every_byte() {
         let (opened, line) = stream(
-            b"{\"version\":2,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
-              {\"topic\":\"/odom\",\"bytes\":4}\n\x00\n\x01\x02{\"version\":2,\"missed\":7}\n\
+            b"{\"version\":3,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+              {\"topic\":\"/odom\",\"bytes\":4}\n\x00\n\x01\x02{\"version\":3,\"missed\":7}\n\
               {\"topic\":\"/tf\",\"bytes\":0}\n",
         );
         assert_eq!(
             line,
-            "{\"version\":2,\"command\":\"messages\",\"topics\":[\"/odom\"]}\n"
+            "{\"version\":3,\"command\":\"messages\",\"topics\":[\"/odom\"]}\n"
         );
         let mut stream = opened.unwrap();
         let clocks = Clocks {
@@ -177,7 +177,7 @@ mod tests {
     #[test]
     fn a_length_beyond_every_message_is_refused_before_memory_is_taken() {
         let (opened, _) = stream(
-            b"{\"version\":2,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
+            b"{\"version\":3,\"ok\":true,\"clocks\":{\"monotonic_ns\":1,\"wall_ns\":2}}\n\
               {\"topic\":\"/odom\",\"bytes\":99999999999}\n",
         );
         let error = opened.unwrap().receive().unwrap_err().to_string();
@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_topic_that_the_daemon_does_not_know_is_refused_with_its_words() {
-        let (opened, _) = stream(b"{\"version\":2,\"ok\":false,\"error\":\"no such topic\"}\n");
+        let (opened, _) = stream(b"{\"version\":3,\"ok\":false,\"error\":\"no such topic\"}\n");
         assert_eq!(opened.unwrap_err().to_string(), "no such topic");
     }
 }

@@ -188,15 +188,6 @@ pub struct Ended {
 /// Values that can be tuned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tuning {
-    /// In the status: the least and the most.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bounds: Option<TuningBounds>,
-    /// In the status: the values of the configuration.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub configured: Option<Box<Self>>,
-    /// In the status: whether the values differ from those of the configuration.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub differs: Option<bool>,
     /// The gains of the position loop along x and y, per second; none for a loop without.
     pub gain_per_s: Option<[f64; 2]>,
     /// p, in m.

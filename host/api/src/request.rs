@@ -344,80 +344,80 @@ fn other_version(version: impl Into<u64>) -> RequestError {
 /// A line of every command, and what the daemon answers: the table of the documentation.
 pub const EXAMPLES: [(&str, &str); 19] = [
     (
-        r#"{"version":2,"command":"status"}"#,
-        r#"`{"version":2,"ok":true,"status":{...}}`"#,
+        r#"{"version":3,"command":"status"}"#,
+        r#"`{"version":3,"ok":true,"status":{...}}`"#,
     ),
     (
-        r#"{"version":2,"command":"clock"}"#,
+        r#"{"version":3,"command":"clock"}"#,
         r#"at once; `"clocks":{"monotonic_ns":...,"wall_ns":...}`, both of this moment"#,
     ),
     (
-        r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+        r#"{"version":3,"command":"arm","attendance":"hold"}"#,
         r#"once the car drives: [`arm`](#arm)"#,
     ),
     (
-        r#"{"version":2,"command":"hold"}"#,
+        r#"{"version":3,"command":"hold"}"#,
         r#"nothing; renews the drive that the connection holds"#,
     ),
     (
-        r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+        r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#,
         r#"once the board takes pulses: [`jog`](#jog)"#,
     ),
     (
-        r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":1500}"#,
+        r#"{"version":3,"command":"jog","servo_us":1500,"esc_us":1500}"#,
         r#"nothing"#,
     ),
     (
-        r#"{"version":2,"command":"reload"}"#,
-        r#"reads the configuration file again, as SIGHUP does: `{"version":2,"ok":true,"configuration":2}` once it is in force"#,
+        r#"{"version":3,"command":"reload"}"#,
+        r#"reads the configuration file again, as SIGHUP does: `{"version":3,"ok":true,"configuration":2}` once it is in force"#,
     ),
     (
-        r#"{"version":2,"command":"configuration"}"#,
-        r#"`{"version":2,"ok":true,"configuration":2,"toml":"..."}`: number and text of the configuration in force, with every key and the points of the reference"#,
+        r#"{"version":3,"command":"configuration"}"#,
+        r#"`{"version":3,"ok":true,"configuration":2,"toml":"..."}`: number and text of the configuration in force, with every key and the points of the reference"#,
     ),
     (
-        r#"{"version":2,"command":"disarm"}"#,
+        r#"{"version":3,"command":"disarm"}"#,
         r#"at once; the car slows down and stops"#,
     ),
     (
-        r#"{"version":2,"command":"disarm","at_once":true}"#,
+        r#"{"version":3,"command":"disarm","at_once":true}"#,
         r#"at once; neutral without a ramp, and a brake pulse where the ESC can, with `operator-gone`: for a dead-man switch that is lost"#,
     ),
     (
-        r#"{"version":2,"command":"disarm","carried":true}"#,
+        r#"{"version":3,"command":"disarm","carried":true}"#,
         r#"as `disarm`; also states that the rigid body in view is the car, although its wheels can't have brought it there. Send it only when a person says so"#,
     ),
     (
-        r#"{"version":2,"command":"stop"}"#,
+        r#"{"version":3,"command":"stop"}"#,
         r#"at once; neutral until the board is reset"#,
     ),
     (
-        r#"{"version":2,"command":"set-reference","reference":{"kind":"circle","radius_m":1.0,"angular_velocity_rad_s":0.5}}"#,
+        r#"{"version":3,"command":"set-reference","reference":{"kind":"circle","radius_m":1.0,"angular_velocity_rad_s":0.5}}"#,
         r#"as `reload`, with `"warnings":[...]` if there are any: [`set-reference`](#set-reference)"#,
     ),
     (
-        r#"{"version":2,"command":"setpoint","velocity_m_s":[0.4,0.0]}"#,
+        r#"{"version":3,"command":"setpoint","velocity_m_s":[0.4,0.0]}"#,
         r#"nothing, unless rejected: [`setpoint`](#setpoint)"#,
     ),
     (
-        r#"{"version":2,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}"#,
+        r#"{"version":3,"command":"tune","gain_per_s":2.0,"point_distance_m":0.4}"#,
         r#"once the values are taken: [`tune`](#tune)"#,
     ),
     (
-        r#"{"version":2,"command":"commissioned","procedure":"doctor","result":"passed"}"#,
+        r#"{"version":3,"command":"commissioned","procedure":"doctor","result":"passed"}"#,
         r#"once it is stored: [`commissioned`](#commissioned)"#,
     ),
     (
-        r#"{"version":2,"command":"watch","topics":["tick"]}"#,
-        r#"`{"version":2,"ok":true}`, then every new entry of the record, with its `topic`"#,
+        r#"{"version":3,"command":"watch","topics":["tick"]}"#,
+        r#"`{"version":3,"ok":true}`, then every new entry of the record, with its `topic`"#,
     ),
     (
-        r#"{"version":2,"command":"messages","topics":["/odom"]}"#,
+        r#"{"version":3,"command":"messages","topics":["/odom"]}"#,
         r#"[`messages`](#messages) of the record, as ROS 2 encodes them"#,
     ),
     (
-        r#"{"version":2,"command":"watch","topics":["state"]}"#,
-        r#"`{"version":2,"ok":true}`, then the [state](#state) of every tick"#,
+        r#"{"version":3,"command":"watch","topics":["state"]}"#,
+        r#"`{"version":3,"ok":true}`, then the [state](#state) of every tick"#,
     ),
 ];
 
@@ -445,12 +445,12 @@ mod tests {
     fn the_number_of_a_command_is_not_its_word() {
         for number in 0..20 {
             for keys in ["", ",\"servo_us\":1500,\"esc_us\":1500"] {
-                let line = format!("{{\"version\":2,\"command\":{number}{keys}}}\n");
+                let line = format!("{{\"version\":3,\"command\":{number}{keys}}}\n");
                 let error = Request::parse(line.as_bytes()).unwrap_err();
                 assert!(!error.to_string().is_empty(), "{line}");
             }
         }
-        let error = Request::parse(b"{\"version\":2,\"command\":2}").unwrap_err();
+        let error = Request::parse(b"{\"version\":3,\"command\":2}").unwrap_err();
         assert!(error.to_string().contains("a word in quotes"), "{error}");
     }
 
@@ -488,23 +488,23 @@ mod tests {
     fn a_key_that_is_null_is_as_one_that_is_left_out() {
         for (line, request) in [
             (
-                r#"{"version":2,"command":"disarm","at_once":null,"attendance":null}"#,
+                r#"{"version":3,"command":"disarm","at_once":null,"attendance":null}"#,
                 Request::DISARM,
             ),
             (
-                r#"{"version":2,"command":"stop","velocity_m_s":null}"#,
+                r#"{"version":3,"command":"stop","velocity_m_s":null}"#,
                 Request::Stop {},
             ),
             (
-                r#"{"version":2,"command":"watch","topics":null}"#,
+                r#"{"version":3,"command":"watch","topics":null}"#,
                 Request::Watch { topics: vec![] },
             ),
         ] {
             assert_eq!(Request::parse(line.as_bytes()), Ok(request), "{line}");
         }
         for line in [
-            r#"{"version":2,"command":"stop","velocity_m_s":null,"now":1}"#,
-            r#"{"version":2,"command":null}"#,
+            r#"{"version":3,"command":"stop","velocity_m_s":null,"now":1}"#,
+            r#"{"version":3,"command":null}"#,
         ] {
             assert!(Request::parse(line.as_bytes()).is_err(), "{line}");
         }
@@ -544,11 +544,11 @@ mod tests {
     #[test]
     fn a_line_of_another_version_is_told_so_whatever_it_holds() {
         for line in [
-            r#"{"version":3,"command":"fly","fast":true}"#,
+            r#"{"version":4,"command":"fly","fast":true}"#,
             r#"{"version":1,"command":"status"}"#,
         ] {
             let error = Request::parse(line.as_bytes()).unwrap_err().to_string();
-            assert!(error.contains("this daemon speaks version 2"), "{error}");
+            assert!(error.contains("this daemon speaks version 3"), "{error}");
         }
     }
 }

@@ -1,64 +1,78 @@
-//! The state stream: what a controller outside needs to know of a tick.
+//! The view of a tick: a line of the state stream, and a part of the status.
 
 use serde::{Deserialize, Serialize};
 
-use crate::Word;
+use crate::{Tuning, Word};
 
-/// The state of a tick. Times are in s, positions in m, angles in rad, in the world frame.
+/// The state after a tick. Positions are in the world frame; angles are positive to the left.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// `state`.
     pub topic: Word,
-    /// The number of the tick.
+    /// Number of the tick.
     pub tick: u64,
-    /// Since the first tick.
-    pub t: f64,
-    /// Of the tick, on `CLOCK_MONOTONIC`.
+    /// Time since the first tick, in s.
+    pub t_s: f64,
+    /// Time of the tick on `CLOCK_MONOTONIC`, in ns.
     pub time_ns: u64,
-    /// The pilot's mode.
+    /// Mode of the pilot.
     pub mode: Word,
     /// Why the car does not drive, or stops.
     pub reason: Option<Word>,
-    /// Since the first driving tick.
-    pub drive_time: Option<f64>,
-    /// Of G.
-    pub x: Option<f64>,
-    /// Of G.
-    pub y: Option<f64>,
-    /// Not wrapped.
-    pub yaw: Option<f64>,
-    /// Of G, in m/s.
-    pub speed: Option<f64>,
-    /// Of G.
-    pub sideslip: Option<f64>,
-    /// In rad/s.
-    pub yaw_rate: Option<f64>,
-    /// Of the last accepted pose.
-    pub pose_age: Option<f64>,
-    /// Whether there was no new pose.
+    /// Why an arm request would be refused now.
+    pub preflight: Option<Word>,
+    /// Phase of the session with the board.
+    pub link: Word,
+    /// Time since the first driving tick, in s; `None` outside a drive.
+    pub drive_time_s: Option<f64>,
+    /// Position of G along x, in m.
+    pub x_m: Option<f64>,
+    /// Position of G along y, in m.
+    pub y_m: Option<f64>,
+    /// Yaw, not wrapped, in rad.
+    pub yaw_rad: Option<f64>,
+    /// Speed of G, in m/s.
+    pub speed_m_s: Option<f64>,
+    /// Sideslip of G, in rad.
+    pub sideslip_rad: Option<f64>,
+    /// Yaw rate, in rad/s.
+    pub yaw_rate_rad_s: Option<f64>,
+    /// Age of the last accepted pose, in s.
+    pub pose_age_s: Option<f64>,
+    /// Whether no pose was accepted since the last tick.
     pub held: bool,
-    /// P.
-    pub point: Option<[f64; 2]>,
-    /// The commanded velocity of P, in m/s.
-    pub point_velocity: Option<[f64; 2]>,
-    /// Where P should be.
-    pub reference: Option<[f64; 2]>,
-    /// After the limits.
-    pub steering: f64,
-    /// After the limits, in m/s.
-    pub commanded_speed: f64,
-    /// Of the last telemetry.
-    pub board_age: Option<f64>,
+    /// Position of P, in m.
+    pub point_m: Option<[f64; 2]>,
+    /// Commanded velocity of P, in m/s.
+    pub point_velocity_m_s: Option<[f64; 2]>,
+    /// Wanted position of P, in m.
+    pub reference_m: Option<[f64; 2]>,
+    /// Path parameter of the reference, in s.
+    pub path_s: Option<f64>,
+    /// Why the reference is slowed down.
+    pub slowed_by: Option<Word>,
+    /// Steering after the limits, in rad.
+    pub steering_rad: f64,
+    /// Speed of G after the limits, in m/s.
+    pub commanded_speed_m_s: f64,
+    /// Time by which the state was predicted for the command, in s.
+    pub looked_ahead_s: Option<f64>,
+    /// Age of the last telemetry, in s.
+    pub board_age_s: Option<f64>,
     /// The set-point in force.
     pub setpoint: Option<SetpointInForce>,
     /// Why the pilot refused a set-point in this tick.
     pub setpoint_refused: Option<Word>,
     /// What the safety filter did.
     pub filtering: Word,
-    /// The tuned gains along x and y, per second.
-    pub gain: Option<[f64; 2]>,
-    /// The tuned p.
-    pub point_distance: Option<f64>,
+    /// Number of ticks of this or the last drive in which the safety filter acted.
+    pub filtered_ticks: u32,
+    /// Tuned gains along x and y, per second.
+    pub gain_per_s: Option<[f64; 2]>,
+    /// Tuned distance p of P from the front axle, in m.
+    pub point_distance_m: Option<f64>,
+    /// The distance that p goes to, in m.
+    pub wanted_point_distance_m: Option<f64>,
 }
 
 /// The set-point in force.
@@ -66,6 +80,18 @@ pub struct State {
 pub struct SetpointInForce {
     /// Its number, if it has one.
     pub sequence: Option<u32>,
-    /// Since it was decided.
-    pub age: f64,
+    /// Time since it was decided, in s.
+    pub age_s: f64,
+}
+
+impl State {
+    /// The tuned values in force; `None` if nothing can be tuned.
+    #[must_use]
+    pub fn tuning(&self) -> Option<Tuning> {
+        Some(Tuning {
+            gain_per_s: self.gain_per_s,
+            point_distance_m: self.point_distance_m?,
+            wanted_point_distance_m: self.wanted_point_distance_m,
+        })
+    }
 }

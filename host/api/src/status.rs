@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::{Tuning, Word};
+use crate::{State, Tuning, TuningBounds, Word};
 
 /// The status of daemon, board and figures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -15,47 +15,21 @@ pub struct Status {
     pub calibration: Option<Calibration>,
     /// What is wrong with the cameras, or that nothing is.
     pub cameras: Cameras,
-    /// The last command.
-    pub command: Option<Command>,
     /// The results of the procedures on this car, and the first that is missing.
     pub commissioned: Option<Value>,
     /// The file that a reload reads.
     pub config_path: Option<String>,
     /// The configuration in force.
     pub configuration: Configuration,
-    /// Time since the first driving tick, in s; `None` outside a drive.
-    pub drive_time_s: Option<f64>,
-    /// The estimate that the last tick acted on.
-    pub estimate: Option<Estimate>,
     /// Counters and quantiles since the daemon started.
     pub figures: Value,
-    /// The number of ticks of the drive in which the safety filter did anything.
-    pub filtered_ticks: Option<u32>,
-    /// What the safety filter did.
-    pub filtering: Option<Word>,
-    /// Whether no pose was accepted since the last tick.
-    pub held: Option<bool>,
     /// What live calibration corrects in this drive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learned: Option<Learned>,
-    /// The phase of the session with the board.
-    pub link: Option<Word>,
-    /// How far ahead the state was predicted for the last command, in s.
-    pub looked_ahead_s: Option<f64>,
-    /// The pilot's mode.
-    pub mode: Word,
-    /// The path parameter of the reference, in s.
-    pub path_s: Option<f64>,
-    /// P, in m.
-    pub point_m: Option<[f64; 2]>,
-    /// Why an arm request would be refused now.
-    pub preflight: Option<Word>,
     /// Whether the configuration in force is proved on this car.
     pub proved: Option<bool>,
     /// What the system granted the control thread.
     pub realtime: Value,
-    /// Why the car does not drive, or stopped.
-    pub reason: Option<Word>,
     /// The file of the record.
     pub record: Option<String>,
     /// Why the record ended before the daemon.
@@ -63,12 +37,10 @@ pub struct Status {
     /// Why the record will soon end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub record_warning: Option<String>,
-    /// The wanted position of P, in m.
-    pub reference_m: Option<[f64; 2]>,
-    /// Why the reference is slowed down.
-    pub slowed_by: Option<Word>,
-    /// What is tuned; `None` if nothing can be.
-    pub tuning: Option<Tuning>,
+    /// The last tick; `None` before the first.
+    pub state: Option<State>,
+    /// What can be tuned; `None` if nothing can be.
+    pub tuning: Option<Tunable>,
 }
 
 /// The board.
@@ -124,8 +96,8 @@ pub struct Learned {
     pub body_yaw_rad: f64,
     /// Pivot of the rigid body, forward and to the left, in m.
     pub pivot_m: [f64; 2],
-    /// By how much the stamps of the cameras are late, in ms.
-    pub stamp_offset_ms: f64,
+    /// By how much the stamps of the cameras are late, in s.
+    pub stamp_offset_s: f64,
     /// Angle of the front wheels for that commanded, as a fraction beyond one.
     pub steering_gain: f64,
     /// Angle of the front wheels when straight ones are commanded, in rad.
@@ -142,15 +114,6 @@ pub struct Cameras {
     pub neighbour: Option<String>,
     /// The cause as a sentence, with what to do.
     pub text: String,
-}
-
-/// Speed and steering after the limits.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Command {
-    /// Speed of G, in m/s.
-    pub speed_m_s: f64,
-    /// Steering, in rad.
-    pub steering_rad: f64,
 }
 
 /// The configuration in force.
@@ -171,26 +134,38 @@ pub struct Change {
     pub error: Option<String>,
 }
 
-/// An estimated state.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
-    /// Age of the last accepted pose, in ms.
-    pub pose_age_ms: f64,
-    /// Sideslip, in rad.
-    pub sideslip_rad: f64,
-    /// Speed of G, in m/s.
-    pub speed_m_s: f64,
-    /// Position of G, in m.
-    pub x_m: f64,
-    /// Position of G, in m.
-    pub y_m: f64,
-    /// Yaw, in rad.
-    pub yaw_rad: f64,
-    /// Yaw rate, in rad/s.
-    pub yaw_rate_rad_s: f64,
+/// What can be tuned.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tunable {
+    /// The least and the most.
+    pub bounds: TuningBounds,
+    /// The values of the configuration.
+    pub configured: Tuning,
+    /// Whether the values in force differ from those of the configuration.
+    pub differs: bool,
 }
 
 impl Status {
+    /// Mode of the pilot; `disconnected` before the first tick.
+    #[must_use]
+    pub fn mode(&self) -> &str {
+        self.state
+            .as_ref()
+            .map_or("disconnected", |state| &state.mode)
+    }
+
+    /// Why the car does not drive, or stopped.
+    #[must_use]
+    pub fn reason(&self) -> Option<&str> {
+        self.state.as_ref()?.reason.as_deref()
+    }
+
+    /// Why an arm request would be refused now.
+    #[must_use]
+    pub fn preflight(&self) -> Option<&str> {
+        self.state.as_ref()?.preflight.as_deref()
+    }
+
     /// What an operator must know of the record before a drive; `None` if all is well with it.
     #[must_use]
     pub fn record_trouble(&self) -> Option<String> {

@@ -34,7 +34,7 @@ fn main() {
             format!(r#""trajectory":[{trajectory}]"#),
         ),
     ] {
-        let line = format!(r#"{{"version":2,"command":"setpoint",{keys},{stamp}}}"#);
+        let line = format!(r#"{{"version":3,"command":"setpoint",{keys},{stamp}}}"#);
         let begin = Instant::now();
         for _ in 0..REPETITIONS {
             let command = Command::parse(black_box(line.as_bytes()), NOW_NS);

@@ -58,6 +58,7 @@ impl DaemonHandle {
         let calibration = latest.calibration.as_ref();
         Snapshot {
             tick: latest.tick.clone(),
+            state: latest.state.clone(),
             board: latest.board,
             board_status: latest.board_status,
             proved: latest.proved,

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use singletrack_api::Calibration;
+use singletrack_api::{Calibration, State};
 use singletrack_core::diagnosis::Diagnosis;
 use singletrack_pilot::Learned;
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -25,7 +25,8 @@ pub(crate) const WATCHERS: usize = 24;
 /// The latest value of everything that the threads report.
 #[derive(Debug, Default)]
 pub(crate) struct Latest {
-    pub(crate) tick: Option<TickRecord<0>>,
+    pub(crate) tick: Option<Arc<TickRecord<0>>>,
+    pub(crate) state: Option<State>,
     pub(crate) board: Option<(BoardMode, StopCause)>,
     pub(crate) board_status: Option<Status>,
     /// Whether the configuration in force is proved on this car; `None` before the board has

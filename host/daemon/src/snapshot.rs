@@ -1,10 +1,14 @@
 //! A snapshot of the daemon's status.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use serde_json::{Value, json};
-use singletrack_api::{Board, Calibration, Cameras, Command, Configuration, Tuning, Word};
-use singletrack_control::Position;
+use singletrack_api::{
+    Board, Calibration, Cameras, Configuration, State, Tunable, Tuning, TuningBounds,
+};
 use singletrack_core::{config::TuningRule, diagnosis::Diagnosis};
 use singletrack_pilot::{Learned, Mode, Output, Reason, Tuned};
 use singletrack_protocol::{BoardMode, Status, StopCause};
@@ -17,7 +21,9 @@ use crate::{realtime::RealTimeStatus, summary::Figures};
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     /// The last tick, without its events; `None` before the first.
-    pub tick: Option<TickRecord<0>>,
+    pub tick: Option<Arc<TickRecord<0>>>,
+    /// The view of it that the control socket gives.
+    pub state: Option<State>,
     /// The board's own mode and the cause of its last stop, from its last telemetry.
     pub board: Option<(BoardMode, StopCause)>,
     /// The last status message of the board.
@@ -73,7 +79,6 @@ impl Snapshot {
 
     /// The status as the control socket gives it.
     pub(crate) fn status(&self) -> singletrack_api::Status {
-        let output = self.output();
         singletrack_api::Status {
             board: self.board.map(|(mode, cause)| Board {
                 battery_mv: self.board_status.map(|status| status.battery_mv),
@@ -87,78 +92,43 @@ impl Snapshot {
                 neighbour: self.cameras.neighbour.clone(),
                 text: self.cameras.text.clone(),
             },
-            command: output.map(|output| Command {
-                speed_m_s: output.actuation.speed,
-                steering_rad: output.actuation.steering,
-            }),
             commissioned: self.commissioned.clone(),
             config_path: self.config_path.as_deref().map(shown),
             configuration: self.configuration.clone(),
-            drive_time_s: output.and_then(|output| output.drive_time),
-            estimate: output.and_then(|output| output.estimate).map(|estimate| {
-                singletrack_api::Estimate {
-                    pose_age_ms: estimate.pose_age() * 1_000.0,
-                    sideslip_rad: estimate.sideslip,
-                    speed_m_s: estimate.speed,
-                    x_m: estimate.position.x,
-                    y_m: estimate.position.y,
-                    yaw_rad: estimate.yaw,
-                    yaw_rate_rad_s: estimate.yaw_rate,
-                }
-            }),
             figures: json!(self.figures),
-            filtered_ticks: output.map(|output| output.filtered_ticks),
-            filtering: output.map(|output| output.filtering.name().into()),
-            held: output.map(|output| output.held),
             learned: self.learned.map(|it| singletrack_api::Learned {
                 body_yaw_rad: it.body_yaw,
                 pivot_m: [it.pivot_forward, it.pivot_left],
-                stamp_offset_ms: 1e3 * it.stamp_offset,
+                stamp_offset_s: it.stamp_offset,
                 steering_gain: it.steering_gain,
                 steering_trim_rad: it.steering_trim,
             }),
-            link: self.tick.as_ref().map(|tick| tick.link.name().into()),
-            looked_ahead_s: output.and_then(|output| output.looked_ahead),
-            mode: self.mode().name().into(),
-            path_s: output.and_then(|output| output.path),
-            point_m: output.and_then(|output| output.point).map(place),
-            preflight: word(output.and_then(|output| output.preflight)),
             proved: self.proved,
             realtime: json!(self.realtime),
-            reason: word(self.reason()),
             record: self.record.as_deref().map(shown),
             record_error: self.record_error.clone(),
             record_warning: self.record_warning.clone(),
-            reference_m: output
-                .and_then(|output| output.reference?.position)
-                .map(place),
-            slowed_by: output
-                .and_then(|output| output.slowed_by)
-                .map(|slowed_by| slowed_by.name().into()),
-            tuning: self.tuning(),
+            state: self.state.clone(),
+            tuning: self.tunable(),
         }
     }
 
-    /// What is tuned, and within which bounds; `None` if nothing can be.
-    fn tuning(&self) -> Option<Tuning> {
+    /// What can be tuned; `None` if nothing can be.
+    fn tunable(&self) -> Option<Tunable> {
         let rule = &self.tuning;
         let tuned = self.output()?.tuned?;
         let bounds = rule.bounds?;
-        Some(Tuning {
-            bounds: Some(singletrack_api::TuningBounds {
+        Some(Tunable {
+            bounds: TuningBounds {
                 gain_per_s: bounds.gain,
                 point_distance_m: bounds.point_distance,
-            }),
-            configured: Some(Box::new(Tuning {
+            },
+            configured: Tuning {
+                gain_per_s: rule.gain.map(|gain| [gain.x, gain.y]),
+                point_distance_m: rule.point_distance,
                 wanted_point_distance_m: None,
-                ..tuning_of(&Tuned {
-                    gain: rule.gain,
-                    point_distance: rule.point_distance,
-                    wanted_point_distance: rule.point_distance,
-                })
-            })),
-            differs: Some(rule.differs(&tuned)),
-            ..tuning_of(&tuned)
+            },
+            differs: rule.differs(&tuned),
         })
     }
 }
@@ -166,9 +136,6 @@ impl Snapshot {
 /// The values in force.
 pub(crate) fn tuning_of(tuned: &Tuned) -> Tuning {
     Tuning {
-        bounds: None,
-        configured: None,
-        differs: None,
         gain_per_s: tuned.gain.map(|gain| [gain.x, gain.y]),
         point_distance_m: tuned.point_distance,
         wanted_point_distance_m: Some(tuned.wanted_point_distance),
@@ -179,18 +146,12 @@ fn shown(path: &Path) -> String {
     path.display().to_string()
 }
 
-fn place(position: Position) -> [f64; 2] {
-    [position.x, position.y]
-}
-
-fn word(reason: Option<Reason>) -> Option<Word> {
-    reason.map(|reason| reason.name().into())
-}
-
 #[cfg(test)]
 mod tests {
-    use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy, Time, Velocity};
-    use singletrack_core::Config;
+    use singletrack_control::{
+        Actuation, Estimate, Position, ReferencePoint, SlowedBy, Time, Velocity,
+    };
+    use singletrack_core::{Config, state_stream::States};
     use singletrack_pilot::Filtering;
     use singletrack_record::LinkPhase;
 
@@ -205,54 +166,56 @@ mod tests {
         config.tuning.gain_per_s = Some([0.5, 4.0]);
         config.tuning.point_distance_m = Some([0.3, 0.5]);
         let velocity = Velocity::new(0.5, -0.25);
-        Snapshot {
-            tick: Some(TickRecord {
-                index: 7,
-                scheduled_ns: 0,
-                start_ns: 1_000,
-                finish_ns: 0,
-                skipped: 0,
-                pilot_time: Time(0),
-                events: Default::default(),
-                events_dropped: 0,
-                output: Output {
-                    reason: Some(Reason::NoPose),
-                    preflight: Some(Reason::BatteryLow),
-                    drive_time: Some(1.25),
-                    looked_ahead: Some(0.0625),
-                    filtering: Filtering::Scaled,
-                    filtered_ticks: 3,
-                    tuned: Some(Tuned {
-                        gain: Some(Velocity::new(2.0, 1.5)),
-                        point_distance: 0.375,
-                        wanted_point_distance: 0.5,
-                    }),
-                    path: Some(4.5),
-                    slowed_by: Some(SlowedBy::Tyres),
-                    estimate: Some(Estimate {
-                        time: Time(20_000_000),
-                        position: Position::new(1.0, -2.0),
-                        yaw: 0.5,
-                        yaw_rate: 0.25,
-                        sideslip: 0.125,
-                        speed: 0.75,
-                        pose_time: Time(10_000_000),
-                    }),
-                    point: Some(Position::new(1.5, -1.5)),
-                    reference: Some(ReferencePoint {
-                        position: Some(Position::new(1.25, -1.0)),
-                        velocity,
-                    }),
-                    actuation: Actuation {
-                        steering: 0.0625,
-                        speed: 0.5,
-                        steering_rate: 0.0,
-                    },
-                    ..Output::neutral(Mode::Driving)
+        let tick = TickRecord {
+            index: 7,
+            scheduled_ns: 0,
+            start_ns: 1_000,
+            finish_ns: 0,
+            skipped: 0,
+            pilot_time: Time(0),
+            events: Default::default(),
+            events_dropped: 0,
+            output: Output {
+                reason: Some(Reason::NoPose),
+                preflight: Some(Reason::BatteryLow),
+                drive_time: Some(1.25),
+                looked_ahead: Some(0.0625),
+                filtering: Filtering::Scaled,
+                filtered_ticks: 3,
+                tuned: Some(Tuned {
+                    gain: Some(Velocity::new(2.0, 1.5)),
+                    point_distance: 0.375,
+                    wanted_point_distance: 0.5,
+                }),
+                path: Some(4.5),
+                slowed_by: Some(SlowedBy::Tyres),
+                estimate: Some(Estimate {
+                    time: Time(20_000_000),
+                    position: Position::new(1.0, -2.0),
+                    yaw: 0.5,
+                    yaw_rate: 0.25,
+                    sideslip: 0.125,
+                    speed: 0.75,
+                    pose_time: Time(10_000_000),
+                }),
+                point: Some(Position::new(1.5, -1.5)),
+                reference: Some(ReferencePoint {
+                    position: Some(Position::new(1.25, -1.0)),
+                    velocity,
+                }),
+                actuation: Actuation {
+                    steering: 0.0625,
+                    speed: 0.5,
+                    steering_rate: 0.0,
                 },
-                drive: None,
-                link: LinkPhase::Configuring,
-            }),
+                ..Output::neutral(Mode::Driving)
+            },
+            drive: None,
+            link: LinkPhase::Configuring,
+        };
+        Snapshot {
+            state: Some(States::default().state(&tick)),
+            tick: Some(Arc::new(tick)),
             board: Some((BoardMode::Neutral, StopCause::Disarmed)),
             board_status: None,
             proved: Some(true),
@@ -300,6 +263,7 @@ mod tests {
     fn the_status_is_written_as_in_the_golden_file() {
         let nothing = Snapshot {
             tick: None,
+            state: None,
             board: None,
             proved: None,
             calibration: None,

@@ -25,9 +25,9 @@ use tempfile::TempDir;
 
 use crate::common;
 
-const STATUS: &str = r#"{"version":2,"command":"status"}"#;
-const STOP: &str = r#"{"version":2,"command":"stop"}"#;
-const WATCH: &str = r#"{"version":2,"command":"watch","topics":["drops"]}"#;
+const STATUS: &str = r#"{"version":3,"command":"status"}"#;
+const STOP: &str = r#"{"version":3,"command":"stop"}"#;
+const WATCH: &str = r#"{"version":3,"command":"watch","topics":["drops"]}"#;
 
 fn config(folder: &Path) -> Config {
     let mut config = common::config(folder);
@@ -55,7 +55,7 @@ impl Bench {
     }
 
     fn token_line(&self) -> String {
-        json!({"version": 2, "command": "token", "token": self.key["token"]}).to_string()
+        json!({"version": 3, "command": "token", "token": self.key["token"]}).to_string()
     }
 
     /// A connection that has said nothing.
@@ -74,7 +74,7 @@ impl Bench {
     fn client(&self) -> Client<TcpStream> {
         let mut client = self.stranger();
         let answer = client.ask(&self.token_line());
-        assert_eq!(answer, json!({"version": 2, "ok": true}));
+        assert_eq!(answer, json!({"version": 3, "ok": true}));
         client
     }
 
@@ -126,8 +126,8 @@ fn token_file(folder: &Path) -> PathBuf {
 fn a_client_with_the_token_is_served_as_on_the_unix_socket() {
     let bench = Bench::start();
     let mut client = bench.client();
-    assert_eq!(client.ask(STATUS)["status"]["mode"], "disconnected");
-    let refused = client.ask(r#"{"version":2,"command":"arm","attendance":"hold"}"#);
+    assert_eq!(client.ask(STATUS)["ok"], true);
+    let refused = client.ask(r#"{"version":3,"command":"arm","attendance":"hold"}"#);
     let error = refused["error"].as_str().unwrap();
     assert!(error.contains("mode disconnected"), "{error}");
     // A client need not wait for the answer to its token.
@@ -139,7 +139,7 @@ fn a_client_with_the_token_is_served_as_on_the_unix_socket() {
     while bench.daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
     }
-    let states = r#"{"version":2,"command":"watch","topics":["state"]}"#;
+    let states = r#"{"version":3,"command":"watch","topics":["state"]}"#;
     assert_eq!(client.ask(states)["ok"], true);
     assert_eq!(client.line()["mode"], "fault");
 }
@@ -155,7 +155,7 @@ fn nothing_is_obeyed_or_answered_without_the_token() {
         body.len(),
     );
     let wrong = |token: &str| {
-        let line = json!({"version": 2, "command": "token", "token": token});
+        let line = json!({"version": 3, "command": "token", "token": token});
         format!("{line}\n{STOP}\n")
     };
     let cases = [
@@ -282,7 +282,7 @@ fn a_client_that_only_closes_its_side_is_answered() {
     write!(client.write, "{}\n{STATUS}\n", bench.token_line()).unwrap();
     client.write.shutdown(Shutdown::Write).unwrap();
     assert_eq!(client.line()["ok"], true);
-    assert_eq!(client.line()["status"]["mode"], "disconnected");
+    assert!(client.line()["status"]["figures"]["ticks"].is_u64());
     assert_eq!(client.rest(), "");
 }
 

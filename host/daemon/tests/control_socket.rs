@@ -71,18 +71,18 @@ fn the_status_has_mode_reason_and_figures() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
     let status = loop {
-        let answer = client.ask(r#"{"version":2,"command":"status"}"#);
+        let answer = client.ask(r#"{"version":3,"command":"status"}"#);
         assert_eq!(answer["ok"], true);
-        assert_eq!(answer["version"], 2);
+        assert_eq!(answer["version"], 3);
         if answer["status"]["figures"]["ticks"].as_u64() > Some(3) {
             break answer["status"].clone();
         }
     };
-    assert_eq!(status["mode"], "disconnected");
-    assert_eq!(status["reason"], "link-down");
-    assert_eq!(status["link"], "disconnected");
+    assert_eq!(status["state"]["mode"], "disconnected");
+    assert_eq!(status["state"]["reason"], "link-down");
+    assert_eq!(status["state"]["link"], "disconnected");
     assert_eq!(status["realtime"]["fifo_priority"], Value::Null);
-    assert_eq!(status["estimate"], Value::Null);
+    assert_eq!(status["state"]["x_m"], Value::Null);
     assert!(status["figures"]["lateness_us"]["p99"].is_number());
     daemon.stop().unwrap();
     assert!(!path.exists());
@@ -92,7 +92,7 @@ fn the_status_has_mode_reason_and_figures() {
 fn an_arm_without_a_board_is_refused_with_the_reason() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let answer = client.ask(r#"{"version":2,"command":"arm","attendance":"hold"}"#);
+    let answer = client.ask(r#"{"version":3,"command":"arm","attendance":"hold"}"#);
     assert_eq!(answer["ok"], false);
     assert!(
         answer["error"]
@@ -102,14 +102,14 @@ fn an_arm_without_a_board_is_refused_with_the_reason() {
         "{answer}"
     );
     for command in ["disarm", "stop"] {
-        let answer = client.ask(&json!({"version": 2, "command": command}).to_string());
+        let answer = client.ask(&json!({"version": 3, "command": command}).to_string());
         // No mode: it would be the one before the request.
-        assert_eq!(answer, json!({"version": 2, "ok": true}), "{command}");
+        assert_eq!(answer, json!({"version": 3, "ok": true}), "{command}");
     }
     while daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
     }
-    let answer = client.ask(r#"{"version":2,"command":"disarm"}"#);
+    let answer = client.ask(r#"{"version":3,"command":"disarm"}"#);
     assert_eq!(answer["ok"], true);
     let note = answer["note"].as_str().unwrap();
     assert!(note.contains("stays stopped until it is reset"), "{note}");
@@ -136,7 +136,7 @@ fn an_invalid_line_is_answered_and_the_connection_stays_open() {
         assert!(answer["error"].as_str().unwrap().contains("16384"));
     }
     assert_eq!(
-        client.ask(r#"{"version":2,"command":"status"}"#)["ok"],
+        client.ask(r#"{"version":3,"command":"status"}"#)["ok"],
         true
     );
     daemon.stop().unwrap();
@@ -146,14 +146,14 @@ fn an_invalid_line_is_answered_and_the_connection_stays_open() {
 fn a_watcher_gets_every_tick() {
     let (daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let answer = client.ask(r#"{"version":2,"command":"watch","topics":["tick"]}"#);
+    let answer = client.ask(r#"{"version":3,"command":"watch","topics":["tick"]}"#);
     assert_eq!(answer["ok"], true);
     let first = client.line();
     assert_eq!(first["topic"], "tick");
     let second = client.line();
     assert_eq!(
-        second["index"].as_u64().unwrap(),
-        first["index"].as_u64().unwrap() + 1
+        second["tick"].as_u64().unwrap(),
+        first["tick"].as_u64().unwrap() + 1
     );
     daemon.stop().unwrap();
 }
@@ -164,7 +164,7 @@ fn watchers_that_disconnect_free_their_slots() {
     for _ in 0..200 {
         let mut client = Client::connect(&path);
         // The topic has no entries: the daemon must detect the end of the connection.
-        let answer = client.ask(r#"{"version":2,"command":"watch","topics":["drops"]}"#);
+        let answer = client.ask(r#"{"version":3,"command":"watch","topics":["drops"]}"#);
         assert_eq!(answer["ok"], true, "{answer}");
     }
 }
@@ -173,7 +173,7 @@ fn watchers_that_disconnect_free_their_slots() {
 fn the_configuration_in_force_is_given_as_text() {
     let (_daemon, path, folder) = start();
     let mut client = Client::connect(&path);
-    let answer = client.ask(r#"{"version":2,"command":"configuration"}"#);
+    let answer = client.ask(r#"{"version":3,"command":"configuration"}"#);
     assert_eq!(
         (&answer["ok"], &answer["configuration"]),
         (&json!(true), &json!(1))
@@ -184,9 +184,9 @@ fn the_configuration_in_force_is_given_as_text() {
         config(folder.path(), &path)
     );
     let reference = json!({"kind": "circle", "radius_m": 0.7, "angular_velocity_rad_s": 0.4});
-    let line = json!({"version": 2, "command": "set-reference", "reference": reference});
+    let line = json!({"version": 3, "command": "set-reference", "reference": reference});
     assert_eq!(client.ask(&line.to_string())["configuration"], 2);
-    let answer = client.ask(r#"{"version":2,"command":"configuration"}"#);
+    let answer = client.ask(r#"{"version":3,"command":"configuration"}"#);
     assert_eq!(answer["configuration"], 2);
     assert!(
         answer["toml"]
@@ -200,9 +200,9 @@ fn the_configuration_in_force_is_given_as_text() {
 fn watchers_leave_places_for_those_who_command() {
     let (_daemon, path, _folder) = start();
     let streams = [
-        r#"{"version":2,"command":"watch","topics":["drops"]}"#,
-        r#"{"version":2,"command":"watch","topics":["state"]}"#,
-        r#"{"version":2,"command":"messages","topics":["/odom"]}"#,
+        r#"{"version":3,"command":"watch","topics":["drops"]}"#,
+        r#"{"version":3,"command":"watch","topics":["state"]}"#,
+        r#"{"version":3,"command":"messages","topics":["/odom"]}"#,
     ];
     let mut watchers: Vec<_> = (0..24)
         .map(|index| {
@@ -222,7 +222,7 @@ fn watchers_leave_places_for_those_who_command() {
         "eight places, after those who were refused have left",
         || {
             let mut client = Client::connect(&path);
-            if client.ask(r#"{"version":2,"command":"status"}"#)["ok"] == true {
+            if client.ask(r#"{"version":3,"command":"status"}"#)["ok"] == true {
                 operators.push(client);
             }
             operators.len() == 8
@@ -241,18 +241,18 @@ fn a_stop_is_obeyed_when_every_slot_is_taken() {
     let clients: Vec<_> = (0..32)
         .map(|_| {
             let mut client = Client::connect(&path);
-            client.ask(r#"{"version":2,"command":"status"}"#);
+            client.ask(r#"{"version":3,"command":"status"}"#);
             client
         })
         .collect();
-    let refused = Client::connect(&path).ask(r#"{"version":2,"command":"status"}"#);
+    let refused = Client::connect(&path).ask(r#"{"version":3,"command":"status"}"#);
     assert_eq!(refused["ok"], false, "{refused}");
     // Connections that a client has leaked: beyond 64 the oldest are closed.
     let mut leaked: Vec<_> = (0..300).map(|_| Client::connect(&path)).collect();
     for client in leaked.iter_mut().take(300 - 64) {
         assert_eq!(client.line()["ok"], false);
     }
-    let stopped = Client::connect(&path).ask(r#"{"version":2,"command":"stop"}"#);
+    let stopped = Client::connect(&path).ask(r#"{"version":3,"command":"stop"}"#);
     assert_eq!(stopped["ok"], true, "{stopped}");
     while daemon.snapshot().mode() != Mode::Fault {
         std::thread::yield_now();
@@ -287,9 +287,9 @@ fn the_record_of_a_run_can_be_read() {
     assert_eq!(ticks as u64, summary.figures.ticks);
 }
 
-const CIRCLE: &str = r#"{"version":2,"command":"set-reference","reference":
+const CIRCLE: &str = r#"{"version":3,"command":"set-reference","reference":
     {"kind":"circle","radius_m":0.8,"angular_velocity_rad_s":0.4}}"#;
-const EXTERNAL: &str = r#"{"version":2,"command":"set-reference","reference":
+const EXTERNAL: &str = r#"{"version":3,"command":"set-reference","reference":
     {"kind":"external"}}"#;
 
 /// The text on one line.
@@ -298,7 +298,7 @@ fn line(text: &str) -> String {
 }
 
 fn status(client: &mut Client) -> Value {
-    client.ask(r#"{"version":2,"command":"status"}"#)["status"].clone()
+    client.ask(r#"{"version":3,"command":"status"}"#)["status"].clone()
 }
 
 #[test]
@@ -312,7 +312,7 @@ fn a_reference_is_set_while_the_car_stands_and_is_recorded() {
     let answer = client.ask(&line(CIRCLE));
     assert_eq!(
         answer,
-        json!({"version": 2, "ok": true, "configuration": 2})
+        json!({"version": 3, "ok": true, "configuration": 2})
     );
     assert_eq!(
         status(&mut client)["configuration"],
@@ -347,7 +347,7 @@ fn a_reference_that_the_car_cannot_drive_is_in_force_with_a_warning() {
     let far = json!({
         "kind": "circle", "radius_m": 0.8, "angular_velocity_rad_s": 0.4, "centre_m": [9.0, 0.0],
     });
-    let command = json!({"version": 2, "command": "set-reference", "reference": far});
+    let command = json!({"version": 3, "command": "set-reference", "reference": far});
     let answer = client.ask(&command.to_string());
     assert_eq!(
         (&answer["ok"], &answer["configuration"]),
@@ -396,7 +396,7 @@ fn an_invalid_reference_changes_nothing() {
             "line 1 must name the columns",
         ),
     ] {
-        let command = json!({"version": 2, "command": "set-reference", "reference": reference});
+        let command = json!({"version": 3, "command": "set-reference", "reference": reference});
         let answer = client.ask(&command.to_string());
         assert_eq!(answer["ok"], false, "{reference}");
         let error = answer["error"].as_str().unwrap();
@@ -410,8 +410,8 @@ fn an_invalid_reference_changes_nothing() {
 fn set_points_are_answered_only_when_they_have_no_effect() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let good = r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
-    let actuation = r#"{"version":2,"command":"setpoint","steering_rad":0.1,"speed_m_s":0.3}"#;
+    let good = r#"{"version":3,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
+    let actuation = r#"{"version":3,"command":"setpoint","steering_rad":0.1,"speed_m_s":0.3}"#;
     let now_ns = singletrackd::monotonic_ns();
     let points: Vec<_> = (0..100)
         .map(|index: u32| {
@@ -422,7 +422,7 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
             })
         })
         .collect();
-    let trajectory = json!({ "version": 2, "command": "setpoint", "trajectory": points });
+    let trajectory = json!({ "version": 3, "command": "setpoint", "trajectory": points });
     let trajectory = trajectory.to_string();
 
     for line in [good, actuation, &trajectory] {
@@ -439,7 +439,7 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
         }
     }
     let mut reject = |keys: &str, word: &str| {
-        let line = format!(r#"{{"version":2,"command":"setpoint",{keys}}}"#);
+        let line = format!(r#"{{"version":3,"command":"setpoint",{keys}}}"#);
         let answer = client.ask(&line);
         assert_eq!(answer["ok"], false, "{keys}");
         assert_eq!(answer["rejected"], word, "{keys}: {}", answer["error"]);
@@ -458,11 +458,11 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
     reject(&stamped(0), "old");
     writeln!(
         client.write,
-        r#"{{"version":2,"command":"setpoint",{velocity},"sequence":7}}"#
+        r#"{{"version":3,"command":"setpoint",{velocity},"sequence":7}}"#
     )
     .unwrap();
     let mut reject = |keys: &str, word: &str| {
-        let line = format!(r#"{{"version":2,"command":"setpoint",{keys}}}"#);
+        let line = format!(r#"{{"version":3,"command":"setpoint",{keys}}}"#);
         assert_eq!(client.ask(&line)["rejected"], word, "{keys}");
     };
     reject(&format!(r#"{velocity},"sequence":7"#), "sequence");
@@ -485,13 +485,13 @@ fn two_programs_that_steer_at_once_are_not_obeyed_by_turns() {
     let (_daemon, path, _folder) = start();
     let mut one = Client::connect(&path);
     let long = json!({
-        "version": 2, "command": "set-reference",
+        "version": 3, "command": "set-reference",
         "reference": { "kind": "external", "setpoint_timeout_ms": 1_000 },
     });
     assert_eq!(one.ask(&long.to_string())["ok"], true);
     let steer = |client: &mut Client, sequence: u32| {
         let line = format!(
-            r#"{{"version":2,"command":"setpoint","steering_rad":0,"speed_m_s":0,"sequence":{sequence}}}"#
+            r#"{{"version":3,"command":"setpoint","steering_rad":0,"speed_m_s":0,"sequence":{sequence}}}"#
         );
         writeln!(client.write, "{line}").unwrap();
     };
@@ -525,7 +525,7 @@ fn two_programs_that_steer_at_once_are_not_obeyed_by_turns() {
 
 /// The counts of set-points, which follow the answers to those that were rejected.
 fn figures_after_answers(client: &mut Client) -> Value {
-    writeln!(client.write, r#"{{"version":2,"command":"status"}}"#).unwrap();
+    writeln!(client.write, r#"{{"version":3,"command":"status"}}"#).unwrap();
     loop {
         let mut answer = client.line();
         if answer["ok"] == true {
@@ -540,7 +540,7 @@ fn a_set_point_that_is_accepted_and_then_refused_by_the_pilot_is_counted_by_its_
     let mut client = Client::connect(&path);
     assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
     let mut watcher = Client::connect(&path);
-    let watch = r#"{"version":2,"command":"watch","topics":["state"]}"#;
+    let watch = r#"{"version":3,"command":"watch","topics":["state"]}"#;
     assert_eq!(watcher.ask(watch)["ok"], true);
     // A hundred points take five ticks to the pilot, and the last one is over by then.
     let brief = || {
@@ -550,7 +550,7 @@ fn a_set_point_that_is_accepted_and_then_refused_by_the_pilot_is_counted_by_its_
             json!({ "time_ns": time_ns, "position_m": [0, 0], "velocity_m_s": [0, 0] })
         };
         let points: Vec<_> = (0..100_u64).map(point).collect();
-        json!({ "version": 2, "command": "setpoint", "trajectory": points })
+        json!({ "version": 3, "command": "setpoint", "trajectory": points })
     };
     // On a busy machine it may be over before it is read.
     let begun = Instant::now();
@@ -579,7 +579,7 @@ fn a_set_point_that_is_accepted_and_then_refused_by_the_pilot_is_counted_by_its_
 fn the_state_of_every_tick_is_streamed() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let watch = r#"{"version":2,"command":"watch","topics":["state"]}"#;
+    let watch = r#"{"version":3,"command":"watch","topics":["state"]}"#;
     assert_eq!(client.ask(watch)["ok"], true);
     let first = client.line();
     for count in 1..20 {
@@ -589,9 +589,9 @@ fn the_state_of_every_tick_is_streamed() {
             state["tick"].as_u64().unwrap(),
             first["tick"].as_u64().unwrap() + count
         );
-        assert!(state["t"].as_f64().unwrap() > first["t"].as_f64().unwrap());
+        assert!(state["t_s"].as_f64().unwrap() > first["t_s"].as_f64().unwrap());
         assert_eq!(
-            (&state["mode"], &state["reason"], &state["x"]),
+            (&state["mode"], &state["reason"], &state["x_m"]),
             (&json!("disconnected"), &json!("link-down"), &Value::Null)
         );
     }
@@ -601,7 +601,7 @@ fn the_state_of_every_tick_is_streamed() {
 fn a_slow_reader_of_the_state_loses_the_oldest_and_learns_how_many() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let watch = r#"{"version":2,"command":"watch","topics":["state"]}"#;
+    let watch = r#"{"version":3,"command":"watch","topics":["state"]}"#;
     assert_eq!(client.ask(watch)["ok"], true);
     let mut last = client.line()["tick"].as_u64().unwrap();
     std::thread::sleep(std::time::Duration::from_secs(1));
@@ -670,7 +670,7 @@ fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
     };
     let flooder = std::thread::spawn(move || {
         let mut flooder = Client::connect(&path);
-        let lines = r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
+        let lines = r#"{"version":3,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#;
         let lines = format!("{lines}\n").repeat(1_000);
         for _ in 0..LINES / 1_000 {
             flooder.write.write_all(lines.as_bytes()).unwrap();
@@ -679,7 +679,7 @@ fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
     });
     // Until the first thousand are there, and then in the middle of them.
     while accepted(&mut client) < 1_000 {}
-    assert_eq!(client.ask(r#"{"version":2,"command":"stop"}"#)["ok"], true);
+    assert_eq!(client.ask(r#"{"version":3,"command":"stop"}"#)["ok"], true);
     assert!(accepted(&mut client) < LINES, "it was served after all");
     assert_eq!(flooder.join().unwrap(), LINES);
 }
@@ -688,7 +688,7 @@ fn a_program_that_sends_without_a_pause_keeps_no_other_client_from_a_stop() {
 fn a_request_to_jog_without_a_board_is_refused_and_pulses_need_a_request() {
     let (_daemon, path, _folder) = start();
     let mut client = Client::connect(&path);
-    let arm = r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#;
+    let arm = r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#;
     let mut refused = || client.ask(arm)["error"].as_str().unwrap().to_owned();
     // Before the first tick there is no reason.
     let mut error = refused();
@@ -701,7 +701,7 @@ fn a_request_to_jog_without_a_board_is_refused_and_pulses_need_a_request() {
             && error.contains("(link-down). To do: "),
         "{error}"
     );
-    let answer = client.ask(r#"{"version":2,"command":"jog","servo_us":1500,"esc_us":1500}"#);
+    let answer = client.ask(r#"{"version":3,"command":"jog","servo_us":1500,"esc_us":1500}"#);
     let error = answer["error"].as_str().unwrap();
     assert!(error.contains("on a connection that jogs"), "{error}");
 }
@@ -720,12 +720,12 @@ fn a_client_reloads_the_file_that_the_daemon_was_started_with() {
     };
     let _daemon = Daemon::start(config.clone(), options).unwrap();
     let mut client = Client::connect(&path);
-    let reload = r#"{"version":2,"command":"reload"}"#;
+    let reload = r#"{"version":3,"command":"reload"}"#;
     config.board.servo.centre_us += 7;
     write(&config);
     assert_eq!(
         client.ask(reload),
-        json!({"version": 2, "ok": true, "configuration": 2})
+        json!({"version": 3, "ok": true, "configuration": 2})
     );
     assert_eq!(
         status(&mut client)["configuration"],
@@ -740,7 +740,7 @@ fn a_client_reloads_the_file_that_the_daemon_was_started_with() {
 #[test]
 fn a_daemon_without_a_file_reloads_nothing() {
     let (_daemon, path, _folder) = start();
-    let answer = Client::connect(&path).ask(r#"{"version":2,"command":"reload"}"#);
+    let answer = Client::connect(&path).ask(r#"{"version":3,"command":"reload"}"#);
     let error = answer["error"].as_str().unwrap();
     assert!(error.contains("not started with a file"), "{error}");
 }

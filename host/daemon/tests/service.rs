@@ -131,7 +131,7 @@ impl Manager {
     /// The status, from the control socket.
     fn status(&self) -> serde_json::Value {
         let mut stream = UnixStream::connect(self.folder.path().join("control.sock")).unwrap();
-        writeln!(stream, r#"{{"version":2,"command":"status"}}"#).unwrap();
+        writeln!(stream, r#"{{"version":3,"command":"status"}}"#).unwrap();
         let mut line = String::new();
         BufReader::new(stream).read_line(&mut line).unwrap();
         let answer: serde_json::Value = serde_json::from_str(&line).unwrap();

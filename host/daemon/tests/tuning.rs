@@ -16,14 +16,18 @@ use singletrackd::{Daemon, StartOptions};
 use crate::control_socket::{Client, config};
 
 fn ask(client: &mut Client, keys: &Value) -> Value {
-    let mut line = json!({ "version": 2, "command": "tune" });
+    let mut line = json!({ "version": 3, "command": "tune" });
     let keys = keys.as_object().unwrap().clone();
     line.as_object_mut().unwrap().extend(keys);
     client.ask(&line.to_string())
 }
 
+fn whole_status(client: &mut Client) -> Value {
+    client.ask(r#"{"version":3,"command":"status"}"#)["status"].take()
+}
+
 fn status(client: &mut Client) -> Value {
-    client.ask(r#"{"version":2,"command":"status"}"#)["status"]["tuning"].take()
+    whole_status(client)["tuning"].take()
 }
 
 fn start(folder: &Path, tuning: TuningSection) -> (Daemon, Client) {
@@ -32,7 +36,7 @@ fn start(folder: &Path, tuning: TuningSection) -> (Daemon, Client) {
     config.tuning = tuning;
     let daemon = Daemon::start(config, StartOptions::default()).unwrap();
     let mut client = Client::connect(&socket);
-    while client.ask(r#"{"version":2,"command":"status"}"#)["status"]["link"].is_null() {}
+    while whole_status(&mut client)["state"].is_null() {}
     (daemon, client)
 }
 
@@ -69,10 +73,10 @@ fn values_within_their_bounds_are_in_force_when_they_are_answered_and_are_record
         json!([1.0, 1.5]),
         "{answer}"
     );
-    client.ask(r#"{"version":2,"command":"watch","topics":["state"]}"#);
+    client.ask(r#"{"version":3,"command":"watch","topics":["state"]}"#);
     let state = client.line();
-    assert_eq!(state["gain"], json!([1.0, 1.5]), "{state}");
-    assert!(state["point_distance"].is_number(), "{state}");
+    assert_eq!(state["gain_per_s"], json!([1.0, 1.5]), "{state}");
+    assert!(state["point_distance_m"].is_number(), "{state}");
     daemon.stop().unwrap();
 
     let records = std::fs::read_dir(folder.path().join("records")).unwrap();
@@ -146,7 +150,7 @@ fn what_is_refused_is_refused_with_the_reason_and_changes_nothing() {
         }
     }
     // JSON has no such number.
-    let answer = client.ask(r#"{"version":2,"command":"tune","gain_per_s":NaN}"#);
+    let answer = client.ask(r#"{"version":3,"command":"tune","gain_per_s":NaN}"#);
     assert_eq!(answer["ok"], false, "{answer}");
     assert_eq!(status(&mut client)["differs"], false);
     daemon.stop().unwrap();
@@ -177,23 +181,25 @@ fn a_reference_keeps_tuned_values_and_another_value_in_the_file_ends_them() {
     };
     let daemon = Daemon::start(config.clone(), options).unwrap();
     let mut client = Client::connect(&socket);
-    while client.ask(r#"{"version":2,"command":"status"}"#)["status"]["link"].is_null() {}
+    while whole_status(&mut client)["state"].is_null() {}
     assert_eq!(ask(&mut client, &json!({ "gain_per_s": 2.0 }))["ok"], true);
 
-    let external = r#"{"version":2,"command":"set-reference","reference":{"kind":"external"}}"#;
+    let external = r#"{"version":3,"command":"set-reference","reference":{"kind":"external"}}"#;
     assert_eq!(client.ask(external)["ok"], true);
-    assert_eq!(status(&mut client)["gain_per_s"], json!([2.0, 2.0]));
+    let status = whole_status(&mut client);
+    assert_eq!(status["state"]["gain_per_s"], json!([2.0, 2.0]));
 
     let text = config.to_toml().unwrap();
     let text = text.replace("gain_per_s = [1.0, 1.0]", "gain_per_s = [1.5, 1.5]");
     std::fs::write(&file, text).unwrap();
-    let answer = client.ask(r#"{"version":2,"command":"reload"}"#);
+    let answer = client.ask(r#"{"version":3,"command":"reload"}"#);
     assert_eq!(answer["ok"], true, "{answer}");
-    let mut tuning = status(&mut client);
-    while tuning["gain_per_s"] == json!([2.0, 2.0]) {
-        tuning = status(&mut client);
+    let mut status = whole_status(&mut client);
+    while status["state"]["gain_per_s"] == json!([2.0, 2.0]) {
+        status = whole_status(&mut client);
     }
-    assert_eq!(tuning["gain_per_s"], json!([1.5, 1.5]), "{tuning}");
-    assert_eq!(tuning["differs"], false, "{tuning}");
+    let gain = &status["state"]["gain_per_s"];
+    assert_eq!(*gain, json!([1.5, 1.5]), "{status}");
+    assert_eq!(status["tuning"]["differs"], false, "{status}");
     daemon.stop().unwrap();
 }

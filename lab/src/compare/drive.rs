@@ -422,7 +422,7 @@ impl<'a> Run<'a> {
         self.errors.add(time, &tick.truth);
         match (&mut self.driver, &output.estimate) {
             (Driver::Foreign { law, states }, Some(estimate)) => {
-                let age = states.state(&tick.tick).board_age;
+                let age = states.state(&tick.tick).board_age_s;
                 let known = Known {
                     estimate,
                     measured: age.map(|age| tick.now.before(age)),

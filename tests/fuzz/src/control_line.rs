@@ -42,7 +42,7 @@ const KEYS: [&str; 23] = [
 /// Values that are valid for some keys.
 const VALUES: [&str; 32] = [
     "1",
-    "2",
+    "3",
     "0",
     "-1",
     "null",
@@ -100,7 +100,7 @@ pub fn control_line(data: &[u8]) -> u64 {
 fn object(choices: &mut Choices<'_>) -> String {
     let mut entries = Vec::new();
     if choices.flag() {
-        entries.push("\"version\":2".to_owned());
+        entries.push("\"version\":3".to_owned());
     }
     while !choices.is_empty() && entries.len() < 16 {
         let key = choices.one_of(KEYS);
@@ -134,7 +134,7 @@ fn check(line: &[u8]) {
 fn check_accepted(command: &Command, line: &[u8]) {
     // No command by accident: the line must contain its word. (Or escapes of it.)
     let text = core::str::from_utf8(line).expect("JSON is UTF-8");
-    assert!(text.contains('2'), "another version is accepted: {text}");
+    assert!(text.contains('3'), "another version is accepted: {text}");
     let word = match command {
         Command::Status => "status",
         Command::End(PilotRequest::EmergencyStop) => "stop",

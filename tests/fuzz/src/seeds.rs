@@ -495,49 +495,49 @@ fn page_head() -> Vec<Seed> {
 
 fn control_line() -> Vec<Seed> {
     let lines = [
-        ("status", r#"{"version":2,"command":"status"}"#),
+        ("status", r#"{"version":3,"command":"status"}"#),
         (
             "arm",
-            r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold"}"#,
         ),
         (
             "arm-timed",
-            r#"{"version":2,"command":"arm","attendance":"timed","for_s":60}"#,
+            r#"{"version":3,"command":"arm","attendance":"timed","for_s":60}"#,
         ),
-        ("hold", r#"{"version":2,"command":"hold"}"#),
-        ("disarm", r#"{"version":2,"command":"disarm"}"#),
-        ("stop", r#"{"command":"stop","version":2}"#),
+        ("hold", r#"{"version":3,"command":"hold"}"#),
+        ("disarm", r#"{"version":3,"command":"disarm"}"#),
+        ("stop", r#"{"command":"stop","version":3}"#),
         (
             "watch",
-            r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
+            r#"{"version":3,"command":"watch","topics":["tick","log"]}"#,
         ),
         (
             "set-reference",
-            r#"{"version":2,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
+            r#"{"version":3,"command":"set-reference","reference":{"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
         ),
         (
             "tune",
-            r#"{"version":2,"command":"tune","gain_per_s":[2.0,1.5],"point_distance_m":0.4}"#,
+            r#"{"version":3,"command":"tune","gain_per_s":[2.0,1.5],"point_distance_m":0.4}"#,
         ),
         (
             "setpoint",
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
+            r#"{"version":3,"command":"setpoint","velocity_m_s":[0.5,-1],"position_m":[2,3],"time_ns":400}"#,
         ),
         (
             "setpoint-actuation",
-            r#"{"version":2,"command":"setpoint","steering_rad":0.1,"acceleration_m_s2":-1,"sequence":7}"#,
+            r#"{"version":3,"command":"setpoint","steering_rad":0.1,"acceleration_m_s2":-1,"sequence":7}"#,
         ),
         (
             "setpoint-trajectory",
-            r#"{"version":2,"command":"setpoint","trajectory":[{"time_ns":1000000000000,"position_m":[0,0],"velocity_m_s":[0,0]},{"time_ns":1000100000000,"position_m":[0.1,0],"velocity_m_s":[1,0]}]}"#,
+            r#"{"version":3,"command":"setpoint","trajectory":[{"time_ns":1000000000000,"position_m":[0,0],"velocity_m_s":[0,0]},{"time_ns":1000100000000,"position_m":[0.1,0],"velocity_m_s":[1,0]}]}"#,
         ),
         (
             "setpoint-too-large",
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
+            r#"{"version":3,"command":"setpoint","velocity_m_s":[1e999,0]}"#,
         ),
-        ("version", r#"{"version":2,"command":"status"}"#),
-        ("escape", r#"{"version":2,"command":"\u0073tatus"}"#),
-        ("twice", r#"{"version":2,"version":2,"command":"arm"}"#),
+        ("version", r#"{"version":3,"command":"status"}"#),
+        ("escape", r#"{"version":3,"command":"\u0073tatus"}"#),
+        ("twice", r#"{"version":3,"version":3,"command":"arm"}"#),
         ("nested", "[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[[["),
         ("empty", ""),
         ("no-object", "arm"),

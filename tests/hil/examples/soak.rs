@@ -256,8 +256,8 @@ fn connect_anew(socket: &Path, ends: &AtomicBool, answers: &AtomicU64) -> Outcom
 fn send_rubbish(socket: &Path, ends: &AtomicBool, answers: &AtomicU64) -> Outcome {
     let lines = [
         "nothing\n",
-        "{\"version\":2,\"command\":\"tune\",\"gain_per_s\":4.0}\n",
-        "{\"version\":2,\"command\":\"arm\"}\n",
+        "{\"version\":3,\"command\":\"tune\",\"gain_per_s\":4.0}\n",
+        "{\"version\":3,\"command\":\"arm\"}\n",
         "{\"version\":1,\"command\":\"status\"}\n",
     ];
     for line in lines.iter().cycle() {

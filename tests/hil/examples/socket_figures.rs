@@ -155,7 +155,7 @@ fn foreign(bench: &mut Bench, time: Duration) -> Outcome {
 
 /// When the first command left that obeyed each set-point, by its number.
 fn commands(mut client: Client) -> Outcome<Arc<Mutex<HashMap<u64, f64>>>> {
-    client.send_lines("{\"version\":2,\"command\":\"watch\",\"topics\":[\"tick\"]}\n")?;
+    client.send_lines("{\"version\":3,\"command\":\"watch\",\"topics\":[\"tick\"]}\n")?;
     ensure!(client.line()?["ok"] == true, "no ticks");
     let commands = Arc::new(Mutex::new(HashMap::new()));
     let collected = Arc::clone(&commands);

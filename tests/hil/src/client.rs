@@ -290,22 +290,23 @@ impl Status {
             .unwrap_or_default()
     }
 
-    /// The pilot's mode.
+    /// The pilot's mode; `disconnected` before the first tick.
     #[must_use]
     pub fn mode(&self) -> &str {
-        self.word("/mode")
+        let mode = self.0.pointer("/state/mode");
+        mode.and_then(Value::as_str).unwrap_or("disconnected")
     }
 
     /// The reason for not driving, or for the last stop; empty if none.
     #[must_use]
     pub fn reason(&self) -> &str {
-        self.word("/reason")
+        self.word("/state/reason")
     }
 
     /// State of the link to the board.
     #[must_use]
     pub fn link(&self) -> &str {
-        self.word("/link")
+        self.word("/state/link")
     }
 
     /// Whether the configuration is proved on this car; `None` before the board has given its
@@ -351,7 +352,7 @@ impl Status {
     ///
     /// Fails if the status lacks one of them.
     pub fn tracking_error_m(&self) -> Outcome<f64> {
-        let place = |name: &str, axis: usize| self.0[name][axis].as_f64();
+        let place = |name: &str, axis: usize| self.0["state"][name][axis].as_f64();
         let along = |axis| Some(place("point_m", axis)? - place("reference_m", axis)?);
         along(0)
             .zip(along(1))
@@ -363,7 +364,7 @@ impl Status {
     #[must_use]
     pub fn text(&self) -> String {
         let short = json!({
-            "mode": self.0["mode"], "reason": self.0["reason"], "link": self.0["link"],
+            "mode": self.mode(), "reason": self.reason(), "link": self.link(),
             "board": self.0["board"], "frames": self.0["figures"]["frames"],
         });
         short.to_string()

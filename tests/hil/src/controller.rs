@@ -11,6 +11,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
+use singletrack_api::SOCKET_VERSION;
 
 use crate::{Failure, Outcome, client::Client};
 
@@ -31,7 +32,7 @@ impl Holder {
     ///
     /// Fails if it can't be sent.
     pub fn arm(mut client: Client) -> Outcome<Self> {
-        let arm = json!({ "version": 2, "command": "arm", "attendance": "hold" });
+        let arm = json!({ "version": SOCKET_VERSION, "command": "arm", "attendance": "hold" });
         client.send_lines(&format!("{arm}\n"))?;
         let ended = Arc::new(AtomicBool::new(false));
         let is_over = Arc::clone(&ended);
@@ -96,14 +97,14 @@ impl State {
             time_ns: line["time_ns"].as_u64()?,
             mode: word("mode"),
             reason: word("reason"),
-            position_m: [number("x"), number("y")],
-            yaw_rad: number("yaw"),
-            speed_m_s: number("speed"),
-            steering_rad: number("steering"),
-            commanded_speed_m_s: number("commanded_speed"),
-            pose_age_s: number("pose_age"),
+            position_m: [number("x_m"), number("y_m")],
+            yaw_rad: number("yaw_rad"),
+            speed_m_s: number("speed_m_s"),
+            steering_rad: number("steering_rad"),
+            commanded_speed_m_s: number("commanded_speed_m_s"),
+            pose_age_s: number("pose_age_s"),
             is_held: line["held"] == true,
-            setpoint_age_s: line["setpoint"]["age"].as_f64(),
+            setpoint_age_s: line["setpoint"]["age_s"].as_f64(),
             sequence: line["setpoint"]["sequence"].as_u64(),
         })
     }

@@ -54,7 +54,7 @@ fn from_daemon(config: &Path, calibration: &Value, yes: bool) -> (Output, Vec<St
             writeln!(
                 stream,
                 "{}",
-                json!({"version": 2, "ok": true, "status": status})
+                json!({"version": 3, "ok": true, "status": status})
             )
             .unwrap();
         }

@@ -53,29 +53,29 @@ fn run(options: &[&str], socket: &Path) -> Output {
 fn a_held_drive_is_renewed_and_the_exit_status_tells_how_it_ended() {
     for (ended, status) in [
         (
-            r#"{"version":2,"ended":{"mode":"idle","reason":"requested"}}"#,
+            r#"{"version":3,"ended":{"mode":"idle","reason":"requested"}}"#,
             0,
         ),
         (
-            r#"{"version":2,"ended":{"mode":"ready","reason":"reference-finished"}}"#,
+            r#"{"version":3,"ended":{"mode":"ready","reason":"reference-finished"}}"#,
             0,
         ),
         (
-            r#"{"version":2,"ended":{"mode":"idle","reason":"outside-fence"}}"#,
+            r#"{"version":3,"ended":{"mode":"idle","reason":"outside-fence"}}"#,
             3,
         ),
         (
-            r#"{"version":2,"ended":{"mode":"fault","reason":"stop-not-obeyed"}}"#,
+            r#"{"version":3,"ended":{"mode":"fault","reason":"stop-not-obeyed"}}"#,
             3,
         ),
         (
-            r#"{"version":2,"ok":false,"error":"can't arm: mode idle: no-pose"}"#,
+            r#"{"version":3,"ok":false,"error":"can't arm: mode idle: no-pose"}"#,
             1,
         ),
     ] {
         let answers: &'static [&str] = Box::leak(Box::new([
-            r#"{"version":2,"ok":true}"#,
-            r#"{"version":2,"drive":{"mode":"driving","reason":null,"drive_time_s":0.2}}"#,
+            r#"{"version":3,"ok":true}"#,
+            r#"{"version":3,"drive":{"mode":"driving","reason":null,"drive_time_s":0.2}}"#,
             ended,
         ]));
         let (output, asked) = scripted(&[], answers);
@@ -83,7 +83,7 @@ fn a_held_drive_is_renewed_and_the_exit_status_tells_how_it_ended() {
         assert_eq!(
             serde_json::from_str::<serde_json::Value>(&asked[0]).unwrap(),
             serde_json::json!({
-                "version": 2, "command": "arm", "attendance": "hold",
+                "version": 3, "command": "arm", "attendance": "hold",
             })
         );
         let renewals = asked.get(1..=RENEWALS).unwrap();
@@ -98,7 +98,7 @@ fn a_held_drive_is_renewed_and_the_exit_status_tells_how_it_ended() {
 
 #[test]
 fn a_lost_connection_is_an_error() {
-    let (output, _) = scripted(&[], &[r#"{"version":2,"ok":true}"#]);
+    let (output, _) = scripted(&[], &[r#"{"version":3,"ok":true}"#]);
     assert_eq!(output.status.code(), Some(1));
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(

@@ -84,10 +84,10 @@ fn the_exit_status_is_the_documented_one() {
             let mut asked = String::new();
             let mut reader = BufReader::new(client.try_clone().unwrap());
             reader.read_line(&mut asked).unwrap();
-            writeln!(client, r#"{{"version":2,"ok":true}}"#).unwrap();
+            writeln!(client, r#"{{"version":3,"ok":true}}"#).unwrap();
             if asked.contains("timed") {
                 let ended = r#"{"ended":{"mode":"idle","reason":"outside-fence"}}"#;
-                writeln!(client, r#"{{"version":2,{}"#, &ended[1..]).unwrap();
+                writeln!(client, r#"{{"version":3,{}"#, &ended[1..]).unwrap();
             }
         }
     });

@@ -41,10 +41,10 @@ fn ask_into(command: &str, answer: &'static str, stdout: Stdio) -> (Output, Stri
 #[test]
 fn each_command_is_one_line_of_the_sockets_protocol() {
     for command in ["disarm", "stop"] {
-        let (output, asked) = ask(command, r#"{"version":2,"ok":true}"#);
+        let (output, asked) = ask(command, r#"{"version":3,"ok":true}"#);
         assert!(output.status.success());
         let asked: serde_json::Value = serde_json::from_str(&asked).unwrap();
-        assert_eq!(asked, serde_json::json!({"version": 2, "command": command}));
+        assert_eq!(asked, serde_json::json!({"version": 3, "command": command}));
     }
 }
 
@@ -54,7 +54,7 @@ fn what_was_done_is_said_in_words() {
         ("disarm", "disarming: the car slows down and stops\n"),
         ("stop", "stopped: neutral until the board is reset\n"),
     ] {
-        let (output, _) = ask(command, r#"{"version":2,"ok":true}"#);
+        let (output, _) = ask(command, r#"{"version":3,"ok":true}"#);
         assert_eq!(String::from_utf8(output.stdout).unwrap(), words);
     }
 }
@@ -63,14 +63,14 @@ fn what_was_done_is_said_in_words() {
 fn a_disarm_prints_the_note_of_the_daemon() {
     let (output, _) = ask(
         "disarm",
-        r#"{"version":2,"ok":true,"note":"still stopped"}"#,
+        r#"{"version":3,"ok":true,"note":"still stopped"}"#,
     );
     assert_eq!(String::from_utf8(output.stdout).unwrap(), "still stopped\n");
 }
 
 #[test]
 fn a_reader_that_has_gone_is_success() {
-    let answer = r#"{"version":2,"ok":true}"#;
+    let answer = r#"{"version":3,"ok":true}"#;
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let (output, _) = ask_into("disarm", answer, writer.into());
@@ -82,7 +82,7 @@ fn a_reader_that_has_gone_is_success() {
 fn a_refusal_is_an_error_in_the_daemons_words() {
     let (output, _) = ask(
         "arm",
-        r#"{"version":2,"ok":false,"error":"not ready: no-pose"}"#,
+        r#"{"version":3,"ok":false,"error":"not ready: no-pose"}"#,
     );
     assert!(!output.status.success());
     assert!(
@@ -112,7 +112,7 @@ fn the_doctor_asks_the_daemon_of_its_configuration() {
         let (mut stream, _) = listener.accept().unwrap();
         let mut line = String::new();
         BufReader::new(&stream).read_line(&mut line).unwrap();
-        let answer = r#"{"version":2,"ok":false,"error":"it is this daemon"}"#;
+        let answer = r#"{"version":3,"ok":false,"error":"it is this daemon"}"#;
         writeln!(stream, "{answer}").unwrap();
     });
     let config = folder.path().join("singletrackd.toml");

@@ -342,7 +342,7 @@ fn one_bit_of_an_input_is_found_and_shown_with_all_inputs() {
         assert!(told.contains("recorded "), "{name}: {told}");
         assert!(told.contains("The pilot was told, at "), "{name}: {told}");
         assert!(
-            told.contains(r#"{"topic":"tick","index":7"#),
+            told.contains(r#"{"topic":"tick","tick":7"#),
             "{name}: {told}"
         );
     }

@@ -14,13 +14,18 @@ use std::{
 use crate::pty::OnTerminal;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
+use singletrack_api::SOCKET_VERSION;
 
 /// What the daemon says of itself.
 fn status() -> Value {
     json!({
-        "mode": "idle", "reason": "requested", "preflight": "battery-low", "link": "ready",
-        "estimate": {"speed_m_s": 0.0, "pose_age_ms": 8.4, "x_m": 0.1, "y_m": 0.2,
-            "yaw_rad": 0.0, "yaw_rate_rad_s": 0.0, "sideslip_rad": 0.0},
+        "state": {
+            "topic": "state", "tick": 7, "t_s": 0.06, "time_ns": 1, "held": false,
+            "mode": "idle", "reason": "requested", "preflight": "battery-low", "link": "ready",
+            "speed_m_s": 0.0, "pose_age_s": 0.0084, "x_m": 0.1, "y_m": 0.2, "yaw_rad": 0.0,
+            "steering_rad": 0.0, "commanded_speed_m_s": 0.0,
+            "filtering": "none", "filtered_ticks": 0,
+        },
         "board": {"mode": "neutral", "stop_cause": "disarmed", "battery_mv": 6100},
         "cameras": {"diagnosis": "good", "text": "poses arrive"},
         "configuration": {"number": 1}, "figures": {"ticks": 7}, "realtime": {},
@@ -56,9 +61,9 @@ fn serve(mut client: UnixStream, states: usize) {
     for line in reading.lines() {
         let Ok(line) = line else { return };
         let asked: Value = serde_json::from_str(&line).unwrap();
-        assert_eq!(asked["version"], 2);
+        assert_eq!(asked["version"], SOCKET_VERSION);
         if asked["command"] == "status" {
-            let answer = json!({"version": 2, "ok": true, "status": status()});
+            let answer = json!({"version": SOCKET_VERSION, "ok": true, "status": status()});
             if writeln!(client, "{answer}").is_err() {
                 return;
             }
@@ -66,14 +71,15 @@ fn serve(mut client: UnixStream, states: usize) {
         }
         assert_eq!(asked["command"], "watch");
         assert_eq!(asked["topics"], json!(["state"]));
-        writeln!(client, "{}", json!({"version": 2, "ok": true})).unwrap();
+        writeln!(client, "{}", json!({"version": SOCKET_VERSION, "ok": true})).unwrap();
         for tick in 0..states {
             let state = json!({
                 "topic": "state", "tick": tick, "mode": "driving", "reason": null,
-                "drive_time": tick as f64 * 0.01, "pose_age": 0.012, "speed": 0.5,
-                "x": 0.1, "y": 0.2, "yaw": 1.0, "point": [0.3, 0.2], "reference": [0.3, 0.21],
-                "commanded_speed": 0.5, "steering": 0.1, "board_age": 0.004, "held": false,
-                "t": 1.0, "time_ns": 1, "filtering": "none",
+                "drive_time_s": tick as f64 * 0.01, "pose_age_s": 0.012, "speed_m_s": 0.5,
+                "x_m": 0.1, "y_m": 0.2, "yaw_rad": 1.0, "point_m": [0.3, 0.2],
+                "reference_m": [0.3, 0.21], "commanded_speed_m_s": 0.5, "steering_rad": 0.1,
+                "board_age_s": 0.004, "held": false, "link": "ready", "t_s": 1.0, "time_ns": 1,
+                "filtering": "none", "filtered_ticks": 0,
             });
             if writeln!(client, "{state}").is_err() {
                 return;

@@ -256,11 +256,11 @@ fn other_cars_are_shown_beside_as_long_as_their_daemons_answer() {
     for key in [
         "corners_m",
         "hold_ms",
-        "x",
-        "y",
-        "yaw",
-        "steering",
-        "pose_age",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+        "steering_rad",
+        "pose_age_s",
     ] {
         assert!(other.get(key).is_some(), "{key}: {other}");
     }
@@ -283,9 +283,6 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
 
     let mut viewer = Viewer::connect(address);
     let status = viewer.event("status");
-    assert_eq!(status["mode"], "disconnected");
-    // Of an old client that asks.
-    assert!(status["page"].is_null() && status["live"].is_null());
     assert_eq!(status["configuration"]["number"], setup["configuration"]);
     let begin = Instant::now();
     let states: Vec<_> = (0..50).map(|_| viewer.event("state")).collect();
@@ -302,12 +299,12 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
         assert_eq!(state["mode"], "disconnected");
         assert!(state["reason"] == "link-down" || state["reason"].is_null());
         for key in [
-            "x",
-            "point",
-            "pose_age",
-            "steering",
-            "board_age",
-            "reference",
+            "x_m",
+            "point_m",
+            "pose_age_s",
+            "steering_rad",
+            "board_age_s",
+            "reference_m",
         ] {
             assert!(state.get(key).is_some(), "{key}");
         }
@@ -321,7 +318,7 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
     let history: Vec<Value> = serde_json::from_str(&history).unwrap();
     assert!(history.len() > 50, "{}", history.len());
     for state in &states {
-        let kept = history.iter().find(|kept| kept["t"] == state["t"]);
+        let kept = history.iter().find(|kept| kept["t_s"] == state["t_s"]);
         for (key, value) in kept.unwrap().as_object().unwrap() {
             assert_eq!(*value, state[key], "{key}");
         }
@@ -431,8 +428,8 @@ fn what_is_secret_takes_the_token_of_the_file() {
     assert!(!setup.contains(token));
     let local = SocketAddr::from((Ipv4Addr::LOCALHOST, address.port()));
     let mut viewer = Viewer::on(connect(local), &format!("/events?token={token}"));
-    assert_eq!(viewer.event("status")["mode"], "disconnected");
-    viewer.event("state");
+    viewer.event("status");
+    assert_eq!(viewer.event("state")["mode"], "disconnected");
     drop(page);
     assert!(!file.exists());
 }
@@ -497,8 +494,8 @@ fn a_daemon_that_restarts_is_found_again_and_its_end_is_shown() {
         let changed = Config::from_toml(&text.replace("radius_m = 0.85", radius)).unwrap();
         config.reference = changed.reference;
         let daemon = Daemon::start(config, StartOptions::default()).unwrap();
-        assert_eq!(viewer.event("status")["mode"], "disconnected");
-        viewer.event("state");
+        viewer.event("status");
+        assert_eq!(viewer.event("state")["mode"], "disconnected");
         common::wait_for("the setup of this daemon", || {
             let (_, setup) = get(address, "/setup.json");
             let setup: Value = serde_json::from_str(&setup).unwrap_or_default();
@@ -540,7 +537,7 @@ fn connections_that_send_one_byte_keep_nobody_out() {
 /// The answer to `configuration`.
 fn configuration(folder: &Path) -> String {
     let toml = common::config(folder).to_toml().unwrap();
-    json!({ "version": 2, "ok": true, "configuration": 1, "toml": toml }).to_string()
+    json!({ "version": 3, "ok": true, "configuration": 1, "toml": toml }).to_string()
 }
 
 #[test]
@@ -599,18 +596,18 @@ fn the_daemon_is_watched_for_as_long_as_a_browser_may_come_back() {
     let viewer = Viewer::connect(address);
     let (mut watched, _) = listener.accept().unwrap();
     assert!(line_of(&watched).contains("watch"));
-    watched.write_all(b"{\"version\":2,\"ok\":true}\n").unwrap();
+    watched.write_all(b"{\"version\":3,\"ok\":true}\n").unwrap();
     let (mut asked, _) = listener.accept().unwrap();
     assert!(line_of(&asked).contains("status"));
     asked
-        .write_all(b"{\"version\":2,\"ok\":true,\"status\":{}}\n")
+        .write_all(b"{\"version\":3,\"ok\":true,\"status\":{}}\n")
         .unwrap();
     drop(viewer);
     let begin = Instant::now();
     thread::spawn(move || {
         for asked in listener.incoming().map_while(Result::ok) {
             line_of(&asked);
-            let answer = b"{\"version\":2,\"ok\":true,\"status\":{}}\n";
+            let answer = b"{\"version\":3,\"ok\":true,\"status\":{}}\n";
             (&asked).write_all(answer).unwrap();
         }
     });
@@ -627,7 +624,7 @@ fn a_refusal_is_shown_and_not_repeated_at_once() {
     let (mut refused, _) = listener.accept().unwrap();
     line_of(&refused);
     refused
-        .write_all(b"{\"version\":2,\"ok\":false,\"error\":\"24 clients watch\"}\n")
+        .write_all(b"{\"version\":3,\"ok\":false,\"error\":\"24 clients watch\"}\n")
         .unwrap();
     assert_eq!(viewer.event("lost"), "24 clients watch");
     let begin = Instant::now();

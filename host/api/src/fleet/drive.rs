@@ -216,13 +216,13 @@ impl Fleet {
                 Ok(status) => status,
                 Err(error) => return Some(car.failure(&error)),
             };
-            let why = status.preflight.or(status.reason).unwrap_or_default();
-            (status.mode != "ready").then(|| {
+            let why = status.preflight().or(status.reason()).unwrap_or_default();
+            let mode = status.mode();
+            (mode != "ready").then(|| {
                 format!(
-                    "{}: not ready (mode {}, {why}): no car was armed; `singletrack status \
+                    "{}: not ready (mode {mode}, {why}): no car was armed; `singletrack status \
                      --socket {}` says what to do",
                     car.name,
-                    status.mode,
                     car.socket().display()
                 )
             })

@@ -98,11 +98,11 @@ impl Why {
     /// there is no reason.
     #[must_use]
     pub fn of(status: &Status) -> Option<Self> {
-        let stands = matches!(&*status.mode, "idle" | "ready");
-        let preflight = status.preflight.as_ref().filter(|_| stands);
-        let word = preflight.or(status.reason.as_ref())?;
+        let stands = matches!(status.mode(), "idle" | "ready");
+        let preflight = status.preflight().filter(|_| stands);
+        let word = preflight.or(status.reason())?;
         let mut why = Self::explain(word, status);
-        if status.mode == "ready" {
+        if status.mode() == "ready" {
             why.text.insert_str(0, "the last drive ended: ");
         }
         Some(why)
@@ -197,7 +197,11 @@ mod tests {
     fn a_stop_of_the_board_has_the_boards_cause_and_advice() {
         let status = |stop_cause: &str| -> Status {
             let text = format!(
-                "mode = \"fault\"\nreason = \"board-failsafe\"\nfigures = {{}}\nrealtime = {{}}\n\
+                "figures = {{}}\nrealtime = {{}}\n\
+                 [state]\ntopic = \"state\"\ntick = 1\nt_s = 0.0\ntime_ns = 1\n\
+                 mode = \"fault\"\nreason = \"board-failsafe\"\nlink = \"ready\"\nheld = true\n\
+                 steering_rad = 0.0\ncommanded_speed_m_s = 0.0\n\
+                 filtering = \"none\"\nfiltered_ticks = 0\n\
                  [board]\nmode = \"failsafe\"\nstop_cause = \"{stop_cause}\"\n\
                  [cameras]\ndiagnosis = \"good\"\ntext = \"\"\n[configuration]\nnumber = 1\n"
             );

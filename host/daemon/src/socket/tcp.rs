@@ -158,26 +158,26 @@ mod tests {
         let content: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
         let right = content["token"].as_str().unwrap();
         let given = |line: &str| is_given_by(&token, line.replace("RIGHT", right).as_bytes());
-        assert!(given(r#"{"version":2,"command":"token","token":"RIGHT"}"#));
+        assert!(given(r#"{"version":3,"command":"token","token":"RIGHT"}"#));
         for line in [
             "",
             "RIGHT",
-            r#"{"version":2,"command":"token"}"#,
-            r#"{"version":2,"command":"token","token":""}"#,
-            r#"{"version":2,"command":"token","token":"RIGHTf"}"#,
-            r#"{"version":2,"command":"token","token":" RIGHT"}"#,
-            r#"{"version":2,"command":"token","token":null}"#,
+            r#"{"version":3,"command":"token"}"#,
+            r#"{"version":3,"command":"token","token":""}"#,
+            r#"{"version":3,"command":"token","token":"RIGHTf"}"#,
+            r#"{"version":3,"command":"token","token":" RIGHT"}"#,
+            r#"{"version":3,"command":"token","token":null}"#,
             r#"{"version":1,"command":"token","token":"RIGHT"}"#,
-            r#"{"version":2,"command":"stop","token":"RIGHT"}"#,
-            r#"{"version":2,"command":"token","token":"","token":"RIGHT"}"#,
-            r#"POST / {"version":2,"command":"token","token":"RIGHT"}"#,
+            r#"{"version":3,"command":"stop","token":"RIGHT"}"#,
+            r#"{"version":3,"command":"token","token":"","token":"RIGHT"}"#,
+            r#"POST / {"version":3,"command":"token","token":"RIGHT"}"#,
         ] {
             assert!(!given(line), "{line}");
         }
-        let cut = r#"{"version":2,"command":"token","token":"CUT"}"#.replace("CUT", &right[1..]);
+        let cut = r#"{"version":3,"command":"token","token":"CUT"}"#.replace("CUT", &right[1..]);
         assert!(!given(&cut));
         let upper = right.to_ascii_uppercase();
-        let upper = format!(r#"{{"version":2,"command":"token","token":"{upper}"}}"#);
+        let upper = format!(r#"{{"version":3,"command":"token","token":"{upper}"}}"#);
         assert!(!given(&upper));
     }
 }

@@ -98,7 +98,7 @@ impl Bench {
 
     /// The pilot has this mode after a tick.
     fn tick(&self, mode: Mode) {
-        self.daemon.status.latest().tick = Some(TickRecord {
+        self.daemon.status.latest().tick = Some(Arc::new(TickRecord {
             index: 0,
             scheduled_ns: 0,
             start_ns: monotonic_ns(),
@@ -110,7 +110,7 @@ impl Bench {
             output: Output::neutral(mode),
             drive: None,
             link: LinkPhase::Ready,
-        });
+        }));
     }
 
     /// The outcome of an `arm` during whose judgement something happens.
@@ -170,7 +170,7 @@ fn a_stop_is_obeyed_by_a_control_thread_that_ticks_however_old_its_last_known_ti
     let now_ns = monotonic_ns();
     let told = |bench: &Bench, request| end(request, &bench.daemon);
     // The collector is late, and the thread is not.
-    bench.daemon.status.latest().tick.as_mut().unwrap().start_ns = 1;
+    Arc::make_mut(bench.daemon.status.latest().tick.as_mut().unwrap()).start_ns = 1;
     bench.daemon.control.ticked(now_ns);
     let requests = [
         PilotRequest::Disarm,
@@ -291,7 +291,7 @@ fn an_arm_says_that_nothing_is_recorded_or_soon_will_not_be() {
             let answer = bench.runtime.block_on(async {
                 let (mut client, server) = UnixStream::pair().unwrap();
                 let line = format!(
-                    "{{\"version\":2,\"command\":\"arm\",\"attendance\":{attendance},\
+                    "{{\"version\":3,\"command\":\"arm\",\"attendance\":{attendance},\
                      \"uncalibrated\":true}}\n"
                 );
                 client.write_all(line.as_bytes()).await.unwrap();
@@ -349,11 +349,11 @@ fn a_set_point_that_has_no_effect_is_answered_so_on_a_connection_that_holds_a_dr
         let client = async move {
             let (read, mut write) = client.into_split();
             let lines = concat!(
-                r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+                r#"{"version":3,"command":"arm","attendance":"hold","uncalibrated":true}"#,
                 "\n",
-                r#"{"version":2,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#,
+                r#"{"version":3,"command":"setpoint","velocity_m_s":[0.3,0.0]}"#,
                 "\n",
-                r#"{"version":2,"command":"watch"}"#,
+                r#"{"version":3,"command":"watch"}"#,
                 "\n",
             );
             write.write_all(lines.as_bytes()).await.unwrap();
@@ -395,7 +395,7 @@ fn a_stop_waits_for_a_line_of_each_client_that_sends_without_a_pause() {
             flooders.push(mine);
         }
         let (mut mine, theirs) = UnixStream::pair().unwrap();
-        mine.write_all(b"{\"version\":2,\"command\":\"disarm\"}\n")
+        mine.write_all(b"{\"version\":3,\"command\":\"disarm\"}\n")
             .await
             .unwrap();
         serve_with(theirs);

@@ -22,7 +22,7 @@ use crate::{
 
 /// An enumeration each of whose values has a number in a record.
 pub(crate) trait Coded: Copy + PartialEq + 'static {
-    /// The prefix of the constants in the schema.
+    /// The prefix of the constants in the schema, for the first field of a message.
     const PREFIX: &'static str;
     /// All values.
     const CODED: &'static [Self];
@@ -37,14 +37,19 @@ pub(crate) trait Coded: Copy + PartialEq + 'static {
 }
 
 fn declare<C: Coded>(optional: bool, name: &str, definition: &mut Definition) {
+    // The constants of a second field of the same type have its name.
+    let prefix = match definition.has_constants(C::PREFIX) {
+        true => name.to_uppercase(),
+        false => C::PREFIX.to_owned(),
+    };
     if optional {
-        definition.plain("uint8", &format!("{}_NONE=0", C::PREFIX));
+        definition.plain("uint8", &format!("{prefix}_NONE=0"));
     }
     let mut values = C::CODED.to_vec();
     values.sort_by_key(|value| value.code());
     for value in values {
         let word = value.word().to_uppercase().replace('-', "_");
-        definition.plain("uint8", &format!("{}_{word}={}", C::PREFIX, value.code()));
+        definition.plain("uint8", &format!("{prefix}_{word}={}", value.code()));
     }
     definition.plain("uint8", name);
 }

@@ -23,7 +23,7 @@ choice! {
         EventKind as "KIND",
         1 "pose" Pose(pose: Maybe<PoseSampleMessage>, "its pose"),
         2 "pose-missing" PoseMissing(
-            /// Why a frame brought no pose.
+            /// Reason why a frame brought no pose.
             pose_missing: OptionalCode<PoseMissing>, "why the pose is missing"
         ),
         3 "board" Board(board: Maybe<BoardSampleMessage>, "the board's sample"),
@@ -51,7 +51,8 @@ choice! {
         17 "neighbour" Neighbour(neighbour: Maybe<NeighbourMessage>, "the body"),
         18 "learned" Learned(learned: Maybe<LearnedMessage>, "what is learned"),
         19 "begin" Begin(
-            /// When the reference of a car that waited began, in ns of the host's monotonic clock.
+            /// Time when the reference of a car that waited began, in ns of the host's monotonic
+            /// clock.
             begin_ns: Maybe<u64>, "the time"
         ),
     }
@@ -62,7 +63,7 @@ message! {
     PoseSampleMessage as "PoseSample" of PoseSample {
         /// Mid-exposure, in ns of the host's monotonic clock.
         capture_ns: u64 = capture,
-        /// When the packet arrived, in ns of the host's monotonic clock.
+        /// Time when the packet arrived, in ns of the host's monotonic clock.
         receive_ns: u64 = receive,
         /// Number that the motion capture gave to the frame.
         frame: i32,
@@ -74,13 +75,14 @@ message! {
 }
 
 message! {
-    /// Where the motion capture sees another rigid body.
+    /// Another rigid body as the motion capture sees it.
     NeighbourMessage as "Neighbour" of NeighbourSample {
-        /// Its streaming id; negative while an expected body has none.
+        /// Streaming id of the body; negative while an expected body has none.
         id: i32,
         /// Mid-exposure, in ns of the host's monotonic clock.
         capture_ns: u64 = capture,
-        /// Position of its origin on the floor, world frame, in m; absent if it is not seen.
+        /// Position of the body's origin on the floor, world frame, in m; absent if it is not
+        /// seen.
         position: Maybe<PointMessage>,
         /// Whether it is a car that yields to this one.
         yields: bool,
@@ -88,15 +90,15 @@ message! {
 }
 
 message! {
-    /// What the board measured, in the car's axes (forward, left, up).
+    /// Measurements of the board, in the car's axes (forward, left, up).
     BoardSampleMessage as "BoardSample" of BoardSample {
-        /// When the board made the record, in ns of the host's monotonic clock.
+        /// Time of the board's record, in ns of the host's monotonic clock.
         time_ns: u64 = time,
-        /// Absent if the IMU is silent or its sample was reported before.
+        /// Sample of the IMU; absent if the IMU is silent or the sample was reported before.
         inertial: Maybe<InertialSampleMessage>,
         /// Speed of the rear axle by the motor pulses, in m/s.
         motor_speed_m_s: f64 = motor_speed,
-        /// The board's safety machine.
+        /// State of the board's safety machine.
         state: Code<BoardState>,
     }
 }
@@ -104,7 +106,7 @@ message! {
 message! {
     /// A sample of the inertial measurement unit.
     InertialSampleMessage as "InertialSample" of InertialSample {
-        /// When it was measured, in ns of the host's monotonic clock.
+        /// Time of the measurement, in ns of the host's monotonic clock.
         time_ns: u64 = time,
         /// Angular velocity about the vertical, left positive, in rad/s.
         yaw_rate_rad_s: f64 = yaw_rate,
@@ -116,10 +118,11 @@ message! {
 }
 
 message! {
-    /// What the board says of itself.
+    /// Health of the board.
     BoardHealthMessage as "BoardHealth" of BoardHealth {
+        /// Voltage of the battery, in mV.
         battery_mv: u16,
-        /// False if no stop switch is configured.
+        /// Whether the stop input is open; false if no stop switch is configured.
         stop_input_open: bool,
         /// Whether nothing is connected to the input that measures the battery.
         battery_open: bool,
@@ -131,9 +134,9 @@ message! {
 message! {
     /// Attitude, height and clock of the sensors.
     AttitudeMessage as "Attitude" of AttitudeSample {
-        /// Of the IMU, in the car's axes.
+        /// Attitude by the IMU, in the car's axes.
         imu: Maybe<TiltMessage>,
-        /// Of the rigid body, in its own axes.
+        /// Attitude of the rigid body, in its own axes.
         body: Maybe<TiltMessage>,
         /// Height of the rigid body's origin, in m.
         height_m: Maybe<f64> = height,
@@ -153,20 +156,22 @@ message! {
 }
 
 message! {
-    /// Damaged frames as a part of all over about a second, 0 to 1; absent while
-    /// too few came to tell.
+    /// Share of damaged frames over about a second, 0 to 1; absent while too few frames
+    /// came.
     LineHealthMessage as "LineHealth" of LineHealth {
+        /// Share of the frames to the host.
         to_host: Maybe<f64>,
+        /// Share of the frames to the board.
         to_board: Maybe<f64>,
     }
 }
 
 message! {
-    /// What the system granted the controller.
+    /// Scheduling that the system granted the controller.
     RealTimeMessage as "RealTime" of RealTimeState {
-        /// Whether it is scheduled in real time.
+        /// Whether the controller is scheduled in real time.
         fifo: bool,
-        /// Whether its memory stays in place.
+        /// Whether the controller's memory is locked.
         memory_locked: bool,
     }
 }
@@ -176,23 +181,27 @@ message! {
     /// angle or rate with a speed or an acceleration.
     SetpointMessage as "Setpoint" {
         stamp: Group<StampMessage>,
-        /// Of P; absent for a velocity alone.
+        /// Position of P; absent for a velocity alone.
         position: Maybe<PointMessage>,
-        /// Of P.
+        /// Velocity of P.
         velocity: Maybe<VelocityMessage>,
+        /// Steering angle, in rad.
         steering_rad: Maybe<f64>,
+        /// Rate of the steering, in rad/s.
         steering_rate_rad_s: Maybe<f64>,
+        /// Speed of G, in m/s.
         speed_m_s: Maybe<f64>,
+        /// Acceleration of G, in m/s^2.
         acceleration_m_s2: Maybe<f64>,
     }
 }
 
 message! {
-    /// The set-point in force.
+    /// Identity of a set-point.
     StampMessage as "SetpointStamp" of SetpointStamp {
-        /// When it was decided, in ns of the host's monotonic clock.
+        /// Time when it was decided, in ns of the host's monotonic clock.
         time_ns: u64 = time,
-        /// Number that its sender gave to it.
+        /// Number that the sender gave to it.
         sequence: Maybe<u32>,
     }
 }
@@ -201,9 +210,9 @@ message! {
     /// A point of a trajectory from outside; the last one puts it in force.
     TrajectoryPieceMessage as "TrajectoryPiece" of TrajectoryPiece {
         stamp: Group<StampMessage>,
-        /// Its place, from 0.
+        /// Place of the point, from 0.
         index: u8,
-        /// The number of points.
+        /// Number of points.
         count: u8,
         point: Group<TrajectoryPointFields>,
     }
@@ -212,11 +221,11 @@ message! {
 fields! {
     /// A point of a trajectory.
     TrajectoryPointFields of TrajectoryPoint {
-        /// When P should be there, in ns of the host's monotonic clock.
+        /// Time when P should be there, in ns of the host's monotonic clock.
         at_ns: u64 = time,
-        /// Of P.
+        /// Position of P.
         position: PointMessage,
-        /// Of P.
+        /// Velocity of P.
         velocity: VelocityMessage,
     }
 }
@@ -295,28 +304,29 @@ message! {
 }
 
 message! {
-    /// Other values of what can be tuned; an absent one stays.
+    /// New tuned values; an absent one stays.
     TuningMessage as "Tuning" of Tuning {
-        /// Of the position loop.
+        /// Gains of the position loop.
         gain: Maybe<GainMessage>,
-        /// The distance p of P from the front axle, in m.
+        /// Distance p of P from the front axle, in m.
         point_distance_m: Maybe<f64> = point_distance,
     }
 }
 
 message! {
-    /// What a learner has learned of the car: the true value less the configured one.
+    /// Learned corrections of the car: true values less configured ones.
     LearnedMessage as "Learned" of Learned {
         /// Angle of the front wheels for that commanded, as a fraction beyond one.
         steering_gain: f64,
         /// Angle of the front wheels when straight ones are commanded, in rad.
         steering_trim_rad: f64 = steering_trim,
-        /// By how much the stamps of the poses are late, in s.
+        /// Delay of the stamps of the poses, in s.
         stamp_offset_s: f64 = stamp_offset,
         /// Yaw of the rigid body on the car, in rad.
         body_yaw_rad: f64 = body_yaw,
-        /// Position of the rigid body's pivot, in m.
+        /// Position of the rigid body's pivot, forward, in m.
         pivot_forward_m: f64 = pivot_forward,
+        /// Position of the rigid body's pivot, to the left, in m.
         pivot_left_m: f64 = pivot_left,
     }
 }

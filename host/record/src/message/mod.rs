@@ -82,6 +82,11 @@ impl Definition {
         self.text.push_str(&format!("{kind} {name}\n"));
     }
 
+    /// Whether the message has constants with this prefix.
+    pub(crate) fn has_constants(&self, prefix: &str) -> bool {
+        self.text.contains(&format!("uint8 {prefix}_"))
+    }
+
     /// Adds a field that is a message of its own, or an array of it.
     pub(crate) fn message(
         &mut self,

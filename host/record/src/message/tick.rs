@@ -6,75 +6,75 @@ use singletrack_pilot::{
 };
 
 use super::{
-    InvalidMessage,
     code::{Code, OptionalCode},
     declare::{fields, message},
     event::{EventMessage, JogMessage, StampMessage},
-    field::{GainMessage, Group, Maybe, PointMessage, Represents, VelocityMessage},
+    field::{GainMessage, Group, Maybe, PointMessage, VelocityMessage},
 };
 use crate::{DriveWrite, LinkPhase, TickRecord};
 
 message! {
-    /// A control tick: what it was given, what it decided, and when. Times are ns
-    /// of the host's monotonic clock. World frame: z up; angles left positive.
+    /// A control tick: its inputs, its decisions and its times. Times are ns of the
+    /// host's monotonic clock. World frame: z up; angles left positive.
     TickMessage as "Tick" of TickRecord {
-        /// Counts the ticks of the daemon, from 0.
-        index: u64,
-        /// When it was due: at its point of the grid, or a little sooner, when a frame arrived.
+        /// Number of the tick, from 0 at the start of the daemon.
+        tick: u64 = index,
+        /// Time when the tick was due: its point of the grid, or the arrival of a frame a little
+        /// sooner.
         scheduled_ns: u64,
-        /// When the thread woke up for it.
+        /// Time when the thread woke up.
         start_ns: u64,
-        /// When its command was decided and handed to the line.
+        /// Time when the command was decided and handed to the line.
         finish_ns: u64,
         /// `start_ns` - `scheduled_ns`.
         lateness_ns: i64 => TickRecord::lateness_ns,
-        /// Points of the grid skipped just before it: the tick before took too long.
+        /// Points of the grid skipped just before: the tick before took too long.
         skipped: u32,
-        /// The moment that the pilot was told.
-        pilot_time_ns: u64 = pilot_time,
+        /// Time of the tick as the pilot was given it.
+        time_ns: u64 = pilot_time,
         output: Group<OutputFields>,
-        /// What became of the command.
+        /// Transmission of the command.
         drive: Maybe<DriveWriteMessage>,
-        /// From the mid-exposure of the newest accepted pose to the command leaving,
+        /// Time from the mid-exposure of the newest accepted pose to the command leaving,
         /// in ns. The pose is an old one in a held tick.
         capture_to_command_ns: Maybe<i64> => TickRecord::capture_to_command_ns,
-        /// The session with the board.
+        /// Phase of the session with the board.
         link: Code<LinkPhase>,
-        /// Events that did not fit: the pilot never saw them.
+        /// Number of events that did not fit: the pilot never saw them.
         events_dropped: u32,
-        /// What the pilot was told, in order.
+        /// Events that the pilot was given, in order.
         events: Vec<EventMessage>,
     }
 }
 
 fields! {
-    /// What the pilot decided.
+    /// Decisions of the pilot.
     OutputFields of Output {
-        /// The pilot's mode after the tick.
+        /// Mode of the pilot after the tick.
         mode: Code<Mode>,
-        /// Why the car does not drive, or stopped.
+        /// Reason why the car does not drive, or stopped.
         reason: OptionalCode<Reason>,
-        /// Whether no new valid pose came since the tick before.
+        /// Whether no pose was accepted since the last tick.
         held: bool,
         /// Whether the car is turning round.
         turning_round: bool,
-        /// How far ahead the state was predicted to which the command belongs, in s.
+        /// Time by which the state was predicted for the command, in s.
         looked_ahead_s: Maybe<f64> = looked_ahead,
         /// Time since the first driving tick, in s.
         drive_time_s: Maybe<f64> = drive_time,
-        /// The state that the pilot acted on.
+        /// Estimated state that the pilot acted on.
         estimate: Maybe<EstimateMessage>,
-        /// Where P should be and how fast it should move.
+        /// Wanted position and velocity of P.
         reference: Maybe<ReferenceMessage>,
-        /// Where P is, as far as the law knows.
+        /// Position of P, by the estimate and the commanded steering.
         point: Maybe<PointMessage>,
-        /// The velocity wanted of P.
+        /// Commanded velocity of P, after the position loop.
         point_velocity: Maybe<VelocityMessage>,
-        /// Speed of G and steering after limits.
+        /// Speed of G and steering after the limits.
         actuation: ActuationMessage,
-        /// What to send to the board.
+        /// Drive command for the board.
         command: Maybe<CommandMessage>,
-        /// What to ask of the board.
+        /// Request to the board.
         request: OptionalCode<BoardRequest>,
         /// Whether the first metre of an unproved configuration has just passed.
         proved: bool,
@@ -82,71 +82,53 @@ fields! {
         disproved: bool,
         /// Deceleration of the stop that has just ended, in m/s^2.
         braking_measured_m_s2: Maybe<f64> = braking_measured,
-        /// Why the car could not be armed in this tick.
-        preflight: PreflightMessage,
-        /// Bare pulses to send to the board.
+        /// Reason why an arm request would be refused; none if it would not, or while a drive
+        /// is underway.
+        preflight: OptionalCode<Reason>,
+        /// Bare pulses for the board.
         jog: Maybe<JogMessage>,
-        /// The newest set-point from outside that was not refused.
+        /// Newest set-point from outside that was not refused.
         setpoint: Maybe<StampMessage>,
-        /// Why a set-point that came in this tick is not obeyed; of several the newest.
+        /// Reason why a set-point that came in this tick is not obeyed; of several the newest.
         setpoint_refused: OptionalCode<SetpointRefusal>,
-        /// What the safety filter did.
+        /// Action of the safety filter.
         filtering: Code<Filtering>,
-        /// The number of ticks of the drive, or of the last one, in which it did anything.
+        /// Number of ticks of this or the last drive in which the safety filter acted.
         filtered_ticks: u32,
-        /// The path parameter of the reference, in s: the time of the drive, unless a governor
+        /// Path parameter of the reference, in s: the time of the drive, unless a governor
         /// has slowed the reference down.
         path_s: Maybe<f64> = path,
-        /// Why the reference is slowed down.
+        /// Reason why the reference is slowed down.
         slowed_by: OptionalCode<SlowedBy>,
-        /// The values in force of what can be tuned; absent if nothing can.
+        /// Tuned values in force; absent if nothing can be tuned.
         tuned: Maybe<TunedMessage>,
     }
 }
 
 message! {
-    /// The values in force of what can be tuned.
+    /// Tuned values in force.
     TunedMessage as "Tuned" of Tuned {
-        /// Of the position loop; absent if it has no such gains.
+        /// Gains of the position loop; absent for a loop without.
         gain: Maybe<GainMessage>,
-        /// The distance p that the law uses, in m.
+        /// Distance p of P from the front axle, in m.
         point_distance_m: f64 = point_distance,
-        /// Where p goes to, in m.
+        /// Distance that p goes to, in m.
         wanted_point_distance_m: f64 = wanted_point_distance,
     }
 }
 
 message! {
-    /// The arming check of a tick.
-    PreflightMessage as "Preflight" {
-        /// Why an arm request would be refused; none if it would not, or while a drive
-        /// is underway.
-        reason: OptionalCode<Reason>,
-    }
-}
-
-impl Represents<Option<Reason>> for PreflightMessage {
-    fn of(reason: &Option<Reason>) -> Self {
-        Self {
-            reason: OptionalCode(*reason),
-        }
-    }
-
-    fn value(self) -> Result<Option<Reason>, InvalidMessage> {
-        Ok(self.reason.0)
-    }
-}
-
-message! {
-    /// The state of the car as estimated.
+    /// Estimated state of the car.
     EstimateMessage as "Estimate" of Estimate {
-        /// The moment that it is for, in ns of the host's monotonic clock.
+        /// Time of the state, in ns of the host's monotonic clock.
         time_ns: u64 = time,
         /// Position of the centre of mass G, world frame, in m.
         position: Group<PointMessage>,
         /// Yaw, not wrapped, in rad.
         yaw_rad: f64 = yaw,
+        /// Yaw rate, in rad/s.
         yaw_rate_rad_s: f64 = yaw_rate,
+        /// Sideslip of G, in rad.
         sideslip_rad: f64 = sideslip,
         /// Speed of G, negative in reverse, in m/s.
         speed_m_s: f64 = speed,
@@ -156,10 +138,11 @@ message! {
 }
 
 message! {
-    /// One moment of the reference for P.
+    /// Wanted position and velocity of P.
     ReferenceMessage as "Reference" of ReferencePoint {
-        /// Absent for a reference that is a velocity alone.
+        /// Position of P; absent for a velocity alone.
         position: Maybe<PointMessage>,
+        /// Velocity of P.
         velocity: VelocityMessage,
     }
 }
@@ -171,20 +154,20 @@ message! {
         speed_m_s: f64 = speed,
         /// Steering angle, in rad.
         steering_rad: f64 = steering,
-        /// Rate at which it got there, in rad/s.
+        /// Rate of the steering, in rad/s.
         steering_rate_rad_s: f64 = steering_rate,
     }
 }
 
 message! {
-    /// What the board is to do until the next tick.
+    /// Command to the board, in force until the next tick.
     CommandMessage as "Command" of DriveCommand {
         /// Speed of the rear axle, in m/s.
         rear_speed_m_s: f64 = rear_speed,
         /// Steering angle, in rad.
         steering_rad: f64 = steering,
-        /// Mid-exposure of the last accepted pose behind it, in ns of the host's
-        /// monotonic clock.
+        /// Mid-exposure of the last accepted pose that the command rests on, in ns of the
+        /// host's monotonic clock.
         pose_time_ns: u64 = pose_time,
         /// Whether the ESC should brake down to the speed, where it can.
         brake: bool,
@@ -194,11 +177,11 @@ message! {
 message! {
     /// A drive command on its way to the board.
     DriveWriteMessage as "DriveWrite" of DriveWrite {
-        /// Its number on the wire, wrapping.
+        /// Number of the command on the wire, wrapping.
         sequence: u8,
         /// Whether the whole frame was written; otherwise no byte of it was.
         written: bool,
-        /// When that was known, in ns of the host's monotonic clock.
+        /// Time when the result was known, in ns of the host's monotonic clock.
         time_ns: u64,
     }
 }

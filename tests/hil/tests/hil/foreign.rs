@@ -238,13 +238,13 @@ fn broken(bench: &mut Bench) -> Outcome {
 }
 
 fn nan() -> String {
-    r#"{"version":2,"command":"setpoint","steering_rad":NaN,"speed_m_s":NaN}"#.to_owned() + "\n"
+    r#"{"version":3,"command":"setpoint","steering_rad":NaN,"speed_m_s":NaN}"#.to_owned() + "\n"
 }
 
 /// A valid set-point in all but its time.
 fn stamped(time_ns: u64) -> String {
     format!(
-        r#"{{"version":2,"command":"setpoint","steering_rad":0.2,"speed_m_s":0.5,"time_ns":{time_ns}}}"#
+        r#"{{"version":3,"command":"setpoint","steering_rad":0.2,"speed_m_s":0.5,"time_ns":{time_ns}}}"#
     ) + "\n"
 }
 
@@ -487,7 +487,7 @@ fn flood(bench: &mut Bench) -> Outcome {
 /// Sends set-points without a pause.
 fn keep_sending(client: &mut Client, over: &AtomicBool) -> Outcome {
     let line = json!({
-        "version": 2, "command": "setpoint",
+        "version": 3, "command": "setpoint",
         "steering_rad": STEERING_RAD, "speed_m_s": SPEED_M_S,
     });
     let lines = format!("{line}\n").repeat(200);

@@ -317,8 +317,8 @@ fn sticks(bench: &mut Bench) -> Outcome {
     bench.keep_driving(Duration::from_millis(1_000))?;
     let status = bench.status()?;
     let (speed, steering) = (
-        status.number("/command/speed_m_s")?,
-        status.number("/command/steering_rad")?,
+        status.number("/state/commanded_speed_m_s")?,
+        status.number("/state/steering_rad")?,
     );
     ensure!(
         (0.2..0.35).contains(&speed) && steering > 0.05,

@@ -86,8 +86,8 @@ impl Holder {
         let mut answers = BufReader::new(answers).lines();
         let mut holder = Self(stream);
         for request in [
-            json!({ "version": 2, "command": "token", "token": key["token"] }),
-            json!({ "version": 2, "command": "arm", "attendance": "hold" }),
+            json!({ "version": 3, "command": "token", "token": key["token"] }),
+            json!({ "version": 3, "command": "arm", "attendance": "hold" }),
         ] {
             holder.send(&request)?;
             let answer = answers.next();
@@ -97,7 +97,7 @@ impl Holder {
         }
         wait::throughout(DRIVE, || {
             std::thread::sleep(RENEWAL);
-            holder.send(&json!({ "version": 2, "command": "hold" }))
+            holder.send(&json!({ "version": 3, "command": "hold" }))
         })?;
         ensure!(bench.status()?.mode() == "driving", "it does not drive");
         Ok(holder)
@@ -133,7 +133,7 @@ fn dies(bench: &mut Bench) -> Outcome {
 
 fn hangs(bench: &mut Bench) -> Outcome {
     let mut holder = Holder::drive(bench)?;
-    holder.send(&json!({ "version": 2, "command": "hold" }))?;
+    holder.send(&json!({ "version": 3, "command": "hold" }))?;
     let hangs_ns = monotonic_ns();
     let ticks = ticks(bench)?;
     drop(holder);

@@ -185,20 +185,22 @@ impl Drive {
             };
             match answer.status {
                 // Of a timed drive, which the daemon does not report.
-                Some(status) if is_armed => {
-                    if is_over(&status.mode) {
-                        let (mode, reason) = (status.mode, status.reason);
+                Some(status) => {
+                    let Some(state) = status.state.filter(|_| is_armed) else {
+                        continue;
+                    };
+                    let (mode, reason) = (state.mode, state.reason);
+                    if is_over(&mode) {
                         let ended = Ended { mode, reason };
                         return self.progress.end(&ended, begun, &self.socket);
                     }
                     self.progress.show(DriveState {
-                        drive_time_s: status.drive_time_s,
-                        mode: status.mode,
-                        reason: status.reason,
-                        speed_m_s: None,
+                        drive_time_s: state.drive_time_s,
+                        mode,
+                        reason,
+                        speed_m_s: state.speed_m_s,
                     });
                 }
-                Some(_) => {}
                 None if !is_armed => {
                     warn(&answer.warnings);
                     is_armed = true;

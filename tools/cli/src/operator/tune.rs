@@ -90,9 +90,6 @@ mod tests {
     #[test]
     fn values_are_told_in_words() {
         let tuning = Tuning {
-            bounds: None,
-            configured: None,
-            differs: None,
             gain_per_s: Some([2.0, 1.5]),
             point_distance_m: 0.360_499_999_9,
             wanted_point_distance_m: Some(0.4),

@@ -51,13 +51,13 @@ fn conditions_choose_rows_by_what_their_fields_hold() {
         (&["held=true"], &["0"]),
         (&["lateness_ns>61000"], &["0"]),
         (&["lateness_ns>=61000"], &["0", "1"]),
-        (&["lateness_ns<=70000", "index<1"], &["0"]),
+        (&["lateness_ns<=70000", "tick<1"], &["0"]),
         (&["estimate.speed_m_s>0.3"], &["1"]),
         (&["time_s>0.005"], &["1"]),
         (&["scheduled_ns=120010000000"], &["1"]),
         (&["mode=driving", "held=true"], &[]),
     ] {
-        let mut arguments = vec!["--topic=tick", "--fields=index"];
+        let mut arguments = vec!["--topic=tick", "--fields=tick"];
         arguments.extend(conditions.iter().flat_map(|one| ["--where", *one]));
         let printed = printed(&arguments);
         let rows: Vec<_> = printed.lines().skip(1).collect();
@@ -67,7 +67,7 @@ fn conditions_choose_rows_by_what_their_fields_hold() {
 
 #[test]
 fn a_topic_may_have_the_name_of_its_channel() {
-    let printed = |topic| printed(&["--fields=index", topic]);
+    let printed = |topic| printed(&["--fields=tick", topic]);
     assert_eq!(
         printed("--topic=/singletrack/tick"),
         printed("--topic=tick")
@@ -76,7 +76,7 @@ fn a_topic_may_have_the_name_of_its_channel() {
 
 #[test]
 fn a_topic_without_the_field_of_a_condition_is_left_out() {
-    let arguments = ["--topic=tick,log", "--where=index>=0", "--format=json"];
+    let arguments = ["--topic=tick,log", "--where=tick>=0", "--format=json"];
     let printed = printed(&arguments);
     assert_eq!(printed.lines().count(), 2);
     assert!(!printed.contains("\"topic\":\"log\""), "{printed}");
@@ -92,7 +92,7 @@ fn rows_are_chosen_by_seconds_and_by_wall_time() {
         (&["--from=2026-05-28T20:26:40.005Z"], &["1"]),
         (&["--to=2026-05-28T22:26:40.005+02:00"], &["0"]),
     ] {
-        let mut all = vec!["--topic=tick", "--fields=index"];
+        let mut all = vec!["--topic=tick", "--fields=tick"];
         all.extend(arguments);
         let printed = printed(&all);
         let rows: Vec<_> = printed.lines().skip(1).collect();
@@ -104,7 +104,7 @@ fn rows_are_chosen_by_seconds_and_by_wall_time() {
 fn what_is_misspelt_is_named_with_what_was_probably_meant() {
     for (arguments, expected) in [
         (
-            &["--topic=tick", "--fields=index,latenes_ns"][..],
+            &["--topic=tick", "--fields=tick,latenes_ns"][..],
             "tick has no field \"latenes_ns\" (did you mean \"lateness_ns\"?)",
         ),
         (

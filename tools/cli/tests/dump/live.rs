@@ -49,7 +49,7 @@ fn what_the_daemon_sees_is_printed_as_a_record_of_it_would_be() {
         let asked: serde_json::Value = serde_json::from_str(&daemon.join().unwrap()).unwrap();
         assert_eq!(
             asked,
-            serde_json::json!({"version": 2, "command": "watch", "topics": ["tick"]})
+            serde_json::json!({"version": 3, "command": "watch", "topics": ["tick"]})
         );
     }
 }

@@ -31,7 +31,7 @@ fn chosen_fields_are_printed_in_the_order_given() {
     let (recorder, path) = recorder(folder.path());
     recorder.finish().unwrap();
     for format in ["table", "json", "csv"] {
-        let fields = "estimate.yaw_rad,index,estimate.sideslip_rad,events";
+        let fields = "estimate.yaw_rad,tick,estimate.sideslip_rad,events";
         let arguments = ["--topic=tick", "--format", format, "--fields", fields];
         let output = dump(&path, &arguments);
         assert_case(&format!("fields.{format}"), &text(&output.stdout));

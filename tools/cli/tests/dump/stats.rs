@@ -112,12 +112,7 @@ fn only_what_is_chosen_is_counted() {
     let folder = tempfile::tempdir().unwrap();
     let (recorder, path) = recorder(folder.path());
     recorder.finish().unwrap();
-    let arguments = [
-        "--stats",
-        "--format=json",
-        "--topic=tick",
-        "--where=index=1",
-    ];
+    let arguments = ["--stats", "--format=json", "--topic=tick", "--where=tick=1"];
     let report: Value = serde_json::from_slice(&dump(&path, &arguments).stdout).unwrap();
     let topics = report["topics"].as_array().unwrap();
     assert_eq!(topics.len(), 1);

@@ -24,17 +24,25 @@ const STATES: usize = 500;
 
 /// What the history has of a state: what charts and trail show.
 const KEPT: [&str; 7] = [
-    "t",
-    "point",
-    "reference",
-    "speed",
-    "commanded_speed",
-    "steering",
-    "pose_age",
+    "t_s",
+    "point_m",
+    "reference_m",
+    "speed_m_s",
+    "commanded_speed_m_s",
+    "steering_rad",
+    "pose_age_s",
 ];
 
 /// What the page shows of another car.
-const SHOWN: [&str; 7] = ["mode", "reason", "x", "y", "yaw", "steering", "pose_age"];
+const SHOWN: [&str; 7] = [
+    "mode",
+    "reason",
+    "x_m",
+    "y_m",
+    "yaw_rad",
+    "steering_rad",
+    "pose_age_s",
+];
 
 /// For this long the daemon is watched after the last viewer has left: it may be loading the page
 /// again.

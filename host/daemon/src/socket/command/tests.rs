@@ -57,54 +57,54 @@ fn valid_lines_are_parsed() {
         Command::Setpoint(SetpointCommand::Setpoint(Setpoint { stamp, demand }))
     };
     for (line, command) in [
-        (r#"{"version":2,"command":"status"}"#, Command::Status),
+        (r#"{"version":3,"command":"status"}"#, Command::Status),
         (
-            r#"{"version":2,"command":"disarm","at_once":true}"#,
+            r#"{"version":3,"command":"disarm","at_once":true}"#,
             Command::End(PilotRequest::Halt),
         ),
         (
-            r#"{"version":2,"command":"disarm","carried":true}"#,
+            r#"{"version":3,"command":"disarm","carried":true}"#,
             Command::End(PilotRequest::Carried),
         ),
         (
-            r#"{"version":2,"command":"disarm","at_once":false}"#,
+            r#"{"version":3,"command":"disarm","at_once":false}"#,
             Command::End(PilotRequest::Disarm),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold"}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold"}"#,
             Command::Arm(arm(Attendance::Hold)),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"timed","for_s":1.5}"#,
+            r#"{"version":3,"command":"arm","attendance":"timed","for_s":1.5}"#,
             Command::Arm(arm(Attendance::Timed(Duration::from_millis(1_500)))),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"unattended"}"#,
+            r#"{"version":3,"command":"arm","attendance":"unattended"}"#,
             Command::Arm(arm(Attendance::Unattended)),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold","uncalibrated":true}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold","uncalibrated":true}"#,
             Command::Arm(Arm {
                 uncalibrated: true,
                 ..arm(Attendance::Hold)
             }),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold","hold_ms":150}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold","hold_ms":150}"#,
             Command::Arm(Arm {
                 hold: Some(Duration::from_millis(150)),
                 ..arm(Attendance::Hold)
             }),
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold","start_ns":60000001000}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold","start_ns":60000001000}"#,
             Command::Arm(Arm {
                 start_ns: Some(60_000_001_000),
                 ..arm(Attendance::Hold)
             }),
         ),
         (
-            r#"{"version":2,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
+            r#"{"version":3,"command":"commissioned","procedure":"bring-up","result":"passed"}"#,
             Command::Commissioned {
                 uncalibrated: false,
                 procedure: Procedure::BringUp,
@@ -112,34 +112,34 @@ fn valid_lines_are_parsed() {
             },
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold","jog":true}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#,
             Command::ArmJog,
         ),
         (
-            r#"{"version":2,"command":"arm","attendance":"hold","jog":false}"#,
+            r#"{"version":3,"command":"arm","attendance":"hold","jog":false}"#,
             Command::Arm(arm(Attendance::Hold)),
         ),
         (
-            r#"{"version":2,"command":"jog","servo_us":1400,"esc_us":65535}"#,
+            r#"{"version":3,"command":"jog","servo_us":1400,"esc_us":65535}"#,
             Command::Jog(Jog {
                 servo_us: 1_400,
                 esc_us: u16::MAX,
             }),
         ),
-        (r#"{"version":2,"command":"reload"}"#, Command::Reload),
-        (r#"{"version":2,"command":"hold"}"#, Command::Hold),
+        (r#"{"version":3,"command":"reload"}"#, Command::Reload),
+        (r#"{"version":3,"command":"hold"}"#, Command::Hold),
         (
-            "{\"command\":\"stop\",\"version\":2}\r\n",
+            "{\"command\":\"stop\",\"version\":3}\r\n",
             Command::End(PilotRequest::EmergencyStop),
         ),
         (
-            r#"{"version":2,"command":"watch","topics":["tick","log"]}"#,
+            r#"{"version":3,"command":"watch","topics":["tick","log"]}"#,
             Command::Watch {
                 topics: vec![Topic::Tick, Topic::Log],
             },
         ),
         (
-            r#"{"version":2,"command":"set-reference","reference":
+            r#"{"version":3,"command":"set-reference","reference":
                 {"kind":"circle","radius_m":1,"angular_velocity_rad_s":0.5}}"#,
             Command::SetReference(ReferenceSection::Circle {
                 radius_m: 1.0,
@@ -149,16 +149,16 @@ fn valid_lines_are_parsed() {
             }),
         ),
         (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
+            r#"{"version":3,"command":"setpoint","velocity_m_s":[0.5,-1]}"#,
             setpoint(None, NOW),
         ),
         (
-            r#"{"version":2,"command":"setpoint","velocity_m_s":[0.5,-1],
+            r#"{"version":3,"command":"setpoint","velocity_m_s":[0.5,-1],
                 "position_m":[2,3],"time_ns":400}"#,
             setpoint(Some(Position::new(2.0, 3.0)), 400),
         ),
         (
-            r#"{"version":2,"command":"setpoint","steering_rad":0.1,"speed_m_s":-0.5,
+            r#"{"version":3,"command":"setpoint","steering_rad":0.1,"speed_m_s":-0.5,
                 "sequence":7}"#,
             actuation(
                 SteeringDemand::Angle(0.1),
@@ -167,7 +167,7 @@ fn valid_lines_are_parsed() {
             ),
         ),
         (
-            r#"{"version":2,"command":"setpoint","steering_rate_rad_s":-0.2,
+            r#"{"version":3,"command":"setpoint","steering_rate_rad_s":-0.2,
                 "acceleration_m_s2":0.3}"#,
             actuation(
                 SteeringDemand::Rate(-0.2),
@@ -176,7 +176,7 @@ fn valid_lines_are_parsed() {
             ),
         ),
         (
-            r#"{"version":2,"command":"setpoint","trajectory":[
+            r#"{"version":3,"command":"setpoint","trajectory":[
                 {"time_ns":900,"position_m":[1,2],"velocity_m_s":[0,0]},
                 {"time_ns":1001,"position_m":[1,2.000001],"velocity_m_s":[3,4]}]}"#,
             Command::Setpoint(SetpointCommand::Trajectory(Box::new(Trajectory {
@@ -195,7 +195,7 @@ fn valid_lines_are_parsed() {
             }))),
         ),
         (
-            r#"{"version":2,"command":"watch","topics":["state"]}"#,
+            r#"{"version":3,"command":"watch","topics":["state"]}"#,
             Command::WatchState,
         ),
     ] {
@@ -252,11 +252,11 @@ fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
         (&points(&[998, 999]), Old),
     ] {
         let comma = if keys.is_empty() { "" } else { "," };
-        let line = format!(r#"{{"version":2,"command":"setpoint"{comma}{keys}}}"#);
+        let line = format!(r#"{{"version":3,"command":"setpoint"{comma}{keys}}}"#);
         let error = Command::parse(line.as_bytes(), NOW).unwrap_err();
         let rejected = error.rejected.map(|rejected| rejected.code);
         assert_eq!(rejected, Some(why), "{line}: {}", error.text);
     }
-    let error = Command::parse(b"{\"version\":2,\"command\":NaN}", NOW).unwrap_err();
+    let error = Command::parse(b"{\"version\":3,\"command\":NaN}", NOW).unwrap_err();
     assert_eq!(error.rejected, None);
 }

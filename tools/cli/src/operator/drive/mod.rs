@@ -340,8 +340,7 @@ impl DriveSession<'_> {
             }))?);
         }
         if since.elapsed() > SETTLE {
-            let status = car.and_then(|_| self.ask(&Request::Status {}).ok()?.status);
-            let reason = status.and_then(|status| status.preflight);
+            let reason = car.and_then(|(_, state)| state.preflight.clone());
             let reason = reason.unwrap_or("the daemon shows no state".into());
             self.refused(&format!("can't arm: {reason}"))?;
         }
@@ -428,7 +427,7 @@ impl DriveSession<'_> {
     fn steer(&mut self, speed: f64, turn: f64) -> Result<(), Box<dyn Error>> {
         let car = self.car.as_ref();
         let car = car.filter(|(at, _)| at.elapsed() < HEADING_AGE);
-        let Some(yaw) = car.and_then(|(_, state)| state.yaw) else {
+        let Some(yaw) = car.and_then(|(_, state)| state.yaw_rad) else {
             return Ok(());
         };
         let velocity: Velocity = speed * direction(yaw + turn);

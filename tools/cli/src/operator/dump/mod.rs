@@ -85,7 +85,7 @@ pub struct DumpArgs {
     #[arg(long, value_enum)]
     pub format: Option<Format>,
 
-    /// Which fields, such as `index,estimate.yaw_rad` [default: all; in a table, those that
+    /// Which fields, such as `tick,estimate.yaw_rad` [default: all; in a table, those that
     /// matter most].
     ///
     /// `time_s` is there for every topic: seconds since the record began, since dump began to

@@ -27,7 +27,7 @@ pub(super) struct Kind {
 pub(super) const TELEMETRY: &str = "mode stop_cause last_sequence imu forward_acceleration_mm_s2 \
     left_acceleration_mm_s2 yaw_rate_mrad_s motor_speed_mm_s servo_us esc_us";
 /// The fields of a tick that a table shows.
-const TICK: &str = "index mode reason held point.x_m point.y_m reference.position.x_m \
+const TICK: &str = "tick mode reason held point.x_m point.y_m reference.position.x_m \
     reference.position.y_m estimate.yaw_rad estimate.speed_m_s actuation.steering_rad lateness_ns \
     capture_to_command_ns";
 /// The fields of a pose that a table shows.
@@ -413,12 +413,7 @@ mod tests {
 
     #[test]
     fn the_field_that_was_meant_is_found() {
-        let known = [
-            "index",
-            "estimate.yaw_rad",
-            "yaw_rate_mrad_s",
-            "lateness_ns",
-        ];
+        let known = ["tick", "estimate.yaw_rad", "yaw_rate_mrad_s", "lateness_ns"];
         for (name, expected) in [
             ("yaw_rate", Some("yaw_rate_mrad_s")),
             ("yaw_rda", Some("estimate.yaw_rad")),
@@ -475,7 +470,7 @@ mod tests {
 
     #[test]
     fn numbers_texts_and_frames_have_no_words() {
-        for (topic, field) in [("tick", "index"), ("log", "text"), ("hello", "mode")] {
+        for (topic, field) in [("tick", "tick"), ("log", "text"), ("hello", "mode")] {
             assert_eq!(words(topic, field), [""; 0], "{topic} {field}");
         }
     }

@@ -111,21 +111,19 @@ fn status(fleet: &Fleet) -> (Vec<String>, Vec<String>) {
 
 /// What one car does, in a line.
 fn line(status: &Status, clock: &ClockOffset) -> String {
-    let place = status.estimate.as_ref().map_or_else(
-        || "no pose".to_owned(),
-        |estimate| {
-            format!(
-                "({:6.2}, {:6.2}) m {:5.2} m/s",
-                estimate.x_m, estimate.y_m, estimate.speed_m_s
-            )
-        },
-    );
-    let filtering = status.filtering.as_deref().filter(|word| *word != "none");
-    let reason = status.reason.as_deref().or(filtering).unwrap_or("");
+    let state = status.state.as_ref();
+    let place = state.and_then(|state| {
+        let (x_m, y_m, speed_m_s) = (state.x_m?, state.y_m?, state.speed_m_s?);
+        Some(format!("({x_m:6.2}, {y_m:6.2}) m {speed_m_s:5.2} m/s"))
+    });
+    let place = place.unwrap_or_else(|| "no pose".to_owned());
+    let filtering = state.map(|state| &*state.filtering);
+    let filtering = filtering.filter(|word| *word != "none");
+    let reason = status.reason().or(filtering).unwrap_or("");
     let [offset_ms, bound_ms] = [clock.offset_ns as f64, clock.bound_ns as f64].map(|ns| ns / 1e6);
     format!(
         "{:12} {place}  clock {offset_ms:+.3} ms ± {bound_ms:.3}  {reason}",
-        status.mode
+        status.mode()
     )
     .trim_end()
     .to_owned()

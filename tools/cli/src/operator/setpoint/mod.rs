@@ -133,8 +133,11 @@ const LEAD_NS: u64 = 500_000_000;
 
 /// Whether the car drives. A daemon that does not answer shows on the other connection.
 fn is_driving(socket: &Path) -> bool {
-    ask(&Request::Status {}, socket)
-        .is_ok_and(|answer| answer.status.is_some_and(|status| status.mode == "driving"))
+    ask(&Request::Status {}, socket).is_ok_and(|answer| {
+        answer
+            .status
+            .is_some_and(|status| status.mode() == "driving")
+    })
 }
 
 /// Hands a set-point over, decided now unless it says when; false if nobody takes it any more.
@@ -304,7 +307,7 @@ mod tests {
         assert_eq!(setpoint(" 0.5 -1\t2 3 "), Ok(both.clone()));
         let line = r#"{"velocity_m_s":[0.5,-1.0],"position_m":[2.0,3.0]}"#;
         assert_eq!(setpoint(line), Ok(both));
-        let line = format!(r#"{{"version":2,"command":"setpoint",{}"#, &line[1..]);
+        let line = format!(r#"{{"version":3,"command":"setpoint",{}"#, &line[1..]);
         assert_eq!(setpoint(&line), setpoint(" 0.5 -1 2 3"));
         let velocity = Setpoint {
             velocity_m_s: Some([0.0, 0.25]),

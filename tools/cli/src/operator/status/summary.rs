@@ -1,6 +1,6 @@
 //! The status in words.
 
-use singletrack_api::{Command, Estimate, State, Status};
+use singletrack_api::{State, Status};
 use singletrack_core::reasons::Why;
 
 use crate::help::wrap;
@@ -14,53 +14,34 @@ const VALUES: usize = 18;
 /// What a person needs of the daemon's status.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Summary {
-    /// The last answer to `status`, with the values of the last state.
+    /// The last answer to `status`, with the newest state.
     status: Status,
-    telemetry_age_ms: Option<f64>,
 }
 
 impl Summary {
     /// Of an answer to `status`.
     pub(super) const fn of(status: Status) -> Self {
-        Self {
-            status,
-            telemetry_age_ms: None,
-        }
+        Self { status }
     }
 
-    /// Takes from an answer to `status` all that the states do not have.
+    /// Takes an answer to `status`, except its state: that of the stream is newer.
     pub(super) fn take_status(&mut self, status: Status) {
         self.status = Status {
-            command: self.status.command,
-            drive_time_s: self.status.drive_time_s,
-            estimate: self.status.estimate,
-            point_m: self.status.point_m,
-            reference_m: self.status.reference_m,
+            state: self.status.state.take().or(status.state),
             ..status
         };
     }
 
     /// Takes a state of the stream.
     pub(super) fn take_state(&mut self, state: State) {
-        self.telemetry_age_ms = state.board_age.map(|age_s| age_s * 1_000.0);
-        let status = &mut self.status;
-        status.estimate = estimate(&state);
-        status.mode = state.mode;
-        status.reason = state.reason;
-        status.drive_time_s = state.drive_time;
-        status.point_m = state.point;
-        status.reference_m = state.reference;
-        status.command = Some(Command {
-            speed_m_s: state.commanded_speed,
-            steering_rad: state.steering,
-        });
+        self.status.state = Some(state);
     }
 
     /// The status as one line.
     pub(super) fn line(&self) -> String {
         let why = Why::of(&self.status);
-        let mut line = self.status.mode.to_string();
-        if let Some(time_s) = self.status.drive_time_s {
+        let mut line = self.status.mode().to_owned();
+        if let Some(time_s) = self.value(|state| state.drive_time_s) {
             line += &format!(" {time_s:.1} s");
         }
         if let Some(why) = &why {
@@ -71,7 +52,7 @@ impl Summary {
         }
         line += &format!(
             "; pose {}, battery {}, link {}, speed {}",
-            age(self.pose_age_ms()),
+            age(self.value(|state| state.pose_age_s)),
             self.battery(),
             self.link(),
             self.speed(),
@@ -99,8 +80,9 @@ impl Summary {
             columns,
             lines: Vec::new(),
         };
-        let time = status.drive_time_s.map(|time_s| format!("{time_s:.1} s"));
-        lines.field("mode", &status.mode, &time.unwrap_or_default());
+        let time = self.value(|state| state.drive_time_s);
+        let time = time.map(|time_s| format!("{time_s:.1} s"));
+        lines.field("mode", status.mode(), &time.unwrap_or_default());
         // Above all else: what is below the window is not seen.
         if let Some(why) = why {
             lines.paragraph("why", &why.text);
@@ -109,15 +91,14 @@ impl Summary {
         if let Some(trouble) = status.record_trouble() {
             lines.paragraph("record", &trouble);
         }
-        lines.field("pose", &age(self.pose_age_ms()), &self.place());
-        let commanded = metres_per_second(status.command.map(|command| command.speed_m_s));
+        let pose = age(self.value(|state| state.pose_age_s));
+        lines.field("pose", &pose, &self.place());
+        let commanded = metres_per_second(self.value(|state| Some(state.commanded_speed_m_s)));
         lines.field("speed", &self.speed(), &format!("commanded {commanded}"));
-        let steering = status
-            .command
-            .map(|command| command.steering_rad.to_degrees());
+        let steering = self.value(|state| Some(state.steering_rad.to_degrees()));
         lines.field("steering", &with_unit(steering, 1, "degrees"), "");
         lines.field("P", &self.error(), "");
-        let telemetry = format!("telemetry {}", age(self.telemetry_age_ms));
+        let telemetry = format!("telemetry {}", age(self.value(|state| state.board_age_s)));
         lines.field("link", self.link(), &telemetry);
         lines.field("battery", &self.battery(), "");
         for (name, text) in [
@@ -134,12 +115,10 @@ impl Summary {
 
     /// Tuned values that differ from the configuration, and those of the configuration.
     fn tuned(&self) -> Option<String> {
-        let tuning = self.status.tuning.as_ref()?;
-        let configured = tuning.configured.as_deref()?;
-        let [tuned, was] = [tuning, configured].map(tune::in_words);
-        tuning
-            .differs?
-            .then(|| format!("{tuned} (configured: {was})"))
+        let tunable = self.status.tuning.as_ref().filter(|it| it.differs)?;
+        let tuning = self.status.state.as_ref()?.tuning()?;
+        let [tuned, was] = [&tuning, &tunable.configured].map(tune::in_words);
+        Some(format!("{tuned} (configured: {was})"))
     }
 
     /// What the drives say of the calibration.
@@ -154,7 +133,7 @@ impl Summary {
         let corrections = [
             ("steering gain", 1e2 * learned.steering_gain, "%"),
             ("trim", 1e3 * learned.steering_trim_rad, "mrad"),
-            ("stamps", learned.stamp_offset_ms, "ms"),
+            ("stamps", 1e3 * learned.stamp_offset_s, "ms"),
             ("body yaw", 1e3 * learned.body_yaw_rad, "mrad"),
             ("pivot forward", 1e3 * forward, "mm"),
             ("pivot left", 1e3 * left, "mm"),
@@ -170,16 +149,18 @@ impl Summary {
         })
     }
 
-    fn pose_age_ms(&self) -> Option<f64> {
-        self.status.estimate.map(|estimate| estimate.pose_age_ms)
+    /// A value of the newest state.
+    fn value<T>(&self, of: impl FnOnce(&State) -> Option<T>) -> Option<T> {
+        self.status.state.as_ref().and_then(of)
     }
 
     fn speed(&self) -> String {
-        metres_per_second(self.status.estimate.map(|estimate| estimate.speed_m_s))
+        metres_per_second(self.value(|state| state.speed_m_s))
     }
 
     fn link(&self) -> &str {
-        self.status.link.as_deref().unwrap_or("unknown")
+        let state = self.status.state.as_ref();
+        state.map_or("unknown", |state| &state.link)
     }
 
     fn battery(&self) -> String {
@@ -189,10 +170,8 @@ impl Summary {
     }
 
     fn place(&self) -> String {
-        let Some(Estimate {
-            x_m, y_m, yaw_rad, ..
-        }) = self.status.estimate
-        else {
+        let place = |state: &State| Some((state.x_m?, state.y_m?, state.yaw_rad?));
+        let Some((x_m, y_m, yaw_rad)) = self.value(place) else {
             return String::new();
         };
         let yaw = with_unit(Some(yaw_rad.to_degrees()), 0, "degrees");
@@ -201,9 +180,8 @@ impl Summary {
 
     /// How far P is from its reference.
     fn error(&self) -> String {
-        let (Some([x_m, y_m]), Some([reference_x_m, reference_y_m])) =
-            (self.status.point_m, self.status.reference_m)
-        else {
+        let both = |state: &State| state.point_m.zip(state.reference_m);
+        let Some(([x_m, y_m], [reference_x_m, reference_y_m])) = self.value(both) else {
             return "-".to_owned();
         };
         let error_m = libm::hypot(x_m - reference_x_m, y_m - reference_y_m);
@@ -232,19 +210,6 @@ impl Lines {
     }
 }
 
-/// The estimate of a state.
-fn estimate(state: &State) -> Option<Estimate> {
-    Some(Estimate {
-        pose_age_ms: state.pose_age? * 1_000.0,
-        sideslip_rad: state.sideslip.unwrap_or_default(),
-        speed_m_s: state.speed?,
-        x_m: state.x?,
-        y_m: state.y?,
-        yaw_rad: state.yaw?,
-        yaw_rate_rad_s: state.yaw_rate.unwrap_or_default(),
-    })
-}
-
 fn with_unit(value: Option<f64>, digits: usize, unit: &str) -> String {
     value.map_or_else(
         || "unknown".to_owned(),
@@ -263,11 +228,11 @@ fn metres_per_second(speed_m_s: Option<f64>) -> String {
 }
 
 /// An age; none of what has never come.
-fn age(age_ms: Option<f64>) -> String {
-    match age_ms {
+fn age(age_s: Option<f64>) -> String {
+    match age_s {
         None => "none".to_owned(),
-        Some(age_ms) if age_ms < 1_000.0 => format!("{age_ms:.0} ms old"),
-        Some(age_ms) => format!("{:.1} s old", age_ms / 1_000.0),
+        Some(age_s) if age_s < 1.0 => format!("{:.0} ms old", age_s * 1_000.0),
+        Some(age_s) => format!("{age_s:.1} s old"),
     }
 }
 
@@ -283,8 +248,12 @@ mod tests {
 
     fn standing() -> Value {
         json!({
-            "mode": "idle", "reason": "requested", "preflight": "no-pose", "link": "ready",
-            "estimate": null, "drive_time_s": null,
+            "state": {
+                "topic": "state", "tick": 1, "t_s": 0.0, "time_ns": 1, "held": true,
+                "mode": "idle", "reason": "requested", "preflight": "no-pose", "link": "ready",
+                "steering_rad": 0.0, "commanded_speed_m_s": 0.0,
+                "filtering": "none", "filtered_ticks": 0,
+            },
             "board": {"mode": "neutral", "stop_cause": "disarmed", "battery_mv": 7412},
             "cameras": {"diagnosis": "good", "text": "poses arrive"},
             "configuration": {"number": 1}, "figures": {}, "realtime": {},
@@ -307,7 +276,7 @@ mod tests {
         status["cameras"] = json!({"diagnosis": "no-server", "text": "is the cable plugged in?"});
         let line = of(&status).line();
         assert!(line.ends_with("To do: is the cable plugged in?."), "{line}");
-        status["preflight"] = json!("battery-low");
+        status["state"]["preflight"] = json!("battery-low");
         let line = of(&status).line();
         assert!(
             line.contains("(battery-low)") && line.contains("Charge it."),
@@ -320,7 +289,7 @@ mod tests {
         let mut status = standing();
         status["cameras"]["neighbour"] = json!("\"wand\" is near");
         for (preflight, named) in [("pose-implausible", true), ("battery-low", false)] {
-            status["preflight"] = json!(preflight);
+            status["state"]["preflight"] = json!(preflight);
             let line = of(&status).line();
             assert_eq!(line.contains("; \"wand\" is near"), named, "{line}");
             assert!(line.contains("To do: "), "{line}");
@@ -333,7 +302,7 @@ mod tests {
         status["learned"] = json!({
             "body_yaw_rad": 0.0,
             "pivot_m": [0.0, -0.005],
-            "stamp_offset_ms": 0.0,
+            "stamp_offset_s": 0.0,
             "steering_gain": -0.125,
             "steering_trim_rad": 0.0,
         });
@@ -348,8 +317,8 @@ mod tests {
     #[test]
     fn a_stop_of_the_board_is_explained_by_its_cause() {
         let mut status = standing();
-        status["mode"] = json!("fault");
-        status["reason"] = json!("board-failsafe");
+        status["state"]["mode"] = json!("fault");
+        status["state"]["reason"] = json!("board-failsafe");
         status["board"]["stop_cause"] = json!("motor-sensor");
         let line = of(&status).line();
         assert!(
@@ -364,9 +333,9 @@ mod tests {
     #[test]
     fn a_board_that_was_reset_is_not_said_to_have_stopped_because_of_none() {
         let mut status = standing();
-        status["mode"] = json!("ready");
-        status["preflight"] = json!(null);
-        status["reason"] = json!("board-failsafe");
+        status["state"]["mode"] = json!("ready");
+        status["state"]["preflight"] = json!(null);
+        status["state"]["reason"] = json!("board-failsafe");
         status["board"]["stop_cause"] = json!("none");
         let line = of(&status).line();
         assert!(
@@ -394,17 +363,14 @@ mod tests {
 
     #[test]
     fn a_drive_shows_time_age_and_speed_and_nothing_to_do() {
-        let mut status = standing();
-        status["mode"] = json!("driving");
-        status["reason"] = json!(null);
-        let mut summary = of(&status);
+        let mut summary = of(&standing());
         let state = json!({
-            "mode": "driving", "reason": null, "drive_time": 12.34, "pose_age": 0.0124,
-            "speed": 0.4987, "x": 1.0, "y": -0.5, "yaw": 0.5, "point": [1.0, 0.0],
-            "reference": [1.0, 0.012], "commanded_speed": 0.5, "steering": -0.1,
-            "board_age": 0.008,
-            "topic": "state", "tick": 1, "t": 0.0, "time_ns": 1, "held": false,
-            "filtering": "none",
+            "mode": "driving", "reason": null, "drive_time_s": 12.34, "pose_age_s": 0.0124,
+            "speed_m_s": 0.4987, "x_m": 1.0, "y_m": -0.5, "yaw_rad": 0.5, "point_m": [1.0, 0.0],
+            "reference_m": [1.0, 0.012], "commanded_speed_m_s": 0.5, "steering_rad": -0.1,
+            "board_age_s": 0.008, "link": "ready",
+            "topic": "state", "tick": 2, "t_s": 0.01, "time_ns": 2, "held": false,
+            "filtering": "none", "filtered_ticks": 0,
         });
         summary.take_state(serde_json::from_value(state).unwrap());
         assert_eq!(
@@ -427,20 +393,18 @@ mod tests {
     #[test]
     fn a_car_that_is_ready_says_how_its_last_drive_ended_and_noise_is_not_reverse() {
         let mut status = standing();
-        status["mode"] = json!("ready");
-        status["preflight"] = json!(null);
-        status["reason"] = json!("time-up");
-        status["estimate"] = json!({
-            "speed_m_s": -0.004, "pose_age_ms": 8.0, "x_m": 0.0, "y_m": 0.0, "yaw_rad": 0.0,
-            "yaw_rate_rad_s": 0.0, "sideslip_rad": 0.0,
-        });
+        status["state"]["mode"] = json!("ready");
+        status["state"]["preflight"] = json!(null);
+        status["state"]["reason"] = json!("time-up");
+        status["state"]["speed_m_s"] = json!(-0.004);
+        status["state"]["pose_age_s"] = json!(0.008);
         let line = of(&status).line();
         assert_eq!(
             line,
             "ready: the last drive ended: the time that was given with the arm request is over \
              (time-up); pose 8 ms old, battery 7.41 V, link ready, speed 0.00 m/s"
         );
-        status["estimate"]["speed_m_s"] = json!(-0.3);
+        status["state"]["speed_m_s"] = json!(-0.3);
         assert!(of(&status).line().ends_with("speed -0.30 m/s"));
     }
 
@@ -464,7 +428,7 @@ mod tests {
     #[test]
     fn an_unknown_word_is_shown_as_it_is() {
         let mut status = standing();
-        status["preflight"] = json!("asleep");
+        status["state"]["preflight"] = json!("asleep");
         assert!(of(&status).line().starts_with("idle: asleep; pose none"));
     }
 

@@ -78,7 +78,7 @@ export class Chart {
     const values = curves.flatMap(([all]) => all).filter((value) => value !== null);
     const top = niceAbove(Math.max(this.least, ...values.map(Math.abs)));
     const bottom = this.signed ? -top : 0;
-    const end = states.at(-1)?.t ?? 0;
+    const end = states.at(-1)?.t_s ?? 0;
     const x = (t) => LEFT + (width - LEFT) * (1 - (end - t) / SPAN_S);
     const y = (value) => TOP + (height - TOP - BOTTOM) * (top - value) / (top - bottom);
     pen.font = colour.font;
@@ -103,14 +103,14 @@ export class Chart {
       pen.setLineDash(dash);
       let run = [];
       let before = -Infinity;
-      for (const [index, { t }] of states.entries()) {
-        if (all[index] === null || t - before > GAP_S) {
+      for (const [index, { t_s }] of states.entries()) {
+        if (all[index] === null || t_s - before > GAP_S) {
           line(pen, run);
           run = [];
         }
         if (all[index] !== null) {
-          run.push([x(t), y(Math.min(top, Math.max(bottom, all[index])))]);
-          before = t;
+          run.push([x(t_s), y(Math.min(top, Math.max(bottom, all[index])))]);
+          before = t_s;
         }
       }
       line(pen, run);
@@ -123,8 +123,8 @@ export class Chart {
     pen.strokeStyle = colour.ink;
     pen.lineWidth = 1;
     line(pen, [[x(end - ago), TOP], [x(end - ago), height - BOTTOM]]);
-    const index = states.findIndex(({ t }) => t >= end - ago);
-    const at = states[index] && states[index].t - (end - ago) < GAP_S ? states[index] : null;
+    const index = states.findIndex(({ t_s }) => t_s >= end - ago);
+    const at = states[index] && states[index].t_s - (end - ago) < GAP_S ? states[index] : null;
     const read = (quantity) => {
       const value = at && quantity(at);
       return value === null ? "–" : shown(value, this.digits);

@@ -19,13 +19,13 @@ const view = new View(element("view"));
 const scaled = (number, factor) => (number === null ? null : number * factor);
 const charts = [
   { title: "P to reference", unit: "mm", digits: 0, least: 20,
-    value: (state) => scaled(distance(state.point, state.reference), 1000) },
+    value: (state) => scaled(distance(state.point_m, state.reference_m), 1000) },
   { title: "Speed", unit: "m/s", digits: 2, least: 0.5, note: "dashed: commanded",
-    value: (state) => state.speed, second: (state) => state.commanded_speed },
+    value: (state) => state.speed_m_s, second: (state) => state.commanded_speed_m_s },
   { title: "Steering", unit: "°", digits: 1, least: 10, signed: true,
-    value: (state) => degrees(state.steering) },
+    value: (state) => degrees(state.steering_rad) },
   { title: "Pose age", unit: "ms", digits: 0, least: 20,
-    value: (state) => scaled(state.pose_age, 1000) },
+    value: (state) => scaled(state.pose_age_s, 1000) },
 ].map((chart) => new Chart(element("charts"), { ...chart, onPoint }));
 
 let [setup, state, status] = [null, null, null];
@@ -57,11 +57,11 @@ async function connect() {
     heardAt = performance.now();
     state = JSON.parse(event.data);
     view.state = state;
-    if (state.t < states.at(-1)?.t) {
+    if (state.t_s < states.at(-1)?.t_s) {
       states = [];
     }
     states.push(state);
-    states.splice(0, states.findIndex(({ t }) => t >= state.t - SPAN_S));
+    states.splice(0, states.findIndex(({ t_s }) => t_s >= state.t_s - SPAN_S));
     isDirty = true;
   });
   events.addEventListener("status", (event) => {
@@ -95,8 +95,8 @@ async function load() {
 async function fill() {
   const answer = await fetch(`history.json${location.search}`);
   const old = answer.ok ? await answer.json() : [];
-  const begin = states[0]?.t ?? Infinity;
-  states.unshift(...old.filter(({ t }) => t < begin));
+  const begin = states[0]?.t_s ?? Infinity;
+  states.unshift(...old.filter(({ t_s }) => t_s < begin));
   isDirty = true;
 }
 
@@ -152,12 +152,12 @@ function write() {
     `configuration ${setup.configuration}${named(status?.config_path)}`,
     status?.record ? `record${named(status.record)}` : "no record",
   ].join(" · "));
-  const error = distance(state.point, state.reference);
-  value("drive-time", state.drive_time, 1, "s", 1);
-  value("speed", state.speed, 2, "m/s", 1);
+  const error = distance(state.point_m, state.reference_m);
+  value("drive-time", state.drive_time_s, 1, "s", 1);
+  value("speed", state.speed_m_s, 2, "m/s", 1);
   value("error", error, 0, "mm", 1000);
-  value("pose-age", state.pose_age, 0, "ms", 1000, state.pose_age * 1000 > setup.hold_ms);
-  value("board-age", state.board_age, 0, "ms", 1000, state.mode === "disconnected");
+  value("pose-age", state.pose_age_s, 0, "ms", 1000, state.pose_age_s * 1000 > setup.hold_ms);
+  value("board-age", state.board_age_s, 0, "ms", 1000, state.mode === "disconnected");
   // Without a divider on the board, 0 V is no measurement.
   const volts = (status?.board?.battery_mv || null) && status.board.battery_mv / 1000;
   value("battery", volts, 1, "V", 1, volts < setup.arm_battery_v);
@@ -174,12 +174,12 @@ function writeNow(isOld) {
     return;
   }
   trouble = ["No tick comes from the daemon; what is shown is old.", "Look at the daemon's log."];
-  const { mode } = state;
+  const { mode, preflight, reason } = state;
   now.dataset.tone = mode === "fault" ? "fault" : mode === "driving" ? "drives" : "";
   // The daemon is connected to the page, the board is not to the daemon.
   text(element("mode"), mode === "disconnected" ? "Board disconnected" : mode);
   // Of a car that waits, what keeps it from arming; else why it stops, or stopped.
-  const word = (mode === "idle" && status?.preflight) || state.reason;
+  const word = (mode === "idle" && preflight) || reason;
   if (!word) {
     text(element("meaning"), "");
     text(element("remedy"), "");

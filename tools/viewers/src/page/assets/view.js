@@ -11,7 +11,7 @@ export class View {
   constructor(canvas) {
     Object.assign(this, { canvas, setup: null, state: null, follows: false });
     // Without its time, the trail is whole.
-    this.cleared = { t: -Infinity };
+    this.cleared = { t_s: -Infinity };
   }
 
   clear() {
@@ -20,9 +20,9 @@ export class View {
 
   describe() {
     const { state } = this;
-    const text = state === null || state.x === null ? "the place of the car is not known"
-      : `the car is at x ${state.x.toFixed(2)} m, y ${state.y.toFixed(2)} m, `
-        + `yaw ${degrees(state.yaw).toFixed(0)}°`;
+    const text = state === null || state.x_m === null ? "the place of the car is not known"
+      : `the car is at x ${state.x_m.toFixed(2)} m, y ${state.y_m.toFixed(2)} m, `
+        + `yaw ${degrees(state.yaw_rad).toFixed(0)}°`;
     const beside = others(state).map(({ car }) => car.name).join(", ");
     this.canvas.setAttribute("aria-label",
       `Top view: ${text}${beside ? `; other cars: ${beside}` : ""}`);
@@ -31,8 +31,9 @@ export class View {
   // What is shown, in m.
   bounds() {
     const { setup, state } = this;
-    if (this.follows && state?.x != null) {
-      return [state.x - NEAR_M, state.y - NEAR_M, state.x + NEAR_M, state.y + NEAR_M];
+    if (this.follows && state?.x_m != null) {
+      const { x_m, y_m } = state;
+      return [x_m - NEAR_M, y_m - NEAR_M, x_m + NEAR_M, y_m + NEAR_M];
     }
     const points = [...setup.fence.corners_m, ...setup.reference.points_m,
       ...others(state).flatMap(({ corners_m }) => corners_m)];
@@ -68,29 +69,30 @@ export class View {
     }
     this.drawTrail(pen, states, to, colour);
     pen.font = colour.font;
-    for (const other of others(state).filter(({ x }) => x !== null)) {
+    for (const other of others(state).filter(({ x_m }) => x_m !== null)) {
       drawCar(pen, to, scale, { ...colour, ink: other.colour ?? colour.ink }, other, other);
-      const [x, y] = to([other.x, other.y]);
+      const [x, y] = to([other.x_m, other.y_m]);
       pen.fillStyle = colour.soft;
       pen.fillText(other.car.name, x + 12, y - 12);
     }
-    if (state.x !== null) {
+    if (state.x_m !== null) {
       drawCar(pen, to, scale, colour, setup, state);
       this.drawArm(pen, to, colour);
     }
-    if (state.reference) {
-      if (state.point) {
+    const { point_m: point, reference_m: reference } = state;
+    if (reference) {
+      if (point) {
         pen.strokeStyle = colour.soft;
         pen.lineWidth = 1;
-        line(pen, [to(state.point), to(state.reference)]);
+        line(pen, [to(point), to(reference)]);
       }
       pen.strokeStyle = colour.wanted;
       pen.lineWidth = 2.5;
-      disc(pen, to(state.reference), 6, colour.paper);
+      disc(pen, to(reference), 6, colour.paper);
       pen.stroke();
     }
-    if (state.point) {
-      disc(pen, to(state.point), 4.5, colour.point);
+    if (point) {
+      disc(pen, to(point), 4.5, colour.point);
     }
   }
 
@@ -115,14 +117,14 @@ export class View {
   drawTrail(pen, states, to, colour) {
     const { cleared, state } = this;
     // A clock that began again has another trail.
-    const from = cleared.t > state.t ? -Infinity : cleared.t;
-    const trail = states.filter(({ t, point }) => point && t > from);
+    const from = cleared.t_s > state.t_s ? -Infinity : cleared.t_s;
+    const trail = states.filter(({ t_s, point_m }) => point_m && t_s > from);
     pen.strokeStyle = colour.trail;
     pen.lineWidth = 2.5;
     for (let index = 1; index < trail.length; index += 1) {
-      const [before, { t, point }] = [trail[index - 1], trail[index]];
-      pen.globalAlpha = Math.max(0.2, 1 - (state.t - t) / SPAN_S);
-      line(pen, [to(before.point), to(point)]);
+      const [before, { t_s, point_m }] = [trail[index - 1], trail[index]];
+      pen.globalAlpha = Math.max(0.2, 1 - (state.t_s - t_s) / SPAN_S);
+      line(pen, [to(before.point_m), to(point_m)]);
     }
     pen.globalAlpha = 1;
   }
@@ -130,14 +132,14 @@ export class View {
   // From the middle of the front axle to P.
   drawArm(pen, to, colour) {
     const { state, setup: { car } } = this;
-    if (state.point) {
+    if (state.point_m) {
       const axle = [
-        state.x + car.front_axle_m * Math.cos(state.yaw),
-        state.y + car.front_axle_m * Math.sin(state.yaw),
+        state.x_m + car.front_axle_m * Math.cos(state.yaw_rad),
+        state.y_m + car.front_axle_m * Math.sin(state.yaw_rad),
       ];
       pen.strokeStyle = colour.point;
       pen.lineWidth = 1;
-      line(pen, [to(axle), to(state.point)]);
+      line(pen, [to(axle), to(state.point_m)]);
     }
   }
 }
@@ -151,8 +153,8 @@ function drawCar(pen, to, scale, colour, { car, hold_ms }, state) {
   const [wheel, tyre] = [0.17 * car.length_m, 0.07 * car.length_m];
   const side = (car.width_m - tyre) / 2;
   pen.save();
-  pen.translate(...to([state.x, state.y]));
-  pen.rotate(-state.yaw);
+  pen.translate(...to([state.x_m, state.y_m]));
+  pen.rotate(-state.yaw_rad);
   pen.scale(scale, -scale);
   // What follows is in m, in the frame of the car.
   const pixel = 1 / scale;
@@ -164,11 +166,11 @@ function drawCar(pen, to, scale, colour, { car, hold_ms }, state) {
     0.12 * car.length_m);
   pen.fill();
   // A place that is not known any more.
-  pen.setLineDash(state.pose_age * 1000 > hold_ms ? [3 * pixel, 3 * pixel] : []);
+  pen.setLineDash(state.pose_age_s * 1000 > hold_ms ? [3 * pixel, 3 * pixel] : []);
   pen.stroke();
   pen.setLineDash([]);
   pen.fillStyle = colour.ink;
-  for (const [x, angle] of [[car.front_axle_m, state.steering], [-car.rear_axle_m, 0]]) {
+  for (const [x, angle] of [[car.front_axle_m, state.steering_rad], [-car.rear_axle_m, 0]]) {
     for (const y of [side, -side]) {
       pen.save();
       pen.translate(x, y);
