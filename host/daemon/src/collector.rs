@@ -112,10 +112,8 @@ impl Collector {
             }
             // First of all: a controller outside waits for it.
             self.states.tick(&tick);
-            let is_read = self.status.states.receiver_count() > 0;
             let state = self.states.state(&tick);
-            let line = is_read.then(|| serde_json::to_string(&state).ok());
-            self.status.publish(line.flatten(), |latest| {
+            self.status.publish(tick.without_events(), state, |latest| {
                 for event in &tick.events {
                     if let Event::Proved(proved) = event {
                         latest.proved = Some(*proved);
@@ -124,8 +122,6 @@ impl Collector {
                 if tick.output.proved {
                     latest.proved = Some(true);
                 }
-                latest.tick = Some(Arc::new(tick.without_events()));
-                latest.state = Some(state);
                 latest.tally.tick(&tick);
             });
             self.log_mode(tick.start_ns, tick.output.mode, tick.output.reason);

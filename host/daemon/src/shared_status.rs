@@ -18,6 +18,9 @@ const WATCH_CAPACITY: usize = 1_024;
 /// every tick watches `tick`.
 const STATE_CAPACITY: usize = 16;
 
+/// Ticks that a client that waits for one may be behind: those of 10 s.
+const TICK_CAPACITY: usize = 1_024;
+
 /// The largest number of control clients that watch at a time. It is less than their largest number:
 /// however many viewers watch, others may command.
 pub(crate) const WATCHERS: usize = 24;
@@ -55,6 +58,9 @@ pub(crate) struct SharedStatus {
     pub(crate) messages: MessageFeed,
     /// The state of every tick as a line of JSON, with its end.
     pub(crate) states: broadcast::Sender<Arc<str>>,
+    /// Every tick, for those who wait for one: none is skipped, so that a drive that begins and
+    /// ends between two looks is seen.
+    pub(crate) ticks: broadcast::Sender<Arc<TickRecord<0>>>,
     /// For each client that watches, one of [`WATCHERS`].
     pub(crate) watch_places: Semaphore,
     /// The set-points of all clients.
@@ -68,6 +74,7 @@ impl SharedStatus {
             watchers: broadcast::Sender::new(WATCH_CAPACITY),
             messages: MessageFeed::new(clocks),
             states: broadcast::Sender::new(STATE_CAPACITY),
+            ticks: broadcast::Sender::new(TICK_CAPACITY),
             watch_places: Semaphore::new(WATCHERS),
             setpoints: SetpointCounters::default(),
         }
@@ -80,14 +87,30 @@ impl SharedStatus {
         self.latest.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the latest values, and then sends the state line of the tick: a client that has
-    /// read in it that the car is ready, and arms, is judged by nothing older.
-    pub(crate) fn publish(&self, line: Option<String>, change: impl FnOnce(&mut Latest)) {
-        change(&mut self.latest());
+    /// Makes a tick the latest one, with what else has changed, and then sends it: a client that has
+    /// read in its state that the car is ready, and arms, is judged by nothing older.
+    pub(crate) fn publish(
+        &self,
+        tick: TickRecord<0>,
+        state: State,
+        change: impl FnOnce(&mut Latest),
+    ) {
+        let is_read = self.states.receiver_count() > 0;
+        let line = is_read
+            .then(|| serde_json::to_string(&state).ok())
+            .flatten();
+        let tick = Arc::new(tick);
+        {
+            let mut latest = self.latest();
+            change(&mut latest);
+            latest.tick = Some(Arc::clone(&tick));
+            latest.state = Some(state);
+        }
+        // An error means that nobody reads.
         if let Some(line) = line {
-            // An error means that the last reader has left.
             let _ = self.states.send(Arc::from(line + "\n"));
         }
+        let _ = self.ticks.send(tick);
     }
 }
 
@@ -99,7 +122,33 @@ mod tests {
         task::{Context, Poll, Wake},
     };
 
+    use singletrack_control::Time;
+    use singletrack_core::state_stream::States;
+    use singletrack_pilot::{Mode, Output};
+    use singletrack_record::LinkPhase;
+
     use super::*;
+
+    impl SharedStatus {
+        /// Publishes a tick after which the pilot has this mode.
+        pub(crate) fn tick(&self, start_ns: u64, mode: Mode, change: impl FnOnce(&mut Latest)) {
+            let tick = TickRecord {
+                index: 0,
+                scheduled_ns: 0,
+                start_ns,
+                finish_ns: 0,
+                skipped: 0,
+                pilot_time: Time(0),
+                events: Default::default(),
+                events_dropped: 0,
+                output: Output::neutral(mode),
+                drive: None,
+                link: LinkPhase::Ready,
+            };
+            let state = States::default().state(&tick);
+            self.publish(tick, state, change);
+        }
+    }
 
     /// A client at the moment at which a line wakes it.
     struct Client {
@@ -129,8 +178,8 @@ mod tests {
         let mut context = Context::from_waker(&waker);
         assert!(reads.as_mut().poll(&mut context).is_pending());
         let change = |latest: &mut Latest| latest.proved = Some(true);
-        client.status.publish(Some("line".to_owned()), change);
+        client.status.tick(0, Mode::Idle, change);
         assert_eq!(client.found.get(), Some(&Some(true)));
-        assert_eq!(reads.poll(&mut context), Poll::Ready(Ok("line\n".into())));
+        assert!(matches!(reads.poll(&mut context), Poll::Ready(Ok(line)) if line.ends_with("}\n")));
     }
 }

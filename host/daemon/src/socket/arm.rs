@@ -10,14 +10,13 @@ use singletrack_core::ControlRequest;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
     task::spawn_blocking,
-    time::{Instant, MissedTickBehavior, interval, sleep},
+    time::{Instant, MissedTickBehavior, interval},
 };
 
 use super::{
     command::{Arm, Attendance},
     drives::Ticket,
-    progress::{DriveWatch, POLL, Progress},
-    progress::{cannot_arm, not_ready},
+    progress::{DriveWatch, Progress, cannot_arm, not_ready},
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
 
@@ -32,13 +31,10 @@ pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Refus
         tokio::spawn(renew(ticket, daemon.clone(), time));
     }
     loop {
-        sleep(POLL).await;
-        let snapshot = daemon.snapshot();
-        match watch.progress(&snapshot) {
-            Progress::Underway if watch.has_driven => return Ok(()),
-            Progress::Underway => {}
+        match watch.next(daemon).await {
+            Progress::Arming => {}
+            Progress::Driving(_) | Progress::Ended(..) => return Ok(()),
             Progress::Refused(error) => return Err(error),
-            Progress::Ended(_, reason) => return Err(cannot_arm(&snapshot, reason)),
         }
     }
 }
@@ -137,7 +133,7 @@ pub(super) async fn begin(
         }
     };
     ticket.pass(daemon, request)?;
-    Ok((ticket, DriveWatch::new()))
+    Ok((ticket, DriveWatch::new(daemon)))
 }
 
 /// Checks that the pilot can be armed now, and that no other client has just asked for it.
@@ -160,7 +156,7 @@ fn ready(daemon: &DaemonHandle) -> Result<(), Refused> {
 pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch), Refused> {
     let snapshot = daemon.snapshot();
     if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
-        return Err(cannot_arm(&snapshot, snapshot.reason()));
+        return Err(cannot_arm(&snapshot, snapshot.mode(), snapshot.reason()));
     }
     if daemon.drives.is_open(&snapshot) {
         return Err(Refused::new(
@@ -170,28 +166,33 @@ pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch
     }
     let ticket = daemon.drives.next();
     ticket.push(daemon, PilotRequest::Arm(Arming::Jog))?;
-    Ok((ticket, DriveWatch::new()))
+    Ok((ticket, DriveWatch::new(daemon)))
 }
 
 /// Renews a drive until `time` after it began to drive, then ends it.
 async fn renew(ticket: Ticket, daemon: DaemonHandle, time: Duration) {
-    let mut watch = DriveWatch::new();
-    let mut driving_since = None;
+    let mut watch = DriveWatch::new(&daemon);
+    let mut driving_since: Option<Instant> = None;
     let mut renewals = interval(RENEWAL);
     renewals.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
-        renewals.tick().await;
-        match watch.progress(&daemon.snapshot()) {
-            Progress::Underway => {}
-            Progress::Refused(_) | Progress::Ended(..) => return,
-        }
-        if watch.has_driven {
-            let since = *driving_since.get_or_insert_with(Instant::now);
-            if since.elapsed() >= time {
-                // A stalled control thread stops the car by itself.
-                let _ = ticket.push(&daemon, PilotRequest::TimeUp);
-                return;
+        tokio::select! {
+            progress = watch.next(&daemon) => {
+                match progress {
+                    Progress::Arming => {}
+                    Progress::Driving(_) => {
+                        driving_since.get_or_insert_with(Instant::now);
+                    }
+                    Progress::Refused(_) | Progress::Ended(..) => return,
+                }
+                continue;
             }
+            _ = renewals.tick() => {}
+        }
+        if driving_since.is_some_and(|since| since.elapsed() >= time) {
+            // A stalled control thread stops the car by itself.
+            let _ = ticket.push(&daemon, PilotRequest::TimeUp);
+            return;
         }
         if ticket.push(&daemon, PilotRequest::Hold).is_err() {
             return;

@@ -11,7 +11,7 @@ use singletrack_pilot::{Mode, Output, PilotRequest, Reason};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, BufReader},
     task::yield_now,
-    time::{Instant, MissedTickBehavior, interval},
+    time::{Instant, sleep_until},
 };
 
 use super::{
@@ -19,7 +19,7 @@ use super::{
     arm::{begin, begin_jogging, drive_begun},
     command::{Arm, Command},
     drives::Ticket,
-    progress::{DriveWatch, POLL, Progress},
+    progress::{DriveWatch, Progress},
     setpoint::SetpointStream,
     stream::{LONGEST_LINE, send, skip_line},
     stream::{ReadHalf, WriteHalf},
@@ -113,8 +113,6 @@ async fn serve_drive(
         setpoints,
     } = client;
     let mut line = Vec::new();
-    let mut polls = interval(POLL);
-    polls.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut was_driving = false;
     let mut reported = Instant::now();
     let mut renewed: Option<Instant> = None;
@@ -127,15 +125,16 @@ async fn serve_drive(
         // What was read of a line stays in `line` if the other branch is first.
         let count = tokio::select! {
             count = rest.read_until(b'\n', &mut line) => count?,
-            _ = polls.tick() => {
-                let silent = renewed.unwrap_or(begun).elapsed();
-                if hold.take_if(|longest| silent > *longest).is_some() {
-                    // The report of the end follows from the next ticks.
-                    let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
-                }
-                let snapshot = daemon.snapshot();
-                match watch.progress(&snapshot) {
-                    Progress::Underway => {}
+            () = sleep_until(renewed.unwrap_or(begun) + hold.unwrap_or_default()), if hold.is_some() => {
+                hold = None;
+                // The report of the end follows from the next ticks.
+                let _ = drive.ticket.push(daemon, PilotRequest::OperatorGone);
+                continue;
+            }
+            progress = watch.next(daemon) => {
+                let tick = match progress {
+                    Progress::Arming => continue,
+                    Progress::Driving(tick) => tick,
                     Progress::Refused(refused) => {
                         send(write, &Answer::refusal(refused)).await?;
                         return Ok(true);
@@ -144,8 +143,8 @@ async fn serve_drive(
                         send(write, &ended(mode, reason)).await?;
                         return Ok(true);
                     }
-                }
-                if watch.has_driven && !was_driving {
+                };
+                if !was_driving {
                     was_driving = true;
                     let answer = match drive.jogs {
                         true => Answer::done(),
@@ -153,11 +152,9 @@ async fn serve_drive(
                     };
                     send(write, &answer).await?;
                 }
-                if was_driving && reported.elapsed() >= report_interval {
+                if reported.elapsed() >= report_interval {
                     reported = Instant::now();
-                    if let Some(output) = snapshot.output() {
-                        send(write, &report(output)).await?;
-                    }
+                    send(write, &report(&tick.output)).await?;
                 }
                 continue;
             }

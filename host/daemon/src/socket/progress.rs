@@ -1,13 +1,32 @@
-//! The progress of a drive by the status: whether a request to arm is obeyed, and why not.
+//! The progress of a drive by its ticks: whether a request to arm is obeyed, and why not.
 
-use std::time::Duration;
+use std::{future::pending, sync::Arc, time::Duration};
 
 use singletrack_api::{Code, Refused};
 use singletrack_core::reasons::Why;
 use singletrack_pilot::{Mode, Reason};
-use tokio::time::Instant;
+use singletrack_record::TickRecord;
+use tokio::{
+    sync::broadcast::{Receiver, error::RecvError},
+    time::{Instant, timeout_at},
+};
 
-use crate::{clock::monotonic_ns, snapshot::Snapshot};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
+
+/// A tick, which all who wait for it share.
+type Tick = Arc<TickRecord<0>>;
+
+/// Waits for the next tick.
+pub(super) async fn next_tick(ticks: &mut Receiver<Tick>) -> Tick {
+    loop {
+        match ticks.recv().await {
+            Ok(tick) => return tick,
+            // This task was not run for seconds: the oldest ticks are lost, and the drive with them.
+            Err(RecvError::Lagged(_)) => {}
+            Err(RecvError::Closed) => pending().await,
+        }
+    }
+}
 
 /// Whether a request to arm is obeyed, by a tick; `None` while it is open.
 pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Option<bool> {
@@ -18,7 +37,6 @@ pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Opti
     match mode {
         Mode::Driving | Mode::Jogging => Some(true),
         Mode::Arming => None,
-        // The attempt has ended, even if no poll saw it in progress.
         _ => Some(false),
     }
 }
@@ -27,12 +45,11 @@ pub(super) fn arm_outcome(asked_ns: u64, tick_start_ns: u64, mode: Mode) -> Opti
 /// the last drive ended.
 pub(super) fn not_ready(snapshot: &Snapshot) -> Refused {
     let now = snapshot.output().and_then(|output| output.preflight);
-    cannot_arm(snapshot, now.or(snapshot.reason()))
+    cannot_arm(snapshot, snapshot.mode(), now.or(snapshot.reason()))
 }
 
 /// Why the car can't be armed, and what to do, in the words of `singletrack status`.
-pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> Refused {
-    let mode = snapshot.mode();
+pub(super) fn cannot_arm(snapshot: &Snapshot, mode: Mode, reason: Option<Reason>) -> Refused {
     let text = match reason {
         Some(reason) => {
             let why = Why::explain(reason.name(), &snapshot.status());
@@ -46,66 +63,69 @@ pub(super) fn cannot_arm(snapshot: &Snapshot, reason: Option<Reason>) -> Refused
     Refused::new(Code::NotReady, text)
 }
 
-/// Interval at which the status is checked for the outcome of an arm request and for the end of a
-/// drive.
-pub(super) const POLL: Duration = Duration::from_millis(5);
-
 /// The longest wait for the outcome of an arm request: the supervisor's time-out, and the time
 /// in which a board switches on the ESC's supply.
 const ARM_TIMEOUT: Duration = Duration::from_secs(12);
 
-/// The progress of an attended drive.
+/// The progress of a drive.
 pub(super) enum Progress {
-    /// It is still being armed, or drives.
-    Underway,
+    /// It is still being armed.
+    Arming,
+    /// It is underway in this tick.
+    Driving(Tick),
     /// It did not begin.
     Refused(Refused),
     /// It has ended, and the car stands or is out of control.
     Ended(Mode, Option<Reason>),
 }
 
-/// Watches one drive by the status.
+/// Watches one drive by its ticks.
 pub(super) struct DriveWatch {
+    ticks: Receiver<Tick>,
     asked_ns: u64,
     asked: Instant,
-    pub(super) has_driven: bool,
+    has_driven: bool,
 }
 
 impl DriveWatch {
-    pub(super) fn new() -> Self {
+    /// Watches a drive that has just been asked for.
+    pub(super) fn new(daemon: &DaemonHandle) -> Self {
         Self {
+            ticks: daemon.status.ticks.subscribe(),
             asked_ns: monotonic_ns(),
             asked: Instant::now(),
             has_driven: false,
         }
     }
 
-    pub(super) fn progress(&mut self, snapshot: &Snapshot) -> Progress {
-        let Some(tick) = &snapshot.tick else {
-            return Progress::Underway;
-        };
-        let (mode, reason) = (tick.output.mode, tick.output.reason);
+    /// Waits for the next tick, while the drive is armed no longer than [`ARM_TIMEOUT`].
+    pub(super) async fn next(&mut self, daemon: &DaemonHandle) -> Progress {
+        let next = next_tick(&mut self.ticks);
         if self.has_driven {
-            return match mode {
-                Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault => {
-                    Progress::Ended(mode, reason)
+            let tick = next.await;
+            return match tick.output.mode {
+                mode @ (Mode::Idle | Mode::Ready | Mode::Disconnected | Mode::Fault) => {
+                    Progress::Ended(mode, tick.output.reason)
                 }
-                _ => Progress::Underway,
+                _ => Progress::Driving(tick),
             };
         }
+        let Ok(tick) = timeout_at(self.asked + ARM_TIMEOUT, next).await else {
+            return Progress::Refused(Refused::new(
+                Code::Stalled,
+                "can't arm: neither armed nor refused within 12 s; does the control thread run (see the \
+                 log), and does the board answer?",
+            ));
+        };
+        let (mode, reason) = (tick.output.mode, tick.output.reason);
         match arm_outcome(self.asked_ns, tick.start_ns, mode) {
-            Some(true) => self.has_driven = true,
-            Some(false) => return Progress::Refused(cannot_arm(snapshot, reason)),
-            None if self.asked.elapsed() > ARM_TIMEOUT => {
-                return Progress::Refused(Refused::new(
-                    Code::Stalled,
-                    "can't arm: neither armed nor refused within 12 s; does the control thread run (see the \
-                     log), and does the board answer?",
-                ));
+            None => Progress::Arming,
+            Some(true) => {
+                self.has_driven = true;
+                Progress::Driving(tick)
             }
-            None => {}
+            Some(false) => Progress::Refused(cannot_arm(&daemon.snapshot(), mode, reason)),
         }
-        Progress::Underway
     }
 }
 

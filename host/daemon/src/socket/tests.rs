@@ -7,10 +7,8 @@ use core::{
 use std::sync::{Arc, mpsc};
 
 use rtrb::{Consumer, RingBuffer};
-use singletrack_control::Time;
 use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
-use singletrack_pilot::{Arming, Mode, Output, PilotRequest};
-use singletrack_record::{LinkPhase, TickRecord};
+use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
     net::UnixStream,
@@ -98,19 +96,7 @@ impl Bench {
 
     /// The pilot has this mode after a tick.
     fn tick(&self, mode: Mode) {
-        self.daemon.status.latest().tick = Some(Arc::new(TickRecord {
-            index: 0,
-            scheduled_ns: 0,
-            start_ns: monotonic_ns(),
-            finish_ns: 0,
-            skipped: 0,
-            pilot_time: Time(0),
-            events: Default::default(),
-            events_dropped: 0,
-            output: Output::neutral(mode),
-            drive: None,
-            link: LinkPhase::Ready,
-        }));
+        self.daemon.status.tick(monotonic_ns(), mode, |_| {});
     }
 
     /// The outcome of an `arm` during whose judgement something happens.
@@ -170,7 +156,7 @@ fn a_stop_is_obeyed_by_a_control_thread_that_ticks_however_old_its_last_known_ti
     let now_ns = monotonic_ns();
     let told = |bench: &Bench, request| end(request, &bench.daemon);
     // The collector is late, and the thread is not.
-    Arc::make_mut(bench.daemon.status.latest().tick.as_mut().unwrap()).start_ns = 1;
+    bench.daemon.status.tick(1, Mode::Ready, |_| {});
     bench.daemon.control.ticked(now_ns);
     let requests = [
         PilotRequest::Disarm,
@@ -419,4 +405,60 @@ fn a_stop_waits_for_a_line_of_each_client_that_sends_without_a_pause() {
         bench.requests(),
         [ControlRequest::Pilot(PilotRequest::Disarm)]
     );
+}
+
+/// What a client is told that arms a drive, which has these modes before the client's task runs
+/// again.
+fn told_of(modes: &[Mode]) -> Vec<String> {
+    let bench = Bench::ready();
+    bench.runtime.block_on(async {
+        let (client, server) = UnixStream::pair().unwrap();
+        let client = async {
+            let (read, mut write) = client.into_split();
+            let arm = r#"{"version":3,"command":"arm","attendance":"hold","uncalibrated":true}"#;
+            write.write_all(arm.as_bytes()).await.unwrap();
+            write.write_all(b"\n").await.unwrap();
+            while bench.requests.is_empty() {
+                tokio::time::sleep(core::time::Duration::from_millis(1)).await;
+            }
+            // Nothing is awaited between these ticks.
+            modes.iter().for_each(|mode| bench.tick(*mode));
+            let mut lines = BufReader::new(read).lines();
+            let mut told = Vec::new();
+            while !told
+                .last()
+                .is_some_and(|line: &String| line.contains("ended") || line.contains("error"))
+            {
+                told.push(lines.next_line().await.unwrap().unwrap());
+            }
+            told
+        };
+        tokio::select! {
+            served = serve(server.into(), &bench.daemon) => panic!("{served:?}"),
+            told = client => told,
+        }
+    })
+}
+
+#[test]
+fn a_drive_that_begins_and_ends_between_two_looks_is_told_with_its_begin_and_its_end() {
+    use Mode::{Arming, Driving, Fault, Idle, Ready, Stopping};
+    for (modes, end) in [
+        (&[Arming, Driving, Stopping, Idle][..], "idle"),
+        (&[Driving, Fault], "fault"),
+        // Another client has armed meanwhile.
+        (
+            &[Arming, Driving, Stopping, Ready, Arming, Driving],
+            "ready",
+        ),
+    ] {
+        let told = told_of(modes);
+        assert_eq!(told.len(), 2, "{told:?}");
+        assert!(told[0].contains(r#""ok":true"#), "{told:?}");
+        assert!(told[1].contains(&format!(r#""mode":"{end}""#)), "{told:?}");
+    }
+    // Refused, and then armed by another client.
+    let told = told_of(&[Arming, Idle, Ready, Arming, Driving]);
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].contains("can't arm: mode idle"), "{told:?}");
 }

@@ -6,9 +6,9 @@ use std::time::Duration;
 use serde_json::json;
 use singletrack_api::{Answer, Code, Refused};
 use singletrack_pilot::{Tuned, Tuning};
-use tokio::time::{Instant, sleep};
+use tokio::time::timeout;
 
-use super::progress::POLL;
+use super::progress::next_tick;
 use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::tuning_of};
 
 /// The longest wait for the tick that takes the values: much less than the time in which a client
@@ -27,29 +27,33 @@ pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
 }
 
 async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, Refused> {
-    let before = daemon.snapshot().output().and_then(|output| output.tuned);
+    let latest = daemon.status.latest().tick.clone();
+    let before = latest.and_then(|tick| tick.output.tuned);
     let rule = daemon.reconfigurer.tuning_rule();
     rule.check(&tuning, before.as_ref())
         .map_err(|error| Refused::new(Code::OutOfRange, error))?;
+    let mut ticks = daemon.status.ticks.subscribe();
     let asked_ns = monotonic_ns();
     daemon.tunings.send(tuning);
-    let asked = Instant::now();
-    while asked.elapsed() < TIMEOUT {
-        sleep(POLL).await;
-        // A tick that began before the request may not have seen it.
-        let tick = daemon.snapshot().tick;
-        if let Some(tick) = tick.filter(|tick| tick.start_ns > asked_ns) {
-            let tuned = tick.output.tuned.filter(|tuned| tuned.has(&tuning));
-            if let Some(tuned) = tuned {
-                tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
+    let taken = async {
+        loop {
+            let tick = next_tick(&mut ticks).await;
+            // A tick that began before the request may not have seen it.
+            if tick.start_ns > asked_ns {
+                break tick.output.tuned;
             }
-            return tuned.ok_or_else(|| {
-                Refused::new(
-                    Code::Superseded,
-                    "another client or another configuration has come meanwhile; ask again",
-                )
-            });
         }
-    }
-    Err(Refused::new(Code::Stalled, "the control thread is stalled"))
+    };
+    let tuned = timeout(TIMEOUT, taken)
+        .await
+        .map_err(|_| Refused::new(Code::Stalled, "the control thread is stalled"))?
+        .filter(|tuned| tuned.has(&tuning));
+    let tuned = tuned.ok_or_else(|| {
+        Refused::new(
+            Code::Superseded,
+            "another client or another configuration has come meanwhile; ask again",
+        )
+    })?;
+    tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
+    Ok(tuned)
 }
