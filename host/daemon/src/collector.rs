@@ -219,8 +219,8 @@ impl Collector {
         }
         self.log(time_ns, level, text);
         if mode.is_underway() {
-            let (number, toml) = self.reconfigurer.text();
-            self.calibration.begin(number, toml.as_deref());
+            let (number, config) = self.reconfigurer.published_config();
+            self.calibration.begin(number, &config);
         } else if let Some(known) = self.calibration.end() {
             if let Some(advice) = known.1.line() {
                 self.log(time_ns, Level::Warning, advice);

@@ -1,5 +1,7 @@
 //! What the drives say about the calibration, for status and log.
 
+use std::sync::Arc;
+
 use singletrack_api::Calibration;
 use singletrack_core::{
     Config,
@@ -14,7 +16,7 @@ use singletrack_record::TickRecord;
 pub(crate) struct DriveCalibration {
     /// The number of the configuration.
     number: Option<u32>,
-    estimator: Option<(Config, OnlineCalibration)>,
+    estimator: Option<(Arc<Config>, OnlineCalibration)>,
     /// Ticks of the drive under way.
     ticks: u32,
     /// What the pilot corrects in the drive under way, if it learns.
@@ -28,14 +30,12 @@ const INTERVAL: u32 = 100;
 const TOLD: f64 = 1.0;
 
 impl DriveCalibration {
-    /// A drive begins, with the configuration of this number and text. Another configuration
-    /// discards what was collected.
-    pub(crate) fn begin(&mut self, number: u32, toml: Option<&str>) {
+    /// A drive begins, with the configuration of this number. Another configuration discards what
+    /// was collected.
+    pub(crate) fn begin(&mut self, number: u32, config: &Arc<Config>) {
         if self.number != Some(number) {
             self.number = Some(number);
-            self.estimator = toml
-                .and_then(|text| Config::from_toml(text).ok())
-                .and_then(|config| OnlineCalibration::new(&config).map(|it| (config, it)));
+            self.estimator = OnlineCalibration::new(config).map(|it| (Arc::clone(config), it));
         }
         let config = self.estimator.as_ref().map(|(config, _)| config);
         let learns =
@@ -91,18 +91,19 @@ mod tests {
     fn a_drive_that_learns_begins_without_a_correction() {
         let mut config = Config::from_toml(include_str!("../singletrackd.example.toml")).unwrap();
         let mut drives = DriveCalibration::default();
-        drives.begin(1, config.to_toml().ok().as_deref());
+        drives.begin(1, &Arc::new(config.clone()));
         assert_eq!(drives.in_force(), None);
         config.online_calibration.mode = OnlineCalibrationMode::Live;
-        drives.begin(2, config.to_toml().ok().as_deref());
+        let config = Arc::new(config);
+        drives.begin(2, &config);
         assert_eq!(drives.in_force(), Some(Learned::default()));
         drives.in_force = Some(Learned::MOST);
         // The same drive slows down.
-        drives.begin(2, None);
+        drives.begin(2, &config);
         assert_eq!(drives.in_force(), Some(Learned::MOST));
         drives.end();
         assert_eq!(drives.in_force(), None);
-        drives.begin(2, None);
+        drives.begin(2, &config);
         assert_eq!(drives.in_force(), Some(Learned::default()));
     }
 }

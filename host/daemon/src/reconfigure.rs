@@ -47,7 +47,7 @@ struct Shared {
 #[derive(Debug)]
 struct Published {
     view: Configuration,
-    config: Config,
+    config: Arc<Config>,
     subject: Option<Subject>,
     /// All of it; none if a path is not UTF-8.
     toml: Option<Arc<str>>,
@@ -61,7 +61,7 @@ impl Published {
                 number: configurations.number(),
                 last_change,
             },
-            config: config.clone(),
+            config: Arc::new(config.clone()),
             subject: subject(config).ok(),
             toml: config.to_toml().ok().map(Arc::from),
         }
@@ -116,6 +116,12 @@ impl Reconfigurer {
         let state = self.0.state.lock().unwrap_or_else(PoisonError::into_inner);
         let configurations = &state.configurations;
         (configurations.number(), configurations.in_force().clone())
+    }
+
+    /// The number and the configuration in force; it waits for nothing.
+    pub(crate) fn published_config(&self) -> (u32, Arc<Config>) {
+        let published = self.published();
+        (published.view.number, Arc::clone(&published.config))
     }
 
     pub(crate) fn view(&self) -> Configuration {
