@@ -167,11 +167,11 @@ class SocketCar(Backend):
         answer = self._setpoints.take(5.0)
         if answer is None:
             raise TimeoutError("no answer to setpoint")
-        if answer.get("rejected") == "not-external":
+        if "rejected" in answer:
+            if answer["code"] != "not-external":
+                raise Rejected(answer["error"], answer["code"])
             self._setpoints.take(5.0)
             ask(self._setpoints, "set-reference", 10.0, reference={"kind": "external"})
-        elif "rejected" in answer:
-            raise Rejected(answer.get("error", ""), answer["rejected"])
 
     def _await_armed(self, control: Connection) -> None:
         deadline = time.monotonic() + 15.0
@@ -223,7 +223,7 @@ class SocketCar(Backend):
         while (answer := self._setpoints.take(0.0)) is not None:
             if "rejected" in answer:
                 # The reference may have been changed since: that is another end of the drive.
-                raise Rejected(answer.get("error", ""), answer["rejected"])
+                raise Rejected(answer["error"], answer["code"])
 
     def disarm(self) -> None:
         control = self._control

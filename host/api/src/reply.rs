@@ -143,9 +143,9 @@ pub struct Answer {
     pub note: Option<Word>,
     /// Whether the request is obeyed.
     pub ok: bool,
-    /// The word for why a set-point has no effect.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub rejected: Option<Word>,
+    /// Whether this is about a set-point that has no effect, and not the answer to another request.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub rejected: bool,
     /// The status.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub status: Option<Status>,

@@ -429,7 +429,8 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
         let answer = client.ask(line);
         let error = answer["error"].as_str().unwrap();
         assert!(error.contains("reference.kind is not"), "{error}");
-        assert_eq!(answer["rejected"], "not-external");
+        assert_eq!(answer["code"], "not-external");
+        assert_eq!(answer["rejected"], true);
     }
 
     assert_eq!(client.ask(&line(EXTERNAL))["ok"], true);
@@ -442,7 +443,7 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
         let line = format!(r#"{{"version":3,"command":"setpoint",{keys}}}"#);
         let answer = client.ask(&line);
         assert_eq!(answer["ok"], false, "{keys}");
-        assert_eq!(answer["rejected"], word, "{keys}: {}", answer["error"]);
+        assert_eq!(answer["code"], word, "{keys}: {}", answer["error"]);
     };
     let velocity = r#""velocity_m_s":[0.3,0.0]"#;
     reject(r#""velocity_m_s":[0.3,1000.0]"#, "out-of-range");
@@ -463,7 +464,7 @@ fn set_points_are_answered_only_when_they_have_no_effect() {
     .unwrap();
     let mut reject = |keys: &str, word: &str| {
         let line = format!(r#"{{"version":3,"command":"setpoint",{keys}}}"#);
-        assert_eq!(client.ask(&line)["rejected"], word, "{keys}");
+        assert_eq!(client.ask(&line)["code"], word, "{keys}");
     };
     reject(&format!(r#"{velocity},"sequence":7"#), "sequence");
     reject(&format!(r#"{velocity},"sequence":6"#), "sequence");
@@ -501,7 +502,7 @@ fn two_programs_that_steer_at_once_are_not_obeyed_by_turns() {
     let mut other = Client::connect(&path);
     steer(&mut other, 1);
     let answer = other.line();
-    assert_eq!(answer["rejected"], "other-source", "{answer}");
+    assert_eq!(answer["code"], "other-source", "{answer}");
     let error = answer["error"].as_str().unwrap();
     assert!(error.contains("for 1000 ms"), "{error}");
     steer(&mut one, 2);

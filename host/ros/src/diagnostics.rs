@@ -1,6 +1,6 @@
 //! Publishes the counts of this program once a second, beside the daemon's diagnostics.
 
-use std::{collections::BTreeMap, fmt::Display, sync::Arc, thread, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, thread, time::Duration};
 
 use crate::{
     RunError,
@@ -55,10 +55,10 @@ fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
             hardware_id: "",
             values: vec![
                 value("set-points passed on", counts.passed.to_string()),
-                value("set-points refused", by_word(&counts.refused)),
+                value("set-points refused", by_code(&counts.refused)),
                 value(
                     "set-points rejected by the daemon",
-                    by_word(&counts.rejected),
+                    by_code(&counts.rejected),
                 ),
                 value("set-points lost", counts.lost.to_string()),
                 value("entries missed", counts.missed.to_string()),
@@ -68,10 +68,10 @@ fn report(counts: &Counts, level: u8, now: Now) -> DiagnosticArray {
     }
 }
 
-/// Words with how often each came.
-fn by_word(counts: &BTreeMap<impl Display, u64>) -> String {
-    let words = counts.iter().map(|(word, count)| format!("{word} {count}"));
-    words.collect::<Vec<_>>().join(", ")
+/// Codes with how often each came.
+fn by_code(counts: &BTreeMap<&str, u64>) -> String {
+    let codes = counts.iter().map(|(code, count)| format!("{code} {count}"));
+    codes.collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]
@@ -83,7 +83,7 @@ mod tests {
     fn every_reason_is_reported_with_its_count() {
         let mut counts = Counts::default();
         counts.refused.insert("old", 3);
-        counts.refused.insert("frame", 1);
+        counts.refused.insert("invalid", 1);
         let now = Now {
             monotonic: 0,
             wall: 1_500_000_000,
@@ -96,6 +96,6 @@ mod tests {
                 nanosec: 500_000_000
             }
         );
-        assert_eq!(report.status[0].values[1].value, "frame 1, old 3");
+        assert_eq!(report.status[0].values[1].value, "invalid 1, old 3");
     }
 }

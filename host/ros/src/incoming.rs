@@ -15,7 +15,7 @@ use ros2_client::{
     qos::{Reliability, WhenFull},
 };
 use serde::de::DeserializeOwned;
-use singletrack_api::{Answer, ClientError, Connection, Request, Setpoint};
+use singletrack_api::{Answer, ClientError, Code, Connection, Refused, Request, Setpoint};
 
 use crate::{
     RunError,
@@ -23,7 +23,7 @@ use crate::{
     attendance::Attendance,
     clocks::Now,
     node::{Node, start as start_thread},
-    setpoint::{Judge, Refusal},
+    setpoint::Judge,
     tally::Tally,
 };
 
@@ -78,7 +78,7 @@ fn take<M: DeserializeOwned + Send + 'static>(
     way: &Arc<Way>,
     name: &'static str,
     subscription: Subscription<M>,
-    judge: impl Fn(&M, Now) -> Result<Setpoint, Refusal> + Send + 'static,
+    judge: impl Fn(&M, Now) -> Result<Setpoint, Refused> + Send + 'static,
 ) -> Result<(), RunError> {
     let way = Arc::clone(way);
     start_thread(name, move || {
@@ -103,12 +103,13 @@ struct Way {
 }
 
 impl Way {
-    fn pass(&self, name: &str, setpoint: Result<Setpoint, Refusal>) {
+    fn pass(&self, name: &str, setpoint: Result<Setpoint, Refused>) {
         let mut setpoint = match setpoint {
             Ok(setpoint) => setpoint,
-            Err(refusal) => {
-                *self.tally.lock().refused.entry(refusal.name()).or_default() += 1;
-                self.warn(&format!("{name}: refused: {refusal}"));
+            Err(Refused { code, text }) => {
+                let code = code.name();
+                *self.tally.lock().refused.entry(code).or_default() += 1;
+                self.warn(&format!("{name}: refused: {code}: {text}"));
                 return;
             }
         };
@@ -151,12 +152,12 @@ impl Way {
 
     /// Counts and reports a set-point that the daemon rejected.
     fn rejected(&self, answer: Answer) {
-        let word = answer.rejected.unwrap_or("rejected".into()).into_owned();
+        let code = answer.code.unwrap_or(Code::Other).name();
         self.attendance.rejected();
         let error = answer
             .error
             .unwrap_or_else(|| "without a reason".to_owned());
-        *self.tally.lock().rejected.entry(word).or_default() += 1;
+        *self.tally.lock().rejected.entry(code).or_default() += 1;
         self.warn(&format!("the daemon rejects a set-point: {error}"));
     }
 

@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use singletrack_api::{Setpoint, TrajectoryPoint};
+use singletrack_api::{Code, Refused, Setpoint, TrajectoryPoint};
 
 use crate::{
     clocks::Now,
@@ -25,55 +25,6 @@ const AHEAD: Duration = Duration::from_millis(5);
 const FEWEST: usize = 2;
 const MOST: usize = 100;
 
-/// Why a set-point is not passed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Refusal {
-    /// Its stamp is zero.
-    #[error("{}: header.stamp is zero: give the time at which it was decided", self.name())]
-    NoStamp,
-    /// Its stamp is too old.
-    #[error("{}: header.stamp is older than --max-age-ms", self.name())]
-    Old,
-    /// Its stamp is in the future.
-    #[error("{}: header.stamp is in the future: are the clocks synchronised?", self.name())]
-    Future,
-    /// It is in another frame.
-    #[error(
-        "{}: header.frame_id must be \"world\" for velocities and paths, \"base_link\" or empty for \
-         /drive",
-        self.name()
-    )]
-    Frame,
-    /// It has a number that is none.
-    #[error("{}: a number is not finite", self.name())]
-    NotFinite,
-    /// It asks for what the car does not offer.
-    #[error(
-        "{}: only linear.x and linear.y of a velocity, and steering_angle and speed of /drive, may \
-         differ from zero",
-        self.name()
-    )]
-    NotOffered,
-    /// Its points are too few, too many or not in order.
-    #[error("{}: a path has 2 to 100 poses with increasing stamps", self.name())]
-    Points,
-}
-
-impl Refusal {
-    /// The word for it in diagnostics and documentation.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::NoStamp => "no-stamp",
-            Self::Old => "old",
-            Self::Future => "future",
-            Self::Frame => "frame",
-            Self::NotFinite => "not-finite",
-            Self::NotOffered => "not-offered",
-            Self::Points => "points",
-        }
-    }
-}
-
 /// The judge of set-points.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Judge {
@@ -82,14 +33,14 @@ pub(crate) struct Judge {
 
 impl Judge {
     /// The velocity of P.
-    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Setpoint, Refusal> {
+    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Setpoint, Refused> {
         let time_ns = self.decided(&message.header, now)?;
         in_frame(&message.header, &[WORLD])?;
         let (linear, angular) = (message.linear, message.angular);
         let rest = [linear.z, angular.x, angular.y, angular.z];
         finite([linear.x, linear.y].into_iter().chain(rest))?;
         if rest.iter().any(|&part| part != 0.0) {
-            return Err(Refusal::NotOffered);
+            return Err(not_offered());
         }
         Ok(Setpoint {
             velocity_m_s: Some([linear.x, linear.y]),
@@ -103,7 +54,7 @@ impl Judge {
         &self,
         message: &AckermannDriveStamped,
         now: Now,
-    ) -> Result<Setpoint, Refusal> {
+    ) -> Result<Setpoint, Refused> {
         let time_ns = self.decided(&message.header, now)?;
         in_frame(&message.header, &[BASE, ""])?;
         let rest = [
@@ -114,7 +65,7 @@ impl Judge {
         let used = [message.steering_angle, message.speed];
         finite(used.into_iter().chain(rest).map(f64::from))?;
         if rest.iter().any(|&part| part != 0.0) {
-            return Err(Refusal::NotOffered);
+            return Err(not_offered());
         }
         Ok(Setpoint {
             steering_rad: Some(message.steering_angle.into()),
@@ -125,12 +76,12 @@ impl Judge {
     }
 
     /// Timed positions of P, with velocities from the positions.
-    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Setpoint, Refusal> {
+    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Setpoint, Refused> {
         let decided = self.decided(&message.header, now)?;
         in_frame(&message.header, &[WORLD])?;
         let poses = &message.poses;
         if !(FEWEST..=MOST).contains(&poses.len()) {
-            return Err(Refusal::Points);
+            return Err(no_path());
         }
         let mut points = Vec::with_capacity(poses.len());
         for pose in poses {
@@ -142,21 +93,20 @@ impl Judge {
             });
         }
         if !points.is_sorted_by(|first, second| first.wall < second.wall) {
-            return Err(Refusal::Points);
+            return Err(no_path());
         }
         let trajectory = velocities(&points)
             .zip(&points)
             .map(|(velocity, point)| {
                 finite(velocity)?;
-                let time_ns =
-                    u64::try_from(now.monotonic_at(point.wall)).map_err(|_| Refusal::Points)?;
+                let time_ns = u64::try_from(now.monotonic_at(point.wall)).map_err(|_| no_path())?;
                 Ok(TrajectoryPoint {
                     time_ns,
                     position_m: point.position,
                     velocity_m_s: velocity,
                 })
             })
-            .collect::<Result<Vec<_>, Refusal>>()?;
+            .collect::<Result<Vec<_>, Refused>>()?;
         Ok(Setpoint {
             trajectory: Some(trajectory),
             time_ns: Some(decided),
@@ -165,18 +115,25 @@ impl Judge {
     }
 
     /// When it was decided, on `CLOCK_MONOTONIC`.
-    fn decided(&self, header: &Header, now: Now) -> Result<u64, Refusal> {
+    fn decided(&self, header: &Header, now: Now) -> Result<u64, Refused> {
         if header.stamp == Time::default() {
-            return Err(Refusal::NoStamp);
+            return Err(Refused::new(
+                Code::Invalid,
+                "header.stamp is zero: give the time at which it was decided",
+            ));
         }
+        let old = || Refused::new(Code::Old, "header.stamp is older than --max-age-ms");
         let age = now.wall - header.stamp.ns();
         if age > self.max_age.as_nanos() as i128 {
-            return Err(Refusal::Old);
+            return Err(old());
         }
         if -age > AHEAD.as_nanos() as i128 {
-            return Err(Refusal::Future);
+            return Err(Refused::new(
+                Code::Future,
+                "header.stamp is in the future: are the clocks synchronised?",
+            ));
         }
-        u64::try_from(now.monotonic - age.max(0)).map_err(|_| Refusal::Old)
+        u64::try_from(now.monotonic - age.max(0)).map_err(|_| old())
     }
 }
 
@@ -211,18 +168,36 @@ fn velocities(points: &[Timed]) -> impl Iterator<Item = [f64; 2]> {
     })
 }
 
-fn in_frame(header: &Header, frames: &[&str]) -> Result<(), Refusal> {
+fn in_frame(header: &Header, frames: &[&str]) -> Result<(), Refused> {
     if frames.contains(&header.frame_id.as_str()) {
         return Ok(());
     }
-    Err(Refusal::Frame)
+    Err(Refused::new(
+        Code::Invalid,
+        "header.frame_id must be \"world\" for velocities and paths, \"base_link\" or empty for /drive",
+    ))
 }
 
-fn finite(numbers: impl IntoIterator<Item = f64>) -> Result<(), Refusal> {
+fn finite(numbers: impl IntoIterator<Item = f64>) -> Result<(), Refused> {
     if numbers.into_iter().all(f64::is_finite) {
         return Ok(());
     }
-    Err(Refusal::NotFinite)
+    Err(Refused::new(Code::NotFinite, "a number is not finite"))
+}
+
+fn not_offered() -> Refused {
+    Refused::new(
+        Code::Invalid,
+        "only linear.x and linear.y of a velocity, and steering_angle and speed of /drive, may \
+         differ from zero",
+    )
+}
+
+fn no_path() -> Refused {
+    Refused::new(
+        Code::OutOfRange,
+        "a path has 2 to 100 poses with increasing stamps",
+    )
 }
 
 #[cfg(test)]
@@ -243,6 +218,10 @@ mod tests {
         monotonic: 7_000_000_000,
         wall: 1_700_000_000_000_000_000,
     };
+
+    fn code(judged: Result<Setpoint, Refused>) -> Option<Code> {
+        judged.err().map(|refused| refused.code)
+    }
 
     fn header(age_ms: i128, frame: &str) -> Header {
         Header {
@@ -300,14 +279,14 @@ mod tests {
     #[test]
     fn stamps_decide_to_the_millisecond() {
         assert!(JUDGE.velocity(&twist(100), NOW).is_ok());
-        assert_eq!(JUDGE.velocity(&twist(101), NOW), Err(Refusal::Old));
-        assert_eq!(JUDGE.drive(&drive(1_000), NOW), Err(Refusal::Old));
-        assert_eq!(JUDGE.velocity(&twist(-6), NOW), Err(Refusal::Future));
+        assert_eq!(code(JUDGE.velocity(&twist(101), NOW)), Some(Code::Old));
+        assert_eq!(code(JUDGE.drive(&drive(1_000), NOW)), Some(Code::Old));
+        assert_eq!(code(JUDGE.velocity(&twist(-6), NOW)), Some(Code::Future));
         let ahead = JUDGE.velocity(&twist(-5), NOW).unwrap();
         assert_eq!(ahead.time_ns, Some(7_000_000_000), "never in the future");
         let mut none = twist(0);
         none.header.stamp = Time::default();
-        assert_eq!(JUDGE.velocity(&none, NOW), Err(Refusal::NoStamp));
+        assert_eq!(code(JUDGE.velocity(&none, NOW)), Some(Code::Invalid));
     }
 
     #[test]
@@ -315,27 +294,27 @@ mod tests {
         for frame in ["", "map", "base_link"] {
             let mut message = twist(0);
             message.header.frame_id = frame.to_owned();
-            assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::Frame));
+            assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::Invalid));
         }
         let mut message = drive(0);
         message.header.frame_id.clear();
         assert!(JUDGE.drive(&message, NOW).is_ok());
         message.header.frame_id = "world".to_owned();
-        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::Frame));
+        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::Invalid));
     }
 
     #[test]
     fn what_the_car_does_not_offer_is_refused_and_not_ignored() {
         let mut message = twist(0);
         message.angular.z = 0.1;
-        assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::NotOffered));
+        assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::Invalid));
         message.angular.z = f64::NAN;
-        assert_eq!(JUDGE.velocity(&message, NOW), Err(Refusal::NotFinite));
+        assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::NotFinite));
         let mut message = drive(0);
         message.acceleration = 1.0;
-        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::NotOffered));
+        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::Invalid));
         message.speed = f32::INFINITY;
-        assert_eq!(JUDGE.drive(&message, NOW), Err(Refusal::NotFinite));
+        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::NotFinite));
     }
 
     fn path(points: &[(i128, [f64; 2])]) -> Path {
@@ -380,10 +359,13 @@ mod tests {
             vec![(10, here), (0, here)],
             (0..101).map(|ms| (ms, here)).collect(),
         ] {
-            assert_eq!(JUDGE.path(&path(&points), NOW), Err(Refusal::Points));
+            assert_eq!(
+                code(JUDGE.path(&path(&points), NOW)),
+                Some(Code::OutOfRange)
+            );
         }
         let infinite = path(&[(0, here), (1, [f64::INFINITY, 0.0])]);
-        assert_eq!(JUDGE.path(&infinite, NOW), Err(Refusal::NotFinite));
+        assert_eq!(code(JUDGE.path(&infinite, NOW)), Some(Code::NotFinite));
     }
 
     /// Numbers of every kind, from a fixed seed.

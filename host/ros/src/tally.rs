@@ -18,10 +18,10 @@ pub(crate) struct Tally(Mutex<Counts>);
 pub(crate) struct Counts {
     /// Set-points that were passed on to the daemon.
     pub(crate) passed: u64,
-    /// Set-points that this program refused, by reason.
+    /// Set-points that this program refused, by code.
     pub(crate) refused: BTreeMap<&'static str, u64>,
-    /// Set-points that the daemon rejected, by its word.
-    pub(crate) rejected: BTreeMap<String, u64>,
+    /// Set-points that the daemon rejected, by code.
+    pub(crate) rejected: BTreeMap<&'static str, u64>,
     /// Set-points that did not reach the daemon.
     pub(crate) lost: u64,
     /// Entries of the record that this program was too slow for.

@@ -90,7 +90,7 @@ impl SetpointStream {
 pub(super) fn reject(daemon: &DaemonHandle, rejected: &Refused) -> Answer {
     daemon.status.setpoints.reject(rejected.code);
     Answer {
-        rejected: Some(rejected.code.name().into()),
+        rejected: true,
         ..Answer::refusal(rejected.clone())
     }
 }

@@ -18,7 +18,8 @@ use std::{
 use clap::Args;
 use serde_json::{Value, json};
 use singletrack_api::{
-    Answer, Arm, Attendance, ClientError, Connection, Reply, Request, Setpoint, State, ask_within,
+    Answer, Arm, Attendance, ClientError, Code, Connection, Reply, Request, Setpoint, State,
+    ask_within,
 };
 use singletrack_control::{Time, Velocity, direction};
 use singletrack_core::{config::ReferenceSection, reasons::Why};
@@ -388,7 +389,7 @@ impl DriveSession<'_> {
         };
         // The answer of a button that was released meanwhile.
         let is_asked = std::mem::take(&mut self.is_asked);
-        let other_steers = answer.rejected.as_deref() == Some("other-source");
+        let other_steers = answer.code == Some(Code::OtherSource);
         match (answer.agreed(), self.stage) {
             (Ok(answer), Stage::Changing(driver)) => {
                 if let Some(number) = answer.configuration {
