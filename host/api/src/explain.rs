@@ -3,9 +3,7 @@
 
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, error::Category};
-
-/// The longest value that a message quotes, in characters.
-const LONGEST_QUOTE: usize = 60;
+use singletrack_settings::{expected, kind, list, quoted_after, shortened};
 
 /// Why the keys are no `T`, or `None` if they are.
 ///
@@ -26,11 +24,11 @@ pub fn explain<T: DeserializeOwned>(
         return Some(format!("{within}{field} is missing"));
     }
     if let Some(field) = quoted_after(&message, "unknown field ") {
-        let known = list(&message, "");
-        return Some(match (known.is_empty(), keys.contains_key(field)) {
+        let others = known(&message, "");
+        return Some(match (others.is_empty(), keys.contains_key(field)) {
             (true, _) => format!("unknown key {within}{field}: remove it"),
-            (false, true) => format!("unknown key {within}{field}: use {known}"),
-            (false, false) => format!("unknown key {field} in a list: use {known}"),
+            (false, true) => format!("unknown key {within}{field}: use {others}"),
+            (false, false) => format!("unknown key {field} in a list: use {others}"),
         });
     }
     let of_a_tag = |key: &str| {
@@ -95,49 +93,22 @@ pub(crate) fn duplicate(message: &str) -> Option<String> {
 /// What to write instead; `None` for a message of ours.
 fn in_plain_words(message: &str) -> Option<String> {
     if message.starts_with("unknown variant ") {
-        return Some(format!("use {}", list(message, "\"")));
+        return Some(format!("use {}", known(message, "\"")));
     }
     let (_, expected) = message.rsplit_once(", expected ")?;
     let value = match expected {
-        "f32" | "f64" => "a number",
-        "u8" => "a whole number from 0 to 255",
-        "u16" => "a whole number from 0 to 65535",
-        "u32" => "a whole number from 0 to 4294967295",
-        "u64" | "usize" => "a whole number, not negative",
-        "a boolean" => "true or false",
-        "a string" | "string or map" => "a text in quotation marks",
         "a sequence" => "a list in brackets",
         "an array of length 2" => "two numbers, such as [0.4,0.0]",
         other if other.starts_with("struct ") => "an object in braces",
-        _ => return None,
+        other => kind(other)?,
     };
     Some(format!("it takes {value}"))
 }
 
-/// The words in backquotes that a message expects, each between two of `quote`.
-fn list(message: &str, quote: &str) -> String {
-    let expected = message.split_once(", expected ").map_or("", |(_, it)| it);
-    let words = expected.split('`').skip(1).step_by(2);
-    let words: Vec<_> = words.map(|word| format!("{quote}{word}{quote}")).collect();
-    match words.as_slice() {
-        [before @ .., last] if !before.is_empty() => format!("{} or {last}", before.join(", ")),
-        words => words.concat(),
-    }
-}
-
-/// The word in backquotes that follows.
-fn quoted_after<'a>(message: &'a str, words: &str) -> Option<&'a str> {
-    let rest = message.strip_prefix(words)?.strip_prefix('`')?;
-    Some(rest.split_once('`')?.0)
+fn known(message: &str, quote: &str) -> String {
+    list(expected(message), quote)
 }
 
 fn quote(value: &Value) -> String {
     shortened(&value.to_string())
-}
-
-fn shortened(text: &str) -> String {
-    match text.char_indices().nth(LONGEST_QUOTE) {
-        Some((end, _)) => format!("{}...", text.get(..end).unwrap_or_default()),
-        None => text.to_owned(),
-    }
 }

@@ -3,6 +3,8 @@
 //!
 //! A connection blocks and starts no thread. The protocol is on the page `docs/control-socket.md`.
 
+#[cfg(feature = "server")]
+pub mod access;
 mod clock;
 mod connection;
 mod error;

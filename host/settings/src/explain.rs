@@ -184,16 +184,6 @@ fn in_plain_words(message: &str, place: &Place<'_>) -> Option<String> {
             ));
         }
         "newline, `#`" => return Some("write one key = value on a line".to_owned()),
-        "u8" => "a whole number from 0 to 255",
-        "u16" => "a whole number from 0 to 65535",
-        "u32" | "u64" | "usize" => "a whole number, not negative",
-        "i16" => "a whole number from -32768 to 32767",
-        "i8" | "i32" | "i64" => "a whole number",
-        "f32" | "f64" => "a number",
-        "a boolean" => "true or false",
-        "a string" | "path string" | "string or map" | "wanted string or table" => {
-            "a text in quotation marks"
-        }
         "literal string" => {
             return Some(
                 "write the value like this one in the example, texts in quotation marks".to_owned(),
@@ -209,7 +199,9 @@ fn in_plain_words(message: &str, place: &Place<'_>) -> Option<String> {
         }
         other if other.starts_with("an array of length 2") => "two numbers, as [0.0, 1.0]",
         "a sequence" => "a list, as [0.0, 1.0]",
-        _ => return None,
+        // No key takes the largest.
+        "u32" => "a whole number, not negative",
+        other => kind(other)?,
     };
     Some(format!("it must be {value}"))
 }
@@ -223,8 +215,28 @@ fn is_with_comma(value: &str) -> bool {
     })
 }
 
+/// What serde expects, in the words of an author of a file or a line; `None` for what is no type of
+/// serde's.
+#[must_use]
+pub fn kind(expected: &str) -> Option<&'static str> {
+    Some(match expected {
+        "u8" => "a whole number from 0 to 255",
+        "u16" => "a whole number from 0 to 65535",
+        "u32" => "a whole number from 0 to 4294967295",
+        "u64" | "usize" => "a whole number, not negative",
+        "i16" => "a whole number from -32768 to 32767",
+        "i8" | "i32" | "i64" => "a whole number",
+        "f32" | "f64" => "a number",
+        "a boolean" => "true or false",
+        "a string" | "path string" | "string or map" | "wanted string or table" => {
+            "a text in quotation marks"
+        }
+        _ => return None,
+    })
+}
+
 /// Words as a list, each between two of `quote`.
-fn list<'a>(words: impl Iterator<Item = &'a str>, quote: &str) -> String {
+pub fn list<'a>(words: impl Iterator<Item = &'a str>, quote: &str) -> String {
     let words: Vec<_> = words.map(|word| format!("{quote}{word}{quote}")).collect();
     match words.as_slice() {
         [before @ .., last] if !before.is_empty() => format!("{} or {last}", before.join(", ")),
@@ -232,14 +244,15 @@ fn list<'a>(words: impl Iterator<Item = &'a str>, quote: &str) -> String {
     }
 }
 
-/// The word in backquotes that follows.
-fn quoted_after<'a>(message: &'a str, words: &str) -> Option<&'a str> {
+/// The word in backquotes that follows these words at the start of serde's message.
+#[must_use]
+pub fn quoted_after<'a>(message: &'a str, words: &str) -> Option<&'a str> {
     let rest = message.strip_prefix(words)?.strip_prefix('`')?;
     Some(rest.split_once('`')?.0)
 }
 
-/// The words in backquotes that a message expects.
-fn expected(message: &str) -> impl Iterator<Item = &str> {
+/// The words in backquotes that serde's message expects.
+pub fn expected(message: &str) -> impl Iterator<Item = &str> {
     let list = message
         .split_once("expected ")
         .map_or("", |(_, expected)| expected);
@@ -258,9 +271,15 @@ fn alike<'a>(unknown: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a 
 /// A value as a message shows it: on one line, and not too long.
 fn quote(value: &str) -> String {
     let line = value.split_whitespace().collect::<Vec<_>>().join(" ");
-    match line.char_indices().nth(LONGEST_QUOTE) {
-        Some((end, _)) => format!("{}...", line.get(..end).unwrap_or_default()),
-        None => line,
+    shortened(&line)
+}
+
+/// A text of at most 60 characters.
+#[must_use]
+pub fn shortened(text: &str) -> String {
+    match text.char_indices().nth(LONGEST_QUOTE) {
+        Some((end, _)) => format!("{}...", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
     }
 }
 

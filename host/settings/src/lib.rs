@@ -10,7 +10,7 @@ mod tagged_section;
 mod value;
 
 pub use error::ValueError;
-pub use explain::{explain, explain_table};
+pub use explain::{expected, explain, explain_table, kind, list, quoted_after, shortened};
 pub use section::{Declared, Key, Maps, Section, or_default, toml_value};
 pub use tagged_section::{Written, check_kind};
 pub use value::{Convert, Numbers, Rule, UpTo, Worded, check, in_words, seconds, up_to};

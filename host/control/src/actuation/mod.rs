@@ -171,18 +171,18 @@ pub struct Lead {
 /// A turn towards a velocity behind the car.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Turn {
-    side: Side,
+    side: Hand,
     /// The angle turned so far, rad; positive to the left.
     turned: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Side {
+enum Hand {
     Left,
     Right,
 }
 
-impl Side {
+impl Hand {
     fn of(angle: f64) -> Self {
         if angle < 0.0 { Self::Right } else { Self::Left }
     }
@@ -341,8 +341,8 @@ impl LimitedLaw {
             )
         } else if let Some(side) = self.turn_around(motion, steering, &wanted, period) {
             let rate = match side {
-                Side::Left => limits.max_steering_rate,
-                Side::Right => -limits.max_steering_rate,
+                Hand::Left => limits.max_steering_rate,
+                Hand::Right => -limits.max_steering_rate,
             };
             (limits.creep_speed, rate)
         } else {
@@ -470,7 +470,7 @@ impl LimitedLaw {
         steering: f64,
         wanted: &Velocity,
         period: f64,
-    ) -> Option<Side> {
+    ) -> Option<Hand> {
         if self.limits.max_reverse_speed > 0.0 {
             return None;
         }
@@ -481,7 +481,7 @@ impl LimitedLaw {
                 let off_wheels = angle_between(&direction(wheels), wanted);
                 let behind = off_wheels.abs() > TURN_FROM || off_heading.abs() > TURN_FROM;
                 behind.then_some(Turn {
-                    side: Side::of(off_heading),
+                    side: Hand::of(off_heading),
                     turned: 0.0,
                 })
             }

@@ -2,7 +2,7 @@
 
 use std::{io, time::Duration};
 
-use singletrack_access::Place;
+use singletrack_api::access::Place;
 use singletrack_api::{Answer, Clocks, Code, Reply, SOCKET_VERSION};
 use singletrack_record::{Channel, Topic};
 use tokio::{

@@ -9,7 +9,7 @@ use std::{
 };
 
 use serde::Deserialize;
-use singletrack_access::{Token, TokenFile, WaitingRoom, linger};
+use singletrack_api::access::{Token, TokenFile, WaitingRoom, linger};
 use singletrack_api::{Answer, Code, SOCKET_VERSION};
 use tokio::{
     io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt},
@@ -144,7 +144,7 @@ mod tests {
     use std::{fs, net::SocketAddr};
 
     use serde_json::Value;
-    use singletrack_access::TokenFile;
+    use singletrack_api::access::TokenFile;
 
     use super::*;
 

@@ -2,7 +2,7 @@
 
 use std::{io, sync::Arc, time::Duration};
 
-use singletrack_access::WaitingRoom;
+use singletrack_api::access::WaitingRoom;
 use tokio::{
     net::{TcpListener, UnixListener},
     runtime,

@@ -4,7 +4,7 @@ use core::fmt::Write as _;
 use std::{io, sync::Arc, time::Duration};
 
 use serde_json::json;
-use singletrack_access::{Place, linger};
+use singletrack_api::access::{Place, linger};
 use socket2::SockRef;
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},

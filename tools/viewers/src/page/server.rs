@@ -9,7 +9,7 @@ use std::{
     time::Duration,
 };
 
-use singletrack_access::{Token, TokenFile, WaitingRoom};
+use singletrack_api::access::{Token, TokenFile, WaitingRoom};
 use singletrack_core::{ConfigError, config::PageSection};
 use tokio::{
     net::TcpListener,

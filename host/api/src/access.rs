@@ -1,18 +1,30 @@
-//! A token that clients give, and the file in which they find it.
+//! Who may connect to a server on TCP: tokens in files, and bounded places for connections that have yet
+//! to send their first line.
+//!
+//! A newer connection takes the place of the oldest, so that those which send nothing keep nobody out,
+//! and cost a bounded number of files.
 
 use core::fmt;
 use std::{
+    collections::VecDeque,
     fs,
     io::{self, Write as _},
     net::{IpAddr, SocketAddr},
     os::unix::fs::{OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
+    sync::{Mutex, PoisonError},
+    time::Duration,
 };
 
 use constant_time_eq::constant_time_eq;
 use rustix::rand::{GetRandomFlags, getrandom};
 use serde::Deserialize;
 use serde_json::json;
+use tokio::{
+    io::{AsyncRead, AsyncReadExt as _, copy, sink},
+    sync::oneshot::{Receiver, Sender, channel},
+    time::timeout,
+};
 
 /// Random bytes of a token.
 const BYTES: usize = 32;
@@ -128,12 +140,68 @@ impl TokenFile {
     }
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test may fail")]
-mod tests {
-    use serde_json::Value;
+/// The places, oldest first.
+#[derive(Debug)]
+pub struct WaitingRoom {
+    places: usize,
+    taken: Mutex<VecDeque<Sender<()>>>,
+}
 
+/// A place. It ends when this value is dropped.
+#[derive(Debug)]
+pub struct Place(Receiver<()>);
+
+impl WaitingRoom {
+    /// A room with this number of places.
+    #[must_use]
+    pub const fn new(places: usize) -> Self {
+        Self {
+            places,
+            taken: Mutex::new(VecDeque::new()),
+        }
+    }
+
+    /// Takes a place, that of the oldest if there is no other.
+    pub fn enter(&self) -> Place {
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        taken.retain(|place| !place.is_closed());
+        while taken.len() >= self.places {
+            taken.pop_front();
+        }
+        let (sender, place) = channel();
+        taken.push_back(sender);
+        Place(place)
+    }
+}
+
+impl Place {
+    /// What `first` gives; `None` if the place is lost before. What has arrived by then counts.
+    pub async fn until_lost<T>(&mut self, first: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            biased;
+            result = first => Some(result),
+            _ = &mut self.0 => None,
+        }
+    }
+}
+
+/// The longest time, and the most bytes, for which what still comes is read and discarded.
+const LINGER: Duration = Duration::from_millis(200);
+const LINGER_BYTES: u64 = 65_536;
+
+/// Reads and discards what a client still sends after its answer: a connection that is closed with
+/// something unread is reset, and the answer is lost.
+pub async fn linger(read: impl AsyncRead + Unpin) {
+    let mut rest = read.take(LINGER_BYTES);
+    let _ = timeout(LINGER, copy(&mut rest, &mut sink())).await;
+}
+
+#[cfg(test)]
+mod tests {
     use super::*;
+    use serde_json::Value;
+    use std::future::pending;
+    use std::future::ready;
 
     #[test]
     fn a_token_is_random_and_not_shown() {
@@ -174,5 +242,21 @@ mod tests {
         fs::write(&path, "precious").unwrap();
         drop(file);
         assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+    }
+
+    #[tokio::test]
+    async fn a_newer_one_takes_the_place_of_the_oldest() {
+        let room = WaitingRoom::new(3);
+        let mut places: Vec<Place> = (0..3).map(|_| room.enter()).collect();
+        // A place that was left is taken first.
+        drop(places.remove(1));
+        places.push(room.enter());
+        places.push(room.enter());
+        let lost = places.first_mut().unwrap();
+        assert_eq!(lost.until_lost(ready(7)).await, Some(7));
+        assert_eq!(lost.until_lost(pending::<()>()).await, None);
+        for place in places.iter_mut().skip(1) {
+            assert!(place.0.try_recv() == Err(tokio::sync::oneshot::error::TryRecvError::Empty));
+        }
     }
 }
