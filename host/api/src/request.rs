@@ -18,9 +18,10 @@ pub enum Request {
     Clock {},
     /// Arm, and follow the reference or jog.
     Arm(Arm),
-    /// Renews the drive that this connection holds; not answered.
+    /// Renews the drive that this connection holds; only a failure is answered.
     Hold {},
-    /// Pulses for servo and ESC while this connection jogs, which they renew; not answered.
+    /// Pulses for servo and ESC while this connection jogs, which they renew; only a failure is
+    /// answered.
     Jog {
         /// Of the servo, in µs.
         servo_us: u16,
@@ -357,7 +358,7 @@ pub const EXAMPLES: [(&str, &str); 19] = [
     ),
     (
         r#"{"version":3,"command":"hold"}"#,
-        r#"nothing; renews the drive that the connection holds"#,
+        r#"nothing, unless it fails; renews the drive that the connection holds"#,
     ),
     (
         r#"{"version":3,"command":"arm","attendance":"hold","jog":true}"#,
@@ -365,7 +366,7 @@ pub const EXAMPLES: [(&str, &str); 19] = [
     ),
     (
         r#"{"version":3,"command":"jog","servo_us":1500,"esc_us":1500}"#,
-        r#"nothing"#,
+        r#"nothing, unless it fails"#,
     ),
     (
         r#"{"version":3,"command":"reload"}"#,

@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use singletrack_api::{Answer, Code, Refused};
+use singletrack_api::{Answer, Code, RENEWAL, Refused};
 use singletrack_core::ControlRequest;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
@@ -18,10 +18,7 @@ use super::{
     drives::Ticket,
     progress::{DriveWatch, Progress, cannot_arm, not_ready},
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement};
-
-/// Interval of the renewals of a timed drive, and what a client of a held one should use.
-const RENEWAL: Duration = Duration::from_millis(100);
+use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement, snapshot::Snapshot};
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
 pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Refused> {
@@ -142,7 +139,12 @@ fn ready(daemon: &DaemonHandle) -> Result<(), Refused> {
     if snapshot.mode() != Mode::Ready {
         return Err(not_ready(&snapshot));
     }
-    if daemon.drives.is_open(&snapshot) {
+    alone(daemon, &snapshot)
+}
+
+/// Checks that no other client has just asked to arm.
+fn alone(daemon: &DaemonHandle, snapshot: &Snapshot) -> Result<(), Refused> {
+    if daemon.drives.is_open(snapshot) {
         return Err(Refused::new(
             Code::OtherClient,
             "can't arm: another client has just armed",
@@ -158,12 +160,7 @@ pub(super) fn begin_jogging(daemon: &DaemonHandle) -> Result<(Ticket, DriveWatch
     if !matches!(snapshot.mode(), Mode::Idle | Mode::Ready) {
         return Err(cannot_arm(&snapshot, snapshot.mode(), snapshot.reason()));
     }
-    if daemon.drives.is_open(&snapshot) {
-        return Err(Refused::new(
-            Code::OtherClient,
-            "can't arm: another client has just armed",
-        ));
-    }
+    alone(daemon, &snapshot)?;
     let ticket = daemon.drives.next();
     ticket.push(daemon, PilotRequest::Arm(Arming::Jog))?;
     Ok((ticket, DriveWatch::new(daemon)))
