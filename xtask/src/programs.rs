@@ -76,8 +76,10 @@ impl Packages {
     /// Compiles everything that is checked.
     pub(crate) fn compile(&self) -> Result {
         let named = NAMED_TESTS.into_iter().flat_map(|name| ["--test", name]);
-        // `--all-targets` does not include them, whatever else is named.
-        check(self.cargo("test")?.args(["--no-run", "--all-targets"]))?;
+        // `cargo build`: `cargo test --all-targets` would compile the examples as tests, and what runs
+        // the tests would compile them again.
+        check(self.cargo("build")?.arg("--all-targets"))?;
+        // That does not include them, whatever else is named.
         check(self.cargo("test")?.arg("--no-run").args(named))
     }
 
