@@ -15,7 +15,8 @@ use super::{
     claims::{Scope, below, near},
     drive::{Drives, Experiment, PLANTS, Run},
     largest, least, pictures,
-    section::{Picture, Section, metres, number, told, with_digits},
+    section::{Picture, Section},
+    text::{metres, number, told, with_digits},
 };
 
 /// Start of P on the path behind its reference, in rad. At distance zero the position loop

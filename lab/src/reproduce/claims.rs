@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Serialize, Serializer};
 
-use super::section::number;
+use super::text::number;
 
 /// The condition under which a number agrees. A number that is not finite never does.
 #[derive(Clone, Copy, Debug, PartialEq)]

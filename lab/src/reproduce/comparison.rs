@@ -14,8 +14,9 @@ use super::{
     claims::{Scope, above, below, near},
     drive::{Drives, Experiment, Run},
     largest, pictures,
-    section::{Picture, Section, metres, mm, number, told, with_digits},
+    section::{Picture, Section},
     steps,
+    text::{metres, mm, number, told, with_digits},
 };
 use crate::table::Table;
 

@@ -12,6 +12,7 @@ mod pictures;
 mod section;
 mod stability;
 mod steps;
+mod text;
 
 use std::{path::PathBuf, time::Duration};
 

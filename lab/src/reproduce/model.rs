@@ -11,7 +11,8 @@ use singletrack_scenario::simulate::{self, Scenario};
 use super::{
     Setup, assumptions,
     claims::{Scope, above, near},
-    section::{Picture, Section, with_digits},
+    section::{Picture, Section},
+    text::with_digits,
 };
 use crate::{
     identify::{

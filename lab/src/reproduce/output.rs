@@ -17,8 +17,9 @@ use singletrack_scenario::csv_text::csv_text;
 use super::{
     ReproduceError, Reproduction,
     claims::{Claim, Verdict},
-    section::{Plate, Section, number, with_digits},
+    section::{Plate, Section},
     surprises,
+    text::{number, with_digits},
 };
 
 /// The names of the files.

@@ -12,7 +12,8 @@ use super::{
     Setup, assumptions,
     claims::{Scope, above, below, near},
     largest, least,
-    section::{Picture, Section, metres, mm, number, told, with_digits},
+    section::{Picture, Section},
+    text::{metres, mm, number, told, with_digits},
 };
 use crate::stability::{
     EigenvalueRow, Grid, Subject, TimingArgs, eigenvalue_map, eigenvalue_table,

@@ -11,7 +11,8 @@ use super::{
     claims::{Scope, above, below, near},
     drive::{Drives, Experiment, PLANTS, Run},
     largest, pictures,
-    section::{self, Picture, Section, metres, mm, number, with_digits},
+    section::{Picture, Section},
+    text::{self, metres, mm, number, with_digits},
 };
 
 /// Velocities of P, in m/s, for the paper's car: a sequence that turns P through 225
@@ -273,7 +274,7 @@ fn pictures_of(
 fn plates(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
     let right = |plant| drives.get("right", plant);
     let told = |case, plant, value: fn(&Run) -> f64, unit| {
-        section::told(drives.get(case, plant).map(value), unit)
+        text::told(drives.get(case, plant).map(value), unit)
     };
     if let Some(run) = right("ideal").or(right("car")) {
         let fastest = largest(run.rows.iter().map(|row| row.v_px.hypot(row.v_py)));
@@ -393,8 +394,8 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
              when the car has turned by 180°, nothing after a full turn. On the car, {} at most \
              from where P goes with the right l<sub>f</sub>.",
             number(residual),
-            section::told(Some(rear.largest_deviation()), "m"),
-            section::told(apart(drives, "rear", "right"), "m")
+            text::told(Some(rear.largest_deviation()), "m"),
+            text::told(apart(drives, "rear", "right"), "m")
         ),
         vec![Picture::new(
             "steps-deviation",

@@ -4,7 +4,7 @@ use core::fmt::Write as _;
 use std::{io, sync::Arc, time::Duration};
 
 use serde_json::json;
-use singletrack_api::access::{Place, linger};
+use singletrack_api::access::{Place, Token, linger};
 use socket2::SockRef;
 use tokio::{
     io::{AsyncReadExt as _, AsyncWriteExt as _},
@@ -12,14 +12,73 @@ use tokio::{
         TcpStream,
         tcp::{OwnedReadHalf, OwnedWriteHalf},
     },
-    sync::{SemaphorePermit, watch},
+    sync::{Semaphore, SemaphorePermit, watch},
     time::timeout,
 };
 
 use super::{
+    feed::Feed,
     request::{BadRequest, Request},
-    server::{Shared, asset},
+    setup::Setup,
 };
+
+/// A file of the page.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asset {
+    path: &'static str,
+    pub(super) content_type: &'static str,
+    pub(super) bytes: &'static [u8],
+}
+
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+const ASSETS: [Asset; 6] = [
+    Asset {
+        path: "/",
+        content_type: "text/html; charset=utf-8",
+        bytes: include_bytes!("assets/index.html"),
+    },
+    Asset {
+        path: "/page.css",
+        content_type: "text/css; charset=utf-8",
+        bytes: include_bytes!("assets/page.css"),
+    },
+    Asset {
+        path: "/page.js",
+        content_type: SCRIPT,
+        bytes: include_bytes!("assets/page.js"),
+    },
+    Asset {
+        path: "/view.js",
+        content_type: SCRIPT,
+        bytes: include_bytes!("assets/view.js"),
+    },
+    Asset {
+        path: "/chart.js",
+        content_type: SCRIPT,
+        bytes: include_bytes!("assets/chart.js"),
+    },
+    Asset {
+        path: "/icon.svg",
+        content_type: "image/svg+xml",
+        bytes: include_bytes!("assets/icon.svg"),
+    },
+];
+
+/// The file at this path.
+pub(super) fn asset(path: &str) -> Option<Asset> {
+    ASSETS.into_iter().find(|asset| asset.path == path)
+}
+
+/// What all connections share.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) feed: Feed,
+    pub(super) setup: Setup,
+    pub(super) token: Option<Token>,
+    /// For viewers of the events.
+    pub(super) places: Semaphore,
+}
 
 /// Bytes of the kernel's buffer of a viewer; the kernel doubles it. What it keeps is what a slow
 /// viewer is late by.
