@@ -198,10 +198,11 @@ pub async fn linger(read: impl AsyncRead + Unpin) {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::future::{pending, ready};
+
     use serde_json::Value;
-    use std::future::pending;
-    use std::future::ready;
+
+    use super::*;
 
     #[test]
     fn a_token_is_random_and_not_shown() {

@@ -96,7 +96,7 @@ pub struct Learned {
     pub body_yaw_rad: f64,
     /// Pivot of the rigid body, forward and to the left, in m.
     pub pivot_m: [f64; 2],
-    /// By how much the stamps of the cameras are late, in s.
+    /// Lateness of the stamps of the cameras, in s.
     pub stamp_offset_s: f64,
     /// Angle of the front wheels for that commanded, as a fraction beyond one.
     pub steering_gain: f64,

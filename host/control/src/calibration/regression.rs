@@ -209,8 +209,8 @@ const STUDENT: [f64; 30] = [
     2.052, 2.048, 2.045, 2.042,
 ];
 
-/// The half width of a 95 % interval in standard errors, for a standard error that was estimated with
-/// so many degrees of freedom: Student's quantile at 97.5 %, to 0.001. Infinite for zero degrees of freedom.
+/// The 97.5 % quantile of Student's distribution with `freedom` degrees of freedom, to 0.001: half the
+/// width of a 95 % interval, in standard errors. Infinite without a degree of freedom.
 #[must_use]
 pub fn student_quantile(freedom: usize) -> f64 {
     let Some(index) = freedom.checked_sub(1) else {

@@ -7,11 +7,11 @@
 //! there is w sin(κw/2)/(κw/2) long and lies half of that turn beside the first course. The path
 //! is looked at half way and at its end: it lies at most κ w²/32 beside the chords of both halves.
 //!
-//! Four ask, and each means another car by it:
+//! Four ask, each with a speed and a bend of its own:
 //!
 //! | who asks | speed, bend | what follows if it can't |
 //! |---|---|---|
-//! | feasibility, before a drive | those of an ideal car | the configuration is refused |
+//! | feasibility, before a drive | those of an ideal car | the drive does not begin |
 //! | the [`Governor`](crate::Governor), ahead | those of the leader on the reference | the reference is slowed down |
 //! | the [`SafetyFilter`](crate::SafetyFilter), each tick | every one that is possible: `ways.rs` bounds them all | the command is limited |
 //! | the geofence's watch, each tick | the measured and the commanded | the car stops |
