@@ -143,7 +143,7 @@ fn spread(drives: &Drives, plant: &str) -> Option<f64> {
 
 fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
     let (radius, reach) = (setup.radius_m(), setup.amplitude_m());
-    // Of two integrators under proportional control.
+    // Gain, lag and distance of two integrators under proportional control.
     let gain = reach / radius;
     let behind = (TURN_RATE / GAIN).atan();
     let distance = radius / (1.0 + (GAIN / TURN_RATE).powi(2)).sqrt();

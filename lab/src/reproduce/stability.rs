@@ -185,8 +185,11 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
                      {}",
                 number(ahead)
             ),
-            "and so they are at any speed: the paper does not say which it considers, and not \
-             that the limit is so near (5.9 mm)",
+            format!(
+                "and so they are at any speed: the paper does not say which it considers, and not \
+                 that the limit is so near ({})",
+                mm(ahead - limit)
+            ),
         )
         .of(Scope::PaperCar)
         .number("largest", highest, below(ahead))
