@@ -1,8 +1,6 @@
-//! Values of keys: their ranges, and their conversion by unit.
+//! Values of keys: their ranges, their conversion by unit, and why one is refused.
 
-use core::ops::RangeInclusive;
-
-use crate::ValueError;
+use core::{fmt, ops::RangeInclusive};
 
 /// A value that has a range.
 pub trait Numbers {
@@ -186,4 +184,27 @@ fn nanoseconds(key: &str) -> u64 {
 #[must_use]
 pub fn seconds(milliseconds: u32) -> f64 {
     f64::from(milliseconds) / 1_000.0
+}
+
+/// A value that is outside its range, or contradicts another.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{key} is {value}: {fix}")]
+pub struct ValueError {
+    /// The key.
+    pub key: &'static str,
+    /// Its value.
+    pub value: String,
+    /// What it may be.
+    pub fix: String,
+}
+
+impl ValueError {
+    /// The error of this key and value.
+    pub fn new(key: &'static str, value: impl fmt::Display, fix: impl Into<String>) -> Self {
+        Self {
+            key,
+            value: value.to_string(),
+            fix: fix.into(),
+        }
+    }
 }
