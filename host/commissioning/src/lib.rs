@@ -23,18 +23,12 @@ mod finding;
 mod fit;
 mod imu_noise;
 mod observed;
-mod parameter;
-mod plot;
 mod procedure;
-mod question;
 pub mod report;
 
 pub use bench::{
-    Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Observation, PoseReading,
-    Refused, TickReading,
+    Answer, Answers, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live,
+    Observation, PoseReading, Question, Refused, TickReading,
 };
-pub use finding::{Finding, Trouble, Verdict};
-pub use parameter::{Interval, Parameter};
-pub use plot::{Plot, PlotKind, PlotLine};
+pub use finding::{Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Trouble, Verdict};
 pub use procedure::{Journal, Step, run};
-pub use question::{Answer, Answers, Live, Question};

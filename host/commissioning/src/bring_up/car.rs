@@ -1,11 +1,11 @@
-//! The car on its stand: armed jogs, and the watch over it.
+//! The car on its stand: armed jogs, and the watch over it, which ends a step when the car leaves
+//! its place.
 
 use singletrack_control::Time;
 use singletrack_protocol::{BoardMode, Status, StopCause};
 
-use super::place::Place;
 use crate::{
-    Attendance, Bench, BoardReading, Jog, Live, Observation, Refused, Trouble,
+    Attendance, Bench, BoardReading, Jog, Live, Observation, PoseReading, Refused, Trouble,
     finding::{failed, require},
 };
 
@@ -45,7 +45,7 @@ pub(super) struct Car<'a> {
     /// The board's newest condition.
     pub(super) status: Option<Status>,
     /// Whether the line to the board is ready.
-    pub(super) linked: bool,
+    linked: bool,
 }
 
 impl<'a> Car<'a> {
@@ -365,7 +365,7 @@ impl<'a> Car<'a> {
     }
 
     /// Whether the board has sent nothing for this long.
-    pub(super) fn is_silent_for(&self, seconds: f64) -> Result<bool, Trouble> {
+    fn is_silent_for(&self, seconds: f64) -> Result<bool, Trouble> {
         let now = self.now()?;
         let heard = self.board.map_or(now, |board| board.receive);
         Ok(!self.linked || now.seconds_since(heard) >= seconds)
@@ -439,4 +439,67 @@ pub(super) fn armed<T>(
 fn no_news() -> Trouble {
     let found = "the daemon sends nothing";
     failed(found, "Check that singletrackd runs: `singletrack status`.")
+}
+
+/// Way by which a car on its stand may shake, m, in several poses and in one.
+const SHAKES_M: f64 = 0.02;
+const JUMPS_M: f64 = 0.06;
+
+/// Turn by which it may shake, rad.
+const SHAKES_RAD: f64 = 0.1;
+
+/// Poses in a row beyond these limits after which the car counts as moving.
+const MOVING_POSES: u32 = 3;
+
+/// Poses whose mean is the place of the car.
+const PLACE_POSES: u32 = 10;
+
+/// The place of a car, which it must not leave.
+#[derive(Debug, Default)]
+pub(super) struct Place {
+    poses: u32,
+    sum: [f64; 3],
+    yaw: f64,
+    off: u32,
+    /// How far the car has moved when it has left its place, m.
+    pub(super) left: Option<f64>,
+    /// When the last pose arrived.
+    pub(super) seen: Option<Time>,
+}
+
+impl Place {
+    pub(super) fn see(&mut self, pose: &PoseReading) {
+        self.seen = Some(pose.receive);
+        if self.poses < PLACE_POSES {
+            if self.poses == 0 {
+                self.yaw = pose.yaw;
+            }
+            self.poses += 1;
+            for (sum, value) in self.sum.iter_mut().zip(pose.position) {
+                *sum += value;
+            }
+            return;
+        }
+        let poses = f64::from(self.poses);
+        let squares: f64 = self
+            .sum
+            .iter()
+            .zip(pose.position)
+            .map(|(sum, value)| (value - sum / poses).powi(2))
+            .sum();
+        let way = squares.sqrt();
+        let turn = (pose.yaw - self.yaw).sin().abs();
+        self.off = if way > SHAKES_M || turn > SHAKES_RAD {
+            self.off + 1
+        } else {
+            0
+        };
+        if self.off >= MOVING_POSES || way > JUMPS_M {
+            self.left = Some(way);
+        }
+    }
+
+    fn is_known(&self) -> bool {
+        self.poses >= PLACE_POSES
+    }
 }

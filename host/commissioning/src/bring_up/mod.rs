@@ -10,20 +10,23 @@
 //! bring-up continues after the last step that was completed.
 
 mod car;
-mod esc_kind;
-mod imu_noise;
-mod kill;
+mod esc;
 mod motor;
-mod neutral;
-mod place;
 mod questions;
-mod request;
 mod spin;
-mod stand;
 mod steering;
 mod stops;
 
-use crate::Step;
+use self::{
+    car::{Car, armed},
+    questions::{ask_yes, change},
+    spin::mean_speed,
+};
+use crate::{
+    Bench, BoardReading, Finding, Inertial, Plot, PlotKind, PlotLine, Step, Trouble, Verdict,
+    finding::{failed, keys, require},
+    imu_noise::{Comparison, NoiseLevel, compare},
+};
 
 /// The steps. The ESC is watched at neutral for a minute in each order, to find a motor that
 /// turns only now and then.
@@ -33,16 +36,16 @@ pub const STEPS: &[Step] = &steps_with::<60>();
 #[must_use]
 pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     [
-        stand::STEP,
-        kill::STEP,
-        neutral::step_with::<NEUTRAL_S>(),
+        STAND,
+        esc::KILL,
+        esc::neutral_with::<NEUTRAL_S>(),
         steering::DIRECTION,
         steering::CENTRE,
         steering::STOPS,
         steering::GAIN,
         motor::DIRECTION,
         motor::MAP,
-        esc_kind::STEP,
+        esc::KIND,
         stops::SILENCE,
         stops::DISARM,
         stops::SWITCH,
@@ -52,5 +55,129 @@ pub const fn steps_with<const NEUTRAL_S: u32>() -> [Step; 16] {
     ]
 }
 
-/// The noise of the IMU with the wheels turning: a step of the doctor.
-pub(crate) const IMU_NOISE: Step = imu_noise::STEP;
+/// Time for which the car must be at rest, s.
+const WATCHED_S: f64 = 2.0;
+
+const STAND: Step = Step::new("stand", "The car on its stand", find_stand)
+    .expecting("All wheels are clear of the floor, the cameras see the car, and it stands still.");
+
+fn find_stand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let is_on_stand = ask_yes(bench, &questions::ON_STAND)?;
+    let fix = "Put a box under the chassis so that all wheels turn freely.";
+    require(is_on_stand, "the car is not on a stand", fix)?;
+    let mut car = Car::look(bench)?;
+    let readings = car.watch(WATCHED_S, "standing")?;
+    let turns = readings.iter().any(BoardReading::turns);
+    let found = "the motor turns although the car is not armed";
+    let fix = "Cut the supply of the ESC. Its neutral is not at 1500 us, or the pulse sensor picks \
+               up interference: see docs/uno.md.";
+    require(!turns, found, fix)?;
+    Ok(Finding::good("the car stands still in view of the cameras"))
+}
+
+pub(super) const IMU_NOISE: Step = Step::new(
+    "imu-noise",
+    "IMU: its noise with the wheels turning",
+    find_imu_noise,
+)
+.expecting("The noise at every speed is at most 1.3 times what [estimator] believes.");
+
+/// Time at rest, s.
+const REST_S: f64 = 15.0;
+
+/// Speeds of the wheels, m/s; the board ends a jog beyond 1.0.
+const SPEEDS: [f64; 3] = [0.25, 0.5, 0.7];
+
+/// Runs at each speed, and the time in which a speed settles and is measured, s. The board allows
+/// 10 s of driving without a rest.
+const RUNS: usize = 3;
+const SETTLE_S: f64 = 1.0;
+const MEASURE_S: f64 = 4.0;
+
+fn find_imu_noise(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    // In every run: the car may have been put down after an interruption.
+    find_stand(bench)?;
+    let kill = esc::find_kill(bench)?;
+    let at_rest = Car::look(bench)?.watch(REST_S, "at rest")?;
+    let mut levels = vec![noise_level(0.0, &[at_rest])?];
+    for wanted in SPEEDS {
+        let runs = armed(bench, |car| noise_runs(car, wanted))?;
+        let speed = mean_speed(&runs.concat());
+        levels.push(noise_level(speed, &runs)?);
+    }
+    let comparison = compare(&levels, &bench.configuration().estimator);
+    bench.plot(&noise_plot(&levels));
+    let keys = keys(&comparison.parameters);
+    if !keys.is_empty() {
+        change(bench, &keys)?;
+    }
+    Ok(noise_finding(comparison, &kill))
+}
+
+/// The telemetry of some runs at about this speed, m/s.
+fn noise_runs(car: &mut Car<'_>, wanted: f64) -> Result<Vec<Vec<BoardReading>>, Trouble> {
+    let jog = car.spin(wanted)?;
+    let rest = car.rest();
+    let mut runs = Vec::new();
+    for _ in 0..RUNS {
+        car.hold_until_standing(rest, 0.8)?;
+        car.hold(jog, SETTLE_S, "settling")?;
+        runs.push(car.hold(jog, MEASURE_S, "measuring the IMU")?);
+    }
+    Ok(runs)
+}
+
+/// The noise in some runs.
+fn noise_level(speed: f64, runs: &[Vec<BoardReading>]) -> Result<NoiseLevel, Trouble> {
+    let samples: Vec<Vec<Inertial>> = runs
+        .iter()
+        .map(|run| run.iter().filter_map(|reading| reading.inertial).collect())
+        .collect();
+    NoiseLevel::of(speed, &samples).ok_or_else(|| {
+        let count = samples.concat().len();
+        let found = format!("{count} samples of the IMU at {speed:.2} m/s");
+        let fix = "Look at the IMU's wires (SDA, SCL, 5 V, ground): docs/uno.md.";
+        failed(found, fix)
+    })
+}
+
+fn noise_finding(comparison: Comparison, kill: &Finding) -> Finding {
+    let mut found = comparison.found;
+    let mut fixes = Vec::new();
+    if !comparison.too_small.is_empty() {
+        let too_small = comparison.too_small.join(", ");
+        found.push(format!(
+            "too small: {too_small}; the measured values are in force"
+        ));
+        fixes.push(
+            "The floor shakes more than a stand: compare `noise` of `singletrack judge` after the \
+             first drive.",
+        );
+    }
+    if kill.verdict == Verdict::Warning {
+        found.push(kill.found.clone());
+        fixes.push(&kill.fix);
+    }
+    let fix = fixes.join(" ");
+    Finding::warning_if(!fixes.is_empty(), found.join("; "), &fix).with(comparison.parameters)
+}
+
+fn noise_plot(levels: &[NoiseLevel]) -> Plot {
+    let line = |name, kind, density: fn(&NoiseLevel) -> f64| {
+        let points = levels.iter().map(|level| [level.speed, density(level)]);
+        PlotLine::new(name, kind, points.collect())
+    };
+    Plot {
+        name: "imu-noise",
+        title: "The accelerometer's noise with the wheels turning",
+        x: ("speed of the wheels", "m/s"),
+        y: ("noise density", "m/s²/√Hz"),
+        equal: false,
+        lines: vec![
+            line("forward", PlotKind::Measured, |level| {
+                level.forward.density.value
+            }),
+            line("left", PlotKind::Other, |level| level.left.density.value),
+        ],
+    }
+}

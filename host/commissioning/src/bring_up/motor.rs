@@ -5,23 +5,21 @@
 //! speeds beyond it: close to the edge the pulses are too rare to distinguish a wheel that
 //! creeps from one that stands.
 
-use singletrack_control::Time;
+use singletrack_control::{Time, student_quantile};
 use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
 use super::{
     car::{Car, armed},
-    kill::never_turned,
-    questions::{self, WAYS},
-    request::{ask_word, change},
-    spin::{CREEPS, SPIN_M_S, beyond, mean_speed, way},
+    questions::{self, WAYS, ask_word, change},
+    spin::{CREEPS, SPIN_M_S, beyond, mean_speed, never_turned, way},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
     finding::failed,
     fit::{
-        LeastSquares, least_squares, mean,
-        speed_curve::{SpeedCurve, fit_speed_curve},
-        standard_deviation, student_quantile,
+        LeastSquares,
+        drive_train::{SpeedCurve, fit_speed_curve},
+        least_squares, mean, standard_deviation,
     },
 };
 

@@ -1,9 +1,9 @@
-//! Every question of the bring-up, in the order in which they come.
+//! Every question of the bring-up, in the order in which they come, and how a step asks them.
 //!
 //! Each comment says what the operator does or sees; "now" is the moment of the answer. The servo
 //! stays where a jog left it: angles are read while the car is disarmed.
 
-use crate::{Answers, Question};
+use crate::{Answer, Answers, Bench, Question, Refused, Trouble, finding::failed};
 
 /// The car is lifted onto its stand. It stays there to the end of the bring-up.
 pub(super) const ON_STAND: Question = Question::yes_no(
@@ -154,3 +154,48 @@ pub(super) const STOPPED_HOW: Question = Question::new(
          a second or more), or not?",
     Answers::Choice(STOPS),
 );
+
+/// Puts values in force.
+pub(super) fn change(
+    bench: &mut dyn Bench,
+    values: &[(&str, toml_edit::Value)],
+) -> Result<(), Trouble> {
+    bench.change(values).map_err(|Refused(why)| {
+        let keys: Vec<_> = values.iter().map(|(key, _)| *key).collect();
+        let fix = "Correct the configuration file as the message says, and run the bring-up again.";
+        failed(format!("{} can't be changed: {why}", keys.join(", ")), fix)
+    })
+}
+
+/// Asks a question that must not be skipped.
+pub(super) fn ask(bench: &mut dyn Bench, question: &Question) -> Result<Answer, Trouble> {
+    match bench.ask(question)? {
+        Answer::Skip => Err(Trouble::Skipped),
+        answer => Ok(answer),
+    }
+}
+
+/// Asks for yes or no.
+pub(super) fn ask_yes(bench: &mut dyn Bench, question: &Question) -> Result<bool, Trouble> {
+    Ok(ask(bench, question)? == Answer::YesNo(true))
+}
+
+/// Asks for one of several words.
+pub(super) fn ask_word<'a>(
+    bench: &mut dyn Bench,
+    question: &Question,
+    words: &[&'a str],
+) -> Result<&'a str, Trouble> {
+    match ask(bench, question)? {
+        Answer::Choice(index) => words.get(index).copied().ok_or(Trouble::Skipped),
+        _ => Err(Trouble::Skipped),
+    }
+}
+
+/// Asks for a number.
+pub(super) fn ask_number(bench: &mut dyn Bench, question: &Question) -> Result<f64, Trouble> {
+    match ask(bench, question)? {
+        Answer::Number(number) => Ok(number),
+        _ => Err(Trouble::Skipped),
+    }
+}

@@ -2,8 +2,8 @@
 
 use singletrack_protocol::{JOG_LIMIT_US, StopCause};
 
-use super::{car::Car, kill::never_turned};
-use crate::{BoardReading, Jog, Trouble};
+use super::car::Car;
+use crate::{BoardReading, Jog, Trouble, finding::failed};
 
 /// Speed of the wheels in most steps, m/s: it comes to about 0.5.
 pub(super) const SPIN_M_S: f64 = 0.4;
@@ -183,4 +183,13 @@ pub(super) fn way(readings: &[BoardReading]) -> f64 {
             pair[1].motor_speed.abs() * elapsed
         })
         .sum()
+}
+
+/// The trouble of a motor that gave no pulse as far from neutral as the board allows.
+pub(super) fn never_turned() -> Trouble {
+    let found = format!("no motor pulse up to {JOG_LIMIT_US} us beyond neutral");
+    let fix = "Is the ESC on and started, with its battery charged? Are servo (D9) and ESC (D10) \
+               swapped? Does the pulse sensor count when the wheels are turned by hand \
+               (`singletrack doctor`)?";
+    failed(found, fix)
 }

@@ -5,14 +5,13 @@
 
 use super::{
     car::{Car, armed},
-    questions::{self, SIDES},
-    request::{ask_number, ask_word, ask_yes, change},
+    questions::{self, SIDES, ask_number, ask_word, ask_yes, change},
 };
 use crate::{
     Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
-    calibrate::steering_table::straight_line,
+    calibrate::bends::straight_line,
     finding::{failed, require},
-    fit::steering::{Steering, fit_steering},
+    fit::wheels::{Steering, fit_steering},
 };
 
 /// How far the servo turns to show its direction, us: 9 degrees with 800 us/rad.

@@ -10,8 +10,7 @@ use singletrack_protocol::ResetCause;
 
 use super::{
     car::{Car, armed},
-    questions::{self, STOPS},
-    request::{ask, ask_word},
+    questions::{self, STOPS, ask, ask_word},
     spin::{SPIN_M_S, Spun, mean_speed},
 };
 use crate::{

@@ -1,17 +1,80 @@
-//! Bends to both sides, with a weave: the steering, and the body on the car.
+//! A straight metre, then bends to both sides with a weave: the steering, the table in its place
+//! where it is no straight line, and the body on the car.
 
-use singletrack_control::{VehicleParameters, wrap};
-use singletrack_core::Config;
+use singletrack_control::{SteeringTable, VehicleParameters, direction, wrap};
+use singletrack_core::{Config, config::ServoSection};
 
-use super::{
-    floor::{self, Figure, SLOW, round},
-    steering_table::{bent, straight_line},
-};
+use super::floor::{self, Drive, Figure, SLOW, Wanted, round};
 use crate::{
     Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
     finding::failed,
     fit::{self, Body, Frames, Motion, Signal, Track, Wheels},
 };
+
+/// The way, m.
+const METRE: f64 = 1.2;
+/// The largest angle between the body and the course, rad.
+const LARGEST_COURSE: f64 = 0.17;
+/// The largest difference of the ways by pulses and cameras, as a fraction.
+const LARGEST_RATIO: f64 = 0.15;
+
+pub(super) const STRAIGHT: Step = Step::new(
+    "straight",
+    "A straight metre: signs, pulses, course",
+    measure_straight,
+)
+.expecting(
+    "it moves along its own axis within 10 degrees, and by what the motor's pulses say within 15 %",
+);
+
+fn measure_straight(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let stands = floor::begin(bench, SLOW)?;
+    let yaw = stands.pose.map_or(0.0, |(_, yaw)| yaw);
+    let Some(point) = stands.point else {
+        return Err(failed("no estimate", "run it again"));
+    };
+    let velocity = SLOW * direction(yaw);
+    floor::room_ahead(bench, point, METRE * direction(yaw))?;
+    let wanted = |time: f64| Wanted {
+        position: point + time * velocity,
+        velocity,
+        rolls: false,
+    };
+    let mut drive = floor::drive(bench, METRE / SLOW, "a straight metre", &wanted)?.completed()?;
+    let begin = drive.on_track(1.5);
+    let end = drive.on_track(METRE / SLOW - 0.2);
+    let Drive { track, .. } = &drive;
+    let body_yaw = bench.configuration().motion_capture.marker_yaw_rad;
+    let motion = track.motion(0.0);
+    let inside: Vec<usize> = (0..motion.time.len())
+        .filter(|&index| (begin..=end).contains(&motion.time[index]))
+        .collect();
+    let (Some(&first), Some(&last)) = (inside.first(), inside.last()) else {
+        let fix = "check that all markers are visible, and run it again";
+        return Err(failed("the cameras saw too little of it", fix));
+    };
+    let [along, across] = motion.displacement(body_yaw)[first..last]
+        .iter()
+        .fold([0.0; 2], |sum, moved| {
+            [sum[0] + moved[0], sum[1] + moved[1]]
+        });
+    let course = across.atan2(along);
+    let way = track.way();
+    let pulses = way.at(motion.time[last]) - way.at(motion.time[first]);
+    let ratio = pulses / along.hypot(across);
+    let turn = motion.yaw[last] - motion.yaw[first];
+    let is_good = course.abs() < LARGEST_COURSE && (ratio - 1.0).abs() < LARGEST_RATIO;
+    let found = format!(
+        "{:.2} m at {:.1} degrees to its axis, turned by {:.1} degrees; the pulses say {:.1} % of \
+         that way",
+        along.hypot(across),
+        course.to_degrees(),
+        turn.to_degrees(),
+        100.0 * ratio
+    );
+    let fix = "run `singletrack doctor` again: its step geometry measures the body and the pulses";
+    Ok(Finding::check(is_good, found, fix))
+}
 
 /// How often both circles are driven.
 const PASSES: usize = 5;
@@ -36,14 +99,14 @@ const AXLE: f64 = 0.0018;
 /// acceleration and per rad/(m/s²) of the configured one.
 const STIFFNESS: f64 = 0.35;
 
-pub(super) const STEP: Step = Step::new(
+pub(super) const BENDS: Step = Step::new(
     "bends",
     "Bends to both sides: steering, and the body on the car",
-    measure,
+    measure_bends,
 )
 .expecting("the same values from every pass, near those of doctor and bring-up");
 
-fn measure(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+fn measure_bends(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let stands = floor::begin(bench, SLOW)?;
     let figure = Figure::find(bench, &stands)?;
     let lead = figure.approach() + LEAD;
@@ -269,4 +332,124 @@ fn pass(
     let speed = motion.rear_speed(body.yaw, body.left, 2);
     let steering = fit::wheels(motion, pulses, &speed, vehicle, servo)?;
     Some((body, steering))
+}
+
+/// Angles that are off the line by less in all passes are left to the line, rad.
+const STRAIGHT_LINE: f64 = 0.01;
+/// The least room for two straight parts to a side, µs.
+const ROOM_US: f64 = 80.0;
+
+/// The steering as pairs, and how far it is from a straight line.
+pub(super) struct Bent {
+    pub(super) table: SteeringTable,
+    /// Of the angle that is farthest from the line, rad.
+    pub(super) off: Interval,
+}
+
+impl Bent {
+    /// Whether the line is worse than its tolerance.
+    fn is_bent(&self) -> bool {
+        self.off.low.abs().min(self.off.high.abs()) > STRAIGHT_LINE
+            && self.off.low.signum() == self.off.high.signum()
+    }
+
+    /// The pairs as TOML.
+    pub(super) fn value(&self) -> toml_edit::Value {
+        pairs(self.table.pairs().iter().copied())
+    }
+}
+
+/// The table of a straight line with this centre in µs and gain in µs/rad, between two pulses: it takes
+/// the place of one that holds no more.
+pub(crate) fn straight_line(
+    centre_us: f64,
+    gain_us_per_rad: f64,
+    [min_us, max_us]: [f64; 2],
+) -> toml_edit::Value {
+    let angle = |pulse_us: f64| round((pulse_us - centre_us) / gain_us_per_rad, 4);
+    pairs([min_us, max_us].map(|pulse_us| [pulse_us, angle(pulse_us)]))
+}
+
+/// Pairs of pulse and angle as TOML.
+fn pairs(pairs: impl IntoIterator<Item = [f64; 2]>) -> toml_edit::Value {
+    toml_edit::Value::from_iter(pairs.into_iter().map(toml_edit::Value::from_iter))
+}
+
+/// Fits two straight parts to either side to every pass. None if the passes don't determine them,
+/// or if what they give is no table.
+pub(super) fn bent(
+    motions: &[Motion],
+    pulses: &Frames,
+    vehicle: &VehicleParameters,
+    passes: &[(Body, Wheels)],
+    servo: &ServoSection,
+) -> Option<Bent> {
+    let centre_us = fit::mean(passes.iter().map(|(_, wheels)| wheels.centre_us))?;
+    let gain_us_per_rad = fit::mean(passes.iter().map(|(_, wheels)| wheels.gain_us_per_rad))?;
+    let begin = *motions.first()?.time.first()?;
+    let end = *motions.last()?.time.last()?;
+    let driven = pulses
+        .0
+        .iter()
+        .filter(|(time, _)| (begin..end).contains(time));
+    let [least, most] = driven.fold([f64::INFINITY, 0.0_f64], |[least, most], &(_, pulse)| {
+        [least.min(pulse), most.max(pulse)]
+    });
+    let fitted = |middle: f64| {
+        if middle - least < ROOM_US || most - middle < ROOM_US {
+            return None;
+        }
+        let at_us = [
+            least,
+            f64::midpoint(least, middle),
+            middle,
+            f64::midpoint(middle, most),
+            most,
+        ]
+        .map(f64::round);
+        let angles: Vec<[f64; 5]> = motions
+            .iter()
+            .zip(passes)
+            .map(|(motion, (body, wheels))| {
+                let speed = motion.rear_speed(body.yaw, body.left, 2);
+                fit::wheel_angles(motion, pulses, &speed, vehicle, wheels, &at_us)
+            })
+            .collect::<Option<_>>()?;
+        let mut pairs = Vec::with_capacity(at_us.len() + 2);
+        for (index, pulse) in at_us.into_iter().enumerate() {
+            pairs.push([pulse, fit::mean(angles.iter().map(|angles| angles[index]))?]);
+        }
+        Some((pairs, angles))
+    };
+    // Where the wheels are straight the steering has its corner, if it has one. That is not where the
+    // straight line has its zero.
+    let (first, _) = fitted(centre_us)?;
+    let (mut pairs, angles) = fitted(SteeringTable::new(&first).ok()?.pulse(0.0))?;
+    let mut off: Option<Interval> = None;
+    for (index, [pulse, _]) in pairs.iter().enumerate() {
+        let line = (pulse - centre_us) / gain_us_per_rad;
+        let this = fit::mean_interval(angles.iter().map(|angles| angles[index] - line), 0.0)?;
+        if off.is_none_or(|off| this.value.abs() > off.value.abs()) {
+            off = Some(this);
+        }
+    }
+    // To the ends of the servo, as at the last pulses that were driven.
+    let onward = |[from, angle]: [f64; 2], [to, next]: [f64; 2], end: u16| {
+        let end = f64::from(end);
+        [end, next + (end - to) * (next - angle) / (to - from)]
+    };
+    if f64::from(servo.min_us) < least {
+        pairs.insert(0, onward(pairs[1], pairs[0], servo.min_us));
+    }
+    if f64::from(servo.max_us) > most {
+        let last = pairs.len() - 1;
+        pairs.push(onward(pairs[last - 1], pairs[last], servo.max_us));
+    }
+    for pair in &mut pairs {
+        pair[1] = round(pair[1], 4);
+    }
+    Some(Bent {
+        table: SteeringTable::new(&pairs).ok()?,
+        off: off?,
+    })
 }

@@ -5,29 +5,83 @@
 //! can be repeated alone. The speed that the car may drive is raised only after it has stopped
 //! well from the one below.
 
-mod bends;
-mod cover;
+pub(crate) mod bends;
 mod floor;
-mod roll_out;
 mod speed;
-pub(crate) mod steering_table;
-mod straight;
 
 use singletrack_core::Config;
+use singletrack_pilot::Reason;
 
-use crate::Step;
+use self::floor::{Figure, SLOW};
+use crate::{Answer, Bench, Finding, Question, Step, Trouble, Verdict, finding::stopped};
 
 /// The steps, in their order.
 pub const STEPS: [Step; 5] = [
-    straight::STEP,
-    bends::STEP,
-    speed::STEP,
-    roll_out::STEP,
-    cover::STEP,
+    bends::STRAIGHT,
+    bends::BENDS,
+    speed::SPEED,
+    speed::ROLL_OUT,
+    COVER,
 ];
 
 /// Why the geofence has no room for the drives, with the size that they need; `None` if it has.
 #[must_use]
 pub fn lacks_room(config: &Config) -> Option<String> {
     floor::lacks_room(config)
+}
+
+/// How long the operator has to cover the markers, s.
+const SECONDS: f64 = 30.0;
+
+/// What a stop for lack of poses is called. Markers that are covered one after the other give
+/// wrong poses first.
+const BY_MARKERS: [Reason; 4] = [
+    Reason::PoseTooOld,
+    Reason::BlindTooFar,
+    Reason::PoseImplausible,
+    Reason::PoseHeight,
+];
+
+const COVER: Step = Step::new(
+    "cover",
+    "Markers covered while it drives: the stop without poses",
+    measure_cover,
+)
+.expecting("it stops by itself within the way that the geofence allows for")
+.optional();
+
+fn measure_cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let request = "Take a cloth or a sheet of paper. The car drives slow circles: cover its markers \
+                   from above, and keep them covered until it stands.";
+    let answer = bench.ask(&Question::begin("cover-markers", request))?;
+    if answer == Answer::Skip {
+        return Ok(Finding::new(Verdict::Skipped, "not done", ""));
+    }
+    let stands = floor::ready(bench)?;
+    let figure = Figure::find(bench, &stands)?;
+    let mut drive = floor::drive(bench, SECONDS, "cover the markers now", &|time| {
+        figure.at(SLOW * time, SLOW)
+    })?;
+    let _ = bench.ask(&Question::begin("uncover-markers", "Uncover the markers."))?;
+    let Some(reason) = drive.reason else {
+        let found = format!("the car drove on for {SECONDS} s: its markers were not covered");
+        let fix = "run this step again, and cover all markers until the car stands";
+        return Ok(Finding::warning(found, fix));
+    };
+    if !BY_MARKERS.map(Reason::name).contains(&reason) {
+        return Err(stopped("stopped before its markers were covered", reason));
+    }
+    let config = bench.configuration();
+    let supervisor = &config.supervisor;
+    let allowed = supervisor.blind_distance_m.max(supervisor.hold_distance_m)
+        + SLOW * SLOW / (2.0 * config.fence.braking_m_s2)
+        + 0.1;
+    // By the motor's pulses, from the last pose on.
+    let lost = drive.track.seconds(drive.last_pose_ns);
+    let driven = drive.track.way();
+    let way = driven.at(f64::INFINITY) - driven.at(lost);
+    let found =
+        format!("stopped by {reason}, {way:.2} m after the last pose; at most {allowed:.2} m");
+    let fix = "run the step roll-out again: the car stops later than fence.braking_m_s2 says";
+    Ok(Finding::check(way <= allowed, found, fix))
 }

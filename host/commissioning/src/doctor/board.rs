@@ -3,11 +3,7 @@
 use singletrack_pilot::Reason;
 use singletrack_protocol::{ResetCause, Status};
 
-use super::{
-    finding::Checks,
-    gather::{Readings, for_time, reset_if_stopped, seconds, until},
-    questions,
-};
+use super::gather::{Checks, Readings, for_time, reset_if_stopped, seconds, until};
 use crate::{Answer, Bench, Finding, Interrupted, Question, Trouble};
 
 /// A reset that takes longer leaves the ESC without pulses for too long: some keep their last
@@ -96,7 +92,7 @@ fn check_reset_cause(cause: ResetCause, checks: &mut Checks) {
 
 /// The time without telemetry after the button.
 fn reset(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::PRESS_RESET)? == Answer::Skip {
+    if bench.ask(&super::PRESS_RESET)? == Answer::Skip {
         checks.skipped("reset");
         return Ok(());
     }
@@ -182,7 +178,7 @@ fn battery(
     let expected = format!("at least {wanted:.1} V to arm");
     let fix = "charge the battery, or set supervisor.arm_battery_v for its cells";
     checks.check(is_good, format!("battery {volts:.2} V"), expected, fix);
-    match bench.ask(&questions::VOLTMETER)? {
+    match bench.ask(&super::VOLTMETER)? {
         Answer::Number(meter) => {
             let share = (volts - meter).abs() / meter.max(1.0);
             let found = format!("the voltmeter shows {meter:.2} V");
@@ -193,7 +189,7 @@ fn battery(
         }
         _ => checks.skipped("voltmeter"),
     }
-    if bench.ask(&questions::UNPLUG_BATTERY)? == Answer::Skip {
+    if bench.ask(&super::UNPLUG_BATTERY)? == Answer::Skip {
         checks.skipped("unplugged battery");
         return Ok(());
     }
@@ -207,7 +203,7 @@ fn battery(
     };
     let fix = "A0 is fed from somewhere else: wire the divider to the battery's plug";
     checks.check(noticed, found, "noticed", fix);
-    if bench.ask(&questions::PLUG_BATTERY)? != Answer::Skip {
+    if bench.ask(&super::PLUG_BATTERY)? != Answer::Skip {
         let is_back = seen(bench, "battery", |status| !is_gone(status))?;
         let found = "battery plugged in";
         checks.check(is_back, found, "plugged in", "plug it in again");
@@ -217,8 +213,8 @@ fn battery(
 
 fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
     let steps: [(Question, bool, &str); 2] = [
-        (questions::OPEN_STOP_SWITCH, true, "open"),
-        (questions::CLOSE_STOP_SWITCH, false, "closed"),
+        (super::OPEN_STOP_SWITCH, true, "open"),
+        (super::CLOSE_STOP_SWITCH, false, "closed"),
     ];
     for (question, is_open, word) in steps {
         if bench.ask(&question)? == Answer::Skip {
@@ -243,7 +239,7 @@ fn stop_switch(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interru
 }
 
 fn supply(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::PUSH_WHEELS)? == Answer::Skip {
+    if bench.ask(&super::PUSH_WHEELS)? == Answer::Skip {
         checks.skipped("supply under load");
         return Ok(());
     }

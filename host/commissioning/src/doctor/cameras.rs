@@ -4,11 +4,7 @@ use singletrack_control::wrap;
 use singletrack_core::{Config, reasons::Why};
 use singletrack_pilot::Reason;
 
-use super::{
-    finding::{Checks, put_in_force},
-    gather::{Readings, for_time, motion, seconds, turned, until},
-    questions,
-};
+use super::gather::{Checks, Readings, for_time, motion, put_in_force, seconds, turned, until};
 use crate::{
     Answer, Bench, Finding, Interrupted, Parameter, Plot, PlotKind, PlotLine, Trouble,
     fit::{Reading, mean, median, sample_times, stamp_delay, standard_deviation},
@@ -151,7 +147,7 @@ fn check_stream(bench: &dyn Bench, readings: &Readings, checks: &mut Checks) {
 
 /// A push forward: body and wheels move together.
 fn check_push(bench: &mut dyn Bench, checks: &mut Checks) -> Result<(), Interrupted> {
-    if bench.ask(&questions::PUSH_FORWARD)? == Answer::Skip {
+    if bench.ask(&super::PUSH_FORWARD)? == Answer::Skip {
         checks.skipped("push");
         return Ok(());
     }
@@ -228,7 +224,7 @@ fn heading(readings: &Readings) -> Option<f64> {
 /// The stamps of the cameras against the gyro, in a twist.
 pub(super) fn latency(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&questions::TWIST)? == Answer::Skip {
+    if bench.ask(&super::TWIST)? == Answer::Skip {
         checks.skipped("twist");
         return checks.finding(bench);
     }

@@ -4,11 +4,7 @@ use core::f64::consts::TAU;
 
 use singletrack_control::{Time, unwrap_near, wrap};
 
-use super::{
-    finding::Checks,
-    gather::{Readings, distance, motion, seconds, turned},
-    questions,
-};
+use super::gather::{Checks, Readings, distance, motion, seconds, turned};
 use crate::{
     Answer, Bench, BoardReading, Finding, Interrupted, Interval, Parameter, Plot, PlotKind,
     PlotLine, PoseReading, Trouble,
@@ -71,9 +67,9 @@ fn turns(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<Vec<[f64; 
     let mut paths = [const { Vec::new() }; 2];
     for turn in 0..2 * TURNS {
         let question = if turn % 2 == 0 {
-            questions::TURN_LEFT_ABOUT_REAR_AXLE
+            super::TURN_LEFT_ABOUT_REAR_AXLE
         } else {
-            questions::TURN_RIGHT_ABOUT_REAR_AXLE
+            super::TURN_RIGHT_ABOUT_REAR_AXLE
         };
         if bench.ask(&question)? == Answer::Skip {
             checks.skipped("turn about the rear axle");
@@ -130,7 +126,7 @@ fn rolls(
     let mut passes = Vec::new();
     let mut is_latched = false;
     for _ in 0..ROLLS {
-        if bench.ask(&questions::ROLL_FORWARD)? == Answer::Skip {
+        if bench.ask(&super::ROLL_FORWARD)? == Answer::Skip {
             checks.skipped("roll");
             return Ok(None);
         }

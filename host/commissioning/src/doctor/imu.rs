@@ -2,11 +2,7 @@
 
 use singletrack_protocol::{ImuAxes, ImuAxis};
 
-use super::{
-    finding::{Checks, put_in_force},
-    gather::{Readings, for_time, motion, norm, seconds},
-    questions,
-};
+use super::gather::{Checks, Readings, for_time, motion, norm, put_in_force, seconds};
 use crate::{
     Answer, Bench, Finding, Inertial, Interrupted, Interval, Parameter, Plot, PlotKind, PlotLine,
     Question, Trouble,
@@ -30,7 +26,7 @@ const BACK: f64 = 0.4;
 /// Registers, tilt, bias and noise of a car that stands.
 pub(super) fn rest(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let mut checks = Checks::default();
-    if bench.ask(&questions::STAND_STILL)? == Answer::Skip {
+    if bench.ask(&super::STAND_STILL)? == Answer::Skip {
         checks.skipped("rest");
         return checks.finding(bench);
     }
@@ -214,9 +210,9 @@ pub(super) fn axes(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
 fn mounting(bench: &mut dyn Bench, checks: &mut Checks) -> Result<Option<ImuAxes>, Interrupted> {
     // The car is put down again after a lift, but not turned back.
     let steps: [(Question, &str, bool); 3] = [
-        (questions::LEFT_SIDE_UP, "left side up", true),
-        (questions::NOSE_UP, "nose up", true),
-        (questions::TURN_LEFT, "turn to the left", false),
+        (super::LEFT_SIDE_UP, "left side up", true),
+        (super::NOSE_UP, "nose up", true),
+        (super::TURN_LEFT, "turn to the left", false),
     ];
     let mut rotations = [[0.0; 3]; 3];
     for (rotation, (question, what, returns)) in rotations.iter_mut().zip(steps) {

@@ -7,32 +7,18 @@
 //! passes have in common is added as a stated systematic part.
 
 mod body;
-mod body_in_bends;
 mod delay;
-mod drive_train;
-mod frames;
-mod gauss_newton;
-mod least_squares;
-mod sample_times;
-mod signal_noise;
-pub(crate) mod speed_curve;
+pub(crate) mod drive_train;
 mod statistics;
-pub(crate) mod steering;
 mod track;
-mod wheels;
+pub(crate) mod wheels;
 
-pub(crate) use body::{FloorPose, Rolled, rolled, turned_about};
-pub(crate) use body_in_bends::{Body, body};
-pub(crate) use delay::stamp_delay;
+pub(crate) use body::{Body, FloorPose, Rolled, body, rolled, turned_about};
+pub(crate) use delay::{Reading, sample_times, stamp_delay};
 pub(crate) use drive_train::{DriveTrain, deceleration, drive_train, roll_out};
-pub(crate) use frames::Frames;
-pub(crate) use gauss_newton::gauss_newton;
-pub(crate) use least_squares::{LeastSquares, least_squares};
-pub(crate) use sample_times::{Reading, sample_times};
-pub(crate) use signal_noise::{SignalNoise, signal_noise};
-pub(crate) use singletrack_control::student_quantile;
 pub(crate) use statistics::{
-    block_means, jackknife, mean, mean_interval, median, standard_deviation,
+    LeastSquares, block_means, gauss_newton, jackknife, least_squares, mean, mean_interval, median,
+    standard_deviation,
 };
-pub(crate) use track::{Motion, Signal, Track};
+pub(crate) use track::{Frames, Motion, Signal, Track};
 pub(crate) use wheels::{Wheels, wheel_angles, wheels, yaw_rates};

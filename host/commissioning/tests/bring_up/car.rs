@@ -8,9 +8,9 @@ use singletrack_control::{Position, Time, Velocity};
 use singletrack_core::Config;
 use singletrack_pilot::Mode;
 use singletrack_protocol::{BoardMode, RefusalReason, ResetCause, Status, StopCause};
-
-use crate::truth::{Kind, Truth, numbers};
 use singletrack_statistics::Random;
+
+use crate::{Kind, Truth, numbers};
 
 /// What a hand is about to do to a turning motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

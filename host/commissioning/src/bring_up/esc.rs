@@ -1,0 +1,345 @@
+//! The ESC: the kill switch of its supply, its neutral, and what a pulse below neutral does.
+
+use singletrack_control::Time;
+use singletrack_protocol::JOG_LIMIT_US;
+
+use super::{
+    car::{Car, armed},
+    questions::{self, ask, ask_yes, change},
+    spin::{CREEPS, beyond, way},
+};
+use crate::{
+    Bench, BoardReading, Finding, Interval, Jog, Parameter, Step, Trouble,
+    finding::{failed, require},
+};
+
+/// Time for which an armed board holds neutral, s.
+const ARMED_S: f64 = 1.0;
+
+/// Time that the operator has to cut the supply, s. The board ends a jog after 10 s.
+const CUT_WITHIN_S: f64 = 6.0;
+
+/// Where the search for the first turn begins, beyond neutral, us.
+const FROM_US: u16 = 16;
+
+pub(super) const KILL: Step = Step::new("kill", "The kill switch of the ESC's supply", find_kill)
+    .expecting("The supply of the ESC can be cut, also while its pulse drives the motor.");
+
+pub(super) fn find_kill(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    if bench.configuration().board.kill_output {
+        by_board(bench)
+    } else {
+        by_hand(bench)
+    }
+}
+
+fn by_board(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    const WIRING: &str = "Check the wiring of the kill output (pin D7) and of its relay, which is \
+                          normally open: docs/uno.md.";
+    let dark = |bench: &mut dyn Bench| ask_yes(bench, &questions::ESC_DARK);
+    let found = "the ESC has its supply although the kill output is off";
+    require(dark(bench)?, found, WIRING)?;
+    let power = armed(bench, |car| {
+        let rest = car.rest();
+        car.hold(rest, ARMED_S, "armed at neutral")?;
+        Ok(car.status.is_some_and(|status| status.power_on))
+    })?;
+    let found = "the armed board does not hold its kill output";
+    require(power, found, "Load the image again: `cargo uno`.")?;
+    let found = "the armed board does not switch the ESC on";
+    require(ask_yes(bench, &questions::ESC_WOKE)?, found, WIRING)?;
+    let found = "the ESC keeps its supply after the board was disarmed";
+    require(dark(bench)?, found, WIRING)?;
+    let found = "the ESC is on while the board is armed, and off before and after";
+    Ok(Finding::good(found))
+}
+
+fn by_hand(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    const NONE: &str = "Wire the kill output (docs/uno.md) and set board.kill_output, or put a \
+                        switch that you reach at any time into the supply of the ESC.";
+    if !ask_yes(bench, &questions::KILL_SWITCH)? {
+        let found = "nothing but the pulses on one wire stops the motor";
+        return Ok(Finding::warning(found, NONE));
+    }
+    ask(bench, &questions::CUT_SUPPLY)?;
+    let spun = armed(bench, |car| {
+        car.spin_for_hand(FROM_US, CUT_WITHIN_S, "cut the supply")
+    })?;
+    ask(bench, &questions::RESTORE_SUPPLY)?;
+    let found =
+        format!("the motor kept turning for {CUT_WITHIN_S} s: the kill switch does not cut it");
+    require(spun.stopped_under_drive(), found, NONE)?;
+    Ok(Finding::good(format!(
+        "without its supply the motor came to rest within {:.1} s, with the pulse still driving it",
+        roll_down(&spun.readings, spun.fastest())
+    )))
+}
+
+/// Time from the last telemetry with nine tenths of the speed to rest, s.
+fn roll_down(readings: &[BoardReading], speed: f64) -> f64 {
+    let begin = readings
+        .iter()
+        .rev()
+        .find(|reading| reading.motor_speed.abs() >= 0.9 * speed);
+    match (begin, readings.last()) {
+        (Some(begin), Some(end)) => end.receive.seconds_since(begin.receive),
+        _ => 0.0,
+    }
+}
+
+/// The step, watching for `SECONDS` in each order of switching on.
+pub(super) const fn neutral_with<const SECONDS: u32>() -> Step {
+    let find = |bench: &mut dyn Bench| find_neutral(bench, SECONDS.into());
+    Step::new("esc-neutral", "The ESC at neutral", find).expecting(
+        "No pulse of the motor at neutral, with the ESC switched on before and after the board.",
+    )
+}
+
+/// Most milliseconds of this step in which the board may refuse edges of the sensor.
+const REFUSED: u16 = 2;
+
+fn find_neutral(bench: &mut dyn Bench, seconds: f64) -> Result<Finding, Trouble> {
+    let orders = if bench.configuration().board.kill_output {
+        // The board starts the ESC: there is one order.
+        let readings = armed(bench, |car| {
+            let rest = car.rest();
+            watch_sensor(car, |car| car.hold(rest, seconds, "armed at neutral"))
+        })?;
+        check_neutral(&readings, "after the board")?;
+        check_still(bench)?;
+        "the board starts the ESC"
+    } else {
+        for (question, order) in [
+            (questions::ESC_AFTER_BOARD, "after the board"),
+            (questions::BOARD_AFTER_ESC, "before the board"),
+        ] {
+            ask(bench, &question)?;
+            let mut car = Car::look(bench)?;
+            let readings = watch_sensor(&mut car, |car| car.watch(seconds, "at neutral"))?;
+            check_neutral(&readings, order)?;
+            check_still(bench)?;
+        }
+        "ESC on before and after the board"
+    };
+    let found = format!("no motor pulse in {seconds:.0} s at neutral: {orders}");
+    Ok(Finding::good(found))
+}
+
+/// Takes readings, and fails if the board refused edges of the sensor meanwhile.
+fn watch_sensor(
+    car: &mut Car<'_>,
+    mut readings: impl FnMut(&mut Car<'_>) -> Result<Vec<BoardReading>, Trouble>,
+) -> Result<Vec<BoardReading>, Trouble> {
+    let refused = |car: &Car<'_>| car.status.map(|status| status.edges_refused);
+    let before = refused(car);
+    let readings = readings(car)?;
+    if let (Some(before), Some(after)) = (before, refused(car)) {
+        let noisy = after.wrapping_sub(before);
+        let found = format!("interference on the pulse sensor's wire in {noisy} ms");
+        let fix = "Keep the wire of D2 away from the motor's; 1 kOhm and 10 nF at the pin: \
+                   docs/uno.md.";
+        require(noisy <= REFUSED, found, fix)?;
+    }
+    Ok(readings)
+}
+
+fn check_neutral(readings: &[BoardReading], order: &str) -> Result<(), Trouble> {
+    let Some(last) = readings.last() else {
+        let found = "the board sent no telemetry";
+        let fix = "Check the serial line with `singletrack doctor`.";
+        return Err(failed(found, fix));
+    };
+    let esc_us = last.esc_us;
+    let found = format!("the motor turned at {esc_us} us with the ESC switched on {order}");
+    let fix = "Calibrate the neutral of the ESC to 1500 us as its manual says (most learn it with \
+               the throttle at rest), or write its neutral to board.esc.neutral_us.";
+    require(!readings.iter().any(BoardReading::turns), found, fix)
+}
+
+fn check_still(bench: &mut dyn Bench) -> Result<(), Trouble> {
+    let is_still = ask_yes(bench, &questions::WHEELS_STILL)?;
+    let found = "the wheels turned at neutral, and no motor pulse came";
+    let fix = "Calibrate the neutral of the ESC as its manual says. Check the pulse sensor.";
+    require(is_still, found, fix)
+}
+
+pub(super) const KIND: Step = Step::new("esc-kind", "What a pulse below neutral does", find_kind)
+    .expecting("board.esc.kind says what a pulse below neutral does.");
+
+/// The speeds that the pulses below neutral would settle at if they drove, m/s: at rest, and at
+/// speed with an ESC that has reverse, which should brake well. The board ends a jog beyond
+/// 1.0. Without reverse the pulse at speed is as far as the board allows.
+const AT_REST: f64 = 0.45;
+const AT_SPEED: f64 = 0.85;
+
+/// Longest pulse below neutral, s. The board takes a motor that is driven for 0.6 s without a
+/// pulse for one without a sensor.
+const PULSE_S: f64 = 0.5;
+
+/// Wheels that speed up by half and by this, m/s, below neutral, have turned round. Pulses
+/// that are far apart do not show how slow they were in between.
+const TURNED: f64 = 0.08;
+
+/// A brake stops the wheels within this part of the way of a roll-out.
+const BRAKED: f64 = 0.85;
+
+/// The speed before a roll-out and before a pulse below neutral, m/s.
+const FROM_M_S: f64 = 0.65;
+
+/// Measurements at speed of each, rolling and below neutral.
+const TIMES: u32 = 2;
+
+/// What pulses below neutral did.
+#[derive(Debug)]
+struct Seen {
+    /// The first and the second pulse below neutral at rest turned the wheels.
+    at_rest: [bool; 2],
+    /// One at speed turned them round.
+    turned_round: bool,
+    /// Ways to standstill at neutral and below it, m.
+    rolled_m: f64,
+    braked_m: f64,
+}
+
+impl Seen {
+    fn brakes(&self) -> bool {
+        self.braked_m < BRAKED * self.rolled_m
+    }
+
+    fn kind(&self) -> Option<&'static str> {
+        if self.turned_round {
+            Some("forward-reverse")
+        } else if self.at_rest.contains(&true) {
+            Some("car")
+        } else {
+            self.brakes().then_some("vesc")
+        }
+    }
+}
+
+fn find_kind(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
+    let esc = bench.configuration().board.esc;
+    let feed_forward = f64::from(bench.configuration().board.speed.feed_forward_us_per_m_s);
+    let pulse_of = |speed: f64| {
+        let offset_us = esc.deadband_us + (speed * feed_forward).round() as u16;
+        beyond(esc.neutral_us, offset_us.min(JOG_LIMIT_US), false).max(esc.min_us)
+    };
+    let farthest_us = beyond(esc.neutral_us, JOG_LIMIT_US, false).max(esc.min_us);
+    let mut brake_us = farthest_us;
+    let seen = armed(bench, |car| {
+        let at_rest = at_rest(car, pulse_of(AT_REST))?;
+        if at_rest.contains(&true) {
+            brake_us = pulse_of(AT_SPEED);
+        }
+        at_speed(car, at_rest, brake_us)
+    })?;
+    let found = format!(
+        "at rest the first pulse below neutral {}, the second {}; at speed it {}: the wheels \
+         stood after {:.2} m, after {:.2} m at neutral",
+        turned(seen.at_rest[0]),
+        turned(seen.at_rest[1]),
+        if seen.turned_round {
+            "turned the wheels round"
+        } else if seen.brakes() {
+            "braked"
+        } else {
+            "did not brake"
+        },
+        seen.braked_m,
+        seen.rolled_m
+    );
+    let Some(kind) = seen.kind() else {
+        let found = format!("{found}; no pulse below neutral had an effect");
+        let fix = "None, if board.esc.kind is left out: no pulse below neutral is ever sent.";
+        return Ok(Finding::warning(found, fix));
+    };
+    let kind_key = ("board.esc.kind", kind.into());
+    if kind == "forward-reverse" {
+        change(bench, std::slice::from_ref(&kind_key))?;
+    } else {
+        let brake = ("board.esc.brake_us", i64::from(brake_us).into());
+        change(bench, &[kind_key.clone(), brake])?;
+    }
+    let finding = match bench.configuration().board.esc.kind {
+        Some(_) => Finding::good(format!("\"{kind}\": {found}")),
+        None => {
+            let found = "board.esc.kind was not written";
+            return Err(failed(found, "Write it by hand."));
+        }
+    };
+    let mut kinds = ["car", "forward-reverse", "vesc"].into_iter();
+    let number = kinds.position(|name| name == kind).unwrap_or(0);
+    let number = Interval::around(number as f64, 0.0);
+    let parameter = Parameter::new("esc-kind", "", number, Some(kind_key));
+    Ok(finding.with(vec![parameter]))
+}
+
+const fn turned(turned: bool) -> &'static str {
+    if turned {
+        "turned the wheels"
+    } else {
+        "did not turn them"
+    }
+}
+
+/// Whether the first and the second pulse below neutral turn wheels at rest.
+fn at_rest(car: &mut Car<'_>, below_us: u16) -> Result<[bool; 2], Trouble> {
+    let rest = car.rest();
+    let below = rest.with_esc(below_us);
+    car.hold_until_standing(rest, 1.0)?;
+    let mut at_rest = [false; 2];
+    for turned in &mut at_rest {
+        let readings = car.hold(below, PULSE_S, "below neutral, at rest")?;
+        *turned = readings.iter().any(BoardReading::turns);
+        car.hold_until_standing(rest, 0.8)?;
+    }
+    Ok(at_rest)
+}
+
+/// What a pulse below neutral does to wheels that turn.
+fn at_speed(car: &mut Car<'_>, at_rest: [bool; 2], brake_us: u16) -> Result<Seen, Trouble> {
+    let rest = car.rest();
+    let brake = rest.with_esc(brake_us);
+    let mut seen = Seen {
+        at_rest,
+        turned_round: false,
+        rolled_m: 0.0,
+        braked_m: 0.0,
+    };
+    for _ in 0..TIMES {
+        seen.rolled_m += slow_down(car, rest)?.0 / f64::from(TIMES);
+        let (way, turned_round) = slow_down(car, brake)?;
+        seen.braked_m += way / f64::from(TIMES);
+        seen.turned_round |= turned_round;
+    }
+    Ok(seen)
+}
+
+/// Turns the motor, then gives the other pulse; the way to standstill, m, and whether
+/// the wheels turned round.
+fn slow_down(car: &mut Car<'_>, after: Jog) -> Result<(f64, bool), Trouble> {
+    let rest = car.rest();
+    let drive = car.spin(FROM_M_S)?;
+    car.hold(drive, 0.3, "turning")?;
+    let mut slow_since: Option<Time> = None;
+    let mut slowest = f64::INFINITY;
+    let mut turned_round = false;
+    // Long enough for an ESC that drives backward at once, and no longer than a motor that
+    // stands may be driven.
+    let readings = car.hold_until(after, 0.9, "slowing down", |reading| {
+        let now = reading.motor_speed.abs();
+        slowest = slowest.min(now);
+        if now > 1.5 * slowest + TURNED {
+            turned_round = true;
+            return true;
+        }
+        if now > CREEPS {
+            slow_since = None;
+            return false;
+        }
+        let since = *slow_since.get_or_insert(reading.receive);
+        reading.receive.seconds_since(since) > 0.3
+    })?;
+    car.hold_until_standing(rest, 0.8)?;
+    Ok((way(&readings), turned_round))
+}
