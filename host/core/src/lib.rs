@@ -32,13 +32,12 @@ mod run {
     pub mod setpoint;
     pub mod slot;
     pub mod state_stream;
-    pub mod virtual_host;
 }
 
 pub use config::{Config, ConfigError, record_meta, restart_keys};
 pub use controller::pose_event;
 pub use explain::{commissioned, diagnosis, feasibility, reasons};
-pub use host::{Host, HostOptions};
+pub use host::{Host, HostOptions, VirtualHost};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use run::report::{LineCounters, Report, link_phase, pilot_event};
 pub use run::requests::{
@@ -46,6 +45,5 @@ pub use run::requests::{
 };
 pub use run::{
     cameras, control_loop, controller, grid, host, line, online_calibration, reconfigure, serial,
-    setpoint, slot, state_stream, virtual_host,
+    setpoint, slot, state_stream,
 };
-pub use virtual_host::VirtualHost;

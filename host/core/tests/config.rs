@@ -1,17 +1,14 @@
-//! The configuration: what is accepted. What is not: `config_mistakes.rs`.
-
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    reason = "the helpers of tests may fail as tests do"
-)]
+//! The configuration: what is accepted, and that no key is without effect; `[board]` and
+//! `[safety_filter]`. What is refused elsewhere: `config_mistakes.rs`.
 
 use singletrack_control::{EstimatorConfig, Limits, Reference, TrackingLoop, VehicleParameters};
 use singletrack_core::{
     ConfigError,
-    config::{BoardSection, Config, OuterLoopSection, Start},
+    config::{BoardSection, Config, OuterLoopSection, SECTIONS, Start},
 };
 use singletrack_pilot::SupervisorConfig;
+use singletrack_protocol::{EscKind, FailsafeAction, ImuAxes, ImuAxis};
+use toml::{Table, Value};
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 
@@ -158,4 +155,341 @@ fn a_closed_reference_begins_nearest_unless_told_otherwise_and_an_open_one_refus
             .to_string();
         assert!(error.contains(why), "{error}");
     }
+}
+
+/// Sections and keys that their users read as they are: threads, files, sockets, the page.
+const READ_AS_THEY_ARE: &[&str] = &[
+    "serial",
+    "socket",
+    "record",
+    "state",
+    "page",
+    "live",
+    "supervisor.require_calibration",
+    "control.align_to_cameras",
+    "control.realtime_priority",
+    "online_calibration",
+];
+
+/// Sections whose keys depend on a kind, or come together; they have tests of their own.
+const TOGETHER: &[&str] = &[
+    "motion_capture.sensor",
+    "outer_loop",
+    "reference",
+    "vehicle",
+    "tuning",
+    "limits.max_reverse_speed_m_s",
+];
+
+fn example_with_all() -> Table {
+    let mut file: Table =
+        toml::from_str(include_str!("../../daemon/singletrackd.example.toml")).unwrap();
+    // On, so that their keys count.
+    for section in ["safety_filter", "governor", "neighbours"] {
+        let table = file.entry(section).or_insert_with(|| Table::new().into());
+        let table = table.as_table_mut().unwrap();
+        table.insert("enabled".to_owned(), true.into());
+    }
+    file
+}
+
+/// What pilot, link, board and cameras are given.
+fn given(file: &Table) -> Option<String> {
+    let config = Config::from_toml(&toml::to_string(file).unwrap()).ok()?;
+    let pilot = config.pilot().ok()?;
+    let link = config.link(0);
+    let steering = config.steering_map().ok()?;
+    let cameras = &config.motion_capture;
+    Some(format!("{pilot:?} {link:?} {steering:?} {cameras:?}"))
+}
+
+/// Other values of the same type, a little and much away.
+fn others(value: &Value) -> Vec<Value> {
+    match value {
+        Value::Boolean(is) => vec![(!is).into()],
+        Value::Integer(number) => [1, -1, 100, -100, 1_000]
+            .map(|by| (number + by).into())
+            .into(),
+        Value::Float(number) => [1.01, 0.99, 1.5, 0.5]
+            .map(|by| (number * by).into())
+            .into_iter()
+            .chain([(number + 0.01).into(), (number + 1.0).into()])
+            .collect(),
+        Value::Array(values) => {
+            let Some(first) = values.first() else {
+                return Vec::new();
+            };
+            let changed = others(first).into_iter().map(|first| {
+                let mut values = values.clone();
+                values[0] = first;
+                values.into()
+            });
+            changed.collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+#[test]
+fn every_number_and_every_switch_reaches_who_acts_by_it() {
+    let file = example_with_all();
+    let before = given(&file).unwrap();
+    let mut without = Vec::new();
+    let mut count = 0;
+    for section in SECTIONS {
+        let names: Vec<&str> = section.name.split('.').collect();
+        for key in section.keys {
+            let path = format!("{}.{}", section.name, key.name);
+            let is_known = |known: &&str| *known == names[0] || *known == path;
+            if READ_AS_THEY_ARE.iter().chain(TOGETHER).any(is_known) {
+                continue;
+            }
+            let mut file = file.clone();
+            let table = names.iter().fold(&mut file, |table, name| {
+                let entry = table.entry(*name).or_insert_with(|| Table::new().into());
+                entry.as_table_mut().unwrap()
+            });
+            let written = table.get(key.name).cloned();
+            let Some(value) = written.or((key.example)()).or((key.default)()) else {
+                continue;
+            };
+            let others = others(&value);
+            let differing = others.iter().filter(|other| **other != value).cloned();
+            let after = differing.into_iter().find_map(|other| {
+                let mut file = file.clone();
+                let table = names.iter().fold(&mut file, |table, name| {
+                    table[*name].as_table_mut().unwrap()
+                });
+                table.insert(key.name.to_owned(), other);
+                given(&file)
+            });
+            count += 1;
+            if after.is_none_or(|after| after == before) && !others.is_empty() {
+                without.push(path);
+            }
+        }
+    }
+    assert!(count > 100, "{count}");
+    assert_eq!(without, [""; 0]);
+}
+
+/// The example with these lines of a section changed or added.
+fn with(changes: &[(&str, &str, &str)]) -> Result<Config, String> {
+    let mut tables: toml::Table = EXAMPLE.parse().unwrap();
+    for &(section, key, value) in changes {
+        let mut table = &mut tables;
+        for name in section.split('.') {
+            table = table
+                .entry(name)
+                .or_insert_with(|| toml::Table::new().into())
+                .as_table_mut()
+                .unwrap();
+        }
+        if value.is_empty() {
+            table.remove(key);
+        } else {
+            let value: toml::Table = format!("value = {value}").parse().unwrap();
+            table.insert(key.to_owned(), value["value"].clone());
+        }
+    }
+    Config::from_toml(&tables.to_string()).map_err(|error| error.to_string())
+}
+
+const NO_KIND: [(&str, &str, &str); 2] = [("board.esc", "kind", ""), ("board.esc", "brake_us", "")];
+
+#[test]
+fn an_esc_of_no_stated_kind_never_gets_a_pulse_below_neutral() {
+    let config = with(&NO_KIND).unwrap();
+    let configuration = config.board_configuration();
+    assert_eq!(configuration.esc.kind, EscKind::ForwardReverse);
+    assert_eq!(configuration.failsafe, FailsafeAction::Coast);
+    assert_eq!(configuration.speed.max_reverse_mm_s, 0);
+}
+
+#[test]
+fn the_kind_is_needed_where_a_pulse_below_neutral_is_asked_for() {
+    for change in [
+        ("board", "failsafe", "\"brake\""),
+        ("board.speed", "max_reverse_mm_s", "300"),
+    ] {
+        let error = with(&[&NO_KIND[..], &[change]].concat()).unwrap_err();
+        assert!(error.contains("board.esc.kind"), "{error}");
+        assert!(error.contains("forward-reverse"), "{error}");
+        let stated = [
+            ("board.esc", "kind", "\"car\""),
+            ("board.esc", "brake_us", "1350"),
+            change,
+        ];
+        assert!(with(&stated).is_ok());
+    }
+}
+
+#[test]
+fn what_a_kind_cannot_do_is_refused_by_name() {
+    for (changes, key) in [
+        (
+            vec![
+                ("board.esc", "kind", "\"forward-reverse\""),
+                ("board", "failsafe", "\"brake\""),
+            ],
+            "board.failsafe",
+        ),
+        (
+            vec![
+                ("board.esc", "kind", "\"vesc\""),
+                ("board.speed", "max_reverse_mm_s", "300"),
+            ],
+            "board.speed.max_reverse_mm_s",
+        ),
+        (
+            vec![
+                ("board.esc", "kind", "\"car\""),
+                ("board.esc", "brake_us", ""),
+            ],
+            "board.esc.brake_us",
+        ),
+        (
+            vec![
+                ("board", "kill_output", "true"),
+                ("board", "failsafe", "\"brake\""),
+            ],
+            "board.failsafe",
+        ),
+    ] {
+        let error = with(&changes).unwrap_err();
+        assert!(error.starts_with(key), "{error}");
+    }
+}
+
+#[test]
+fn the_mounting_and_the_car_reach_the_board() {
+    let config = with(&[
+        ("board.imu", "forward", "\"-y\""),
+        ("board.imu", "left", "\"+x\""),
+        ("board", "car_id", "7"),
+        ("board", "kill_output", "true"),
+    ])
+    .unwrap();
+    let configuration = config.board_configuration();
+    assert_eq!(
+        configuration.imu_axes,
+        ImuAxes {
+            forward: ImuAxis::MinusY,
+            left: ImuAxis::PlusX,
+            up: ImuAxis::PlusZ,
+        }
+    );
+    assert_eq!((configuration.car_id, configuration.kill_output), (7, true));
+    let mirrored = with(&[("board.imu", "forward", "\"-x\"")]).unwrap_err();
+    assert!(mirrored.starts_with("board.imu"), "{mirrored}");
+}
+
+#[test]
+fn the_longest_roll_out_follows_from_speed_and_braking() {
+    let longest_ms = |braking: &str, speed: &str| {
+        let config = with(&[
+            ("fence", "braking_m_s2", braking),
+            ("limits", "max_speed_m_s", speed),
+            ("board", "failsafe", "\"coast\""),
+        ])
+        .unwrap();
+        config.board_configuration().max_roll_out_ms
+    };
+    // Twice the time to stand, and a second.
+    assert_eq!(longest_ms("2.0", "1.0"), 2_000);
+    assert_eq!(longest_ms("0.5", "1.0"), 5_000);
+    assert_eq!(longest_ms("0.01", "1.0"), 30_000);
+}
+
+fn enabled() -> Config {
+    let mut config = Config::from_toml(EXAMPLE).unwrap();
+    config.safety_filter.enabled = true;
+    config
+}
+
+fn refusal(config: &Config) -> String {
+    match config.validate() {
+        Ok(()) => panic!("accepted"),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[test]
+fn it_is_off_unless_it_is_enabled() {
+    let config = Config::from_toml(EXAMPLE).unwrap();
+    assert!(config.pilot().unwrap().safety.is_none());
+    enabled().validate().unwrap();
+    assert!(enabled().pilot().unwrap().safety.is_some());
+}
+
+#[test]
+fn a_geofence_that_is_not_convex_is_refused_only_with_it() {
+    let mut config = enabled();
+    config.fence.corners_m = [
+        [0.0, 0.0],
+        [4.0, 0.0],
+        [4.0, 2.0],
+        [2.0, 2.0],
+        [2.0, 4.0],
+        [0.0, 4.0],
+    ]
+    .into();
+    let message = refusal(&config);
+    for part in [
+        "fence.corners_m",
+        "[2.0, 2.0]",
+        "not convex at corner 3",
+        "largest convex part",
+        "safety_filter.enabled = false",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    config.safety_filter.enabled = false;
+    config.validate().unwrap();
+}
+
+#[test]
+fn a_margin_that_leaves_nothing_is_refused() {
+    let mut config = enabled();
+    config.fence.margin_m = Some(1.2);
+    let message = refusal(&config);
+    for part in ["fence.margin_m is 1.2", "nothing is left", "lower it"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+}
+
+#[test]
+fn a_servo_that_is_slower_than_it_can_follow_is_refused() {
+    // 63 ticks of 10 ms are 630 ms; 18 ms, three lags and 40 ms.
+    let mut config = enabled();
+    config.actuators.steering_lag_ms = 190.0;
+    config.validate().unwrap();
+    config.actuators.steering_lag_ms = 191.0;
+    let message = refusal(&config);
+    for part in [
+        "actuators.steering_lag_ms is 191",
+        "needs 631 ms",
+        "for 630 ms",
+        "control.period_ms = 10",
+        "a faster servo",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    config.safety_filter.enabled = false;
+    config.validate().unwrap();
+}
+
+#[test]
+fn the_reaction_follows_the_motor_unless_it_is_given() {
+    let filter = |config: &Config| config.pilot().unwrap().safety;
+    let default = enabled();
+    let mut slower = enabled();
+    slower.actuators.speed_lag_ms += 50.0;
+    assert_ne!(filter(&slower), filter(&default));
+    // The motor's 36 and 80 ms, and 80 ms.
+    let mut stated = enabled();
+    stated.safety_filter.reaction_ms = Some(196.0);
+    assert_eq!(filter(&stated), filter(&default));
+    stated.actuators.speed_lag_ms += 50.0;
+    assert_eq!(filter(&stated), filter(&default));
 }

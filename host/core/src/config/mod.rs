@@ -7,63 +7,55 @@
 mod board;
 mod car;
 mod cross_checks;
-mod error;
-mod estimator;
 mod fence;
-mod loop_model;
-mod meta;
 mod motion_capture;
 mod outer_loop;
 mod output;
 mod reference;
-mod restart_keys;
 mod supervisor;
 mod tuning;
-mod waypoint_file;
 
-use std::path::Path;
+use core::fmt;
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
-use singletrack_control::{SteeringMap, VehicleParameters};
+use singletrack_control::{
+    LawError, ReferenceError, SteeringMap, VehicleParameterError, VehicleParameters,
+};
 use singletrack_link::SessionConfig;
-use singletrack_pilot::{PilotConfig, SupervisorConfig, WatchConfig};
-use singletrack_protocol::Configuration;
-use singletrack_settings::{Declared as _, Maps as _, seconds, section};
+use singletrack_pilot::{FenceError, PilotConfig, SupervisorConfig, WatchConfig};
+use singletrack_protocol::{Configuration, ConfigurationError, ConfigurationField};
+use singletrack_record::{ClockMapping, Meta};
+use singletrack_settings::{Declared as _, Maps as _, ValueError, explain, seconds, section};
+use toml::Value;
 
 use self::{car::VehicleKeys, outer_loop::OuterLoopKeys, reference::ReferenceKeys};
 
-pub use board::SerialSection;
-pub use board::{BoardSection, EscSection, ImuSection, ServoSection, SpeedSection};
-pub use car::ActuatorsSection;
-pub use car::LimitsSection;
-pub use error::ConfigError;
-pub use estimator::EstimatorSection;
-pub use estimator::{OnlineCalibrationMode, OnlineCalibrationSection};
-pub use fence::FenceSection;
-pub use fence::GovernorSection;
-pub use fence::NeighboursSection;
-pub use fence::SafetyFilterSection;
-pub use loop_model::{LoopModel, LqiWeights, MpcWeights};
-pub use meta::record_meta;
+pub use board::{BoardSection, EscSection, ImuSection, SerialSection, ServoSection, SpeedSection};
+pub use car::{
+    ActuatorsSection, EstimatorSection, LimitsSection, OnlineCalibrationMode,
+    OnlineCalibrationSection,
+};
+pub use fence::{FenceSection, GovernorSection, NeighboursSection, SafetyFilterSection};
 pub(crate) use motion_capture::EXAMPLE_SERVER;
 pub use motion_capture::{
     Bitstream, MotionCaptureSection, PoseSection, ServerKind, TimingSection, TransportKind,
 };
-pub use outer_loop::CompensationSection;
-pub use outer_loop::OuterLoopSection;
-pub use outer_loop::{LawKind, LawSection};
+pub use outer_loop::{
+    CompensationSection, LawKind, LawSection, LoopModel, LqiWeights, MpcWeights, OuterLoopSection,
+};
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
-pub use reference::{PathPoints, ReferenceSection, StepSection, WaypointSection};
-pub use restart_keys::restart_keys;
+pub use reference::{
+    PathPoints, ReferenceSection, StepSection, WaypointFileError, WaypointSection,
+};
 pub use singletrack_control::{MarkerLoss, Start};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_protocol::{EscKind, FailsafeAction, ImuAxis};
 pub use singletrack_settings::{Key, Section};
-pub use supervisor::ControlSection;
-pub use supervisor::SupervisorSection;
-pub use supervisor::WatchSection;
-pub use tuning::TuningSection;
-pub use tuning::{TuningError, TuningRule};
-pub use waypoint_file::WaypointFileError;
+pub use supervisor::{ControlSection, SupervisorSection, WatchSection};
+pub use tuning::{TuningError, TuningRule, TuningSection};
 
 section! {
     /// The configuration of the daemon; its parts are in [`SECTIONS`].
@@ -164,7 +156,7 @@ impl Config {
     ///
     /// The file can't be read, is not valid TOML, or has an invalid key or value.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let text = waypoint_file::read_text(path).map_err(|source| ConfigError::Read {
+        let text = reference::read_text(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -360,4 +352,202 @@ fn software_version() -> [u8; 3] {
         env!("CARGO_PKG_VERSION_PATCH"),
     ]
     .map(|number| number.parse().unwrap_or(u8::MAX))
+}
+
+/// Why a configuration is refused: key, value and fix.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file can't be read.
+    #[error("can't read {}: {source}", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The text does not parse: a syntax error, an unknown or a missing key, a value of the
+    /// wrong type.
+    #[error("{}{message}", prefix(.path))]
+    Parse {
+        /// The file, if it came from one.
+        path: Option<PathBuf>,
+        /// Where and why.
+        message: String,
+    },
+    /// The file can be read and is refused.
+    #[error("{}: {source}", .path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The error.
+        source: Box<Self>,
+    },
+    /// The file of waypoints is refused.
+    #[error("reference.file: {}: {source}", .path.display())]
+    Waypoints {
+        /// The file.
+        path: PathBuf,
+        /// Where and why.
+        source: WaypointFileError,
+    },
+    /// The reference is invalid.
+    #[error("reference.{0}")]
+    Reference(#[from] ReferenceError),
+    /// The fence is not a simple polygon.
+    #[error("fence.corners_m: {0}")]
+    Fence(#[from] FenceError),
+    /// The law is invalid for the vehicle.
+    #[error("law.{0}")]
+    Law(#[from] LawError),
+    /// A vehicle parameter is invalid.
+    #[error("vehicle.{} is {}: it must be finite and above zero", .0.name, .0.value)]
+    Vehicle(#[from] VehicleParameterError),
+    /// The board refuses a value.
+    #[error("{}", board_message(.0))]
+    Board(#[from] ConfigurationError),
+    /// A value is outside its range, or contradicts another.
+    #[error(transparent)]
+    Value(#[from] ValueError),
+}
+
+impl ConfigError {
+    pub(crate) fn value(
+        key: &'static str,
+        value: impl fmt::Display,
+        fix: impl Into<String>,
+    ) -> Self {
+        ValueError::new(key, value, fix).into()
+    }
+
+    /// The explanation why `text`, from a file or not, does not parse.
+    pub(crate) fn parse(path: Option<&Path>, text: &str, error: &toml::de::Error) -> Self {
+        Self::Parse {
+            path: path.map(Path::to_owned),
+            message: explain(text, error),
+        }
+    }
+}
+
+/// Top speed of the finest pulses that do not limit it.
+const TOP_SPEED_MM_S: u16 = 20_000;
+
+fn board_message(error: &ConfigurationError) -> String {
+    if error.field == ConfigurationField::ServoGainMagnitude {
+        return format!(
+            "board.servo.gain_us_per_rad has the magnitude {}, but must have {} to {}",
+            error.value, error.lowest, error.highest
+        );
+    }
+    let coarse = match error.field {
+        ConfigurationField::MaxForward | ConfigurationField::MaxReverse
+            if (1..i32::from(TOP_SPEED_MM_S)).contains(&error.highest) =>
+        {
+            ": the board measures no more than 12 pulses of board.speed.pulse_distance_um in a \
+             millisecond; use a sensor with fewer edges per turn or a lower speed"
+        }
+        _ => "",
+    };
+    format!("board.{error}{coarse}")
+}
+
+fn prefix(path: &Option<PathBuf>) -> String {
+    path.as_ref()
+        .map_or_else(String::new, |path| format!("{}: ", path.display()))
+}
+
+/// The name of this software in the metadata.
+const SOFTWARE: &str = "singletrackd";
+
+/// The name of the controller in the metadata, with its number.
+const CONTROLLER: &str = "controller";
+
+/// The metadata of a record with this configuration, seed and clock mapping, for this
+/// version of the software.
+///
+/// # Errors
+///
+/// The configuration has a path that is not UTF-8.
+pub fn record_meta(
+    config: &Config,
+    seed: Option<u64>,
+    start: ClockMapping,
+) -> Result<Meta, toml::ser::Error> {
+    Ok(Meta {
+        configuration: config.to_toml()?,
+        software: BTreeMap::from([
+            (SOFTWARE.to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            (
+                CONTROLLER.to_owned(),
+                singletrack_pilot::CONTROLLER.to_string(),
+            ),
+        ]),
+        protocol_version: singletrack_protocol::VERSION,
+        seed,
+        start,
+    })
+}
+
+/// The keys in which `new` differs from `old` and that require a restart: first those of
+/// sections that require a restart as a whole.
+///
+/// # Errors
+///
+/// A path is not UTF-8. No configuration file can contain one.
+pub fn restart_keys(old: &Config, new: &Config) -> Result<Vec<String>, toml::ser::Error> {
+    let (old, new) = (Value::try_from(old)?, Value::try_from(new)?);
+    let (whole, partly): (Vec<&Section>, Vec<_>) =
+        SECTIONS.iter().partition(|section| section.restart);
+    let mut keys = Vec::new();
+    for section in whole.into_iter().chain(partly) {
+        for key in section.keys {
+            let path = format!("{}.{}", section.name, key.name);
+            // A section within this one is in the list itself.
+            let is_section = SECTIONS.iter().any(|section| section.name == path);
+            let takes_restart = section.restart || key.restart;
+            if takes_restart && !is_section && at(&old, &path) != at(&new, &path) {
+                keys.push(path);
+            }
+        }
+    }
+    Ok(keys)
+}
+
+/// The value at a path such as `motion_capture.pose.max_speed_m_s`.
+fn at<'a>(config: &'a Value, path: &str) -> Option<&'a Value> {
+    path.split('.')
+        .try_fold(config, |value, name| value.get(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_takes_a_restart_is_named_and_nothing_else_is() {
+        let old =
+            Config::from_toml(include_str!("../../../daemon/singletrackd.example.toml")).unwrap();
+        assert_eq!(restart_keys(&old, &old).unwrap(), [""; 0]);
+
+        let mut new = old.clone();
+        new.limits.max_speed_m_s = 1.0;
+        new.control.stop_deceleration_m_s2 = 2.5;
+        new.supervisor.hold_ms = 200;
+        new.motion_capture.marker_yaw_rad = 0.1;
+        new.motion_capture.timing.stamp_offset_ms = 2.0;
+        assert_eq!(restart_keys(&old, &new).unwrap(), [""; 0]);
+
+        new.serial.port = "/dev/ttyACM1".into();
+        new.motion_capture.pose.max_speed_m_s = 6.0;
+        new.control.period_ms = 20;
+        new.socket.enabled = false;
+        assert_eq!(
+            restart_keys(&old, &new).unwrap(),
+            [
+                "serial.port",
+                "socket.enabled",
+                "motion_capture.pose.max_speed_m_s",
+                "control.period_ms"
+            ]
+        );
+    }
 }

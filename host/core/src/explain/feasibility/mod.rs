@@ -5,21 +5,22 @@
 //! geofence. [`judge`] finds that before the car moves. It is a pure function: `singletrackd
 //! --check` prints what it returns, and other tools may call it.
 
-mod circle;
 mod drive;
 mod unusual;
 
-use core::f64::consts::{FRAC_PI_4, PI};
-use core::fmt;
+use core::{
+    f64::consts::{FRAC_PI_4, PI},
+    fmt,
+};
 
+use drive::{Car, Ended, Governed, Saturated, SteadyCircle};
 use singletrack_control::{
     GovernorConfig, Position, Reference, VehicleParameters, Velocity, direction, wrap,
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
 use crate::config::{Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS};
-use circle::SteadyCircle;
-use drive::{Car, Ended, Governed, Saturated};
+
 pub use unusual::warn_of_unusual;
 
 /// Distance that the path must keep from the geofence beyond its margin, in m. The model of
