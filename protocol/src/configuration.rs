@@ -13,7 +13,7 @@ use singletrack_words::words;
 use crate::{
     Configure, MAX_POSE_AGE_CEILING_MS, Message,
     codec::{Field, Writer, enumeration, structure},
-    crc::crc32,
+    frame::crc32,
 };
 
 structure! {

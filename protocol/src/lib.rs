@@ -26,26 +26,22 @@
 extern crate std;
 
 mod codec;
-mod command;
 mod configuration;
-mod crc;
 mod frame;
 mod message;
 mod report;
 mod wire;
 
-pub use message::{
-    Configure, DecodeError, Hello, Identity, Message, MessageType, RECEIVE_BUFFER_LENGTH, ToBoard,
-    ToHost, UNNAMED, UNSOLICITED,
-};
-
-pub use command::{Arm, Disarm, Drive, EmergencyStop, Jog, Sequence};
 pub use configuration::{
     Configuration, ConfigurationError, ConfigurationField, EscCalibration, EscKind, FailsafeAction,
     ImuAxes, ImuAxis, ServoCalibration, SpeedLoop,
 };
 pub use frame::{
     Decoder, Frame, FrameError, MAX_FRAME_LENGTH, MAX_PAYLOAD_LENGTH, Packet, frame_length,
+};
+pub use message::{
+    Arm, Configure, DecodeError, Disarm, Drive, EmergencyStop, Hello, Identity, Jog, Message,
+    MessageType, RECEIVE_BUFFER_LENGTH, Sequence, ToBoard, ToHost, UNNAMED, UNSOLICITED,
 };
 pub use report::{
     Acknowledgement, BoardMode, ImuState, Refusal, RefusalReason, Request, ResetCause, Status,

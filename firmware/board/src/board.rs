@@ -7,11 +7,10 @@ use singletrack_protocol::{
 };
 
 use crate::{
+    Inputs, Outputs,
     clock::{Stopwatch, Ticker, age_us},
     esc::{BRAKE_ABOVE_MM_S, Esc, Motion, NEUTRAL_AT_BOOT_US},
-    imu::Imu,
-    io::{Inputs, Outputs},
-    link::Link,
+    link::{Imu, Link},
     odometer::{Driven, Odometer},
     roll_out::RollOut,
     safety::{Action, ArmingConditions, Safety},

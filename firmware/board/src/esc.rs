@@ -19,8 +19,8 @@ use singletrack_protocol::{Configuration, EscCalibration, EscKind, FailsafeActio
 
 use crate::{
     clock::Stopwatch,
-    slew::SlewLimiter,
     speed::{Room, SpeedController},
+    steering::SlewLimiter,
 };
 
 /// ESC pulse before the configuration, in µs: neutral for nearly every ESC.

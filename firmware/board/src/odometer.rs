@@ -1,8 +1,8 @@
 //! Speed from the motor pulses.
 
 use crate::{
+    MotorPulses,
     clock::{Stopwatch, age_us},
-    io::MotorPulses,
 };
 
 /// Time without a pulse after which the wheels count as standing still: at least
@@ -296,7 +296,7 @@ mod tests {
     use std::vec::Vec;
 
     use super::{Driven, Odometer};
-    use crate::io::MotorPulses;
+    use crate::MotorPulses;
 
     const COASTING: Driven = Driven {
         driven: false,

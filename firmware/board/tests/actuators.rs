@@ -2,7 +2,7 @@
 
 use singletrack_protocol::BoardMode;
 
-use crate::rig::{MS, NEUTRAL, Rig, configuration};
+use crate::{MS, NEUTRAL, Rig, configuration};
 
 #[test]
 fn the_servo_slews_at_the_configured_rate_for_any_poll_rate() {

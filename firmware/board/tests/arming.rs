@@ -5,7 +5,7 @@ use singletrack_protocol::{
     VERSION,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[test]
 fn before_configuration_the_esc_is_neutral_and_the_servo_silent() {

@@ -4,7 +4,7 @@ use singletrack_protocol::{
     BoardMode, Configuration, Drive, EscCalibration, EscKind, FailsafeAction, SpeedLoop,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, configuration};
+use crate::{MS, NEUTRAL, Rig, configuration};
 
 const BRAKE: u16 = 1_300;
 

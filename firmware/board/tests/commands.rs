@@ -4,7 +4,7 @@ use singletrack_protocol::{
     BoardMode, Configuration, Drive, RefusalReason, Sequence, StopCause, ToBoard,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::{MS, NEUTRAL, Rig, TTL, configuration};
 
 /// The ESC receives the pulse that begins at each multiple of 20 ms.
 const SERVO_FRAME_US: u32 = 20_000;

@@ -4,7 +4,7 @@ use singletrack_protocol::{
     BoardMode, Configuration, Drive, EscCalibration, FailsafeAction, SpeedLoop,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, configuration};
+use crate::{MS, NEUTRAL, Rig, configuration};
 
 fn with_reverse() -> Configuration {
     let speed = SpeedLoop {

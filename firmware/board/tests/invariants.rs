@@ -8,7 +8,7 @@ use singletrack_protocol::{
     Sequence, ServoCalibration, SpeedLoop, UNNAMED, VERSION,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::{MS, NEUTRAL, Rig, TTL, configuration};
 
 #[derive(Clone, Debug)]
 enum Step {

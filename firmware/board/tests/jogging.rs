@@ -5,7 +5,7 @@ use singletrack_protocol::{
     JOG_SPEED_MM_S, RefusalReason, StopCause, ToBoard,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, TTL, configuration};
+use crate::{MS, NEUTRAL, Rig, TTL, configuration};
 
 const STRAIGHT: u16 = 1_480;
 

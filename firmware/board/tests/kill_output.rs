@@ -5,7 +5,7 @@ use singletrack_protocol::{
     BoardMode, Configuration, RefusalReason, ResetCause, StopCause, ToHost,
 };
 
-use crate::rig::{MS, NEUTRAL, Rig, SOFTWARE_VERSION, configuration};
+use crate::{MS, NEUTRAL, Rig, SOFTWARE_VERSION, configuration};
 
 fn with_kill_output() -> Configuration {
     Configuration {

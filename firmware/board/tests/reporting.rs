@@ -6,7 +6,7 @@ use singletrack_protocol::{
     UNSOLICITED, VERSION,
 };
 
-use crate::rig::{MS, Rig, SOFTWARE_VERSION, configuration};
+use crate::{MS, Rig, SOFTWARE_VERSION, configuration};
 
 fn hellos(rig: &Rig) -> Vec<Hello> {
     rig.messages

@@ -2,7 +2,7 @@
 
 use singletrack_protocol::{BoardMode, Configuration, EscKind, SpeedLoop, StopCause};
 
-use crate::rig::{MS, NEUTRAL, Rig, configuration};
+use crate::{MS, NEUTRAL, Rig, configuration};
 
 fn with_pulse_distance(pulse_distance_um: u16) -> Configuration {
     Configuration {

@@ -57,18 +57,17 @@
 #![no_std]
 
 mod clock;
-mod counters;
 mod drive;
 mod event;
 mod handshake;
 mod receive;
 mod session;
-mod transmit;
 
 pub use clock::{BoardClock, Stamp, StampOutcome, WINDOW_NS};
-pub use counters::{Counters, LineQuality};
 pub use drive::{DriveCommand, DriveError, JogCommand, NotReady, Quantity, RoundTrip};
-pub use event::{Event, LossCause, RestartEvidence, Side, State, TimedTelemetry, VersionMismatch};
+pub use event::{
+    Counters, Event, LineQuality, LossCause, RestartEvidence, Side, State, TimedTelemetry,
+    VersionMismatch,
+};
 pub use handshake::{ATTEMPTS, HELLO_INTERVAL_NS, RETRY_INTERVAL_NS, SLOW_RETRY_NS};
-pub use session::{ConfigureError, Session, SessionConfig};
-pub use transmit::{LINK_TIMEOUT_NS, Transmit};
+pub use session::{ConfigureError, LINK_TIMEOUT_NS, Session, SessionConfig, Transmit};

@@ -7,9 +7,8 @@ use singletrack_protocol::{
 
 use crate::{
     clock::{Stamp, StampOutcome},
-    counters::QualityWindow,
     drive::NewestTelemetry,
-    event::{Event, RestartEvidence, TimedTelemetry, VersionMismatch},
+    event::{Event, QualityWindow, RestartEvidence, TimedTelemetry, VersionMismatch},
     handshake::{Pending, Phase, SLOW_RETRY_NS},
     session::Session,
 };

@@ -1,11 +1,11 @@
 //! Nothing happens before the deadline, and something happens at it.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use proptest::prelude::*;
 use singletrack_protocol::{BoardMode, Configuration, RefusalReason, Request, Sequence, VERSION};
 
-use crate::common::{Bench, MS, configuration};
+use crate::{Bench, MS, configuration};
 
 /// An input, a request, or time that passes.
 #[derive(Clone, Copy, Debug)]

@@ -1,13 +1,13 @@
 //! The session and the real board, with a bad line between them.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use proptest::{prelude::*, test_runner::FileFailurePersistence};
 use singletrack_link::{DriveCommand, Event, LossCause, RestartEvidence, Session, State};
 use singletrack_protocol::{BoardMode, Configuration, Request};
 use singletrack_statistics::Random;
 
-use crate::common::{Faults, MS, START_NS, TestBoard, Wire, configuration, session_config};
+use crate::{Faults, MS, START_NS, TestBoard, Wire, configuration, session_config};
 
 /// The board's clock runs fast by this fraction.
 const SKEW: f64 = 0.004;

@@ -1,6 +1,6 @@
 //! From an open port to a configured board, and back when it is lost.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use singletrack_link::{Event, LossCause, RestartEvidence, Session, Side, State};
 use singletrack_protocol::{
@@ -8,7 +8,7 @@ use singletrack_protocol::{
     ToBoard, VERSION,
 };
 
-use crate::common::{Bench, MS, START_NS, configuration, session_config, telemetry};
+use crate::{Bench, MS, START_NS, configuration, session_config, telemetry};
 
 fn is_hello(message: &ToBoard) -> bool {
     matches!(message, ToBoard::Hello(_))

@@ -1,11 +1,11 @@
 //! Arming, stopping and driving.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // Helpers of tests are tests.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use singletrack_link::{DriveCommand, DriveError, Event, JogCommand, NotReady};
 use singletrack_protocol::{BoardMode, Drive, RefusalReason, Request, Sequence, ToBoard};
 
-use crate::common::{Bench, MS, START_NS, configuration, to_board};
+use crate::{Bench, MS, START_NS, configuration, to_board};
 
 const COMMAND: DriveCommand = DriveCommand {
     speed_m_s: 0.4,

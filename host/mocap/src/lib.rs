@@ -67,27 +67,27 @@
 //! ```
 //!
 //! The example `natnet_client` is a complete client over `std::net::UdpSocket`.
+
 #![no_std]
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-pub mod codec;
-pub mod encode;
-pub mod planar;
-pub mod qualisys;
-pub mod vrpn;
-
 mod body;
 mod clock;
+pub mod codec;
 mod config;
 mod consistency;
+pub mod encode;
 mod names;
+pub mod planar;
 mod pose_source;
+pub mod qualisys;
 mod session;
 mod source;
 mod stream;
+pub mod vrpn;
 
 pub use body::{
     Bodies, Body, BodyPose, BodyState, CaptureTime, CaptureTimeSource, InvalidBody, UpAxis,
@@ -105,7 +105,6 @@ pub use session::{
 };
 pub use source::Source;
 pub use stream::StreamSession;
-
 // The names by which the workspace's other crates know what is recorded of `planar`.
 #[doc(hidden)]
 pub use planar::{Observation, PlanarPose as Pose, PoseLimits, PoseState, RejectReason};

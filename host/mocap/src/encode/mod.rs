@@ -5,9 +5,8 @@
 //! messages are here.
 
 mod frame;
-mod writer;
 
-use self::writer::Writer;
+use self::frame::Writer;
 use crate::codec::{
     BitstreamVersion, ClientMessage, Echo, MessageId, RigidBodyDefinition, SENDER_NAME_LEN,
     ServerInfo, dataset,

@@ -13,20 +13,20 @@
 //! [`Observation`], [`PoseState`], [`PlanarPose`] and [`RejectReason`] are
 //! exhaustive: what is recorded of them does not grow silently.
 
-mod observation;
 mod session;
 mod tracker;
 
 use core::net::IpAddr;
 
+use singletrack_words::words;
+
 use crate::{
-    body::UpAxis,
+    body::{BodyPose, CaptureTime, CaptureTimeSource, UpAxis},
     config::{SessionConfig, SessionConfigError, Transport, not_zero, positive},
+    names::Binding,
+    session::SessionCounters,
 };
 
-pub use observation::{
-    Observation, PlanarCounters, PlanarPose, PoseState, RejectReason, RejectedCounts,
-};
 pub use session::{PlanarEvent, PlanarSession};
 pub use tracker::{Level, NEAR_M, Neighbour, OtherBody, PlanarTracker, PoseGate};
 
@@ -136,5 +136,216 @@ impl PoseLimits {
         ])?;
         let rejects = self.max_consecutive_rejects.into();
         not_zero(&[("max_consecutive_rejects", rejects)])
+    }
+}
+
+/// What one frame says of the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// The server's number of the frame.
+    pub frame_number: i32,
+    /// When the frame arrived, in nanoseconds of the local monotonic clock.
+    pub receive_time_ns: u64,
+    /// The state of the body.
+    pub state: PoseState,
+}
+
+/// What is known of the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PoseState {
+    /// No frame has arrived yet.
+    NoFrames,
+    /// Frames arrive, but the body's name has no id.
+    Unbound(Binding),
+    /// The cameras see the body.
+    Valid(PlanarPose),
+    /// The server lists the body as not tracked.
+    Untracked,
+    /// The frame does not list the body.
+    Absent,
+    /// The pose is not plausible.
+    Rejected(RejectReason),
+    /// Many poses in a row were not plausible. This is the reason for the newest.
+    LockedOut(RejectReason),
+    /// The stream is silent.
+    Stale {
+        /// Duration of the silence.
+        silent_ns: u64,
+    },
+}
+
+/// An accepted pose of the body, in the world frame with z up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlanarPose {
+    /// Position of the body's pivot, in metres.
+    pub x_m: f64,
+    /// Position of the body's pivot, in metres.
+    pub y_m: f64,
+    /// Height of the body's pivot, in metres.
+    pub z_m: f64,
+    /// Heading of the body's x axis in the plane, from world x towards world y,
+    /// in -pi to pi radians.
+    pub yaw_rad: f64,
+    /// Angle between the body's up axis and the world's, in radians.
+    pub tilt_rad: f64,
+    /// Rotation about the body's x axis, its left side up, in radians.
+    pub roll_rad: f64,
+    /// Rotation about the body's y axis, its front down, in radians.
+    pub pitch_rad: f64,
+    /// Mid-exposure, in nanoseconds of the local monotonic clock. It is never after
+    /// `receive_time_ns`.
+    pub capture_time_ns: u64,
+    /// Bound on the error of `capture_time_ns`, in nanoseconds.
+    pub capture_uncertainty_ns: u64,
+    /// How `capture_time_ns` was found.
+    pub capture_source: CaptureTimeSource,
+    /// When the frame arrived, in nanoseconds of the local monotonic clock.
+    pub receive_time_ns: u64,
+    /// The server's number of the frame.
+    pub frame_number: i32,
+    /// Mean distance of the markers from the model, in metres.
+    pub mean_error_m: f64,
+    /// The pose does not continue the one before: it is the first, or the first
+    /// after a lock-out.
+    pub reacquired: bool,
+}
+
+words! {
+    /// Why a pose is not accepted.
+    pub enum RejectReason {
+        /// A number is not finite.
+        ///
+        /// Remedy: Report it to the cameras' vendor.
+        NotFinite = "not-finite",
+        /// The quaternion's norm is not one.
+        ///
+        /// Remedy: Stop other programs that send to this port; check `motion_capture.bitstream`.
+        NotUnitQuaternion = "not-unit-quaternion",
+        /// Two bodies of the frame have the car's id.
+        ///
+        /// Remedy: Give each rigid body an id of its own.
+        DuplicateId = "duplicate-id",
+        /// The markers fit the model badly.
+        ///
+        /// Remedy: Define the rigid body again; a marker has moved.
+        MeanError = "mean-error",
+        /// The frame has no usable time, or one after its arrival or before the last pose.
+        ///
+        /// Remedy: Look at the server's clock and at what it stamps (`wrong-clock`); restart it.
+        CaptureTime = "capture-time",
+        /// The body would have moved faster than `motion_capture.pose.max_speed_m_s`.
+        ///
+        /// Effect: Ten in a row lock the body out: `pose-implausible`.
+        ///
+        /// Remedy: Look for reflections and bodies with the same markers.
+        Jump = "jump",
+        /// The body would have turned too fast, or lies on its side.
+        ///
+        /// Effect: As `jump`.
+        ///
+        /// Remedy: Make the marker pattern less symmetric.
+        Flip = "flip",
+    }
+}
+
+impl PlanarPose {
+    /// Projects a pose onto the plane.
+    ///
+    /// With the quaternion (x, y, z, w), the yaw is atan2(2(wz + xy), 1 - 2(y² + z²))
+    /// and the tilt is 2 asin √(x² + y²). The world's up axis, seen from the body, gives
+    /// roll and pitch.
+    pub(super) fn project(
+        pose: &BodyPose,
+        capture: &CaptureTime,
+        frame_number: i32,
+        receive_time_ns: u64,
+    ) -> Self {
+        let [x_m, y_m, z_m] = pose.position_m;
+        let [x, y, z, w] = pose.orientation_xyzw;
+        // The sine of the half angle, which unlike the cosine is exact near zero.
+        let tilt_rad = 2.0 * libm::asin(libm::sqrt(x * x + y * y).min(1.0));
+        Self {
+            x_m,
+            y_m,
+            z_m,
+            yaw_rad: libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            tilt_rad,
+            roll_rad: libm::atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            pitch_rad: libm::asin((2.0 * (w * y - x * z)).clamp(-1.0, 1.0)),
+            capture_time_ns: capture.time_ns,
+            capture_uncertainty_ns: capture.uncertainty_ns,
+            capture_source: capture.source,
+            receive_time_ns,
+            frame_number,
+            mean_error_m: pose.mean_error_m,
+            reacquired: false,
+        }
+    }
+}
+
+/// Counts since the session was made. Nothing resets them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct PlanarCounters {
+    /// The camera session's counts.
+    pub session: SessionCounters,
+    /// Frames with an accepted pose.
+    pub valid: u64,
+    /// Frames in which the body is not tracked.
+    pub untracked: u64,
+    /// Frames without the body.
+    pub absent: u64,
+    /// Frames while the body's name had no id.
+    pub unbound: u64,
+    /// Frames with a rejected pose, by reason.
+    pub rejected: RejectedCounts,
+    /// Frames while the body was locked out. `rejected` counts them as well.
+    pub locked_out: u64,
+}
+
+/// Rejected poses by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RejectedCounts {
+    /// See [`RejectReason::NotFinite`].
+    pub not_finite: u64,
+    /// See [`RejectReason::NotUnitQuaternion`].
+    pub not_unit_quaternion: u64,
+    /// See [`RejectReason::DuplicateId`].
+    pub duplicate_id: u64,
+    /// See [`RejectReason::MeanError`].
+    pub mean_error: u64,
+    /// See [`RejectReason::CaptureTime`].
+    pub capture_time: u64,
+    /// See [`RejectReason::Jump`].
+    pub jump: u64,
+    /// See [`RejectReason::Flip`].
+    pub flip: u64,
+}
+
+impl RejectedCounts {
+    pub(super) const fn count(&mut self, reason: RejectReason) {
+        let counter = match reason {
+            RejectReason::NotFinite => &mut self.not_finite,
+            RejectReason::NotUnitQuaternion => &mut self.not_unit_quaternion,
+            RejectReason::DuplicateId => &mut self.duplicate_id,
+            RejectReason::MeanError => &mut self.mean_error,
+            RejectReason::CaptureTime => &mut self.capture_time,
+            RejectReason::Jump => &mut self.jump,
+            RejectReason::Flip => &mut self.flip,
+        };
+        *counter += 1;
+    }
+
+    /// The sum of all reasons.
+    #[must_use]
+    pub const fn total(&self) -> u64 {
+        self.not_finite
+            + self.not_unit_quaternion
+            + self.duplicate_id
+            + self.mean_error
+            + self.capture_time
+            + self.jump
+            + self.flip
     }
 }

@@ -3,8 +3,7 @@
 use core::net::IpAddr;
 
 use super::{
-    PlanarConfig, PlanarConfigError,
-    observation::{Observation, PlanarCounters, PoseState},
+    Observation, PlanarConfig, PlanarConfigError, PlanarCounters, PoseState,
     tracker::{Level, Neighbour, OtherBody, PlanarTracker},
 };
 use crate::{

@@ -5,13 +5,12 @@
 use core::f64::consts::{PI, TAU};
 
 use super::{
-    PlanarConfigError, PoseLimits, RigidBodyName,
-    observation::{Observation, PlanarCounters, PlanarPose, PoseState, RejectReason},
+    Observation, PlanarConfigError, PlanarCounters, PlanarPose, PoseLimits, PoseState,
+    RejectReason, RigidBodyName,
 };
 use crate::{
     body::{BodyPose, BodyState, InvalidBody, UpAxis},
-    names::Names,
-    names::{Binding, BodyNames},
+    names::{Binding, BodyNames, Names},
     session::PoseFrame,
 };
 

@@ -4,8 +4,7 @@
 use core::net::SocketAddr;
 
 use super::{
-    Server, Session,
-    event::{Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, SessionEvent},
+    Connected, DatagramOutcome, Phase, PoseFrame, RestartReason, Server, Session, SessionEvent,
     transmit::Schedule,
 };
 use crate::{

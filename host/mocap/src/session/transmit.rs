@@ -2,10 +2,7 @@
 
 use core::net::SocketAddr;
 
-use super::{
-    Session,
-    event::{Phase, RestartReason, SessionEvent},
-};
+use super::{Phase, RestartReason, Session, SessionEvent};
 use crate::{
     codec::{BitstreamVersion, ClientMessage, Connect},
     encode,

@@ -12,11 +12,10 @@ use singletrack_mocap::{
         BitstreamVersion, Connection, DataChannel, Frame, RigidBodyDefinition, ServerInfo,
         ServerMessage, UnsupportedVersion,
     },
-    encode,
-    encode::{Dataset, DefinitionMarker},
+    encode::{self, Dataset, DefinitionMarker},
 };
 
-use crate::{encoded, strategies::any_frame};
+use crate::{any_frame, encoded};
 
 /// The versions that both decoders read.
 const SHARED: [BitstreamVersion; 4] = [

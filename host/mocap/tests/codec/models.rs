@@ -6,11 +6,7 @@ use singletrack_mocap::{
     encode::{self, Dataset, DefinitionMarker},
 };
 
-use crate::{
-    all_versions, encoded,
-    strategies::{name, number},
-    with_fitting_header,
-};
+use crate::{all_versions, encoded, name, number, with_fitting_header};
 
 type OwnedBody = (String, i32, i32, [f32; 3]);
 

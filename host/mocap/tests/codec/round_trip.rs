@@ -5,15 +5,10 @@ use singletrack_mocap::{
     codec::{
         BitstreamVersion, ClientMessage, DecodeError, RigidBody, SectionCounts, ServerMessage,
     },
-    encode,
-    encode::{Asset, EncodeError, FrameContent, Sections},
+    encode::{self, Asset, EncodeError, FrameContent, Sections},
 };
 
-use crate::{
-    all_versions, encoded,
-    strategies::{AnyFrame, any_frame},
-    with_fitting_header,
-};
+use crate::{AnyFrame, all_versions, any_frame, encoded, with_fitting_header};
 
 fn assert_round_trip(frame: &AnyFrame, version: BitstreamVersion) {
     let datagram = frame.encode(version);

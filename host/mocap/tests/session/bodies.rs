@@ -9,12 +9,11 @@ use singletrack_mocap::{
         BitstreamVersion, CameraTicks, ClientMessage, Connection, DataChannel, Echo, FrameFlags,
         RigidBody, RigidBodyDefinition, ServerInfo,
     },
-    encode,
-    encode::{Dataset, EncodeError, FrameContent},
+    encode::{self, Dataset, EncodeError, FrameContent},
     planar::PoseState,
 };
 
-use crate::world::{CAR, Frame, MS, S, SERVER, TICKS_PER_SECOND, UNICAST, World, car_at, config};
+use crate::{CAR, Frame, MS, S, SERVER, TICKS_PER_SECOND, UNICAST, World, car_at, config};
 
 const VERSION: BitstreamVersion = BitstreamVersion::V4_1;
 

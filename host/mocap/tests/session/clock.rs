@@ -7,7 +7,7 @@ use singletrack_mocap::{
     planar::{PlanarPose, PoseState, RejectReason},
 };
 
-use crate::world::{Frame, MS, Outcome, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
+use crate::{Frame, MS, Outcome, S, TICKS_PER_SECOND, UNICAST, World, config, jitter};
 
 #[track_caller]
 fn valid(state: PoseState) -> PlanarPose {
@@ -197,7 +197,7 @@ fn before_3_0_the_source_is_the_timestamp_and_no_echo_is_sent() {
         assert_eq!(pose.capture_source, CaptureTimeSource::FrameTimestamp);
         assert!(error_ns(&pose) <= pose.capture_uncertainty_ns);
     }
-    assert_eq!(world.count_sent(&crate::world::Sent::Echo), 0);
+    assert_eq!(world.count_sent(&crate::Sent::Echo), 0);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use singletrack_mocap::{
     planar::{PlanarConfig, PlanarConfigError, PlanarEvent, PlanarSession, PoseState},
 };
 
-use crate::world::{CAR, Frame, MS, Outcome, S, SERVER, Sent, UNICAST, World, config, jitter};
+use crate::{CAR, Frame, MS, Outcome, S, SERVER, Sent, UNICAST, World, config, jitter};
 
 #[test]
 fn a_session_connects_binds_the_name_and_sees_the_car() {

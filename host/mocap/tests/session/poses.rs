@@ -11,7 +11,7 @@ use singletrack_mocap::{
     planar::{PlanarPose, PoseState, RejectReason},
 };
 
-use crate::world::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config, jitter};
+use crate::{CAR, Frame, MS, S, UNICAST, World, car_at, car_heading, config, jitter};
 
 const LEVEL: [f32; 4] = [0.0, 0.0, 0.0, 1.0];
 

@@ -7,7 +7,7 @@ use singletrack_mocap::{
     Phase, RejectReason, RestartReason, SessionEvent, Transport, planar::PoseState,
 };
 
-use crate::world::{
+use crate::{
     Frame, MS, Outcome, S, SERVER, Sent, TICKS_PER_SECOND, UNICAST, World, car_at, config, jitter,
 };
 

@@ -6,7 +6,7 @@ use singletrack_mocap::{
 };
 
 use crate::{
-    bench::{Bench, LATENCY_MS, MS, config},
+    Bench, LATENCY_MS, MS, config,
     server::{KINDS, Kind, STREAMS, Sent, place},
 };
 
@@ -280,7 +280,7 @@ fn a_second_sender_with_the_servers_address_is_not_believed() {
         for _ in 0..20 {
             let forged = forger.frame(bench.now_us(), 50.0);
             for bytes in &forged.datagrams {
-                let source = std::net::SocketAddr::new(crate::bench::SERVER, 9_999);
+                let source = std::net::SocketAddr::new(crate::SERVER, 9_999);
                 bench.input(Input::Datagram { source, bytes });
             }
             bench.run(10);
@@ -392,7 +392,7 @@ fn names_come_on_the_stream_alone() {
         let renamed = bench.server.renumber();
         let answer = bench.server.chatter(bench.now_us());
         for bytes in [renamed.stream, answer.stream] {
-            let source = std::net::SocketAddr::new(crate::bench::SERVER, 1_510);
+            let source = std::net::SocketAddr::new(crate::SERVER, 1_510);
             bench.input(Input::Datagram {
                 source,
                 bytes: &bytes,
@@ -429,7 +429,7 @@ fn a_strangers_text_with_the_servers_address_does_not_keep_its_frames_out() {
     // Before the first frame of the server.
     let text = bench.server.chatter(bench.now_us()).stream;
     bench.input(Input::Datagram {
-        source: std::net::SocketAddr::new(crate::bench::SERVER, 9_999),
+        source: std::net::SocketAddr::new(crate::SERVER, 9_999),
         bytes: &text,
     });
     bench.is_paused = false;
