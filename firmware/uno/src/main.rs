@@ -18,25 +18,20 @@
 #![no_main]
 #![feature(abi_avr_interrupt, asm_experimental_arch)]
 
-mod arithmetic;
 mod battery;
 mod bno055;
 mod clock;
-mod in_place;
 mod interrupts;
-mod kill_output;
 mod motor;
-mod panic;
 mod pulse_guard;
 mod pulses;
 mod registers;
 mod reset;
-mod ring;
-mod sections;
-mod stop_input;
+mod shared;
 mod twi;
 mod uart;
-mod watchdog;
+
+use core::panic::PanicInfo;
 
 use singletrack_board::{Board, ImuHealth, Inputs, MotorPulses, VERSION};
 use singletrack_protocol::{ResetCause, UNNAMED};
@@ -44,10 +39,10 @@ use singletrack_protocol::{ResetCause, UNNAMED};
 use crate::{
     battery::Battery,
     bno055::Bno055,
-    in_place::InPlace,
     motor::Motor,
     pulse_guard::Pace,
-    registers::{ACSR, SMCR},
+    registers::{ACSR, PIND, PORTD, SMCR},
+    shared::InPlace,
     uart::Receiver,
 };
 
@@ -60,7 +55,7 @@ const ROUND_MS: u8 = 5;
 /// and are then spread over several polls.
 const RECEIVED_PER_POLL: usize = 64;
 
-/// Number of the section around a poll; see [`sections`].
+/// Number of the section around a poll; see [`shared::measured`].
 const POLL: u8 = 1;
 
 /// The car that this image is for: given to the build, see `cargo uno --car-id`.
@@ -128,7 +123,7 @@ extern "C" fn main() -> ! {
         if !pace.wait(ROUND_MS, || main_loop.has_news()) || main_loop.round() {
             main_loop.poll(board);
             if let Some(proof) = pulse_guard::guarded() {
-                watchdog::feed(proof);
+                reset::feed(proof);
             }
         }
     }
@@ -137,9 +132,7 @@ extern "C" fn main() -> ! {
 impl MainLoop {
     /// Whether there is work that must not wait for the next round.
     fn has_news(&self) -> bool {
-        uart::has_frame()
-            || uart::is_filling()
-            || stop_input::is_open() != self.inputs.stop_input_open
+        uart::has_frame() || uart::is_filling() || stop_is_open() != self.inputs.stop_input_open
     }
 
     /// Runs the periodic drivers; returns whether this round polls the board.
@@ -159,10 +152,10 @@ impl MainLoop {
         let now_us = clock::tick_us();
         let received = self.receiver.receive(&mut self.buffer);
         self.inputs.motor = self.motor.poll(clock::now_us());
-        self.inputs.stop_input_open = stop_input::is_open();
+        self.inputs.stop_input_open = stop_is_open();
         self.inputs.bytes_overrun = self.receiver.bytes_lost();
         self.inputs.edges_refused = motor::refused();
-        let outputs = sections::measured(POLL, || {
+        let outputs = shared::measured(POLL, || {
             board.poll(now_us, &self.inputs, received, &mut uart::transmit)
         });
         pulse_guard::publish(now_us, &outputs);
@@ -183,7 +176,7 @@ fn start_peripherals() {
     motor::start();
     battery::start();
     twi::start();
-    stop_input::start();
+    start_stop_input();
     ACSR.write(COMPARATOR_OFF);
     SMCR.write(SLEEP_IN_IDLE);
 }
@@ -197,4 +190,30 @@ const fn number(digits: &str) -> u16 {
         rest = tail;
     }
     value
+}
+
+/// Port D, bit 4: the stop switch, normally closed, to ground. A broken wire acts like an open
+/// switch.
+const STOP: u8 = 1 << 4;
+
+fn start_stop_input() {
+    PORTD.set(STOP);
+}
+
+fn stop_is_open() -> bool {
+    PIND.has(STOP)
+}
+
+/// No panic is known to be possible; if one occurs, the car stops.
+///
+/// Drops the ESC's supply, ends the pulses, which makes servo and ESC let go, and waits
+/// for the watchdog.
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    interrupts::masked(|masked| {
+        pulses::set_supply(masked, false);
+        pulses::stop(masked);
+    });
+    interrupts::disable();
+    loop {}
 }

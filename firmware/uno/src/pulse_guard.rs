@@ -4,6 +4,7 @@
 //! them to the timer. It sets the ESC to neutral, and drops the kill output, when the
 //! deadline has passed, and when the main loop has published nothing for
 //! [`TIMEOUT_TICKS`]. A silent ESC stays silent.
+
 #![allow(unsafe_code)]
 
 use singletrack_board::Outputs;
@@ -11,7 +12,7 @@ use singletrack_board::Outputs;
 use crate::{
     clock,
     interrupts::{self, Masked, Shared, SharedByte, masked},
-    kill_output, motor,
+    motor,
     pulses::{self, Width},
 };
 
@@ -53,7 +54,7 @@ pub(crate) fn wake() {
 /// Starts the pulses, with the ESC in neutral, and the ticks.
 pub(crate) fn start() {
     masked(|masked| {
-        kill_output::start(masked);
+        pulses::start_supply(masked);
         pulses::start(masked, NEUTRAL_AT_START);
     });
     clock::start();
@@ -164,7 +165,7 @@ extern "avr-interrupt" fn __vector_14() {
     }
     motor::tick(masked);
     let is_valid = silent_ticks <= VALID_TICKS.get();
-    kill_output::set(masked, is_valid && POWER_ON.get() != 0);
+    pulses::set_supply(masked, is_valid && POWER_ON.get() != 0);
     if pulses::are_due(masked) {
         let esc = ESC.get(masked);
         let esc = if is_valid {

@@ -1,11 +1,16 @@
-//! Cause of the processor's start.
+//! Cause of the processor's start, and the watchdog: it resets the processor if for 64 ms the main
+//! loop hangs, or the pulse guard sets no pulses.
+//!
+//! The first instructions start the watchdog, so that it also covers
+//! the initialisation.
+
 #![allow(unsafe_code)]
 
-use core::arch::global_asm;
+use core::arch::{asm, global_asm};
 
 use singletrack_protocol::ResetCause;
 
-use crate::{interrupts::SharedByte, registers::GPIOR1};
+use crate::{interrupts::SharedByte, pulse_guard::Guarded, registers::GPIOR1};
 
 // Runs before memory is initialised (r1 is zero; the other registers are unchanged)
 // and leaves the flags in GPIOR1.
@@ -75,4 +80,12 @@ pub(crate) fn cause() -> ResetCause {
         flags if flags & WDRF != 0 => ResetCause::Watchdog,
         _ => ResetCause::Unknown,
     }
+}
+
+/// Only the main loop calls this, after a completed poll and with the proof that the pulse
+/// guard works. A poll proves the main loop alone: frames of the host wake it without the
+/// guard, whose timer repeats its last pulses.
+pub(crate) fn feed(_: Guarded) {
+    // SAFETY: only resets the watchdog's counter.
+    unsafe { asm!("wdr", options(nomem, nostack, preserves_flags)) };
 }

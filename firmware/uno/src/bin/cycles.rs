@@ -14,12 +14,8 @@
 #![no_main]
 #![feature(asm_experimental_arch)]
 
-#[path = "../arithmetic.rs"]
-mod arithmetic;
-#[path = "../in_place.rs"]
-mod in_place;
-#[path = "../sections.rs"]
-mod sections;
+#[path = "../shared.rs"]
+mod shared;
 
 use core::{arch::asm, hint::black_box, panic::PanicInfo};
 
@@ -30,8 +26,7 @@ use singletrack_protocol::{
     ServoCalibration, SpeedLoop, Status, StopCause, Telemetry, ToBoard, ToHost,
 };
 
-use in_place::InPlace;
-use sections::measured;
+use shared::{InPlace, measured};
 
 const ROUNDS: u8 = 100;
 
