@@ -26,7 +26,6 @@
 
 #[cfg(feature = "real-time")]
 mod arguments;
-mod attitude;
 mod board;
 mod by_hand;
 mod cameras;
@@ -39,20 +38,19 @@ mod natnet_server;
 mod parameters;
 #[cfg(feature = "real-time")]
 mod pty;
-mod pulse_log;
+mod pulses;
 #[cfg(feature = "real-time")]
 mod qtm_server;
 mod random;
+mod ranges;
 #[cfg(feature = "real-time")]
 mod real_time;
 mod scripted;
 #[cfg(feature = "real-time")]
-mod stream_server;
+mod sockets;
 #[cfg(feature = "real-time")]
 mod stream_servers;
 mod truth;
-#[cfg(feature = "real-time")]
-mod udp;
 #[cfg(feature = "real-time")]
 mod vrpn_server;
 mod wire;
@@ -63,8 +61,8 @@ pub use arguments::Arguments;
 #[cfg(feature = "real-time")]
 pub use board::ImageSize;
 pub use board::{
-    BoardKind, BoardParameters, Installation, ReceivedMessage, SERVO_FRAME_US, SimulatedBoard,
-    UnknownBoard, UnoError,
+    BoardKind, BoardParameters, Installation, ReceivedMessage, SimulatedBoard, UnknownBoard,
+    UnoError,
 };
 pub use by_hand::{HAND_COMMANDS, HandCommand, NotSeen, Seen, UnknownHandCommand};
 pub use cameras::{
@@ -83,12 +81,10 @@ pub use natnet_server::{
     Datagram, Destination, MULTICAST_GROUP, NatNetCounters, NatNetParameters, NatNetServer,
     parse_bitstream,
 };
-#[cfg(feature = "real-time")]
-pub use parameters::SimulationFileError;
 pub use parameters::{ConfigError, SimulationConfig, default_board_configuration};
 #[cfg(feature = "real-time")]
 pub use pty::{Pty, PtyError};
-pub use pulse_log::{PulseFilter, PulseLog, PulseRecord};
+pub use pulses::{PulseFilter, PulseLog, PulseRecord, SERVO_FRAME_US};
 #[cfg(feature = "real-time")]
 pub use real_time::{
     Finished, RealTimeConfig, RealTimeCounters, RealTimeError, RealTimeSimulator, SharedFloor,
@@ -97,8 +93,8 @@ pub use real_time::{
 pub use scripted::{ScriptedDrive, ScriptedHost};
 pub use singletrack_mocap::UpAxis;
 pub use singletrack_simavr::{BusFault, CYCLES_PER_US, Figures, Hang, Interrupt};
-pub use truth::{CarTruth, TRUTH_KEYS, TruthKey};
 #[cfg(feature = "real-time")]
-pub use udp::{UdpConfig, UdpError};
+pub use sockets::{UdpConfig, UdpError};
+pub use truth::{CarTruth, SimulationFileError, TRUTH_KEYS, TruthKey};
 pub use wire::{SerialWire, WireFaults, WireParameters};
 pub use world::World;

@@ -9,7 +9,7 @@ use singletrack_mocap::qualisys::packet::{
 
 use crate::{
     cameras::{CameraFrame, CameraParameters},
-    stream_server::{Client, Refused, StreamServer},
+    sockets::{Client, Refused, StreamServer},
 };
 
 /// The versions that are spoken: 1.8 to this.

@@ -24,8 +24,8 @@ use crate::{
     floor::Floor,
     parameters::{ConfigError, SimulationConfig},
     pty::{Pty, PtyError},
+    sockets::{NatNetSockets, UdpConfig, UdpError},
     stream_servers::StreamServers,
-    udp::{NatNetSockets, UdpConfig, UdpError},
     world::World,
 };
 

@@ -7,8 +7,7 @@ use singletrack_mocap::qualisys::packet::{self, ByteOrder};
 use crate::{
     cameras::{CameraFrame, CameraParameters},
     qtm_server::QtmServer,
-    stream_server::Serving,
-    udp::UdpError,
+    sockets::{Serving, UdpError},
     vrpn_server::VrpnServer,
 };
 

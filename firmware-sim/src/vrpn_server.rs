@@ -7,7 +7,7 @@ use singletrack_mocap::vrpn::message::{
 
 use crate::{
     cameras::{CameraFrame, CameraParameters},
-    stream_server::{Client, Refused, StreamServer},
+    sockets::{Client, Refused, StreamServer},
 };
 
 /// The server's own numbers of its types. Those of its senders are the places of the bodies.

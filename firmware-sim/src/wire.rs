@@ -5,8 +5,8 @@ use std::collections::VecDeque;
 use singletrack_settings::section;
 
 use crate::{
-    parameters::ranges::PROBABILITY,
     random::{Random, Stream},
+    ranges::PROBABILITY,
 };
 
 section! {

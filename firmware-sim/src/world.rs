@@ -11,7 +11,7 @@ use crate::{
     car::{Car, Imu, ImuFault, ImuReading, Truth},
     natnet_server::{Datagram, NatNetServer},
     parameters::{ConfigError, SimulationConfig},
-    pulse_log::{PulseFilter, Unfiltered},
+    pulses::{PulseFilter, Unfiltered},
     wire::SerialWire,
 };
 

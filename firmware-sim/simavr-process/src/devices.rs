@@ -2,7 +2,11 @@
 
 use singletrack_simavr::{Pin, Pulse};
 
-use crate::{timer1::Timer1, twi::Twi, uart::Uart, watchdog::Watchdog};
+use crate::{
+    timers::{Timer1, Watchdog},
+    twi::Twi,
+    uart::Uart,
+};
 
 const PINB: u16 = 0x23;
 const DDRB: u16 = 0x24;

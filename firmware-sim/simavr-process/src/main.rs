@@ -18,10 +18,9 @@ mod devices;
 mod elf;
 mod figures;
 mod machine;
-mod timer1;
+mod timers;
 mod twi;
 mod uart;
-mod watchdog;
 
 use std::{
     fs::File,

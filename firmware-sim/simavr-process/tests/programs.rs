@@ -1,12 +1,17 @@
 //! Runs small programs whose behaviour on the hardware is known to the cycle.
 
-mod harness;
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use singletrack_simavr::{
-    Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Request, ResetFlags, Run,
+use std::{
+    io::BufReader,
+    path::Path,
+    process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio},
 };
 
-use harness::{MS, Uno, bytes, spaced};
+use singletrack_simavr::{
+    Bno055, BusFault, Hang, Motion, Pin, Pulse, Reply, Report, Request, ResetFlags, Run, receive,
+    send,
+};
 
 /// Ten bits at 115200 baud, as generated from 16 MHz with U2X.
 const BYTE: u64 = 10 * 17 * 8;
@@ -473,7 +478,7 @@ fn an_invalid_image_is_refused_with_its_name() {
         ("/nonexistent/uno.elf", "can't read /nonexistent/uno.elf"),
         ("/bin/sh", "/bin/sh is not an ELF file of 32 bits"),
     ] {
-        let output = harness::command().arg(path).output().unwrap();
+        let output = command().arg(path).output().unwrap();
         assert_eq!(output.status.code(), Some(1));
         assert_eq!(output.stdout, []);
         let error = String::from_utf8(output.stderr).unwrap();
@@ -485,4 +490,116 @@ fn an_invalid_image_is_refused_with_its_name() {
 fn the_process_ends_with_its_pipe() {
     let uno = Uno::started("echo.c");
     assert_eq!(uno.close().code(), Some(0));
+}
+
+/// A millisecond in cycles.
+const MS: u64 = 16_000;
+
+fn command() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_singletrack-simavr"))
+}
+
+/// The process running a program.
+pub(crate) struct Uno {
+    process: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+    cycle: u64,
+}
+
+impl Uno {
+    /// A process with the program started after power-on.
+    fn started(source: &str) -> Self {
+        let mut process = command()
+            .arg(built(source))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut uno = Self {
+            input: process.stdin.take().unwrap(),
+            output: BufReader::new(process.stdout.take().unwrap()),
+            process,
+            cycle: 0,
+        };
+        assert_eq!(uno.ask(&Request::Start(ResetFlags::POWER_ON)), Reply::Done);
+        uno
+    }
+
+    fn ask(&mut self, request: &Request) -> Reply {
+        send(&mut self.input, request).unwrap();
+        receive(&mut self.output).unwrap().unwrap()
+    }
+
+    fn run(&mut self, run: Run) -> Report {
+        let until = run.until;
+        match self.ask(&Request::Run(run)) {
+            Reply::Ran(report) => {
+                assert!((until..until + 12).contains(&report.cycle), "{report:?}");
+                self.cycle = report.cycle;
+                report
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Runs for a number of cycles without inputs.
+    fn pass(&mut self, cycles: u64) -> Report {
+        self.run(self.until(cycles))
+    }
+
+    /// A run of a number of cycles without inputs.
+    fn until(&self, cycles: u64) -> Run {
+        Run {
+            until: self.cycle + cycles,
+            battery_mv: 7_400,
+            ..Run::default()
+        }
+    }
+
+    const fn cycle(&self) -> u64 {
+        self.cycle
+    }
+
+    fn close(self) -> ExitStatus {
+        let Self {
+            mut process, input, ..
+        } = self;
+        drop(input);
+        process.wait().unwrap()
+    }
+}
+
+/// Bytes at regular intervals.
+fn spaced(start: u64, interval: u64, bytes: &[u8]) -> Vec<(u64, u8)> {
+    (start..)
+        .step_by(interval as usize)
+        .zip(bytes.iter().copied())
+        .collect()
+}
+
+fn bytes(dated: &[(u64, u8)]) -> Vec<u8> {
+    dated.iter().map(|(_, byte)| *byte).collect()
+}
+
+fn built(source: &str) -> std::path::PathBuf {
+    let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/programs");
+    // Tests run in parallel: each has its own file.
+    let name = std::thread::current().name().unwrap_or("test").to_owned();
+    let image = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{source}.elf"));
+    let status = Command::new("avr-gcc")
+        .args([
+            "-mmcu=atmega328p",
+            "-Os",
+            "-Wall",
+            "-Werror",
+            "-DF_CPU=16000000UL",
+        ])
+        .arg(sources.join(source))
+        .arg("-o")
+        .arg(&image)
+        .status()
+        .expect("avr-gcc, from Debian's gcc-avr and avr-libc");
+    assert!(status.success());
+    image
 }

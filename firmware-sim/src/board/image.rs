@@ -13,15 +13,11 @@ use singletrack_simavr::{
     Request, ResetFlags, Run, receive, send,
 };
 
-use super::{
-    Environment, battery_mv,
-    frames::{Frame, Frames, width_us},
-    local_time, supply_mv,
-};
+use super::{Environment, battery_mv, local_time, supply_mv};
 use crate::{
     car::{Car, ImuReading, MotorPulses},
     clock::SkewedClock,
-    pulse_log::{PulseLog, PulseRecord},
+    pulses::{Frame, Frames, PulseLog, PulseRecord, width_us},
 };
 
 /// Paths of the image and of the program that runs it.

@@ -1,10 +1,8 @@
 //! The board: the real board code on a simulated Arduino, or the real image on a
 //! simulated processor.
 
-mod frames;
 mod image;
 mod native;
-
 #[cfg(feature = "real-time")]
 mod size;
 
@@ -22,18 +20,14 @@ use self::{image::Image, native::Native};
 use crate::{
     car::{BatteryParameters, Car, ImuReading},
     clock::SkewedClock,
-    pulse_log::{PulseFilter, PulseLog, PulseRecord},
+    pulses::{PulseFilter, PulseLog, PulseRecord},
     random::{Random, Stream},
     wire::SerialWire,
 };
 
 pub use image::{Installation, UnoError};
-
 #[cfg(feature = "real-time")]
 pub use size::ImageSize;
-
-/// Time from one servo pulse to the next, on the board's clock, in µs.
-pub const SERVO_FRAME_US: u64 = 20_000;
 
 words! {
     /// Implementation of the board.

@@ -3,8 +3,11 @@
 use singletrack_board::{Board, ImuHealth, ImuSample, Inputs, MotorPulses, VERSION, axis_map};
 use singletrack_protocol::{ImuAxes, ResetCause};
 
-use super::{BoardParameters, Environment, SERVO_FRAME_US, battery_mv, local_time, supply_mv};
-use crate::{car::ImuReading, pulse_log::PulseRecord};
+use super::{BoardParameters, Environment, battery_mv, local_time, supply_mv};
+use crate::{
+    car::ImuReading,
+    pulses::{PulseRecord, SERVO_FRAME_US},
+};
 
 /// Time after which a silent main loop counts as hung, as in the image's
 /// pulse guard.

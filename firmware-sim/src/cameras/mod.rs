@@ -7,19 +7,17 @@ mod tests;
 use std::{collections::VecDeque, iter};
 
 use libm::{cos, sin, sincos};
+use parameters::stream;
 use singletrack_mocap::codec::{CameraTicks, RigidBody};
 
 use crate::{
-    attitude,
-    car::Truth,
+    car::{self, Truth},
     clock::{Epoch, SkewedClock},
     loss::{LossPattern, LossWindow},
     random::{Random, Stream},
 };
 
 pub use parameters::{CameraParameters, CarBody, DecoyBody, LossKind, ServerKind};
-
-use parameters::stream;
 
 /// Ticks of the server's clock per second, as Motive's on Windows.
 pub const TICKS_PER_SECOND: u64 = 10_000_000;
@@ -414,8 +412,7 @@ impl Cameras {
         }
         let jump = self.faults.jump_m;
         let position: [f64; 3] = core::array::from_fn(|i| pivot[i] + noise[i] + jump[i]);
-        let [w, x, y, z] =
-            attitude::quaternion_wxyz(yaw + yaw_noise, roll + tilt[0], pitch + tilt[1]);
+        let [w, x, y, z] = car::quaternion_wxyz(yaw + yaw_noise, roll + tilt[0], pitch + tilt[1]);
         let [x, y, z] = stream(p.up_axis, [x, y, z]);
         let mut body = RigidBody::tracked(
             p.car.id,

@@ -8,7 +8,7 @@ use singletrack_words::words;
 
 use crate::{
     loss::{LossPattern, LossWindow},
-    parameters::ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE},
+    ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE},
 };
 
 section! {

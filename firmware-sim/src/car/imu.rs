@@ -6,9 +6,9 @@ use singletrack_simavr::Motion;
 
 use super::{Truth, motor::GRAVITY};
 use crate::{
-    attitude::{self, Rotation},
-    parameters::ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY},
+    car::Rotation,
     random::{Random, Stream},
+    ranges::{FINITE, NOT_NEGATIVE, PERIOD, POSITIVE, PROBABILITY},
 };
 
 section! {
@@ -325,7 +325,7 @@ impl Imu {
         }
         rate = rate.map(|rate| rate * p.gyro_scale);
         acceleration = acceleration.map(|acceleration| acceleration * p.acceleration_scale);
-        let mut attitude = attitude::quaternion_wxyz(
+        let mut attitude = super::quaternion_wxyz(
             truth.yaw + self.yaw_drift + tilt[2],
             tilt[0] + roll,
             tilt[1] + pitch,

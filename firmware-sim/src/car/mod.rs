@@ -1,26 +1,29 @@
-//! The car: actuators, dynamics and sensors; its parameters, and what is true of it.
+//! The car: actuators, dynamics and sensors; its steering servo and its attitude; its parameters,
+//! and what is true of it.
 
 mod hands;
 mod imu;
 mod motor;
 mod motor_sensor;
-mod servo;
 mod vehicle;
 
-use libm::sincos;
+use libm::{sincos, sqrt};
 use serde::{Deserialize, Serialize};
 use singletrack_control::{
-    Axles, RelaxedSingleTrack, SingleTrackState, SlipAngles, Tyres, VehicleParameters,
+    Axles, RelaxedSingleTrack, SingleTrackState, SlipAngles, SteeringMap, SteeringTable, Tyres,
+    VehicleParameters,
 };
+use singletrack_protocol::{ImuAxes, ImuAxis};
+use singletrack_settings::section;
+
+use crate::ranges::{LAG, NOT_NEGATIVE, POSITIVE};
 
 pub use hands::HandMotion;
+pub(crate) use imu::Imu;
 pub use imu::{ImuFault, ImuParameters, ImuReading};
 pub use motor::{BatteryParameters, EscKind, MotorParameters, Push};
 pub use motor_sensor::{MotorPulses, MotorSensorFault, MotorSensorParameters};
-pub use servo::{ServoParameters, WIDE_US, crooked_steering};
 pub use vehicle::Car;
-
-pub(crate) use imu::Imu;
 
 /// Parameters of the car.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -148,5 +151,291 @@ impl CarState {
             steering: self.steering + h * d.steering,
             wheel_speed: self.wheel_speed + h * d.wheel_speed,
         }
+    }
+}
+
+section! {
+    /// True mapping of the steering servo from pulses to angles, and its dynamics.
+    ///
+    /// The defaults are the nominal calibration. To test calibration errors, change
+    /// these values and keep the board's configuration.
+    "car.servo" => pub ServoParameters;
+    [default];
+
+    /// Pulse for zero steering angle, in µs.
+    centre_us: f64 = 1500.0;
+    /// Pulse change per radian to the left, in µs/rad.
+    gain_us_per_rad: f64 = -800.0, in in_words("finite and not zero", |x| x != 0.0);
+    /// Angles over pulses, instead of that line.
+    table: Option<SteeringTable> = None;
+    /// Mechanical stop on both sides, in rad.
+    stop_rad: f64 = 0.55, in in_words("between 0 and 1.5", |x| x > 0.0 && x < 1.5);
+    /// Time constant of the first-order lag, in s.
+    lag_s: f64 = 0.04, in LAG;
+    /// Largest steering rate, in rad/s.
+    max_rate_rad_s: f64 = 8.0, in POSITIVE;
+    // The servo can measure a pulse only at its end.
+    /// Time from the start of a pulse to the servo's response, in µs.
+    dead_time_us: u64 = 2_000;
+    /// Play: a change of direction moves the wheels only after this change of the
+    /// pulse, in µs.
+    backlash_us: f64 = 0.0, in NOT_NEGATIVE;
+    /// From this time on the wheels keep their angle, in s.
+    stuck_from_s: Option<f64> = None, in NOT_NEGATIVE;
+    /// From this time on the horn has slipped, in s...
+    slips_at_s: Option<f64> = None, in NOT_NEGATIVE;
+    /// ...by this angle of the wheels, to the left, in rad.
+    slip_rad: f64 = 0.05;
+}
+
+impl ServoParameters {
+    /// Target angle of a pulse, in rad, within the mechanical stops.
+    #[must_use]
+    pub fn target(&self, pulse_us: u16) -> f64 {
+        self.angle(f64::from(pulse_us))
+    }
+
+    fn angle(&self, pulse_us: f64) -> f64 {
+        self.free_angle(pulse_us)
+            .clamp(-self.stop_rad, self.stop_rad)
+    }
+
+    /// The angle of a pulse without the mechanical stops, in rad.
+    pub(crate) fn free_angle(&self, pulse_us: f64) -> f64 {
+        match &self.table {
+            Some(table) => table.angle(pulse_us),
+            None => (pulse_us - self.centre_us) / self.gain_us_per_rad,
+        }
+    }
+
+    /// Follows this map without an error.
+    pub fn follow(&mut self, map: &SteeringMap) {
+        (self.centre_us, self.gain_us_per_rad) = (map.centre_us, map.gain_us_per_rad);
+        self.table.clone_from(&map.table);
+    }
+
+    /// Target angle after a further pulse, in rad; `held_us` is the pulse that the
+    /// wheels stand for.
+    pub(crate) fn target_with_backlash(&self, held_us: &mut f64, pulse_us: u16) -> f64 {
+        let pulse_us = f64::from(pulse_us);
+        let half = self.backlash_us / 2.0;
+        *held_us = held_us.clamp(pulse_us - half, pulse_us + half);
+        self.angle(*held_us)
+    }
+
+    /// Steering rate towards a target, in rad/s.
+    #[must_use]
+    pub fn rate(&self, steering: f64, target: f64) -> f64 {
+        ((target - steering) / self.lag_s).clamp(-self.max_rate_rad_s, self.max_rate_rad_s)
+    }
+}
+
+/// Pulses beyond which no board steers, in µs.
+pub const WIDE_US: [f64; 2] = [500.0, 2_500.0];
+
+/// Pairs of pulse in µs and angle in rad between two pulses, for steering that differs from a line
+/// with this centre in µs and gain in µs/rad: the wheels turn farther to the left by a fraction,
+/// as much less far to the right, and there is a dead band of a width in µs.
+#[must_use]
+pub fn crooked_steering(
+    [centre_us, gain_us_per_rad]: [f64; 2],
+    [first_us, last_us]: [f64; 2],
+    [farther, band_us]: [f64; 2],
+) -> Vec<[f64; 2]> {
+    let half = 0.5 * band_us;
+    let angle = |pulse_us: f64| {
+        let beyond = pulse_us - centre_us;
+        let angle = (beyond - beyond.clamp(-half, half)) / gain_us_per_rad;
+        angle * (1.0 + farther * angle.signum())
+    };
+    let mut pulses = vec![first_us, centre_us - half, centre_us + half, last_us];
+    pulses.dedup();
+    pulses
+        .into_iter()
+        .map(|pulse_us| [pulse_us, angle(pulse_us)])
+        .collect()
+}
+
+/// A tilt beyond this is not small, in rad.
+const SMALL: f64 = 0.1;
+
+/// The unit quaternion w, x, y, z of a yaw after a roll and a pitch, in rad, of which only
+/// one is not small.
+pub(crate) fn quaternion_wxyz(yaw: f64, roll: f64, pitch: f64) -> [f64; 4] {
+    let (s, c) = sincos(yaw / 2.0);
+    let (mut a, mut b) = (roll / 2.0, pitch / 2.0);
+    let half = libm::hypot(a, b);
+    if 2.0 * half > SMALL {
+        let scale = libm::tan(half) / half;
+        (a, b) = (a * scale, b * scale);
+    }
+    let norm = sqrt(1.0 + a * a + b * b);
+    [
+        c / norm,
+        (a * c - b * s) / norm,
+        (a * s + b * c) / norm,
+        s / norm,
+    ]
+}
+
+/// How a sensor is turned on the car.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Rotation {
+    quaternion_wxyz: [f64; 4],
+}
+
+impl Rotation {
+    /// Roll, pitch and yaw, in degrees; `None` if all are zero.
+    pub(crate) fn from_degrees(angles: [f64; 3]) -> Option<Self> {
+        if angles == [0.0; 3] {
+            return None;
+        }
+        let [(sr, cr), (sp, cp), (sy, cy)] = angles.map(|angle| sincos(angle.to_radians() / 2.0));
+        let about_z = [cy, 0.0, 0.0, sy];
+        let about_y = [cp, 0.0, sp, 0.0];
+        let about_x = [cr, sr, 0.0, 0.0];
+        Some(Self {
+            quaternion_wxyz: product(product(about_z, about_y), about_x),
+        })
+    }
+
+    /// A vector of the car along the turned axes.
+    pub(crate) fn into_turned(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let [w, a, b, c] = self.quaternion_wxyz;
+        let inverse = [w, -a, -b, -c];
+        let [_, x, y, z] = product(product(inverse, [0.0, x, y, z]), self.quaternion_wxyz);
+        [x, y, z]
+    }
+
+    /// The attitude of the turned axes on a car with this attitude.
+    pub(crate) fn after(self, car_wxyz: [f64; 4]) -> [f64; 4] {
+        product(car_wxyz, self.quaternion_wxyz)
+    }
+}
+
+/// The angles of a sensor whose axes are mounted so.
+pub(crate) fn mounting_deg(axes: ImuAxes) -> [f64; 3] {
+    let direction = |axis: ImuAxis| -> [f64; 3] {
+        core::array::from_fn(
+            |i| match (usize::from(axis.index()) == i, axis.is_negative()) {
+                (false, _) => 0.0,
+                (true, true) => -1.0,
+                (true, false) => 1.0,
+            },
+        )
+    };
+    let right_angles = || [0.0, 90.0, 180.0, 270.0].into_iter();
+    let mut mountings = right_angles().flat_map(|roll| {
+        right_angles().flat_map(move |pitch| right_angles().map(move |yaw| [roll, pitch, yaw]))
+    });
+    mountings
+        .find(|&angles| {
+            // Without a rotation the axes are those of the car.
+            let turned = |axis: [f64; 3]| {
+                Rotation::from_degrees(angles).map_or(axis, |mounting| mounting.into_turned(axis))
+            };
+            [
+                ([1.0, 0.0, 0.0], axes.forward),
+                ([0.0, 1.0, 0.0], axes.left),
+                ([0.0, 0.0, 1.0], axes.up),
+            ]
+            .into_iter()
+            .all(|(axis, chip)| {
+                let error = turned(axis).into_iter().zip(direction(chip));
+                error.into_iter().all(|(a, b)| (a - b).abs() < 1e-6)
+            })
+        })
+        // A left-handed set of axes, which the board refuses.
+        .unwrap_or_default()
+}
+
+/// The product of two quaternions w, x, y, z.
+fn product([a, b, c, d]: [f64; 4], [e, f, g, h]: [f64; 4]) -> [f64; 4] {
+    [
+        a * e - b * f - c * g - d * h,
+        a * f + b * e + c * h - d * g,
+        a * g - b * h + c * e + d * f,
+        a * h + b * g - c * f + d * e,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use libm::{cos, sin};
+
+    use super::*;
+
+    #[test]
+    fn crooked_steering_turns_farther_to_one_side_and_rests_in_its_dead_band() {
+        let pairs = |farther, band| {
+            crooked_steering([1_500.0, -800.0], [1_100.0, 1_900.0], [farther, band])
+        };
+        let crooked = [[1_100.0, 0.6], [1_500.0, 0.0], [1_900.0, -0.4]];
+        assert_eq!(pairs(0.2, 0.0), crooked);
+        let table = SteeringTable::new(&pairs(0.2, 80.0)).unwrap();
+        for (pulse, angle) in [
+            (1_460.0, 0.0),
+            (1_540.0, 0.0),
+            (1_380.0, 0.12),
+            (1_620.0, -0.08),
+        ] {
+            assert!((table.angle(pulse) - angle).abs() < 1e-12, "{pulse}");
+        }
+    }
+
+    #[test]
+    fn backlash_is_lost_at_each_change_of_direction() {
+        let servo = ServoParameters {
+            backlash_us: 20.0,
+            ..ServoParameters::default()
+        };
+        let mut held = servo.centre_us;
+        let mut angle_us = |pulse| {
+            let target = servo.target_with_backlash(&mut held, pulse);
+            servo.centre_us + target * servo.gain_us_per_rad
+        };
+        for (pulse, wheels) in [
+            (1_510, 1_500.0),
+            (1_600, 1_590.0),
+            (1_585, 1_590.0),
+            (1_500, 1_510.0),
+        ] {
+            assert!((angle_us(pulse) - wheels).abs() < 1e-9, "{pulse}");
+        }
+    }
+
+    #[test]
+    fn the_quaternion_has_unit_length_and_rotates_by_the_yaw() {
+        for yaw in [-3.0, -0.5, 0.0, 1.0, 2.5, 7.0] {
+            let [w, x, y, z] = quaternion_wxyz(yaw, 0.01, -0.02);
+            assert!((w * w + x * x + y * y + z * z - 1.0).abs() < 1e-12);
+            // The forward axis, rotated.
+            let forward = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)];
+            assert!((forward[0] - cos(yaw)).abs() < 1e-3);
+            assert!((forward[1] - sin(yaw)).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn all_mountings_at_right_angles_have_angles() {
+        use singletrack_protocol::ImuAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
+        let axes = [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ];
+        let mut found = 0;
+        for forward in axes {
+            for left in axes {
+                for up in axes {
+                    let mounting = ImuAxes { forward, left, up };
+                    found += u32::from(mounting_deg(mounting) != [0.0; 3]);
+                }
+            }
+        }
+        // And the one without a turn.
+        assert_eq!(found, 23);
+        let turned = ImuAxes {
+            forward: MinusY,
+            left: PlusX,
+            up: PlusZ,
+        };
+        assert_eq!(mounting_deg(turned), [0.0, 0.0, 90.0]);
     }
 }

@@ -7,7 +7,7 @@ use singletrack_settings::section;
 
 use crate::{
     clock::Epoch,
-    parameters::ranges::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
+    ranges::{FINITE, LAG, NOT_NEGATIVE, POSITIVE},
 };
 
 /// What an ESC makes of its pulses.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use singletrack_settings::section;
 
 use crate::{
-    parameters::ranges::EDGE_RATE,
     random::{Random, Stream},
+    ranges::EDGE_RATE,
 };
 
 section! {

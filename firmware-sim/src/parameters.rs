@@ -1,28 +1,19 @@
 //! The configuration of a simulation, and of the board on its default car.
 
-pub(crate) mod ranges;
-
-#[cfg(feature = "real-time")]
-mod file;
-
 use singletrack_control::VehicleParameterError;
 use singletrack_protocol::{
     Configuration, EscCalibration, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS, ServoCalibration,
     SpeedLoop,
 };
-use singletrack_settings::{ValueError, section};
+use singletrack_settings::{Declared as _, ValueError, section};
 
 use crate::{
-    attitude::mounting_deg,
     board::{BoardParameters, UnoError},
     cameras::CameraParameters,
-    car::{CarParameters, EscKind},
+    car::{CarParameters, EscKind, mounting_deg},
     natnet_server::NatNetParameters,
     wire::WireParameters,
 };
-
-#[cfg(feature = "real-time")]
-pub use file::SimulationFileError;
 
 section! {
     /// The configuration of a simulation.
@@ -127,6 +118,30 @@ pub const fn default_board_configuration() -> Configuration {
     }
 }
 
+impl SimulationConfig {
+    /// Checks all settings against their ranges.
+    ///
+    /// # Errors
+    ///
+    /// The first setting that is out of range.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let car = &self.car;
+        car.vehicle.validate()?;
+        car.servo.check()?;
+        car.motor.check()?;
+        if let Some(push) = &car.motor.push {
+            push.check()?;
+        }
+        car.motor_sensor.check()?;
+        car.battery.check()?;
+        car.imu.check()?;
+        self.cameras.check()?;
+        self.board.check()?;
+        self.wire.check()?;
+        Ok(self.wire.faults.check()?)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -164,5 +179,21 @@ mod tests {
         assert_eq!(car.motor_sensor.pulse_distance_um, 12_000.0);
         assert!(car.motor.kill_relay);
         assert_eq!(simulation.board.car_id, 7);
+    }
+
+    #[test]
+    fn unknown_keys_and_invalid_values_are_reported_by_name() {
+        let error = toml::from_str::<SimulationConfig>("[car.servo]\nlagg_s = 1").unwrap_err();
+        assert!(error.to_string().contains("lagg_s"), "{error}");
+        let config: SimulationConfig = toml::from_str("[wire.faults]\ncorrupt = 1.5").unwrap();
+        assert_eq!(
+            config.validate().unwrap_err().to_string(),
+            "wire.faults.corrupt is 1.5: it must be a probability from 0 to 1"
+        );
+        let error = toml::from_str::<SimulationConfig>("[cameras]\nloss = \"1s\"").unwrap_err();
+        assert!(error.to_string().contains("DURATION@INTERVAL"), "{error}");
+        let error =
+            toml::from_str::<SimulationConfig>("[natnet]\nbitstream = \"2.5\"").unwrap_err();
+        assert!(error.to_string().contains("2.5"), "{error}");
     }
 }
