@@ -1,10 +1,5 @@
 //! Cars that are not as their configuration says: the first metre finds it.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use std::path::Path;
 
 use singletrack_scenario::simulate::{RunOptions, Scenario, Summary, simulate_with};

@@ -1,7 +1,5 @@
 //! Several cars in one world keep apart.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use singletrack_core::config::{NeighboursSection, ReferenceSection, Start};
 use singletrack_pilot::{Arming, Filtering, Mode, PilotRequest, Reason};
 use singletrack_scenario::{

@@ -1,13 +1,6 @@
 //! Controllers outside that misbehave: the car stops or is limited, inside its fence and with a
 //! reason, and the drive can be replayed.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test may fail"
-)]
-
 use singletrack_control::{
     Position, Setpoint, SetpointStamp, SpeedDemand, SteeringDemand, Time, Trajectory,
     TrajectoryPoint, Velocity, direction,

@@ -1,7 +1,5 @@
 //! A frame begins the tick that waits for it; the deadlines stay where they are.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use singletrack_core::config::{Config, ReferenceSection, StepSection};
 use singletrack_pilot::Event;
 use singletrack_record::TickRecord;

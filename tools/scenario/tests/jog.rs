@@ -1,7 +1,5 @@
 //! Jogging: bare pulses from a hand, through daemon, line, board and car, in virtual time.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use singletrack_core::config::{ReferenceSection, Start};
 use singletrack_pilot::{Arming, Jog, Mode, PilotRequest, Reason};
 use singletrack_protocol::{BoardMode, JOG_LIMIT_US, StopCause};

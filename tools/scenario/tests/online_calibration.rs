@@ -1,10 +1,5 @@
 //! What a drive says about a calibration that is wrong.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use std::path::Path;
 
 use singletrack_control::CalibrationParameter as Parameter;

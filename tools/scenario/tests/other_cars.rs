@@ -1,7 +1,5 @@
 //! Scenarios of cars that are not as their configuration says, and of operators.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
-
 use std::path::Path;
 
 use singletrack_control::{SlipAngles, Tyres};

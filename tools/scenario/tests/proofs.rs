@@ -1,11 +1,6 @@
 //! The first metre of a configuration that has not been proved on a car, and what is
 //! remembered of it.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "the helpers of tests may fail as tests do"
-)]
-
 use singletrack_core::{
     HostOptions, Proof, Proofs,
     config::{Config, ReferenceSection, Start},

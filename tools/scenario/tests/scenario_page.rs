@@ -1,8 +1,6 @@
 //! The reference of scenarios is generated from the declarations of their sections. With
 //! `SINGLETRACK_RENEW=1` this test writes it.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::{fmt::Write as _, fs, path::Path};
 
 use singletrack_scenario::simulate::{

@@ -1,8 +1,6 @@
 //! How closely P follows its reference on the simulated car, and what each compensation is
 //! worth.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::{fs, path::Path};
 
 use singletrack_record::Entry;

@@ -1,7 +1,5 @@
 //! Tunings that a scenario plans.
 
-#![allow(clippy::unwrap_used, reason = "a test may fail")]
-
 use std::path::Path;
 
 use singletrack_scenario::simulate::{Row, Scenario, simulate};

@@ -12,12 +12,9 @@ use singletrack_record::Entry;
 use singletrack_sim::{LossWindow, SimulationConfig, Truth};
 
 use super::{
-    Simulation,
-    error::ScenarioError,
-    operator::{Operator, OperatorSection},
-    row::{ROWS_PER_SECOND, Row},
-    scenario::{Scenario, SteeringHold},
-    summary::{CalibrationLine, Summary, Tally, drives},
+    Operator, OperatorSection, Simulation,
+    scenario::{Scenario, ScenarioError, SteeringHold},
+    summary::{CalibrationLine, ROWS_PER_SECOND, Row, Summary, Tally, drives},
 };
 use crate::{
     tracking::TrackingError,

@@ -10,9 +10,8 @@ use singletrack_core::config::LawKind;
 use singletrack_sim::integrator::{IntegrationError, Integrator};
 
 use super::{
-    error::ScenarioError,
-    row::{ROWS_PER_SECOND, Row},
-    scenario::{Scenario, SteeringHold},
+    scenario::{Scenario, ScenarioError, SteeringHold},
+    summary::{ROWS_PER_SECOND, Row},
 };
 
 /// Why an ideal simulation stopped.
