@@ -10,10 +10,9 @@ use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_protocol::BoardMode;
 
 use crate::{
-    action::{Action, Event, Theme},
+    action::{Action, Event, Theme, Trace},
     canonical::{Canonical, Key},
     claim::Violation,
-    trace::Trace,
     world::{Setting, World},
 };
 

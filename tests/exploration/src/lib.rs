@@ -6,19 +6,12 @@
 
 mod action;
 mod canonical;
-mod car;
 mod claim;
 mod explore;
 mod host;
-mod line;
-mod planted;
-mod trace;
 mod world;
 
-pub use action::{Action, Event, Theme};
-pub use claim::Violation;
+pub use action::{Action, Event, Passage, Theme, Trace};
+pub use claim::{Planted, Violation};
 pub use explore::{Counterexample, Explored, Explorer, Limits, Stopped};
-pub use line::Passage;
-pub use planted::Planted;
-pub use trace::Trace;
 pub use world::Setting;

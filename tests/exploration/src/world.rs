@@ -1,23 +1,24 @@
-//! Board, host, line, cameras, car and operator: the state that is explored.
+//! Board, host, cameras, operator, car and line: the state that is explored. The wheels turn while
+//! the ESC drives, and roll out; the line carries whole frames, in order, each of them lost, late
+//! or twice.
 
-use singletrack_board::{Board, ImuSample, Inputs, Outputs};
+use singletrack_board::{Board, ImuSample, Inputs, MotorPulses, Outputs};
 use singletrack_control::Time;
 use singletrack_core::Config;
 use singletrack_link::SessionConfig;
 use singletrack_pilot::{Arming, Mode, PilotRequest, SupervisorConfig};
-use singletrack_protocol::{BoardMode, Configuration, ResetCause, ToBoard, ToHost};
+use singletrack_protocol::{
+    BoardMode, Configuration, Decoder, Frame, Packet, ResetCause, ToBoard, ToHost,
+};
 
 use crate::{
-    action::{Action, Event},
-    car::Car,
-    claim::{Claims, Ended, Facts, Violation, Wish},
+    action::{Action, Event, Passage},
+    claim::{Claims, Ended, Facts, Planted, Violation, Wish},
     host::{Host, Seen},
-    line::{Line, bytes},
-    planted::Planted,
 };
 
 /// A control tick, and a poll of the board.
-pub(crate) const TICK_NS: u64 = 10_000_000;
+const TICK_NS: u64 = 10_000_000;
 
 const SOFTWARE: [u8; 3] = [0, 1, 0];
 
@@ -281,4 +282,145 @@ fn host(setting: &Setting, seed: u64, now: Time) -> Result<Host, String> {
 
 const fn car_id(setting: &Setting) -> u16 {
     setting.session.configuration.car_id
+}
+
+/// A message of one direction.
+pub(crate) trait Wire: Copy + core::fmt::Debug {
+    fn decode(packet: Packet<'_>) -> Option<Self>;
+    fn encode(&self) -> Frame;
+}
+
+impl Wire for ToBoard {
+    fn decode(packet: Packet<'_>) -> Option<Self> {
+        Self::decode(packet).ok()
+    }
+
+    fn encode(&self) -> Frame {
+        self.encode()
+    }
+}
+
+impl Wire for ToHost {
+    fn decode(packet: Packet<'_>) -> Option<Self> {
+        Self::decode(packet).ok()
+    }
+
+    fn encode(&self) -> Frame {
+        self.encode()
+    }
+}
+
+/// Frames under way, as messages, which can be compared.
+#[derive(Clone, Debug)]
+pub(crate) struct Line<M> {
+    /// Nothing passes, until it is mended.
+    is_cut: bool,
+    waiting: Vec<M>,
+}
+
+impl<M: Wire> Line<M> {
+    pub(crate) const fn new() -> Self {
+        Self {
+            is_cut: false,
+            waiting: Vec::new(),
+        }
+    }
+
+    /// The messages in these bytes: whole frames, as they were written.
+    fn messages(bytes: &[u8]) -> Vec<M> {
+        let mut decoder = Decoder::new();
+        let mut messages = Vec::new();
+        for &byte in bytes {
+            if let Some(Ok(packet)) = decoder.push(byte) {
+                messages.extend(M::decode(packet));
+            }
+        }
+        messages
+    }
+
+    /// What arrives of the frames that were sent in this tick.
+    pub(crate) fn pass(&mut self, sent: Vec<M>, passage: Passage) -> Vec<M> {
+        let mut arrived = core::mem::take(&mut self.waiting);
+        match passage {
+            _ if self.is_cut => arrived.clear(),
+            Passage::Whole => arrived.extend(sent),
+            Passage::Lost => {}
+            Passage::Late => {
+                arrived.extend(sent);
+                self.waiting = core::mem::take(&mut arrived);
+            }
+            Passage::Twice => {
+                arrived.extend(&sent);
+                self.waiting = sent;
+            }
+        }
+        arrived
+    }
+
+    /// Nothing is under way any more.
+    pub(crate) fn clear(&mut self) {
+        self.waiting.clear();
+    }
+}
+
+/// The bytes of messages.
+pub(crate) fn bytes<M: Wire>(messages: &[M]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for message in messages {
+        bytes.extend_from_slice(message.encode().as_bytes());
+    }
+    bytes
+}
+
+/// Speed while the ESC drives, and distance of the motor's pulses: one in each tick.
+const DRIVEN_M_S: f64 = 0.3;
+
+/// Ticks of the roll-out in which a pulse comes: at about 1 m/s².
+const ROLL_OUT: [u8; 6] = [1, 2, 4, 6, 9, 14];
+
+/// Ticks after which the car stands.
+const STANDS_AFTER: u8 = 24;
+
+/// Wheels and motor sensor.
+#[derive(Clone, Debug)]
+pub(crate) struct Car {
+    /// Ticks since the ESC drove; [`STANDS_AFTER`] for a car that stands.
+    rolled: u8,
+    pub(crate) pulses: MotorPulses,
+}
+
+impl Car {
+    pub(crate) const fn new() -> Self {
+        Self {
+            rolled: STANDS_AFTER,
+            pulses: MotorPulses {
+                count: 0,
+                last_edge_us: 0,
+            },
+        }
+    }
+
+    /// The board has started again, with a clock of its own.
+    pub(crate) const fn board_restarted(&mut self) {
+        self.pulses = MotorPulses {
+            count: 0,
+            last_edge_us: 0,
+        };
+    }
+
+    fn advance(&mut self, drives: bool, board_us: u32) {
+        self.rolled = if drives {
+            0
+        } else {
+            (self.rolled + 1).min(STANDS_AFTER)
+        };
+        if drives || ROLL_OUT.contains(&self.rolled) {
+            self.pulses.count = self.pulses.count.wrapping_add(1);
+            self.pulses.last_edge_us = board_us;
+        }
+    }
+
+    pub(crate) fn speed(&self) -> f64 {
+        DRIVEN_M_S * f64::from(STANDS_AFTER - self.rolled) / f64::from(STANDS_AFTER)
+    }
 }

@@ -13,21 +13,16 @@ use singletrack_sim::{BoardKind, HandMotion, ReceivedMessage, World};
 
 use crate::{
     SetupError,
-    daemon::{Daemon, host_ns},
-    digest::Digest,
+    daemon::{Daemon, Port, host_ns},
     invariant::{self, Invariant},
-    learner,
     network::{HostSockets, Network},
-    observation::{Observation, ReceivedPose},
-    operator::{Attends, Operator, Renewal},
+    observation::{Digest, Observation, ReceivedPose},
     pins::{Pins, Pulse},
-    port::Port,
-    program::{Program, Sight},
+    program::{self, Attends, Operator, Program, Renewal, Sight},
     random::{Random, Stream},
     schedule::{Fault, FaultKind, OperatorRequest, ReferenceKind, Schedule},
     setting::{self, ConfigurationFile},
     spec::Spec,
-    stage,
     stop::{STANDING, Step, Stops},
     tamper::{Tamper, TamperedPins},
 };
@@ -385,7 +380,7 @@ impl<'a> Drive<'a> {
             }
             self.faults.remove(index);
             changed = true;
-            stage::end(&mut self.world, &fault);
+            setting::end(&mut self.world, &fault);
             self.network.note_change(fault.kind);
             if fault.kind == FaultKind::CameraServerRestart {
                 self.network.restart_server(&self.world);
@@ -395,7 +390,7 @@ impl<'a> Drive<'a> {
             // Every full millisecond is a step.
             if us(fault.at_ms) == now_us {
                 changed = true;
-                stage::begin(&mut self.world, fault);
+                setting::begin(&mut self.world, fault);
                 self.network.note_change(fault.kind);
                 if fault.kind == FaultKind::BoardHang && self.world.board().is_running() {
                     self.bites_us.get_or_insert(now_us + WATCHDOG_US);
@@ -407,7 +402,7 @@ impl<'a> Drive<'a> {
             }
         }
         if changed {
-            stage::hold(&mut self.world, &self.schedule.situation, &self.faults);
+            setting::hold(&mut self.world, &self.schedule.situation, &self.faults);
             self.host_faults(tamper)?;
         }
         if self.schedule.situation.board == BoardKind::Native
@@ -700,7 +695,7 @@ impl<'a> Drive<'a> {
                 && record.index.is_multiple_of(LEARNED_TICKS)
                 && !is_stuck
                 && let Some(learned) =
-                    learner::learned(self.schedule.seed, record.index / LEARNED_TICKS)
+                    program::learned(self.schedule.seed, record.index / LEARNED_TICKS)
             {
                 daemon.tell(learned);
             }

@@ -42,40 +42,32 @@
 //! [`planted::BUGS`] has a bug for each, and `tests/planted.rs` checks that it is found.
 //!
 //! To add a fault: a line in `schedule/kind.rs` and its effect in `network.rs`,
-//! `stage.rs`, `setting.rs` or `drive.rs`. To add a property of the car: a line in
-//! `schedule/truth.rs` and its effect in `setting.rs`. To add an invariant: a type in
+//! `setting.rs` or `drive.rs`. To add a property of the car: a line in
+//! `schedule/mod.rs` and its effect in `setting.rs`. To add an invariant: a type in
 //! `invariant/`, a line in its list, a planted bug.
 
 mod campaign;
 mod daemon;
-mod digest;
 mod drive;
 mod fleet;
 mod invariant;
-mod learner;
 mod network;
 mod observation;
-mod operator;
 mod pins;
 pub mod planted;
-mod port;
 mod program;
 mod random;
-mod recording;
 pub mod schedule;
 mod setting;
-mod shrink;
 mod spec;
-mod stage;
 mod stop;
 mod tamper;
 
-pub use campaign::{Campaign, CampaignOutcome, Failure, ReadError, SeedOutcome, attempt};
+pub use campaign::{Campaign, CampaignOutcome, Failure, ReadError, SeedOutcome, attempt, shrink};
+pub use daemon::{Recording, RecordingError};
 pub use drive::{DriveOutcome, FilterTicks, Until, Violation, drive, drive_watched};
 pub use fleet::{FleetBug, FleetCampaign, FleetOutcome, drive_fleet};
 pub use invariant::names;
-pub use recording::{Recording, RecordingError};
-pub use shrink::shrink;
 pub use tamper::{Tamper, Untampered};
 
 /// Errors while setting up a drive.

@@ -19,7 +19,7 @@ use singletrack_sim::{CameraFrame, Datagram, Destination, TICKS_PER_SECOND, Worl
 use crate::{
     random::{Random, Stream},
     schedule::{Fault, FaultKind},
-    stage,
+    setting,
 };
 
 /// The server's address in the daemon's configuration.
@@ -516,7 +516,7 @@ impl Network {
         let bodies = || content.bodies.iter().chain(&content.car);
         bodies().any(|body| {
             let finite = body.position_m.iter().chain(&body.orientation_xyzw);
-            let named = stage::CAR_IDS.contains(&body.id)
+            let named = setting::CAR_IDS.contains(&body.id)
                 || (self.renamed && content.bodies.first().is_some_and(|b| b.id == body.id));
             named
                 && body.tracking_valid()

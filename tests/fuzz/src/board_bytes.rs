@@ -7,7 +7,7 @@ use singletrack_protocol::{
     ResetCause, Sequence, ToBoard, ToHost, UNNAMED, VERSION,
 };
 
-use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
+use crate::choices::{CONFIGURATION, Choices, frame};
 
 const MS: u32 = 1_000;
 

@@ -1,4 +1,11 @@
-//! Decisions of a test, read from bytes.
+//! Decisions of a test, read from bytes; frames of the serial line with arbitrary packets, and the
+//! calibration of board and session.
+
+use crc::{CRC_16_IBM_SDLC, Crc};
+use singletrack_protocol::{
+    Configuration, EscCalibration, EscKind, FailsafeAction, ImuAxes, LONGEST_ROLL_OUT_MS,
+    ServoCalibration, SpeedLoop,
+};
 
 /// The sequence of decisions in a fuzzer's bytes.
 ///
@@ -84,5 +91,80 @@ impl<'a> Choices<'a> {
     pub(crate) fn one_of<T: Copy, const N: usize>(&mut self, options: [T; N]) -> T {
         const { assert!(N > 0) };
         options[usize::from(self.byte()) % N]
+    }
+}
+
+const CHECKSUM: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_SDLC);
+
+/// A frame with a valid checksum, for any type byte and payload.
+///
+/// The payload may exceed those of all messages, up to 255 bytes.
+pub(crate) fn frame(kind: u8, payload: &[u8]) -> Vec<u8> {
+    let mut packet = vec![kind];
+    packet.extend_from_slice(payload);
+    let checksum = CHECKSUM.checksum(&packet);
+    packet.extend_from_slice(&checksum.to_le_bytes());
+    let mut frame = vec![0; cobs::max_encoding_length(packet.len()) + 1];
+    let length = cobs::encode(&packet, &mut frame);
+    // The final zero is already there.
+    frame.truncate(length + 1);
+    frame
+}
+
+/// A valid configuration.
+pub(crate) const CONFIGURATION: Configuration = Configuration {
+    servo: ServoCalibration {
+        centre_us: 1_500,
+        gain_us_per_rad: 800,
+        min_us: 1_080,
+        max_us: 1_920,
+        slew_us_per_20ms: 96,
+    },
+    esc: EscCalibration {
+        kind: EscKind::Car,
+        neutral_us: 1_500,
+        deadband_us: 30,
+        min_us: 1_200,
+        max_us: 1_700,
+        slew_us_per_20ms: 40,
+        brake_us: 1_350,
+    },
+    speed: SpeedLoop {
+        pulse_distance_um: 3_000,
+        feed_forward_us_per_m_s: 80,
+        proportional_us_per_m_s: 80,
+        integral_us_per_m: 250,
+        integral_limit_us: 60,
+        max_forward_mm_s: 1_500,
+        max_reverse_mm_s: 0,
+    },
+    failsafe: FailsafeAction::Coast,
+    max_pose_age_ms: 950,
+    stop_input: false,
+    kill_output: false,
+    max_roll_out_ms: LONGEST_ROLL_OUT_MS,
+    car_id: 0,
+    imu_axes: ImuAxes::AS_PRINTED,
+};
+
+#[cfg(test)]
+mod tests {
+    use singletrack_protocol::{Decoder, Disarm, Message, Packet, Sequence};
+
+    #[test]
+    fn frames_match_the_protocol() {
+        let disarm = Disarm {
+            request: Sequence(7),
+        };
+        assert_eq!(super::frame(0x12, &[7]), disarm.encode().as_bytes());
+        let mut decoder = Decoder::new();
+        let packets: Vec<_> = super::frame(0xEE, &[0, 1, 0])
+            .into_iter()
+            .filter_map(|byte| {
+                let Packet { kind, payload } = decoder.push(byte)?.unwrap();
+                Some((kind, payload.to_vec()))
+            })
+            .collect();
+        assert_eq!(packets, [(0xEE, vec![0, 1, 0])]);
     }
 }

@@ -10,7 +10,7 @@ use singletrack_protocol::{
     ResetCause, Sequence, Status, StopCause, Telemetry, ToBoard, ToHost, UNSOLICITED, VERSION,
 };
 
-use crate::{choices::Choices, frame::frame, samples::CONFIGURATION};
+use crate::choices::{CONFIGURATION, Choices, frame};
 
 const MS: u64 = 1_000_000;
 

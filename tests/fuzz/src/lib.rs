@@ -19,21 +19,16 @@ mod board_bytes;
 mod choices;
 mod configuration;
 mod control_line;
-mod frame;
 mod host_bytes;
 mod natnet_packets;
-mod page_head;
-mod samples;
-mod stream_messages;
-
 pub mod seeds;
+mod stream_messages;
 
 pub use board_bytes::board_bytes;
 pub use configuration::configuration;
-pub use control_line::control_line;
+pub use control_line::{control_line, page_head};
 pub use host_bytes::host_bytes;
 pub use natnet_packets::natnet_packets;
-pub use page_head::page_head;
 pub use stream_messages::stream_messages;
 
 /// A fuzz target.

@@ -10,7 +10,7 @@ use singletrack_protocol::{
     Telemetry, ToBoard, ToHost, VERSION,
 };
 
-use crate::samples::CONFIGURATION;
+use crate::choices::CONFIGURATION;
 
 /// One file of the corpus.
 #[derive(Clone, Debug, PartialEq, Eq)]

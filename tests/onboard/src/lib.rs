@@ -8,21 +8,15 @@
 mod bench;
 mod campaign;
 mod car;
-mod circle;
 mod guard;
 mod person;
-mod rehearsal;
-mod truths;
 
-pub use bench::{BenchError, VirtualBench};
+pub use bench::{BenchError, NoJournal, Rehearsal, RehearsalError, RehearsedStep, VirtualBench};
 pub use campaign::{
-    Campaign, CampaignError, CarOutcome, Measured, NoJournal, Summary, onboard, onboard_until,
+    Campaign, CampaignError, CarOutcome, Circle, Measured, Summary, onboard, onboard_until,
     write_csv,
 };
-pub use car::{HALL_M, OnboardCar, PlantedFault};
-pub use circle::Circle;
+pub use car::{HALL_M, OnboardCar, PlantedFault, truth_of};
 pub use guard::{Guard, Violation};
 pub use person::{Hands, Person};
-pub use rehearsal::{Rehearsal, RehearsalError, RehearsedStep};
 pub use singletrack_statistics::Random;
-pub use truths::truth_of;

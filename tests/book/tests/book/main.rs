@@ -2,20 +2,24 @@
 //!
 //! `cargo test -p singletrack-book --test book -- tutorial` runs one page. The programs
 //! are those beside this one, from `cargo build --bins`.
+//!
+//! The blocks of a page run in a folder that looks like a clone of the repository. It holds links to
+//! the files, so that nothing is written to the repository. Pages run beside each other: each has its
+//! own address of the loopback network for the cameras, and `/tmp` in its commands is its own folder.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
-mod parsed;
-mod run;
-
 use std::{
     env, fs,
+    os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
-    process::ExitCode,
+    process::{Command, ExitCode},
+    sync::{PoisonError, RwLock},
 };
 
 use libtest_mimic::{Arguments, Failed, Trial};
-use singletrack_book::{Block, Kind, blocks};
+use singletrack_book::{Block, Kind, Line, blocks, lines, spans};
+use tempfile::TempDir;
 
 /// The pages with commands, and those with kinds of blocks explained.
 const KINDS_PAGE: &str = "docs/contributing.md";
@@ -114,13 +118,255 @@ fn main() -> ExitCode {
     for (number, page) in pages.into_iter().enumerate() {
         let parsed = page.clone();
         trials.push(Trial::test(format!("parsed {}", page.name), move || {
-            parsed::check(&parsed)
+            check(&parsed)
         }));
         if page.blocks.iter().any(Block::runs) {
             trials.push(Trial::test(format!("run {}", page.name), move || {
-                run::run(&page, number)
+                run(&page, number)
             }));
         }
     }
     libtest_mimic::run(&arguments, trials).exit_code()
+}
+
+/// Functions for the commands.
+const PRELUDE: &str = include_str!("prelude.sh");
+
+/// Pages with a simulated car run alone: it is simulated in real time.
+static MACHINE: RwLock<()> = RwLock::new(());
+
+/// How often such a page is tried on a machine that is too busy for the simulated car.
+const MOST_TRIES: usize = 5;
+
+/// What the daemon says when the simulated car, or itself, was not given the processor.
+const STARVED: [&str; 3] = [
+    "frames of the motion capture have stopped",
+    "board lost: silence",
+    "dropped for want of room",
+];
+
+/// Runs a page's blocks in order, in one shell.
+fn run(page: &Page, number: usize) -> Result<(), Failed> {
+    let is_real_time = page
+        .blocks
+        .iter()
+        .any(|block| block.kinds.contains(&Kind::Car) || block.kinds.contains(&Kind::Background));
+    if !is_real_time {
+        let _others = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
+        return run_once(page, number);
+    }
+    let _alone = MACHINE.write().unwrap_or_else(PoisonError::into_inner);
+    let mut tries = 1;
+    loop {
+        let result = run_once(page, number);
+        let is_starved = result.as_ref().is_err_and(|failed| {
+            let said = failed.message().unwrap_or_default();
+            STARVED.iter().any(|words| said.contains(words))
+        });
+        if !is_starved || tries == MOST_TRIES {
+            return result;
+        }
+        eprintln!(
+            "{}: the machine was too busy for the simulated car; again",
+            page.name
+        );
+        tries += 1;
+    }
+}
+
+fn run_once(page: &Page, number: usize) -> Result<(), Failed> {
+    let scratch = TempDir::with_prefix("book-")?;
+    let folder = scratch.path();
+    let address = format!("127.34.0.{}", number + 1);
+    clone(&folder.join("clone"))?;
+    wrap_programs(&folder.join("bin"), &address)?;
+    fs::create_dir(folder.join("tmp"))?;
+    let mut script = PRELUDE.to_owned();
+    let starts_daemon = page.blocks.iter().any(|block| {
+        block.runs()
+            && !block.kinds.contains(&Kind::Car)
+            && block.text.contains("singletrackd --config")
+    });
+    for block in page.blocks.iter().filter(|block| block.runs()) {
+        script.push_str(&commands(page, block, starts_daemon)?);
+    }
+    script.push_str("finish\n");
+    let script = script
+        .replace("/tmp/", &format!("{}/tmp/", folder.display()))
+        .replace("127.0.0.1", &address);
+    fs::write(folder.join("script"), &script)?;
+    let output = Command::new("timeout")
+        .args(["--kill-after=5", "90", "bash"])
+        .arg(folder.join("script"))
+        .current_dir(folder.join("clone"))
+        .env(
+            "PATH",
+            format!("{}:/usr/bin:/bin", folder.join("bin").display()),
+        )
+        .env("SCRATCH", folder)
+        .env_remove("SINGLETRACK_SOCKET")
+        .env("TERM", "dumb")
+        .output()?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let tail = |bytes: &[u8]| {
+        let text = String::from_utf8_lossy(bytes).into_owned();
+        let lines: Vec<&str> = text.lines().collect();
+        lines[lines.len().saturating_sub(30)..].join("\n")
+    };
+    let (said, complained) = (tail(&output.stdout), tail(&output.stderr));
+    Err(format!(
+        "{}: {}\n{said}\n---\n{complained}",
+        page.name, output.status
+    )
+    .into())
+}
+
+/// The commands that run a block.
+fn commands(page: &Page, block: &Block, starts_daemon: bool) -> Result<String, Failed> {
+    let is = |kind| block.kinds.contains(&kind);
+    let mut text = format!("at '{}:{}'\n", page.name, block.line);
+    if is(Kind::Car) {
+        text.push_str(if starts_daemon {
+            "await_ready\n"
+        } else {
+            "car\n"
+        });
+    }
+    let joined = block.text.replace("\\\n", " ");
+    let lines = joined
+        .lines()
+        .map(|line| line.split(" #").next().unwrap_or_default().trim())
+        .filter(|line| !line.is_empty() && !line.starts_with('#'));
+    match (is(Kind::Background), is(Kind::Interrupted)) {
+        (true, _) => {
+            let lines: Vec<&str> = lines.collect();
+            let [line] = lines.as_slice() else {
+                return Err("a block in the background has one command".into());
+            };
+            text.push_str(&format!("{line} &\n"));
+        }
+        (_, true) => {
+            for line in lines {
+                text.push_str(&format!("interrupted '{}'\n", line.replace('\'', "'\\''")));
+            }
+        }
+        _ => text.push_str(&block.text),
+    }
+    Ok(text)
+}
+
+/// A folder with links to the repository's files, whose own folders can be written to.
+fn clone(folder: &Path) -> Result<(), Failed> {
+    fs::create_dir_all(folder)?;
+    for entry in fs::read_dir(root())? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if name != "target" && name != ".git" {
+            symlink(entry.path(), folder.join(name))?;
+        }
+    }
+    Ok(())
+}
+
+/// The programs; the simulator at the page's own address.
+fn wrap_programs(folder: &Path, address: &str) -> Result<(), Failed> {
+    fs::create_dir_all(folder)?;
+    for name in [
+        "singletrack",
+        "singletrackd",
+        "singletrack-lab",
+        "singletrack-sim",
+        "singletrack-faults",
+    ] {
+        let program = programs().join(name);
+        if !program.is_file() {
+            let advice = "cargo build --bins";
+            return Err(format!("{} is missing: {advice}", program.display()).into());
+        }
+        if name == "singletrack-sim" {
+            let file = folder.join(name);
+            let port = "\"$SCRATCH/tmp/singletrack-board\"";
+            let options = format!("--interface {address} --port {port}");
+            let text = format!(
+                "#!/bin/sh\n# Ahead of other programs where the system allows it, as the daemon.\n\
+                 if chrt --rr 20 true 2> /dev/null; then ahead='chrt --rr 20'; fi\n\
+                 exec ${{ahead:-}} {} {options} \"$@\"\n",
+                program.display()
+            );
+            fs::write(&file, text)?;
+            fs::set_permissions(&file, fs::Permissions::from_mode(0o755))?;
+        } else {
+            symlink(program, folder.join(name))?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks all command lines of a page, in blocks and in the text.
+fn check(page: &Page) -> Result<(), Failed> {
+    let mut found: Vec<Line> = page
+        .blocks
+        .iter()
+        .flat_map(|block| lines(&block.text))
+        .collect();
+    found.extend(prose(&page.text).flat_map(spans));
+    let wrong: Vec<String> = found.iter().filter_map(refusal).collect();
+    if wrong.is_empty() {
+        return Ok(());
+    }
+    Err(wrong.join("\n").into())
+}
+
+/// The lines outside of blocks.
+fn prose(text: &str) -> impl Iterator<Item = &str> {
+    let mut is_in_block = false;
+    text.lines().filter(move |line| {
+        let is_fence = line.trim_start().starts_with("```");
+        is_in_block ^= is_fence;
+        !is_fence && !is_in_block
+    })
+}
+
+/// Why a command line is wrong.
+fn refusal(line: &Line) -> Option<String> {
+    let (program, arguments) = match line.program.as_str() {
+        "cargo" => match line.arguments.split_first()? {
+            (alias, rest) if alias == "demo" => ("singletrack", [&["demo".into()], rest].concat()),
+            (alias, rest) if alias == "explore" => ("singletrack-exploration", rest.to_vec()),
+            (alias, rest) if alias == "faults" => ("singletrack-faults", rest.to_vec()),
+            (alias, rest) if alias == "onboard" => ("singletrack-onboard", rest.to_vec()),
+            _ => return missing_example(line),
+        },
+        program => (program, line.arguments.clone()),
+    };
+    let output = Command::new(programs().join(program))
+        .args(&arguments)
+        .arg("--help")
+        .output();
+    match output {
+        Ok(output) if output.status.success() => None,
+        Ok(output) => {
+            let why = String::from_utf8_lossy(&output.stderr).into_owned();
+            let why = why.lines().next().unwrap_or_default().to_owned();
+            Some(format!("{program} {}: {why}", arguments.join(" ")))
+        }
+        Err(error) => Some(format!(
+            "{program}: {error}; build the programs: cargo build --bins"
+        )),
+    }
+}
+
+/// `cargo run --example NAME` of an example that does not exist.
+fn missing_example(line: &Line) -> Option<String> {
+    let at = line.arguments.iter().position(|word| word == "--example")?;
+    let file = format!("examples/{}.rs", line.arguments.get(at + 1)?);
+    let exists = ["host", "tools", "tests"].iter().any(|folder| {
+        let packages = std::fs::read_dir(root().join(folder)).into_iter().flatten();
+        packages
+            .flatten()
+            .any(|package| package.path().join(&file).is_file())
+    });
+    (!exists).then(|| format!("no package has {file}"))
 }

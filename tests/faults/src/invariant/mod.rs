@@ -1,19 +1,13 @@
 //! Invariants, which are checked in every step of a drive.
 
 mod age;
-mod attended;
 mod authority;
-mod brake;
 mod cause;
-mod configuration;
 mod fence;
-mod filter;
-mod grid;
 mod host;
 mod proving;
 mod pulse;
 mod replayed;
-mod sign;
 mod stand;
 
 use singletrack_pilot::{Event, PilotConfig, PilotRequest};
@@ -67,9 +61,9 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<authority::Unasked>::default(),
         Box::<authority::Waits>::default(),
         Box::<authority::Latched>::default(),
-        Box::<attended::DeadMan>::default(),
-        Box::<attended::AtOnce>::default(),
-        Box::<attended::JogLimits>::default(),
+        Box::<authority::DeadMan>::default(),
+        Box::<authority::AtOnce>::default(),
+        Box::<authority::JogLimits>::default(),
         Box::<age::CommandAge>::default(),
         Box::<age::HostSilence>::default(),
         Box::<age::PoseAge>::default(),
@@ -82,29 +76,29 @@ pub(crate) fn all(pilot: PilotConfig) -> Vec<Box<dyn Invariant>> {
         Box::<cause::ImuStuck>::default(),
         Box::<cause::SetpointSilence>::default(),
         Box::<replayed::Compared>::default(),
-        Box::<configuration::ReconfiguredUnderway>::default(),
-        Box::<configuration::ArmedConfiguration>::default(),
-        Box::<grid::TickGrid>::default(),
-        Box::<grid::CameraAlignment>::default(),
+        Box::<proving::ReconfiguredUnderway>::default(),
+        Box::<proving::ArmedConfiguration>::default(),
+        Box::<host::TickGrid>::default(),
+        Box::<host::CameraAlignment>::default(),
         Box::<fence::Fence>::default(),
         Box::<fence::EstimateError>::default(),
-        Box::<filter::Filter>::default(),
+        Box::<fence::Filter>::default(),
         Box::<stand::Stands>::default(),
         Box::<stand::WeakBrakes>::default(),
         Box::<stand::StopNotObeyed>::default(),
         Box::<stand::UnarmedMotion>::default(),
         Box::<stand::ArmingMotion>::default(),
         Box::<stand::Backward>::default(),
-        Box::<brake::BrakePulse>::default(),
-        Box::<brake::SilentStop>::default(),
-        Box::<brake::KillOutput>::default(),
+        Box::<pulse::BrakePulse>::default(),
+        Box::<pulse::SilentStop>::default(),
+        Box::<pulse::KillOutput>::default(),
         Box::<proving::ProvingSpeed>::default(),
         Box::<proving::FalseProof>::default(),
         Box::<proving::Acknowledged>::default(),
         Box::<proving::FaultClears>::default(),
         Box::<proving::FalseAlarm>::default(),
-        Box::<sign::SteeringSign>::default(),
-        Box::<sign::GyroSign>::default(),
+        Box::<pulse::SteeringSign>::default(),
+        Box::<pulse::GyroSign>::default(),
         Box::<host::CommandLimits>::default(),
         Box::<host::CommandRate>::default(),
         Box::<host::ModeAndReason>::default(),
