@@ -26,7 +26,7 @@ use singletrack_hil::{
     Failure, Measurements, Outcome,
     bench::{Bench, Equipment},
     client::Client,
-    ensure, percentile, program, settings,
+    daemon, ensure, percentile, settings,
     viewer::Viewer,
 };
 use singletrack_sim::BoardKind;
@@ -79,7 +79,7 @@ fn main() -> ExitCode {
 
 fn run(options: Options) -> Outcome {
     let equipment = Equipment {
-        program: options.daemon.map_or_else(program::build, Ok)?,
+        program: options.daemon.map_or_else(daemon::build, Ok)?,
         port: None,
         board: BoardKind::Native,
         kills: 0,

@@ -26,7 +26,7 @@ use singletrack_hil::{
     bench::{Bench, Equipment},
     client::Client,
     controller::{Holder, State},
-    ensure, percentile, program,
+    daemon, ensure, percentile,
 };
 use singletrack_sim::BoardKind;
 
@@ -66,7 +66,7 @@ fn main() -> ExitCode {
 fn run(options: Options) -> Outcome {
     let time = Duration::from_secs(options.seconds);
     let equipment = Equipment {
-        program: options.daemon.map_or_else(program::build, Ok)?,
+        program: options.daemon.map_or_else(daemon::build, Ok)?,
         port: None,
         board: options.board,
         kills: 0,

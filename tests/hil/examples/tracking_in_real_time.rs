@@ -16,7 +16,7 @@ use singletrack_core::config::{
     Config, MotionCaptureSection, RecordSection, SerialSection, SocketSection, StateSection, UpAxis,
 };
 use singletrack_hil::{
-    Failure, Outcome, client::Client, daemon::Daemon, ensure, percentile, program, settings, wait,
+    Failure, Outcome, client::Client, daemon, daemon::Daemon, ensure, percentile, settings, wait,
 };
 use singletrack_record::{Entry, Reader};
 use singletrack_scenario::simulate::{Scenario, simulate, virtual_drive_config};
@@ -57,7 +57,7 @@ fn main() -> ExitCode {
 }
 
 fn run(options: Options) -> Outcome {
-    let daemon = options.daemon.map_or_else(program::build, Ok)?;
+    let daemon = options.daemon.map_or_else(daemon::build, Ok)?;
     println!(
         "virtual_mm real_mm ratio  after_frame_p50_ms p99_ms  late_p50_ms p99_ms largest_ms file"
     );

@@ -1,8 +1,7 @@
-//! Measurements of the tests, for the table at the end.
+//! What a test measures, for the table at the end, and the failures of a test; the load of the
+//! processors.
 
 use std::sync::{Arc, Mutex, PoisonError};
-
-use crate::{Failure, Outcome};
 
 /// Measurements with their limits, shared by all tests.
 #[derive(Clone, Debug, Default)]
@@ -90,4 +89,88 @@ pub fn percentile(sorted: &[f64], part: f64) -> f64 {
         .get(rank.saturating_sub(1))
         .copied()
         .unwrap_or(f64::NAN)
+}
+
+/// Failures of a test.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// A requirement is violated.
+    #[error("{0}")]
+    Failed(String),
+    /// The harness missed what it had to observe: the test has no result.
+    #[error("void: {0}")]
+    Void(String),
+    /// An operation of the system failed.
+    #[error("{what}: {source}")]
+    System {
+        /// The operation.
+        what: String,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// The simulator failed.
+    #[error("the simulator: {0}")]
+    Simulator(#[from] singletrack_sim::RealTimeError),
+}
+
+/// Result of a test or a part of it.
+pub type Outcome<T = ()> = Result<T, Failure>;
+
+impl Failure {
+    /// A violated requirement.
+    pub fn new(what: impl Into<String>) -> Self {
+        Self::Failed(what.into())
+    }
+
+    /// For `map_err`: adds the operation.
+    pub fn system(what: impl Into<String>) -> impl FnOnce(std::io::Error) -> Self {
+        |source| Self::System {
+            what: what.into(),
+            source,
+        }
+    }
+}
+
+/// Fails the test with a formatted message unless the condition holds.
+#[macro_export]
+macro_rules! ensure {
+    ($condition:expr, $($message:tt)+) => {
+        if !$condition {
+            return Err($crate::Failure::new(format!($($message)+)));
+        }
+    };
+}
+
+/// The processors' time since the start of the system, in the kernel's unit.
+#[derive(Clone, Copy, Debug)]
+pub struct Processors {
+    free: u64,
+    all: u64,
+}
+
+impl Processors {
+    /// The time now; nothing where the kernel does not report it.
+    #[must_use]
+    pub fn now() -> Option<Self> {
+        let stat = std::fs::read_to_string("/proc/stat").ok()?;
+        let times = stat.lines().next()?.strip_prefix("cpu ")?;
+        let times: Vec<u64> = times
+            .split_whitespace()
+            .map_while(|time| time.parse().ok())
+            .collect();
+        // user, nice, system, idle, iowait, irq, softirq, steal; guests are in the first two.
+        let times = times.get(..8)?;
+        Some(Self {
+            free: times[3] + times[4],
+            all: times.iter().sum(),
+        })
+    }
+
+    /// Share of the processors' time that was free since then, 0 to 1.
+    #[must_use]
+    pub fn free_until_now(self) -> Option<f64> {
+        let later = Self::now()?;
+        let all = later.all.checked_sub(self.all).filter(|&all| all > 0)?;
+        Some(later.free.saturating_sub(self.free) as f64 / all as f64)
+    }
 }

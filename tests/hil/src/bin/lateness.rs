@@ -16,7 +16,7 @@ use clap::Parser;
 use singletrack_hil::{
     Failure, Measurements, Outcome,
     bench::{Bench, Equipment},
-    ensure, program,
+    daemon, ensure,
 };
 use singletrack_sim::BoardKind;
 use singletrack_statistics::Distribution;
@@ -57,7 +57,7 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Outcome {
     let equipment = Equipment {
-        program: program::build()?,
+        program: daemon::build()?,
         port: None,
         board: BoardKind::Native,
         whole: false,

@@ -13,7 +13,7 @@ use singletrack_sim::{
     ServerKind, Truth,
 };
 
-use super::{LineFaults, Need, Rig, canary::Canary, priority::raise_priority, uinput_lacks};
+use super::{Canary, LineFaults, Need, Rig, raise_priority, uinput_lacks};
 use crate::{Failure, Outcome, Pulses, Trace, settings};
 
 /// Rig with simulated board, car and cameras.

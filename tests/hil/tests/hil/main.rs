@@ -36,7 +36,7 @@ use libtest_mimic::{Arguments, Completion, Failed, Trial};
 use singletrack_hil::{
     Failure, Measurements, Outcome, Processors,
     bench::{Bench, Equipment},
-    program,
+    daemon,
     rig::{ModestSession, Need},
 };
 use singletrack_sim::BoardKind;
@@ -181,7 +181,7 @@ fn main() -> ExitCode {
     let program = if libtest.list {
         PathBuf::new()
     } else {
-        match options.daemon.map_or_else(program::build, Ok) {
+        match options.daemon.map_or_else(daemon::build, Ok) {
             Ok(program) => program,
             Err(failure) => {
                 eprintln!("error: {failure}");

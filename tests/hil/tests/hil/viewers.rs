@@ -38,7 +38,7 @@ pub(crate) const SCENARIOS: &[Scenario] = &[
     .alone(),
 ];
 
-/// As many as the live view takes.
+/// Viewers of the live view.
 const VIEWERS: usize = 8;
 
 /// Browsers on the page.

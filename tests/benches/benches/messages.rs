@@ -1,4 +1,8 @@
-//! Time to decode a frame of ten bodies.
+//! Time to decode a camera frame of ten bodies, and to encode and decode a frame of the serial line
+//! on the host.
+
+#[path = "../../../protocol/tests/samples/mod.rs"]
+mod samples;
 
 use std::hint::black_box;
 
@@ -7,6 +11,7 @@ use singletrack_mocap::{
     codec::{BitstreamVersion, CameraTicks, RigidBody, ServerMessage},
     encode::{self, FrameContent},
 };
+use singletrack_protocol::{Decoder, ToBoard, ToHost};
 
 /// A frame of ten bodies.
 fn ten_bodies(version: BitstreamVersion) -> Vec<u8> {
@@ -48,5 +53,32 @@ fn decode(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, decode);
+fn frames(criterion: &mut Criterion) {
+    for sample in samples::samples() {
+        if !["drive", "telemetry"].contains(&sample.name) {
+            continue;
+        }
+        criterion.bench_function(&format!("encode {}", sample.name), |bencher| {
+            bencher.iter(|| black_box(&sample).frame());
+        });
+        let frame = sample.frame();
+        criterion.bench_function(&format!("decode {}", sample.name), |bencher| {
+            let mut decoder = Decoder::new();
+            bencher.iter(|| {
+                let mut decoded = 0;
+                for &byte in black_box(frame.as_bytes()) {
+                    if let Some(Ok(packet)) = decoder.push(byte) {
+                        decoded += usize::from(match sample.message {
+                            samples::Either::ToBoard(_) => ToBoard::decode(packet).is_ok(),
+                            samples::Either::ToHost(_) => ToHost::decode(packet).is_ok(),
+                        });
+                    }
+                }
+                assert_eq!(decoded, 1);
+            });
+        });
+    }
+}
+
+criterion_group!(benches, decode, frames);
 criterion_main!(benches);
