@@ -10,11 +10,7 @@
 
 use pyo3::prelude::*;
 
-mod argument;
-mod comparison;
 mod environment;
-mod fleet;
-mod law;
 mod model;
 mod recording;
 mod setup;
@@ -27,16 +23,16 @@ mod vehicle;
 mod _native {
     #[pymodule_export]
     use crate::{
-        comparison::{Course, compare},
         environment::Batch,
-        fleet::{Fleet, FleetDrive},
-        law::{front_point, point_p, velocity_point},
-        model::{model_derivative, model_simulate, paper_vehicle},
+        model::{
+            front_point, model_derivative, model_simulate, paper_vehicle, point_p, velocity_point,
+        },
         recording::read_record,
-        simulator::{Simulator, truth_keys},
+        simulator::{Fleet, FleetDrive, Simulator, truth_keys},
         socket::Connection,
         stability::{
-            critical_speed, eigenvalues, hopf_points, is_stable, sampled, smallest_point_distance,
+            Course, compare, critical_speed, eigenvalues, hopf_points, is_stable, sampled,
+            smallest_point_distance,
         },
     };
 }

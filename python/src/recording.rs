@@ -10,7 +10,7 @@ use pyo3::{
 };
 use singletrack_record::{Ending, Reader, RecordError, Topic, Value};
 
-use crate::argument::refuse;
+use crate::setup::refuse;
 
 /// The values of a field in the order of the record, as an array: of truth values, of integers, of
 /// floats with NaN for an absent value, or a list of texts with `None`.

@@ -1,5 +1,12 @@
-//! The configuration of a simulated car, from what Python gives.
+//! Arguments from Python, the errors that name them, and the configuration of a simulated car from
+//! what Python gives.
 
+use std::time::Duration;
+
+use pyo3::{
+    PyErr, PyResult,
+    exceptions::{PyRuntimeError, PyValueError},
+};
 use singletrack_core::config::{Config, ReferenceSection};
 use singletrack_scenario::{
     simulate::merge,
@@ -7,6 +14,30 @@ use singletrack_scenario::{
 };
 use singletrack_sim::{CarTruth, SimulationConfig, StartPose};
 use toml::{Table, Value};
+
+/// An argument is wrong.
+pub(crate) fn refuse(error: impl ToString) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// A call can't be obeyed now.
+pub(crate) fn fail(error: impl ToString) -> PyErr {
+    PyRuntimeError::new_err(error.to_string())
+}
+
+/// A time in s, which may not be negative.
+pub(crate) fn seconds(time: f64) -> PyResult<Duration> {
+    Duration::try_from_secs_f64(time).map_err(refuse)
+}
+
+/// The value of a word; another word is refused with those that are known.
+pub(crate) fn choice<T: Copy>(name: &str, word: &str, known: &[(&str, T)]) -> PyResult<T> {
+    let found = known.iter().find(|(known, _)| *known == word);
+    found.map(|(_, value)| *value).ok_or_else(|| {
+        let words: Vec<String> = known.iter().map(|(word, _)| format!("{word:?}")).collect();
+        refuse(format!("{name} is {word:?}: use {}", words.join(" or ")))
+    })
+}
 
 /// Why a simulation can't be set up; the text names the key.
 #[derive(Debug, thiserror::Error)]

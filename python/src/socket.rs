@@ -15,7 +15,7 @@ use pyo3::{exceptions::PyConnectionError, prelude::*, types::PyDict};
 use pythonize::{depythonize, pythonize};
 use singletrack_api::{ClientError, Connection as Client, Reply, Request};
 
-use crate::argument::{fail, refuse, seconds};
+use crate::setup::{fail, refuse, seconds};
 
 /// The longest wait for a daemon that does not read.
 const PATIENCE: Duration = Duration::from_secs(5);

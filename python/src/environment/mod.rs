@@ -1,5 +1,7 @@
 //! Environments for reinforcement learning: many cars side by side.
 
+mod task;
+
 use std::{
     sync::{Mutex, MutexGuard},
     thread,
@@ -11,17 +13,8 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use singletrack_control::Start;
 use singletrack_core::Config;
 
-use self::{
-    lap::Lap,
-    task::{Autoreset, Control, INFORMATION, Instance, Reward, Task, state},
-};
-use crate::{
-    argument::{choice, refuse},
-    setup::{Setup, SetupError, TruthRange, reference},
-};
-
-mod lap;
-mod task;
+use self::task::{Autoreset, Control, INFORMATION, Instance, Lap, Reward, Task, state};
+use crate::setup::{Setup, SetupError, TruthRange, choice, reference, refuse};
 
 /// Places of the picture of a reference.
 const PLACES: usize = 400;
