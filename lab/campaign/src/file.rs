@@ -12,7 +12,7 @@ use std::{
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Value, value::RawValue};
 
-use crate::{experiment::Experiment, shard::Shard};
+use crate::shard::{Experiment, Shard};
 
 /// The version of the files.
 pub const FORMAT: u32 = 1;

@@ -15,19 +15,12 @@
 //! singletrack-faults --from faults.jsonl                                 the report
 //! ```
 
-mod experiment;
 mod file;
 mod merge;
-mod progress;
 mod run;
 mod shard;
-mod units;
 
-pub use experiment::CampaignArgs;
-pub use experiment::{Experiment, Results};
 pub use file::{FORMAT, FileError, Header, ResultFile};
 pub use merge::{MergeArgs, MergeError, merge, merge_files, run_merge};
-pub use progress::Progress;
-pub use run::{Campaign, CampaignError};
-pub use shard::{Shard, ShardError};
-pub use units::{run_units, thread_count};
+pub use run::{Campaign, CampaignArgs, CampaignError, Progress};
+pub use shard::{Experiment, Results, Shard, ShardError, run_units, thread_count};

@@ -1,16 +1,20 @@
-//! Runs a campaign, or reads its results.
+//! An experiment of a campaign: runs it, shows its progress, or reads its results.
 
 use core::error::Error;
-use std::path::PathBuf;
+use std::{
+    io::{self, IsTerminal as _, Write as _},
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::{
-    experiment::CampaignArgs,
-    experiment::{Experiment, Results},
     file::{FileError, Header, ResultFile},
     merge::{MergeError, merge_files},
-    progress::Progress,
-    shard::Shard,
-    units::run_units,
+    shard::{Experiment, Results, Shard, run_units, thread_count},
 };
 
 /// Why a campaign has no results.
@@ -112,5 +116,91 @@ impl<E: Experiment> Campaign<E> {
             shard: Shard::WHOLE,
             results,
         })
+    }
+}
+
+/// Options of a command that runs a campaign.
+#[derive(Clone, Debug, Default, Args)]
+pub struct CampaignArgs {
+    /// Run part K of N only, K from 1 to N: on N machines, or as a job array
+    #[arg(long, value_name = "K/N")]
+    pub shard: Option<Shard>,
+
+    /// Write the results to this file, for `singletrack merge` and --from
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+
+    /// Run nothing: report the results in the files of all shards, or in the merged one.
+    /// The options that decide the results are those of the files.
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["shard", "json"])]
+    pub from: Vec<PathBuf>,
+
+    /// Number of threads; does not affect the results [default: one per core]
+    #[arg(long, value_name = "N")]
+    pub threads: Option<usize>,
+}
+
+impl CampaignArgs {
+    /// The number of threads to use.
+    #[must_use]
+    pub fn threads(&self) -> usize {
+        self.threads.unwrap_or_else(thread_count).max(1)
+    }
+}
+
+/// Interval of the lines in a log.
+const LINE_INTERVAL: Duration = Duration::from_secs(60);
+
+/// A bar on a terminal, and a line a minute in a log, as the job of a cluster has it.
+#[derive(Debug)]
+pub struct Progress {
+    name: &'static str,
+    bar: ProgressBar,
+    /// When the next line is due; `None` on a terminal.
+    next_line: Option<Mutex<Instant>>,
+}
+
+impl Progress {
+    /// For `length` units.
+    #[must_use]
+    pub fn new(name: &'static str, length: u64) -> Self {
+        let bar = ProgressBar::new(length);
+        if let Ok(style) =
+            ProgressStyle::with_template("{bar:30} {pos}/{len}, {per_sec}, {eta} left")
+        {
+            bar.set_style(style);
+        }
+        let next_line =
+            (!io::stderr().is_terminal()).then(|| Mutex::new(Instant::now() + LINE_INTERVAL));
+        Self {
+            name,
+            bar,
+            next_line,
+        }
+    }
+
+    /// A unit is done.
+    pub fn advance(&self) {
+        self.bar.inc(1);
+        let Some(next) = &self.next_line else {
+            return;
+        };
+        let mut next = next.lock().unwrap_or_else(PoisonError::into_inner);
+        if Instant::now() >= *next {
+            *next += LINE_INTERVAL;
+            let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
+            // Standard error may be closed.
+            let _ = writeln!(
+                io::stderr().lock(),
+                "{}: {done} of {all} after {:.0} s",
+                self.name,
+                self.bar.elapsed().as_secs_f64()
+            );
+        }
+    }
+
+    /// The end.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
     }
 }

@@ -5,7 +5,7 @@ use nalgebra::DMatrix;
 use super::{
     fit::Fit,
     parameter::{self, Parameter, Values},
-    settings::Settings,
+    problem::Settings,
 };
 
 /// An estimated parameter.

@@ -10,8 +10,7 @@ use super::{
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     predictor::Prediction,
-    problem::Problem,
-    settings::Settings,
+    problem::{Problem, Settings},
     uncertainty::{BLOCK, Spread, bounds, spread},
 };
 

@@ -13,9 +13,8 @@ use super::{
     noise::NoiseLevels,
     parameter::{Parameter, Values},
     plausibility,
-    residuals::{self, Residuals},
-    score::Score,
-    settings::{Criterion, Settings},
+    problem::{Criterion, Settings},
+    score::{self, Residuals, Score},
     simulation::{self, Inputs, SimulationPoint},
     warning::{self, Warning},
 };
@@ -118,7 +117,7 @@ fn identified(
     let estimates = estimate::estimates(start, settings, &fit);
     check(&fit, &estimates)?;
     let correlation = estimate::correlation(&fit);
-    let residuals = residuals::residuals(&fit);
+    let residuals = score::residuals(&fit);
     // Those of the filter that only follows the sensors say nothing of the model.
     let told = match criterion {
         Criterion::Prediction => &residuals[..],

@@ -17,42 +17,35 @@
 //! Estimated jointly are lag, delay and trim of the steering, delay and biases of the IMU, scale of
 //! the gyro, and, by their likelihood, the levels of all noise.
 
-mod channel;
 mod data;
 mod error;
 mod estimate;
 mod filter;
 mod fit;
-mod gyro_scale;
 mod identify;
 mod least_squares;
 mod model;
 mod noise;
-mod noise_fit;
 mod parameter;
 mod plausibility;
 mod predictor;
 mod problem;
-mod residuals;
 mod score;
-mod settings;
 mod simulation;
 mod simulation_fit;
 mod timeline;
 mod uncertainty;
 mod warning;
 
-pub use channel::Channel;
-pub use data::{DriveData, Inertial, Pose, ServoFrames, ServoTarget, Span};
+pub use data::{Channel, DriveData, Inertial, Pose, ServoFrames, ServoTarget, Span};
 pub use error::IdentificationError;
 pub use estimate::Estimate;
 pub use filter::TrackPoint;
 pub use identify::{Identification, cramer_rao, identify, validate};
 pub use noise::NoiseLevels;
 pub use parameter::{Parameter, Values};
-pub use residuals::Residuals;
-pub use score::{Output, OutputScore, Score};
-pub use settings::{Criterion, Settings};
+pub use problem::{Criterion, Settings};
+pub use score::{Output, OutputScore, Residuals, Score};
 pub use simulation::SimulationPoint;
 pub use singletrack_control::Tyres;
 pub use warning::Warning;

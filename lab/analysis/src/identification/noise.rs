@@ -1,11 +1,8 @@
-//! Noise levels of the sensors and of the road.
+//! Noise levels of the sensors and of the road, and how they are measured.
 
 use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
-use super::{
-    channel::Channel,
-    data::{DriveData, Span},
-};
+use super::data::{Channel, DriveData, Span};
 
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,10 +1,8 @@
 //! Whether the sensors of a drive agree at all: wrong signs, units and mountings, before anything is fitted.
 
 use super::{
-    data::{DriveData, Inertial, Span},
+    data::{DriveData, GyroScale, Inertial, Seen, Span, seen},
     error::IdentificationError,
-    gyro_scale::GyroScale,
-    simulation::{Seen, seen},
 };
 
 /// A car with a faster median speed is not a small car, in m/s: the unit of its positions is wrong.

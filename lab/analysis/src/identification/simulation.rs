@@ -1,11 +1,10 @@
 //! The model without corrections, with the inputs of the drive, and the measurements beside
 //! it: the paper's validation figures.
 
-use singletrack_control::{Tyres, wrap};
-use singletrack_statistics::Line;
+use singletrack_control::Tyres;
 
 use super::{
-    data::{DriveData, Pose, ServoTarget, Span},
+    data::{DriveData, Pose, ServoTarget, Span, seen},
     filter::{FilterRun, TrackPoint},
     model::{Model, Motion},
     parameter::{Parameter, Values},
@@ -204,41 +203,6 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
             });
         }
     }
-}
-
-/// The sideslip is measured over poses up to this time before and after, in s: with errors
-/// of 0.2 mm and 0.1 degrees at 1.5 m/s to 2 mrad.
-const AROUND: f64 = 0.036;
-/// The smallest number of poses for a sideslip.
-const LEAST_POSES: usize = 5;
-
-/// The motion that poses around a moment show.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
-    /// Speed, in m/s.
-    pub(super) speed: f64,
-    /// Course less yaw, in rad.
-    pub(super) sideslip: f64,
-    /// Yaw rate, in rad/s.
-    pub(super) yaw_rate: f64,
-}
-
-/// The motion from the straight lines through the poses around `time`. None with too few poses.
-pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
-    let from = poses.partition_point(|pose| pose.time_s < time - AROUND);
-    let to = poses.partition_point(|pose| pose.time_s <= time + AROUND);
-    let around = poses.get(from..to)?;
-    let first = around.first().filter(|_| around.len() >= LEAST_POSES)?;
-    let line = |value: &dyn Fn(&Pose) -> f64| {
-        Line::through(around.iter().map(|pose| [pose.time_s - time, value(pose)]))
-    };
-    let yaw = line(&|pose| wrap(pose.yaw_rad - first.yaw_rad));
-    let (x, y) = (line(&|pose| pose.x_m).slope, line(&|pose| pose.y_m).slope);
-    (yaw.spread > 0.0).then(|| Seen {
-        speed: x.hypot(y),
-        sideslip: wrap(y.atan2(x) - first.yaw_rad - yaw.middle[1]),
-        yaw_rate: yaw.slope,
-    })
 }
 
 /// The course of the poses around `time` minus their yaw, in rad; not a number without enough poses.

@@ -8,10 +8,9 @@
 //! within [`BLOCK`] count as one beside the prior.
 
 use super::{
-    data::{ServoFrames, ServoTarget, Span},
+    data::{GyroScale, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     fit::{Fit, Task},
-    gyro_scale::GyroScale,
     least_squares::minimise,
     model::Model,
     noise::NoiseLevels,

@@ -3,15 +3,13 @@
 use singletrack_control::{GRAVITY, Tyres};
 
 use super::{
-    channel::Channel,
-    data::Span,
+    data::{Channel, Span},
     estimate::Estimate,
     filter::TrackPoint,
     fit::Fit,
     parameter::Parameter,
-    residuals::Residuals,
-    score::{Output, Score},
-    settings::Criterion,
+    problem::Criterion,
+    score::{Output, Residuals, Score},
 };
 
 /// A reason to doubt an identification.

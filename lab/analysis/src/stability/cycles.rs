@@ -18,7 +18,7 @@ use num_dual::DualSVec64;
 use super::{
     closed_loop::{ClosedLoop, Law},
     hopf::HopfPoint,
-    linearisation::MOST_STEPS,
+    limits::MOST_STEPS,
     lyapunov::null_vector,
     motion::Motion,
     vector_field::{FrontPointField, VectorField, VelocityPointField},

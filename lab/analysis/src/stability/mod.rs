@@ -19,7 +19,6 @@ mod closed_loop;
 mod cycles;
 mod hopf;
 mod limits;
-mod linearisation;
 mod lyapunov;
 mod motion;
 mod sampled;
@@ -33,8 +32,8 @@ pub use hopf::{
     Criticality, HopfPoint, critical_speed, hopf_points, infinite_speed_limit,
     smallest_point_distance,
 };
+pub use limits::Eigenvalues;
 pub use limits::{first_unstable_speed, least_point_distance};
-pub use linearisation::Eigenvalues;
 pub use lyapunov::Lyapunov;
 pub use sampled::{
     Ages, Compensation, MarginLimits, Prediction, SampledLoop, SamplingError, Servo,

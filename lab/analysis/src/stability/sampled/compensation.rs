@@ -5,8 +5,7 @@ use singletrack_control::VehicleParameters;
 
 use super::{
     Servo,
-    plant::{POSITION, SIDESLIP, YAW, YAW_RATE},
-    servo::Delay,
+    plant::{Delay, POSITION, SIDESLIP, YAW, YAW_RATE},
 };
 use crate::stability::characteristic::symbols;
 

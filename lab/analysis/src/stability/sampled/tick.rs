@@ -5,9 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::{
     SampledLoop,
     compensation::{Compensation, Modelled},
-    plant::{POSITION, Plant, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
-    servo::Delay,
-    servo::Prediction,
+    plant::{Delay, POSITION, Plant, Prediction, SIDESLIP, STEERING, Steering, YAW, YAW_RATE},
 };
 use crate::stability::{
     characteristic::symbols,
