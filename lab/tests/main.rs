@@ -17,7 +17,6 @@ mod identify_command;
 mod install_files;
 mod judge;
 mod limit_cycles;
-mod other_structure;
 #[path = "../../tools/figures/tests/picture/mod.rs"]
 mod picture;
 mod plan;

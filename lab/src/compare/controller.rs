@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
 use singletrack_words::words;
 
-use super::{condition::Condition, foreign::Law, stops::OwnPoint};
+use super::{condition::Condition, counted::OwnPoint, foreign::Law};
 
 words! {
     /// A controller.
@@ -98,7 +98,7 @@ impl ControllerName {
         self.with(self.parameters())
     }
 
-    /// The parameters of the table: what `tune` found with [`BUDGET`](super::tune::BUDGET) drives
+    /// The parameters of the table: what `tune` found with [`BUDGET`](super::plan::BUDGET) drives
     /// each. Of the linear-quadratic loop the weights of the error's integral and of the correcting
     /// velocity, that of the error being 1; of the predictive one the weight of the velocity's
     /// error, and the share of an unexplained velocity that is believed at once.

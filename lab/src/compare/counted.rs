@@ -1,15 +1,62 @@
-//! What a drive came to, from the true states.
+//! The results of a drive from the true states, or why it has none.
 
 use libm::{cos, hypot, sin};
 use serde::{Deserialize, Serialize};
-use singletrack_control::{GRAVITY, Position, VehicleParameters, velocity_point};
+use singletrack_control::{GRAVITY, LawError, Position, VehicleParameters, velocity_point};
+use singletrack_core::ConfigError;
+use singletrack_scenario::virtual_drive::VirtualDriveError;
 use singletrack_sim::Truth;
 use singletrack_statistics::{Distribution, RootMeanSquare};
 
-use super::{
-    course::Table,
-    stops::{OwnPoint, POINT_DISTANCE_M},
-};
+use super::course::Table;
+
+/// Why a drive can't be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    /// The reference is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The host or the world is refused.
+    #[error(transparent)]
+    Drive(#[from] VirtualDriveError),
+    /// The law of the appendix has no limits and no start from standstill.
+    #[error("the law of the appendix drives the ideal plant only; choose condition ideal-plant")]
+    IdealPlantOnly,
+    /// A program's own controller is driven by that program.
+    #[error("a controller of your own is compared by the Python package")]
+    Yours,
+    /// A law is refused.
+    #[error(transparent)]
+    Law(#[from] LawError),
+}
+
+/// The point whose errors are the controller's own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OwnPoint {
+    /// P, in front of the front axle.
+    P,
+    /// The front axle.
+    FrontAxle,
+    /// The rear axle.
+    RearAxle,
+    /// P of the appendix: ahead of G along its velocity.
+    VelocityPoint,
+}
+
+impl OwnPoint {
+    /// How far it is ahead of G on a straight line, in m.
+    pub(super) fn reach(self, vehicle: &VehicleParameters) -> f64 {
+        match self {
+            Self::P => vehicle.front_axle_distance_m + POINT_DISTANCE_M,
+            Self::FrontAxle => vehicle.front_axle_distance_m,
+            Self::RearAxle => -vehicle.rear_axle_distance_m,
+            Self::VelocityPoint => POINT_DISTANCE_M,
+        }
+    }
+}
+
+/// The distance of P from the front axle, in m.
+pub(super) const POINT_DISTANCE_M: f64 = 0.35;
 
 /// What became of a drive.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

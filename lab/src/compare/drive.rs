@@ -1,4 +1,4 @@
-//! One drive of the comparison on the simulated car.
+//! One drive of the comparison on the simulated car, and how it ends.
 
 use singletrack_control::{
     Setpoint, SpeedDemand, SteeringDemand, Time, VehicleParameters, Velocity,
@@ -18,12 +18,10 @@ use singletrack_sim::{LossWindow, SimulationConfig};
 use super::{
     condition::Condition,
     controller::Drives,
-    counted::{AddedDelay, Counted, DriveResult},
+    counted::{AddedDelay, Counted, DriveError, DriveResult, POINT_DISTANCE_M},
     course::{Course, LATERAL_M_S2, PathName, Table},
     foreign::{Ahead, Foreign, Known},
     ideal,
-    stops::DriveError,
-    stops::POINT_DISTANCE_M,
 };
 
 /// The row that a drive belongs to, and its seed.

@@ -11,11 +11,9 @@ use singletrack_sim::Truth;
 
 use super::{
     controller::Drives,
-    counted::{Counted, DriveResult},
+    counted::{Counted, DriveError, DriveResult, POINT_DISTANCE_M},
     course::{Course, Table},
     foreign::Foreign,
-    stops::DriveError,
-    stops::POINT_DISTANCE_M,
 };
 
 /// Step of the integration and of the controller, which is almost continuous, in s.

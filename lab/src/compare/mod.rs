@@ -7,15 +7,11 @@ mod condition;
 mod controller;
 mod counted;
 mod course;
-mod delays;
 mod drive;
-mod figure;
 mod foreign;
 mod ideal;
 mod plan;
-mod stops;
 mod table;
-mod tune;
 
 use std::{io, path::PathBuf};
 
@@ -25,17 +21,15 @@ use singletrack_figures::output::{WriteError, make_folder, print, write};
 
 pub use condition::Condition;
 pub use controller::ControllerName;
-pub use counted::{AddedDelay, DriveResult, Effort, Errors};
+pub use counted::{AddedDelay, DriveError, DriveResult, Effort, Errors, OwnPoint};
 pub use course::PathName;
 use course::TEST_PATHS;
-pub use delays::{DELAYS_HEADER, DelayLine, delays, delays_csv, delays_markdown};
 pub use drive::Decide;
-pub use figure::figure;
-pub use plan::{CompareUnitError, Comparison, Row};
-pub use stops::DriveError;
-pub use stops::OwnPoint;
-pub use table::{HEADER, Line, csv, lines, lines_with, markdown};
-pub use tune::BUDGET;
+pub use plan::{BUDGET, CompareUnitError, Comparison, Row};
+pub use table::{
+    DELAYS_HEADER, DelayLine, HEADER, Line, csv, delays, delays_csv, delays_markdown, figure,
+    lines, lines_with, markdown,
+};
 
 /// Options of `singletrack compare`.
 #[derive(Clone, Debug, Args)]
@@ -148,7 +142,7 @@ pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
     let controllers = ControllerName::value_variants();
     let controllers = or(&args.controllers, true, controllers, &[]);
     if args.tune {
-        return Ok(print(&tune::tune(&controllers, args.campaign.threads())?)?);
+        return Ok(print(&plan::tune(&controllers, args.campaign.threads())?)?);
     }
     if let Some(folder) = &args.out {
         // Before hours of work.

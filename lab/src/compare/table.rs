@@ -1,7 +1,8 @@
-//! The table of a comparison.
+//! The table of a comparison and its picture, and that of the added delays that diverge.
 
-use std::fmt::Write as _;
+use std::{collections::BTreeMap, fmt::Write as _};
 
+use singletrack_figures::figure::{Axis, Estimate, Figure, Mark, MarkKind, Panel, Scale, Width};
 use singletrack_statistics::{Distribution, Random};
 
 use super::{
@@ -9,8 +10,8 @@ use super::{
     controller::ControllerName,
     counted::{DriveResult, Effort, Errors},
     course::PathName,
+    drive::{DIVERGED, LONGEST_DELAY_MS},
     plan::{Comparison, Row},
-    stops::StopReasons,
 };
 
 /// The names of the columns, in order.
@@ -50,7 +51,7 @@ pub struct Line {
 
 /// Results by the rows they belong to, in the order of the rows. A shard has a part of the
 /// seeds.
-pub(super) fn by_row<'a>(
+fn by_row<'a>(
     plan: &Comparison,
     results: &'a [(u64, DriveResult)],
 ) -> Vec<(Row, Vec<(u64, &'a DriveResult)>)> {
@@ -261,7 +262,7 @@ const SAMPLES: usize = 2_000;
 
 /// The interval of 95 % of a mean, by resampling. Equal numbers of values are resampled in
 /// the same way, so that differences of rows with the same seeds are those of pairs.
-pub(super) fn interval(values: &[f64]) -> [f64; 2] {
+fn interval(values: &[f64]) -> [f64; 2] {
     let mut random = Random::new(1);
     let means = (0..SAMPLES).map(|_| {
         let drawn = values.iter().map(|_| {
@@ -367,6 +368,239 @@ pub fn markdown(lines: &[Line]) -> String {
     text
 }
 
+/// The marks of the speeds, distinguishable without colour.
+const KINDS: [MarkKind; 5] = [
+    MarkKind::Found,
+    MarkKind::End,
+    MarkKind::Square,
+    MarkKind::Diamond,
+    MarkKind::Start,
+];
+/// The part of a controller's place over which the marks of its speeds are spread.
+const SPREAD: f64 = 0.72;
+const HEIGHT_MM: f64 = 38.0;
+
+/// The nominal condition: a panel per path, in it the controllers, and of each a mark per speed.
+/// `None` if that condition was not driven.
+#[must_use]
+pub fn figure(lines: &[Line]) -> Option<Figure> {
+    let shown = lines.iter().filter(|line| {
+        line.row.condition == Condition::Nominal && line.worst_of.is_none() && !line.front_axle
+    });
+    let shown: Vec<&Line> = shown.collect();
+    let mut controllers: Vec<&str> = Vec::new();
+    let mut speeds: Vec<f64> = Vec::new();
+    for line in &shown {
+        if !controllers.contains(&line.name.as_str()) {
+            controllers.push(&line.name);
+        }
+        if !speeds.contains(&line.row.speed_m_s) {
+            speeds.push(line.row.speed_m_s);
+        }
+    }
+    let panels = shown.chunk_by(|a, b| a.row.path == b.row.path);
+    let panels: Vec<Panel> = panels
+        .map(|lines| panel(lines, &controllers, &speeds))
+        .collect();
+    (!panels.is_empty()).then(|| Figure {
+        title: "RMS error of the controllers".to_owned(),
+        caption: "Root mean square of the distance of each controller's own point from its \
+                  reference, mean over the seeds with its 95 % interval, condition nominal."
+            .to_owned(),
+        width: Width::Page,
+        panels,
+    })
+}
+
+fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
+    let mut panel = Panel::new(
+        Axis::new("", None, ""),
+        Axis {
+            scale: Scale::Log,
+            ..Axis::new("RMS error", None, "mm")
+        },
+    );
+    panel.begins_row = true;
+    panel.height_mm = HEIGHT_MM;
+    let path = lines.first().map(|line| line.row.path);
+    panel.title = path.map_or_else(String::new, |path| path.to_string());
+    panel.names = controllers.iter().map(ToString::to_string).collect();
+    let place = |line: &Line| {
+        let controller = controllers.iter().position(|name| *name == line.name);
+        let speed = speeds.iter().position(|speed| *speed == line.row.speed_m_s);
+        let (controller, speed) = (controller.unwrap_or_default(), speed.unwrap_or_default());
+        let aside = (speed as f64 + 0.5) / speeds.len() as f64 - 0.5;
+        (controller as f64 + SPREAD * aside, speed)
+    };
+    for line in lines {
+        let (x, speed) = place(line);
+        let [Some(rms), Some(low), Some(high), ..] = line.values else {
+            continue;
+        };
+        panel.estimates.push(Estimate {
+            name: format!("{} m/s", line.row.speed_m_s),
+            kind: KINDS[speed % KINDS.len()],
+            x,
+            value: 1e3 * rms,
+            interval: [1e3 * low, 1e3 * high],
+        });
+    }
+    // Those without a value stand at the upper end of the axis.
+    let values = panel.estimates.iter().map(|estimate| estimate.interval[1]);
+    let top = values.fold(1.0, f64::max).log10().ceil();
+    for line in lines.iter().filter(|line| line.values[0].is_none()) {
+        panel.marks.push(Mark {
+            name: "the car stops with every seed",
+            point: [place(line).0, 10_f64.powf(top)],
+            kind: MarkKind::None,
+        });
+    }
+    panel
+}
+
+/// The names of the columns, in order.
+pub const DELAYS_HEADER: &str = "controller,path,speed_m_s,seeds,delay_ms,delay_low_ms,delay_high_ms,least_ms,beyond,\
+                                 ended_by";
+
+/// The least added delay with which a controller diverges.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DelayLine {
+    pub(super) row: Row,
+    seeds: usize,
+    /// The mean over the seeds, in ms; those that stand the longest count as that.
+    pub(super) mean_ms: f64,
+    /// The interval of 95 % of the mean, in ms.
+    pub(super) interval_ms: [f64; 2],
+    /// The least of all seeds, in ms.
+    least_ms: f64,
+    /// Seeds that stand the longest delay that is tried.
+    pub(super) beyond: usize,
+    /// How the drives with these delays ended, the commonest first.
+    ended_by: StopReasons,
+}
+
+/// A line per row whose delay was searched.
+#[must_use]
+pub fn delays(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<DelayLine> {
+    let mut lines = Vec::new();
+    for (row, results) in by_row(plan, results) {
+        let found = || {
+            results
+                .iter()
+                .filter_map(|(_, result)| result.added_delay.as_ref())
+        };
+        let ended_by = StopReasons::of(found().filter_map(|delay| delay.ended_by.as_deref()));
+        let found: Vec<Option<u32>> = found().map(|delay| delay.diverges_ms).collect();
+        let delays = found.iter().map(|found| found.unwrap_or(LONGEST_DELAY_MS));
+        let delays: Vec<f64> = delays.map(f64::from).collect();
+        if delays.is_empty() {
+            continue;
+        }
+        lines.push(DelayLine {
+            row,
+            seeds: delays.len(),
+            mean_ms: delays.iter().sum::<f64>() / delays.len() as f64,
+            interval_ms: interval(&delays),
+            least_ms: delays.iter().copied().fold(f64::INFINITY, f64::min),
+            beyond: found.iter().filter(|found| found.is_none()).count(),
+            ended_by,
+        });
+    }
+    lines
+}
+
+/// For programs.
+#[must_use]
+pub fn delays_csv(lines: &[DelayLine]) -> String {
+    let mut text = format!("{DELAYS_HEADER}\n");
+    for line in lines {
+        let [low, high] = line.interval_ms;
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "{},{},{},{},{},{low},{high},{},{},{}",
+            line.row.controller,
+            line.row.path,
+            line.row.speed_m_s,
+            line.seeds,
+            line.mean_ms,
+            line.least_ms,
+            line.beyond,
+            line.ended_by.commonest()
+        );
+    }
+    text
+}
+
+/// For a page: a table with a row per path and speed, and a column per controller. Empty if no
+/// delay was searched.
+#[must_use]
+pub fn delays_markdown(lines: &[DelayLine]) -> String {
+    let mut text = String::new();
+    let Some(first) = lines.first() else {
+        return text;
+    };
+    let case = |line: &DelayLine| (line.row.path, line.row.speed_m_s);
+    let head = lines.iter().take_while(|line| case(line) == case(first));
+    let names: Vec<&str> = head.map(|line| line.row.controller.name()).collect();
+    let _ = writeln!(
+        text,
+        "Least added delay that diverges, in ms\n\n| path | m/s | {} |\n|---|---|{}",
+        names.join(" | "),
+        "---|".repeat(names.len())
+    );
+    for group in lines.chunk_by(|a, b| case(a) == case(b)) {
+        let cells = group.iter().map(|line| {
+            let more = if line.beyond > 0 { "> " } else { "" };
+            let ended_by = match line.ended_by.commonest() {
+                "" | DIVERGED => String::new(),
+                reason => format!(" ({reason})"),
+            };
+            format!("{more}{:.0}{ended_by}", line.mean_ms)
+        });
+        let cells: Vec<String> = cells.collect();
+        if let Some(line) = group.first() {
+            let (path, speed) = (line.row.path, line.row.speed_m_s);
+            let _ = writeln!(text, "| {path} | {speed} | {} |", cells.join(" | "));
+        }
+    }
+    text.push('\n');
+    text
+}
+
+/// Reasons with the number of drives of each, the commonest first.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct StopReasons(Vec<(String, usize)>);
+
+impl StopReasons {
+    /// Counts reasons. What stands behind a colon is about one drive alone.
+    fn of<'a>(reasons: impl Iterator<Item = &'a str>) -> Self {
+        let mut counts = BTreeMap::<&str, usize>::new();
+        for reason in reasons {
+            let kind = reason.split_once(':').map_or(reason, |(kind, _)| kind);
+            *counts.entry(kind).or_default() += 1;
+        }
+        let counts = counts.into_iter();
+        let mut counts: Vec<_> = counts
+            .map(|(kind, count)| (kind.to_owned(), count))
+            .collect();
+        // Equal ones stay in the order of their names.
+        counts.sort_by_key(|(_, count)| core::cmp::Reverse(*count));
+        Self(counts)
+    }
+
+    /// Empty without a stop.
+    fn commonest(&self) -> &str {
+        self.0.first().map_or("", |(kind, _)| kind)
+    }
+
+    /// Each with its number, between them `separator`.
+    fn joined(&self, separator: &str) -> String {
+        let reasons = self.0.iter().map(|(kind, count)| format!("{kind} {count}"));
+        reasons.collect::<Vec<_>>().join(separator)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -384,5 +618,14 @@ mod tests {
         let [fewer_low, fewer_high] = interval(&values[..20]);
         assert!(fewer_high - fewer_low > 3.0 * (high - low));
         assert_eq!(interval(&[2.0]), [2.0, 2.0]);
+    }
+
+    #[test]
+    fn the_commonest_is_first_and_equal_ones_are_in_the_order_of_their_names() {
+        let reasons = ["geofence", "refused: a, b", "diverged", "refused: c"];
+        let reasons = StopReasons::of(reasons.into_iter());
+        assert_eq!(reasons.commonest(), "refused");
+        assert_eq!(reasons.joined(";"), "refused 2;diverged 1;geofence 1");
+        assert_eq!(StopReasons::default().commonest(), "");
     }
 }

@@ -1,12 +1,10 @@
 //! `singletrack identify`: the car's parameters from its drives.
 
 mod collect;
-mod drives;
 mod figures;
 mod output;
 pub mod plan;
 pub mod study;
-mod table;
 
 use std::{
     fs,
@@ -28,8 +26,8 @@ use singletrack_scenario::simulate::CarError;
 
 use crate::vehicle_file::{self, VehicleFileError};
 
+use collect::Drives;
 pub use collect::{Collector, RecordedDrive, read};
-use drives::Drives;
 pub use figures::figures;
 pub use output::{Identified, LogScore, Report};
 
@@ -261,7 +259,7 @@ pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
     }
     let text = match args.format {
         IdentifyFormat::Json => output::json(&report),
-        _ => table::table(&report),
+        _ => output::table(&report),
     };
     print(&text)?;
     if let Some(folder) = &args.out {

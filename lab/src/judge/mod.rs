@@ -5,12 +5,9 @@
 //! with what came after.
 
 mod figure;
-mod log;
 mod run;
 mod score;
-mod spectrum;
 mod truth;
-mod verdict;
 
 use std::{
     fmt::Write as _,
@@ -26,9 +23,9 @@ use singletrack_record::{Reader, RecordError};
 
 pub use run::Stop;
 pub use score::Noise;
-pub use verdict::Verdict;
+pub use score::Verdict;
 
-use log::Log;
+use run::Log;
 
 /// Options of `singletrack judge`.
 #[derive(Clone, Debug, Args)]

@@ -9,6 +9,7 @@ mod drive;
 mod model;
 mod output;
 mod pictures;
+mod sampled;
 mod section;
 mod stability;
 mod steps;
@@ -133,7 +134,7 @@ fn reproduce(setup: Setup) -> Reproduction {
         stability::eigenvalues,
         stability::appendix,
         comparison::section,
-        stability::sampled,
+        sampled::section,
     ];
     // Hidden when standard error is no terminal.
     let progress = ProgressBar::new(parts.len() as u64);

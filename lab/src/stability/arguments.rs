@@ -8,7 +8,7 @@ use singletrack_analysis::stability::{
 };
 use singletrack_control::Tyres;
 
-use super::{grid::Grid, subject::Subject};
+use super::subject::{Format, Grid, Subject};
 use crate::vehicle_file::{self, VehicleFileError};
 
 /// The car and its law.
@@ -50,15 +50,6 @@ pub(super) enum BeliefName {
     CentreOfMass,
     /// The front axle alone: `l_f` + dl
     FrontAxle,
-}
-
-/// How a result is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Format {
-    /// A header and a row for each point
-    Csv,
-    /// One document, with the car and all values of each point
-    Json,
 }
 
 /// How a result that has a figure is written.

@@ -2,17 +2,11 @@
 //! sampled loop that it leaves out.
 
 mod arguments;
-mod basin;
-mod cycles;
 mod eigenvalues;
 pub mod figures;
-mod grid;
 mod hopf;
-mod jacobian;
 mod limits;
-mod output;
 mod region;
-mod sampled;
 mod subject;
 mod summary;
 
@@ -21,15 +15,11 @@ use std::io;
 use clap::{Args, Subcommand};
 
 pub use arguments::TimingArgs;
-pub use cycles::{cycle_table, limit_cycles};
 pub use eigenvalues::{EigenvalueRow, eigenvalue_map, eigenvalue_table};
-pub use grid::Grid;
-pub use hopf::{hopf_curve, hopf_table};
-pub use limits::{first_unstable, least_p};
+pub use hopf::{cycle_table, hopf_curve, hopf_table, limit_cycles};
+pub use limits::{SampledRow, first_unstable, least_p, sampled_map, sampled_table};
 pub use region::{RegionRow, region};
-pub use sampled::{SampledRow, sampled_map, sampled_table};
-pub use subject::StabilityCommandError;
-pub use subject::Subject;
+pub use subject::{Grid, StabilityCommandError, Subject};
 
 /// Options of `singletrack stability`.
 #[derive(Clone, Debug, Args)]
@@ -43,19 +33,19 @@ enum StabilityCommand {
     /// In words: where each law is stable, with the car's own numbers.
     Summary(summary::SummaryArgs),
     /// The linearisation at one steady motion.
-    Jacobian(jacobian::JacobianArgs),
+    Jacobian(eigenvalues::JacobianArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
     Hopf(hopf::HopfArgs),
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
-    Cycles(cycles::CyclesArgs),
+    Cycles(hopf::CyclesArgs),
     /// The yaw errors from which the straight motion is regained, over speed and p.
-    Basin(basin::BasinArgs),
+    Basin(region::BasinArgs),
     /// Eigenvalues of the steady motion over speed and dl.
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
     Region(arguments::MapArgs),
     /// The sampled loop: spectral radius, delay margin, longest marker interval.
-    Sampled(sampled::SampledArgs),
+    Sampled(limits::SampledArgs),
     /// The first unstable speed, with a servo: over p, dl and delay.
     FirstUnstableSpeed(limits::FirstUnstableArgs),
     /// The least p that is stable, with a servo: over speed and delay.
@@ -72,13 +62,13 @@ enum StabilityCommand {
 pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
-        StabilityCommand::Jacobian(args) => jacobian::run(args),
+        StabilityCommand::Jacobian(args) => eigenvalues::run_jacobian(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
-        StabilityCommand::Cycles(args) => cycles::run(args),
-        StabilityCommand::Basin(args) => basin::run(args),
+        StabilityCommand::Cycles(args) => hopf::run_cycles(args),
+        StabilityCommand::Basin(args) => region::run_basin(args),
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
-        StabilityCommand::Sampled(args) => sampled::run(args),
+        StabilityCommand::Sampled(args) => limits::run(args),
         StabilityCommand::FirstUnstableSpeed(args) => limits::run_first_unstable(args),
         StabilityCommand::LeastP(args) => limits::run_least(args),
         StabilityCommand::Figures(args) => figures::run(args),

@@ -1,10 +1,15 @@
-//! Where the steady motion is stable.
+//! Where the steady motion is stable, and the basin of the straight motion.
 
+use clap::Args;
 use serde::Serialize;
-use singletrack_analysis::stability::StabilityError;
+use singletrack_analysis::stability::{Servo, StabilityError};
+use singletrack_figures::output::print;
 
 use super::{
-    arguments::MapArgs, grid::Grid, output::write, subject::StabilityCommandError, subject::Subject,
+    arguments::{DrawnFormat, LoopArgs, MapArgs, SaturationArgs},
+    figures,
+    subject::{Grid, StabilityCommandError, Subject},
+    subject::{write, write_json},
 };
 use crate::table::Table;
 
@@ -58,4 +63,87 @@ pub fn region(
         })
     });
     rows.collect()
+}
+
+#[derive(Clone, Debug, Args)]
+pub(super) struct BasinArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    /// Speeds of the straight motion, in m/s
+    #[arg(long, value_name = "A:B:STEP", default_value = "0.5:4:0.5")]
+    speeds: Grid,
+    /// Distances p of the point P, in m [default: that of --point-distance]
+    #[arg(long, value_name = "A:B:STEP")]
+    distances: Option<Grid>,
+    /// Deviation dl of the centre of mass, in m
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    dl: f64,
+    #[command(flatten)]
+    saturation: SaturationArgs,
+    /// Lag of the steering servo, in ms; 0 for wheels that follow at once
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    steering_lag_ms: f64,
+    /// Dead time from the law to the wheels, in ms
+    #[arg(long, value_name = "MS", default_value_t = 0.0)]
+    steering_dead_time_ms: f64,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = DrawnFormat::Csv)]
+    format: DrawnFormat,
+}
+
+/// The basin at a speed and a p.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(super) struct BasinRow {
+    pub(super) speed_m_s: f64,
+    pub(super) point_distance_m: f64,
+    /// The straight motion is regained from smaller yaw errors.
+    pub(super) yaw_rad: f64,
+    /// Half the peak-to-peak steering in which the car ends just beyond; none if it turns round.
+    beyond_amplitude_rad: Option<f64>,
+}
+
+pub(super) fn run_basin(args: &BasinArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let own = Grid::spanning([subject.point_distance; 2], 1);
+    let servo = Servo {
+        lag: args.steering_lag_ms * 1e-3,
+        dead_time: args.steering_dead_time_ms * 1e-3,
+    };
+    let servo = (servo.lag != 0.0 || servo.dead_time != 0.0).then_some(servo);
+    let mut rows = Vec::new();
+    let distances = args.distances.as_ref().unwrap_or(&own);
+    for (speed_m_s, point_distance) in args.speeds.with(distances) {
+        let subject = Subject {
+            point_distance,
+            ..subject
+        };
+        let at = subject.at(speed_m_s, args.dl)?;
+        let basin = at.saturating(args.saturation.saturation())?.basin(servo)?;
+        rows.push(BasinRow {
+            speed_m_s,
+            point_distance_m: point_distance,
+            yaw_rad: basin.yaw,
+            beyond_amplitude_rad: basin.beyond,
+        });
+    }
+    match args.format {
+        DrawnFormat::Csv => print(&basin_table(&rows).to_csv())?,
+        DrawnFormat::Json => write_json(&subject, &rows)?,
+        DrawnFormat::Svg => print(&figures::basin(&rows)?.to_svg())?,
+    }
+    Ok(())
+}
+
+fn basin_table(rows: &[BasinRow]) -> Table {
+    Table::of(
+        rows,
+        &[
+            ("speed_m_s", |row| row.speed_m_s),
+            ("point_distance_m", |row| row.point_distance_m),
+            ("yaw_rad", |row| row.yaw_rad),
+            ("beyond_amplitude_rad", |row| {
+                row.beyond_amplitude_rad.unwrap_or(f64::NAN)
+            }),
+        ],
+    )
 }

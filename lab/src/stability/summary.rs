@@ -10,10 +10,8 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{CarArgs, TimingArgs},
-    grid::Grid,
     limits::{RANGE_POINTS, SEARCHED_DISTANCES, SEARCHED_SPEEDS, first_unstable, least_p},
-    subject::StabilityCommandError,
-    subject::Subject,
+    subject::{Grid, StabilityCommandError, Subject},
 };
 use crate::vehicle_file;
 

@@ -13,8 +13,9 @@ use super::{Scene, around_meaningful, drawn_deviations, eigenvalue, eigenvalues,
 use crate::stability::{
     Grid, SampledRow, StabilityCommandError, Subject,
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    eigenvalue_map, hopf_curve, region as stable_region,
-    sampled::shown_map,
+    eigenvalue_map, hopf_curve,
+    limits::shown_map,
+    region as stable_region,
 };
 
 #[derive(Clone, Debug, Args)]

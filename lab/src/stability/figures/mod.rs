@@ -2,15 +2,14 @@
 //! the loop as it is sampled. They show the results of the other modules.
 
 mod command;
-mod cycles;
 mod levels;
 mod maps;
 mod sampled;
 mod scene;
 
 pub(super) use command::{FiguresArgs, run};
-pub(super) use cycles::basin;
-pub use cycles::cycles;
+pub(super) use maps::basin;
+pub use maps::cycles;
 pub use maps::{eigenvalue, eigenvalues, region};
 pub use sampled::sampled;
 pub use scene::{Scene, around_meaningful, drawn_deviations};
