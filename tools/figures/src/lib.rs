@@ -5,4 +5,3 @@
 pub mod figure;
 pub mod output;
 pub mod plot;
-pub mod template;

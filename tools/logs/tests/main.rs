@@ -16,7 +16,6 @@ mod dart;
 mod errors;
 mod record;
 mod sensors;
-mod steering;
 
 /// A file of the repository.
 fn in_repository(path: &str) -> std::path::PathBuf {

@@ -5,8 +5,7 @@ use std::{error::Error, path::PathBuf};
 use clap::Args;
 use singletrack_logs::import::import;
 
-use crate::operator::control::print;
-use crate::progress::progress_bar;
+use crate::{operator::control::print, progress::progress_bar};
 
 /// Options of `singletrack import`.
 #[derive(Args)]

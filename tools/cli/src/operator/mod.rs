@@ -15,7 +15,7 @@ pub mod replay;
 pub mod set_reference;
 pub mod setpoint;
 pub mod status;
-mod terminal;
+pub(crate) mod terminal;
 pub mod tune;
 
 use std::{error::Error, process::ExitCode};

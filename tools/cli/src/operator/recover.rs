@@ -8,8 +8,7 @@ use std::{
 use clap::Args;
 use singletrack_record::{RecordError, Recovery};
 
-use crate::operator::control::print;
-use crate::progress::progress_bar;
+use crate::{operator::control::print, progress::progress_bar};
 
 /// Options of `singletrack recover`.
 #[derive(Args)]

@@ -8,8 +8,6 @@
 //! below.
 
 mod contours;
-mod hatch;
-mod legend;
 mod map;
 mod page;
 mod place;
@@ -22,12 +20,10 @@ use serde::Serialize;
 use singletrack_words::words;
 
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
-pub use page::escaped;
-pub use page::{Callout, Callouts, Estimate, Level};
-pub use page::{Column, Look, MarkKind};
+pub use page::{Callout, Callouts, Column, Estimate, Level, Look, MarkKind};
 pub(crate) use scale::trimmed;
 pub use scale::{Scale, decimals, minus};
-pub use typeset::{plain, superscript};
+pub use typeset::{escaped, plain, superscript};
 
 /// A figure: panels under one legend.
 #[derive(Clone, Debug)]

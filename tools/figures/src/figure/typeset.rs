@@ -1,7 +1,28 @@
-//! Texts with symbols in them: how they are set and about how wide they are.
+//! Texts: escaped for XML, how symbols in them are set, and about how wide they are.
 
-use super::{page::TEXT_SIZE, page::escaped};
+/// Text that means nothing to XML.
+#[must_use]
+pub fn escaped(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            '\'' => escaped.push_str("&#39;"),
+            // Not allowed in XML, not even escaped.
+            letter if letter.is_control() && !matches!(letter, '\n' | '\t') => {
+                escaped.push('\u{fffd}');
+            }
+            letter => escaped.push(letter),
+        }
+    }
+    escaped
+}
 
+/// Size of all text but the axes' names, in mm: 7 pt.
+pub(super) const TEXT_SIZE: f64 = 2.47;
 /// A part of a text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Part<'a> {

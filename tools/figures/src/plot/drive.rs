@@ -7,7 +7,7 @@ use singletrack_control::Time;
 use singletrack_pilot::{Event, Mode, Reason};
 use singletrack_record::{ConfigurationRecord, Drops, Entry, Log, TickRecord, seconds_since};
 
-use super::{sample::TruthSample, spans::lost_markers};
+use super::sample::{TruthSample, lost_markers};
 use crate::figure::Column;
 
 pub use super::sample::{BoardPoint, TickSample};

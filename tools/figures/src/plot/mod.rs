@@ -6,7 +6,6 @@ mod figures;
 mod read;
 mod report;
 mod sample;
-mod spans;
 mod summary;
 
 use std::{
@@ -18,8 +17,8 @@ use clap::{Args, ValueEnum};
 
 pub use animation::ANIMATION;
 pub use figures::FigureKind;
-pub use read::Record;
-pub use sample::{PlotError, TruthSample};
+pub use read::{PlotError, Record};
+pub use sample::TruthSample;
 
 use crate::{
     figure::Figure,

@@ -1,14 +1,12 @@
-//! Reading a record, however it ended.
+//! Reading a record, however it ended, and why it is not plotted.
 
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use singletrack_record::{Ending, Meta, Reader, Topic};
+use singletrack_record::{Ending, Meta, Reader, RecordError, Topic};
 
-use super::{
-    PlotError,
-    drive::{Drive, Recording},
-};
+use super::drive::{Drive, Recording};
+use crate::output::WriteError;
 
 /// A record that has been read.
 #[derive(Clone, Debug)]
@@ -96,4 +94,41 @@ fn progress(path: &Path) -> ProgressBar {
     }
     bar.set_message(format!("reading {}", path.display()));
     bar
+}
+
+/// Why plotting failed.
+#[derive(Debug, thiserror::Error)]
+pub enum PlotError {
+    /// The record can't be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The car never drove.
+    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
+    NoDrive {
+        /// The record.
+        path: PathBuf,
+        /// What there is instead.
+        why: String,
+    },
+    /// The record has fewer drives.
+    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
+    UnknownDrive {
+        /// The record.
+        path: PathBuf,
+        /// The number asked for.
+        wanted: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The drive can't be shown from above.
+    #[error("{}: no animation: {why}", path.display())]
+    NoAnimation {
+        /// The record.
+        path: PathBuf,
+        /// What it lacks.
+        why: &'static str,
+    },
+    /// A picture can't be written.
+    #[error(transparent)]
+    Write(#[from] WriteError),
 }

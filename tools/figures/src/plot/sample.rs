@@ -1,11 +1,8 @@
-//! What is plotted of a record: samples, the truth of a simulation, and why there is none.
-
-use std::path::PathBuf;
+//! What is plotted of a record: samples, the truth of a simulation, and when the cameras lost the
+//! markers.
 
 use singletrack_pilot::Mode;
-use singletrack_record::RecordError;
-
-use crate::output::WriteError;
+use singletrack_statistics::Distribution;
 
 /// Ground truth at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,43 +19,6 @@ pub struct TruthSample {
     pub sideslip: f64,
     /// Yaw rate, in rad/s.
     pub yaw_rate: f64,
-}
-
-/// Why plotting failed.
-#[derive(Debug, thiserror::Error)]
-pub enum PlotError {
-    /// The record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// The car never drove.
-    #[error("{}: there is no drive in this record: {why}; singletrack dump --topic tick shows what there is", path.display())]
-    NoDrive {
-        /// The record.
-        path: PathBuf,
-        /// What there is instead.
-        why: String,
-    },
-    /// The record has fewer drives.
-    #[error("{}: there is no drive {wanted}: choose --drive from 1 to {count}", path.display())]
-    UnknownDrive {
-        /// The record.
-        path: PathBuf,
-        /// The number asked for.
-        wanted: usize,
-        /// How many there are.
-        count: usize,
-    },
-    /// The drive can't be shown from above.
-    #[error("{}: no animation: {why}", path.display())]
-    NoAnimation {
-        /// The record.
-        path: PathBuf,
-        /// What it lacks.
-        why: &'static str,
-    },
-    /// A picture can't be written.
-    #[error(transparent)]
-    Write(#[from] WriteError),
 }
 
 /// Inputs and outputs of a tick.
@@ -109,4 +69,120 @@ pub struct BoardPoint {
     pub motor_speed: f64,
     /// Yaw rate by the gyro, in rad/s; not a number without a new sample.
     pub yaw_rate: f64,
+}
+
+/// How many usual intervals between new poses may pass: one tick without a pose is
+/// the beat of two clocks, two are a loss.
+const INTERVALS: f64 = 2.5;
+/// The same for ticks that had no word of the cameras either: frames that are merely
+/// late are not a loss.
+const SILENT_INTERVALS: f64 = 5.5;
+
+/// The spans in which no new pose came for longer than usual, because frames had none
+/// or because there were no frames: from the first tick
+/// that had to hold the last one until the one with the next, in s.
+///
+/// The usual interval is the median time between ticks with a new pose, so that cameras
+/// slower than the control loop are not a loss.
+pub(super) fn lost_markers(ticks: &[TickSample]) -> Vec<[f64; 2]> {
+    let fresh: Vec<f64> = ticks
+        .iter()
+        .filter(|tick| !tick.held)
+        .map(|tick| tick.time)
+        .collect();
+    let intervals = Distribution::of(fresh.windows(2).map(|pair| pair[1] - pair[0]));
+    let usual = intervals.sorted().get(intervals.count() / 2).copied();
+
+    let mut spans = Vec::new();
+    for run in ticks.chunk_by(|one, other| one.held == other.held) {
+        let (Some(first), Some(last)) = (run.first(), run.last()) else {
+            continue;
+        };
+        if !first.held {
+            continue;
+        }
+        let before = fresh.partition_point(|time| *time < first.time);
+        let seen = before
+            .checked_sub(1)
+            .and_then(|index| fresh.get(index))
+            .copied();
+        let until = fresh.get(before).copied().unwrap_or(last.time);
+        // At the start of a drive the last pose is at most a tick older.
+        let blind = until - seen.unwrap_or(first.time);
+        let told = run.iter().any(|tick| tick.poses_missing > 0);
+        let intervals = if told { INTERVALS } else { SILENT_INTERVALS };
+        if usual.is_none_or(|usual| blind > intervals * usual) && until > first.time {
+            spans.push([first.time, until]);
+        }
+    }
+    spans
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_pilot::Mode;
+
+    use super::*;
+
+    /// Ticks 10 ms apart: with a new pose, with a frame that has none (x), or with no
+    /// frame at all (-).
+    fn ticks(pattern: &str) -> Vec<TickSample> {
+        pattern
+            .chars()
+            .zip(0_u32..)
+            .map(|(kind, index)| TickSample {
+                time: f64::from(index) / 100.0,
+                mode: Mode::Driving,
+                held: kind != '.',
+                place: [0.0; 2],
+                yaw: 0.0,
+                point: [0.0; 2],
+                reference: [0.0; 2],
+                point_velocity: [0.0; 2],
+                commanded_speed: 0.0,
+                steering: 0.0,
+                speed: 0.0,
+                sideslip: 0.0,
+                yaw_rate: 0.0,
+                lateness: 0.0,
+                latency: 0.0,
+                skipped: 0,
+                poses_missing: u32::from(kind == 'x'),
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_single_held_tick_is_no_loss_and_two_are() {
+        assert_eq!(lost_markers(&ticks(".....x.....x....")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks(".....xx.........")), [[0.05, 0.07]]);
+    }
+
+    #[test]
+    fn frames_that_are_late_are_no_loss_and_silence_is() {
+        assert_eq!(lost_markers(&ticks("......---........")), [[0.0; 2]; 0]);
+        assert_eq!(lost_markers(&ticks("......-----......")), [[0.06, 0.11]]);
+        assert_eq!(lost_markers(&ticks("......-x---......")), [[0.06, 0.11]]);
+    }
+
+    #[test]
+    fn every_loss_has_its_own_span_up_to_the_end() {
+        let spans = lost_markers(&ticks("....xxxx......xxx...xxx"));
+        assert_eq!(spans, [[0.04, 0.08], [0.14, 0.17], [0.20, 0.22]]);
+    }
+
+    #[test]
+    fn slow_cameras_are_not_a_loss_but_their_losses_are() {
+        assert_eq!(lost_markers(&ticks(".xxx.xxx.xxx.xxx.xx")), [[0.0; 2]; 0]);
+        assert_eq!(
+            lost_markers(&ticks(".xxx.xxx.xxx.xxxxxxxxxxx.xxx.xxx")),
+            [[0.13, 0.24]]
+        );
+    }
+
+    #[test]
+    fn a_drive_that_saw_nothing_is_one_loss() {
+        assert_eq!(lost_markers(&ticks("xxxxx")), [[0.0, 0.04]]);
+        assert_eq!(lost_markers(&[]), [[0.0; 2]; 0]);
+    }
 }

@@ -26,7 +26,6 @@ mod map;
 mod row;
 mod samples;
 mod sensor;
-mod summary;
 mod timeline;
 
 use std::{collections::BTreeMap, fs, path::Path};
@@ -34,12 +33,12 @@ use std::{collections::BTreeMap, fs, path::Path};
 use singletrack_record::{ClockMapping, Entry, Meta, Recorder, part_path};
 
 pub use log::ImportError;
+pub use log::Summary;
 pub use map::{
     Acceleration, Angle, AngularVelocity, CommandSection, Dimension, DrivingSection, EmptyRows,
     ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,
     TimeSection, TimeUnit,
 };
-pub use summary::Summary;
 
 use log::Log;
 use timeline::Timeline;

@@ -5,7 +5,11 @@ use singletrack_mocap::{Observation, PoseState, RejectReason};
 use singletrack_pilot::{DriveCommand, Event, LinkState, Mode, Output, PoseMissing};
 use singletrack_record::{LinkPhase, MAX_EVENTS, TickRecord};
 
-use super::{FIRST_ROW_NS, board::BoardSamples, log::Log, summary::Summary};
+use super::{
+    FIRST_ROW_NS,
+    board::BoardSamples,
+    log::{Log, Summary},
+};
 
 /// The observations and the board samples of a log, tick by tick.
 pub(super) struct Timeline<'a> {

@@ -1,11 +1,10 @@
-//! A car behind the daemon, and a person at the terminal: what the procedures `doctor`,
+//! A car behind the daemon, a person at the terminal, and pictures of measurements: what the procedures `doctor`,
 //! `bring-up` and `calibrate` run on.
 
 mod change;
 mod entries;
 mod held;
 mod journal;
-mod picture;
 mod procedures;
 mod session;
 mod terminal;
@@ -22,11 +21,12 @@ use clap::Args;
 use serde_json::json;
 use singletrack_api::{Request, Setpoint, ask};
 use singletrack_commissioning::{
-    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, Question, Refused,
-    edit::Edit,
+    Answer, Attendance, Bench, Interrupted, Jog, Live, Observation, Plot, PlotKind, Question,
+    Refused, edit::Edit,
 };
 use singletrack_control::{Position, Velocity};
 use singletrack_core::Config;
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Width};
 use singletrack_record::{Entry, LinkPhase};
 
 use crate::{arguments::ConfiguredSocket, interrupt::Interrupt};
@@ -228,7 +228,7 @@ impl Bench for LiveBench {
         let mut path = self.pictures.clone().into_os_string();
         path.push(format!("-{}.svg", plot.name));
         let path = PathBuf::from(path);
-        if let Err(error) = singletrack_record::replace(&path, picture::svg(plot).as_bytes()) {
+        if let Err(error) = singletrack_record::replace(&path, svg(plot).as_bytes()) {
             self.terminal
                 .say(&format!("no figure {}: {error}", path.display()));
         }
@@ -323,6 +323,58 @@ impl Drop for LiveBench {
             while ask(&Request::Reload {}, &self.socket).is_err() && begun.elapsed() < ANSWER {
                 thread::sleep(AGAIN);
             }
+        }
+    }
+}
+
+/// The picture as SVG.
+fn svg(plot: &Plot) -> String {
+    let axis = |(quantity, unit)| Axis::new(quantity, None, unit);
+    let mut panel = Panel::new(axis(plot.x), axis(plot.y));
+    panel.equal = plot.equal;
+    panel.curves = plot
+        .lines
+        .iter()
+        .map(|line| {
+            let column =
+                |index: usize| -> Column { line.points.iter().map(|point| point[index]).collect() };
+            let look = match line.kind {
+                PlotKind::Measured => Look::Nominal,
+                PlotKind::Other => Look::Actual,
+                PlotKind::Fitted => Look::Boundary,
+            };
+            Curve::new(line.name, look, &column(0), column(1))
+        })
+        .collect();
+    Figure {
+        title: plot.title.to_owned(),
+        caption: plot.title.to_owned(),
+        width: Width::Column,
+        panels: vec![panel],
+    }
+    .to_svg()
+}
+
+#[cfg(test)]
+mod tests {
+    use singletrack_commissioning::PlotLine;
+
+    use super::*;
+
+    #[test]
+    fn a_plot_becomes_a_picture_with_its_axes_and_lines() {
+        let svg = svg(&Plot::over_time(
+            "latency",
+            "A twist",
+            ("yaw rate", "rad/s"),
+            vec![PlotLine {
+                name: "gyro",
+                kind: PlotKind::Measured,
+                points: vec![[0.0, 1.0], [1.0, 2.0], [f64::NAN, 0.0], [2.0, 1.0]],
+            }],
+        ));
+        for part in ["<svg", "A twist", "yaw rate", "gyro"] {
+            assert!(svg.contains(part), "{part} is missing in {svg}");
         }
     }
 }

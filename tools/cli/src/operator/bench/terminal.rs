@@ -11,8 +11,10 @@ use rustix::io::Errno;
 use serde_json::{Value, json};
 use singletrack_commissioning::{Answer, Answers, Live, Question};
 
-use crate::operator::terminal::{RawTerminal, wait_to_read};
-use crate::progress::progress_bar;
+use crate::{
+    operator::terminal::{RawTerminal, wait_to_read},
+    progress::progress_bar,
+};
 
 /// Time after the last press of the held key from which it counts as released. A key repeats 10
 /// to 30 times a second, after a first pause of up to 0.66 s.

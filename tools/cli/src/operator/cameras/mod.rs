@@ -1,6 +1,5 @@
 //! `singletrack cameras`: what the motion capture sends, without a daemon.
 
-mod discovery;
 mod survey;
 
 use std::{
@@ -194,7 +193,7 @@ fn sections(args: &CamerasArgs) -> Result<Vec<MotionCaptureSection>, Box<dyn Err
         // A question to the network does not reach this computer's own servers.
         None => [Ipv4Addr::LOCALHOST, Ipv4Addr::BROADCAST]
             .into_iter()
-            .filter_map(|asked| discovery::servers(asked).ok())
+            .filter_map(|asked| survey::servers(asked).ok())
             .flatten()
             .collect(),
     };

@@ -10,8 +10,8 @@ use singletrack_record::{Value, write_json_object};
 
 use super::{
     DumpError,
-    row::{Row, Source},
-    select::{Kind, TIME, check_field},
+    select::check_field,
+    source::{Kind, Row, Source, TIME},
 };
 use crate::help::printable;
 

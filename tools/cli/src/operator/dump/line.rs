@@ -22,8 +22,9 @@ use singletrackd::serial_port::{self, ReadHalf};
 
 use super::{
     DumpError,
-    row::{Broken, Close, Content, Message, Next, PATIENCE, Row, Source, wall_ns},
-    select::{Kind, TELEMETRY},
+    source::{
+        Broken, Close, Content, Kind, Message, Next, PATIENCE, Row, Source, TELEMETRY, wall_ns,
+    },
 };
 use crate::operator::terminal::wait_to_read;
 

@@ -5,7 +5,6 @@ mod format;
 mod line;
 mod moment;
 mod page;
-mod row;
 mod select;
 mod source;
 mod stats;
@@ -19,20 +18,18 @@ use std::{
 };
 
 use clap::Args;
+use format::Printer;
+use line::{Input, Line};
+use moment::Range;
+use select::Filter;
 use singletrack_api::ClientError;
 use singletrack_core::config::SerialSection;
 use singletrack_record::{RecordError, Topic, Value};
 use singletrackd::serial_port::PortError;
-
-use crate::operator::control::ControlArgs;
-use crate::{arguments::parse_duration, interrupt::Interrupt};
-use format::Printer;
-use line::{Input, Line};
-use moment::Range;
-use row::{Close, Next, Row, Source};
-use select::{Filter, Kind};
-use source::{Live, Place, Record};
+use source::{Close, Kind, Live, Next, Place, Record, Row, Source};
 use stats::Stats;
+
+use crate::{arguments::parse_duration, interrupt::Interrupt, operator::control::ControlArgs};
 
 pub use format::Format;
 pub use line::Direction;

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 
 use super::{
     DumpError,
-    row::{Source, Span},
+    source::{Source, Span},
 };
 
 /// A time within a record.

@@ -4,84 +4,10 @@ use std::{cmp::Ordering, str::FromStr};
 
 use singletrack_record::{Topic, Value};
 
-use super::{DumpError, row::Row};
-
-/// The field that every row has beside its own: seconds since the start of the
-/// record, of the capture, or of listening.
-pub(super) const TIME: &str = "time_s";
-
-/// A topic of a record, or a type of frame on the line.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Kind {
-    /// Its name on the command line and in JSON.
-    pub(super) name: &'static str,
-    /// The paths of its fields, in the order of its values. The last one is [`TIME`].
-    pub(super) fields: Vec<String>,
-    /// The fields that a table shows unless others are asked for.
-    pub(super) brief: Vec<String>,
-    /// Whether its rows are asked for.
-    pub(super) chosen: bool,
-}
-
-/// The fields of telemetry that a table shows beside its time.
-pub(super) const TELEMETRY: &str = "mode stop_cause last_sequence imu forward_acceleration_mm_s2 \
-    left_acceleration_mm_s2 yaw_rate_mrad_s motor_speed_mm_s servo_us esc_us";
-/// The fields of a tick that a table shows.
-const TICK: &str = "tick mode reason held point.x_m point.y_m reference.position.x_m \
-    reference.position.y_m estimate.yaw_rad estimate.speed_m_s actuation.steering_rad lateness_ns \
-    capture_to_command_ns";
-/// The fields of a pose that a table shows.
-const POSE: &str = "frame_number receive_time_ns state rejected pose.x_m pose.y_m pose.yaw_rad \
-    pose.mean_error_m pose.capture_time_ns";
-
-impl Kind {
-    /// A kind with these fields and [`TIME`]. A table shows the fields `brief`, which are separated
-    /// by spaces; all if there are none.
-    pub(super) fn new(name: &'static str, mut fields: Vec<String>, brief: &str) -> Self {
-        let brief = match brief {
-            "" => fields.clone(),
-            brief => brief.split(' ').map(ToOwned::to_owned).collect(),
-        };
-        fields.push(TIME.to_owned());
-        Self {
-            name,
-            fields,
-            brief,
-            chosen: false,
-        }
-    }
-
-    /// The topics of a record, in the order of [`Topic::index`].
-    pub(super) fn topics() -> Vec<Self> {
-        let kind = |topic: Topic| {
-            let brief = match topic {
-                Topic::Tick => TICK,
-                Topic::Telemetry => &format!("receive_time_ns {TELEMETRY}"),
-                Topic::Pose => POSE,
-                // The whole of it is a page of text.
-                Topic::Configuration => "time_ns number",
-                _ => "",
-            };
-            Self::new(topic.name(), topic.fields(), brief)
-        };
-        Topic::ALL.map(kind).to_vec()
-    }
-
-    /// The index of the field with this name among its values.
-    pub(super) fn index(&self, name: &str) -> Option<usize> {
-        self.fields.iter().position(|field| field == name)
-    }
-
-    /// The fields from the message, without [`TIME`].
-    pub(super) fn own_fields(&self) -> &[String] {
-        self.fields.split_last().map_or(&[], |(_, own)| own)
-    }
-
-    /// Whether it has this name; a topic is also named by its channel in a record.
-    fn is_named(&self, name: &str) -> bool {
-        self.name == name.strip_prefix("/singletrack/").unwrap_or(name)
-    }
-}
+use super::{
+    DumpError,
+    source::{Kind, Row, TIME},
+};
 
 /// Chooses the kinds with these names; all if there are no names.
 pub(super) fn choose(kinds: &mut [Kind], names: &[String]) -> Result<(), DumpError> {

@@ -1,4 +1,5 @@
-//! Where rows come from: a record, the running daemon, or the [`Line`](super::line).
+//! The rows of a dump, and where they come from: a record, the running daemon, or the
+//! [`Line`](super::line).
 
 use std::{
     fmt,
@@ -7,19 +8,93 @@ use std::{
     os::{fd::AsFd as _, unix::fs::FileTypeExt},
     path::{Path, PathBuf},
     thread,
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use singletrack_api::{ClientError, Connection, Request};
+use singletrack_protocol::{ToBoard, ToHost};
 use singletrack_record::{Ending, Entry, Reader, Recorded, Topic, Value};
 use singletrackd::monotonic_ns;
 
-use super::{
-    DumpError,
-    row::{Close, Message, Next, PATIENCE, Row, Source, Span, wall_ns},
-    select::Kind,
-};
+use super::DumpError;
 use crate::operator::terminal::wait_to_read;
+
+/// The field that every row has beside its own: seconds since the start of the
+/// record, of the capture, or of listening.
+pub(super) const TIME: &str = "time_s";
+
+/// A topic of a record, or a type of frame on the line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Kind {
+    /// Its name on the command line and in JSON.
+    pub(super) name: &'static str,
+    /// The paths of its fields, in the order of its values. The last one is [`TIME`].
+    pub(super) fields: Vec<String>,
+    /// The fields that a table shows unless others are asked for.
+    pub(super) brief: Vec<String>,
+    /// Whether its rows are asked for.
+    pub(super) chosen: bool,
+}
+
+/// The fields of telemetry that a table shows beside its time.
+pub(super) const TELEMETRY: &str = "mode stop_cause last_sequence imu forward_acceleration_mm_s2 \
+    left_acceleration_mm_s2 yaw_rate_mrad_s motor_speed_mm_s servo_us esc_us";
+/// The fields of a tick that a table shows.
+const TICK: &str = "tick mode reason held point.x_m point.y_m reference.position.x_m \
+    reference.position.y_m estimate.yaw_rad estimate.speed_m_s actuation.steering_rad lateness_ns \
+    capture_to_command_ns";
+/// The fields of a pose that a table shows.
+const POSE: &str = "frame_number receive_time_ns state rejected pose.x_m pose.y_m pose.yaw_rad \
+    pose.mean_error_m pose.capture_time_ns";
+
+impl Kind {
+    /// A kind with these fields and [`TIME`]. A table shows the fields `brief`, which are separated
+    /// by spaces; all if there are none.
+    pub(super) fn new(name: &'static str, mut fields: Vec<String>, brief: &str) -> Self {
+        let brief = match brief {
+            "" => fields.clone(),
+            brief => brief.split(' ').map(ToOwned::to_owned).collect(),
+        };
+        fields.push(TIME.to_owned());
+        Self {
+            name,
+            fields,
+            brief,
+            chosen: false,
+        }
+    }
+
+    /// The topics of a record, in the order of [`Topic::index`].
+    pub(super) fn topics() -> Vec<Self> {
+        let kind = |topic: Topic| {
+            let brief = match topic {
+                Topic::Tick => TICK,
+                Topic::Telemetry => &format!("receive_time_ns {TELEMETRY}"),
+                Topic::Pose => POSE,
+                // The whole of it is a page of text.
+                Topic::Configuration => "time_ns number",
+                _ => "",
+            };
+            Self::new(topic.name(), topic.fields(), brief)
+        };
+        Topic::ALL.map(kind).to_vec()
+    }
+
+    /// The index of the field with this name among its values.
+    pub(super) fn index(&self, name: &str) -> Option<usize> {
+        self.fields.iter().position(|field| field == name)
+    }
+
+    /// The fields from the message, without [`TIME`].
+    pub(super) fn own_fields(&self) -> &[String] {
+        self.fields.split_last().map_or(&[], |(_, own)| own)
+    }
+
+    /// Whether it has this name; a topic is also named by its channel in a record.
+    pub(super) fn is_named(&self, name: &str) -> bool {
+        self.name == name.strip_prefix("/singletrack/").unwrap_or(name)
+    }
+}
 
 /// How long the daemon may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -304,4 +379,122 @@ impl Place {
             Self::Raw(path.to_owned())
         }
     }
+}
+
+/// The longest time that a source waits for more.
+pub(super) const PATIENCE: Duration = Duration::from_millis(100);
+
+/// Now, in ns since 1970; none if the wall clock is before that.
+pub(super) fn wall_ns() -> Option<u64> {
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    u64::try_from(wall.as_nanos()).ok()
+}
+
+/// A row before its message is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Row {
+    /// The index of its kind.
+    pub(super) kind: usize,
+    /// When it reached the host, in ns since the start; none before the first time
+    /// is known.
+    pub(super) time_ns: Option<i64>,
+}
+
+/// The message of a row.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Message<'a> {
+    /// An entry of a record or of the running daemon; a tick of a record is without its events.
+    Entry(&'a Entry),
+    /// What a stretch of bytes on the line holds.
+    Frame(&'a Content),
+}
+
+/// The next step of a source.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// A row, which can be read until the next step.
+    Row(Row),
+    /// Nothing yet: [`Source::wait`] waits for more.
+    Pending,
+    /// The source has ended.
+    End,
+}
+
+/// How a source ended, with figures of the whole source.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Close {
+    /// A note for standard error.
+    pub(super) note: Option<String>,
+    /// Bytes that came over the line.
+    pub(super) line_bytes: Option<u64>,
+    /// Rows that the source could not hand over in time.
+    pub(super) missed: u64,
+    /// Whether a record has not been finished.
+    pub(super) unfinished: bool,
+}
+
+/// Gives rows, one after another.
+pub(super) trait Source {
+    /// When it starts, in ns since 1970 on the wall, if that is known.
+    fn start_wall_ns(&self) -> Option<u64>;
+
+    /// The times of its first and its last row, if they are known before it is read.
+    fn span(&self) -> Option<Span> {
+        None
+    }
+
+    /// Goes to the next row, without waiting.
+    fn next(&mut self) -> Result<Next, DumpError>;
+
+    /// Waits for more, but not for long.
+    fn wait(&mut self) -> Result<(), DumpError>;
+
+    /// Passes the message of the row to `take`.
+    fn take_message(&mut self, take: &mut dyn FnMut(Message<'_>)) -> Result<(), DumpError>;
+
+    /// Replaces `values` with the fields of the message, in the order of its kind.
+    fn read_values(&mut self, values: &mut Vec<Value>) -> Result<(), DumpError>;
+
+    /// Adds the entry to `json` as one object with all its fields. Frames have no such form.
+    fn write_json(&mut self, json: &mut String) -> Result<(), DumpError> {
+        self.take_message(&mut |message| {
+            if let Message::Entry(entry) = message {
+                entry.write_json(json);
+            }
+        })
+    }
+
+    /// How it ended.
+    fn close(&self) -> Close;
+}
+
+/// What a stretch of bytes up to a zero holds.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Content {
+    /// A message of the board.
+    ToHost(ToHost),
+    /// A message of the host.
+    ToBoard(ToBoard),
+    /// No frame.
+    Broken(Broken),
+}
+
+/// Bytes that are not a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Broken {
+    /// Why, in a word.
+    pub(super) reason: &'static str,
+    /// Why, in a sentence.
+    pub(super) detail: String,
+    /// Its first bytes.
+    pub(super) bytes: Vec<u8>,
+}
+
+/// The times of the entries of a record, in ns since its start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Span {
+    pub(super) first_ns: i64,
+    pub(super) last_ns: i64,
+    /// When the record starts, in ns since 1970.
+    pub(super) start_wall_ns: u64,
 }

@@ -11,10 +11,7 @@ use singletrack_protocol::{
 use singletrack_record::{Entry, StatusRecord, TelemetryRecord, TickRecord};
 use singletrack_statistics::{Arrivals, Distribution, Gap};
 
-use super::{
-    row::{Close, Content, Message, Row},
-    select::Kind,
-};
+use super::source::{Close, Content, Kind, Message, Row};
 
 /// All statistics. Values that the source does not have are null or empty.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

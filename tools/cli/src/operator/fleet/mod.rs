@@ -1,6 +1,5 @@
 //! `singletrack fleet`: one command for several cars, each with a daemon of its own.
 
-mod arm;
 mod cameras;
 
 use std::{
@@ -13,11 +12,16 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use singletrack_api::{ClockOffset, Fleet, NotObeyed, Request, Status};
+use singletrack_api::{ClockOffset, Fleet, FleetArm, FleetDrive, NotObeyed, Request, Status};
 use singletrackd::monotonic_ns;
 
-use crate::interrupt::Interrupt;
-use crate::operator::control::{ControlError, print};
+use crate::{
+    interrupt::Interrupt,
+    operator::{
+        arm::{ended_as_wanted, is_wanted, parse_time, warn},
+        control::{ControlError, print},
+    },
+};
 
 /// Interval of `status --watch`.
 const WATCH: Duration = Duration::from_millis(500);
@@ -51,7 +55,7 @@ enum FleetCommand {
     ///
     /// No car is armed if one of them is not ready. The exit status is 0 if all drives ended as
     /// wanted, 1 if the cars were not armed, and 3 if something else stopped one of them.
-    Arm(arm::FleetArmArgs),
+    Arm(FleetArmArgs),
     /// Slow all cars down, stop and disarm them.
     Disarm,
     /// Emergency stop of all cars: neutral at once, until their boards are reset.
@@ -79,7 +83,7 @@ pub fn run(args: &FleetArgs) -> Result<ExitCode, Box<dyn Error>> {
             }
         }
         FleetCommand::Status { watch: true } => watch(&fleet()?)?,
-        FleetCommand::Arm(args) => return arm::run(&fleet()?, args),
+        FleetCommand::Arm(args) => return arm(&fleet()?, args),
         FleetCommand::Disarm => {
             fleet()?.tell(&Request::DISARM)?;
             print("disarming: all cars slow down and stop")?;
@@ -146,4 +150,48 @@ fn watch(fleet: &Fleet) -> Result<(), Box<dyn Error>> {
         thread::sleep(WATCH);
     }
     Ok(())
+}
+
+/// Options of `singletrack fleet arm`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct FleetArmArgs {
+    /// Drive for this time, such as 60s, and stop
+    #[arg(long = "for", value_name = "DURATION", value_parser = parse_time)]
+    time: Option<Duration>,
+    /// The time until all references begin, within 10 ms of each other; the cars are armed before
+    #[arg(long, value_name = "DURATION", value_parser = parse_time, default_value = "3s")]
+    start_in: Duration,
+    /// Stop all cars when the drive of one of them ends
+    #[arg(long)]
+    together: bool,
+    /// Arm also cars that have not passed doctor, bring-up and calibrate
+    #[arg(long)]
+    uncalibrated: bool,
+}
+
+/// Arms all cars, if all are ready, and holds their drives until all have ended.
+fn arm(fleet: &Fleet, args: &FleetArmArgs) -> Result<ExitCode, Box<dyn Error>> {
+    let interrupt = Interrupt::listen().map_err(ControlError::from)?;
+    let options = FleetArm {
+        start_in: args.start_in,
+        together: args.together,
+        uncalibrated: args.uncalibrated,
+    };
+    let mut drive = FleetDrive::begin(fleet, &options, monotonic_ns)?;
+    while !drive.is_over() {
+        let is_over = args
+            .time
+            .is_some_and(|time| drive.start().elapsed() >= time);
+        if interrupt.is_raised() || is_over {
+            drive.disarm();
+        }
+        drive.step();
+        warn(&drive.warnings());
+    }
+    let mut as_wanted = true;
+    for car in drive.ends()? {
+        as_wanted &= is_wanted(&car.ended);
+        print(&format!("{}: {}", car.name, car.ended))?;
+    }
+    Ok(ended_as_wanted(as_wanted))
 }

@@ -4,21 +4,28 @@
 //! another one, the outputs show what the pilot would have commanded on the same
 //! events: the loop is open, since the car of the record does not react.
 
-mod change;
-mod source;
 mod verdict;
 
-use std::{error::Error, path::PathBuf, process::ExitCode, time::Instant};
+use std::{
+    error::Error,
+    fmt,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    str::FromStr,
+    time::{Duration, Instant},
+};
 
 use clap::Args;
+use singletrack_core::{Config, ConfigError};
 use singletrack_figures::output::print;
-use singletrack_record::{Ending, Entry, Meta, Reader, Topic};
-
-pub use change::Change;
-pub use verdict::{Deviation, Deviations};
+use singletrack_logs::import;
+use singletrack_pilot::PilotConfig;
+use singletrack_record::{Ending, Entry, Meta, Reader, Replay, TickRecord, Topic};
+use toml::{Table, Value};
 
 use crate::{help::printable, progress::progress_bar};
-use source::Span;
+
+pub use verdict::{Deviation, Deviations};
 
 /// Options of `singletrack replay`.
 #[derive(Clone, Debug, Args)]
@@ -74,7 +81,7 @@ fn so_far(ticks: u64) -> String {
 /// What can't be read or replayed; without `--set`, the first output that differs.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode, Box<dyn Error>> {
     let start = Instant::now();
-    let mut replay = source::pilot(&args.record, &args.set)?;
+    let mut replay = pilot(&args.record, &args.set)?;
     let mut ticks = Reader::open(&args.record)?.only(&[Topic::Tick]);
     let meta = ticks.meta().clone();
     let record = args.record.display();
@@ -155,6 +162,215 @@ fn draw(args: &ReplayArgs, deviations: &Deviations) -> Result<PathBuf, String> {
             Err(format!(
                 "can't write {path}: {error}; choose another --figure"
             ))
+        }
+    }
+}
+
+/// A key of the configuration, and what it is to be.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    key: Vec<String>,
+    value: Value,
+}
+
+impl FromStr for Change {
+    type Err = String;
+
+    /// A value is written as in the configuration; words need no quotation marks.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (key, value) = text.split_once('=').ok_or_else(|| {
+            format!("{text:?}: write KEY=VALUE, such as law.point_distance_m=0.4")
+        })?;
+        let key: Vec<_> = key.split('.').map(|part| part.trim().to_owned()).collect();
+        if key.iter().any(String::is_empty) {
+            let key = key.join(".");
+            return Err(format!(
+                "{key:?} is no key: write it as law.point_distance_m"
+            ));
+        }
+        let value = value.trim();
+        Ok(Self {
+            key,
+            value: value
+                .parse()
+                .unwrap_or_else(|_| Value::String(value.to_owned())),
+        })
+    }
+}
+
+impl fmt::Display for Change {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}={}", self.key.join("."), self.value)
+    }
+}
+
+/// The configuration `toml` with changes.
+pub(super) fn apply(toml: &str, changes: &[Change]) -> Result<String, String> {
+    let of_record = |error: &dyn fmt::Display| format!("the configuration in the record: {error}");
+    let mut table: Table = toml::from_str(toml).map_err(|error| of_record(&error))?;
+    for change in changes {
+        let Some((last, sections)) = change.key.split_last() else {
+            continue;
+        };
+        let mut place = &mut table;
+        for section in sections {
+            let inner = place
+                .entry(section.clone())
+                .or_insert_with(|| Value::Table(Table::new()));
+            place = match inner {
+                Value::Table(table) => table,
+                other => {
+                    let key = change.key.join(".");
+                    return Err(format!("{key}: {section} is no section but {other}"));
+                }
+            };
+        }
+        let value = match (place.get(last), &change.value) {
+            // As people write it: 1 for 1.0.
+            (Some(Value::Float(_)), Value::Integer(number)) => Value::Float(*number as f64),
+            (_, value) => value.clone(),
+        };
+        place.insert(last.clone(), value);
+    }
+    toml::to_string(&table).map_err(|error| of_record(&error))
+}
+
+/// What has been replayed.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Span {
+    pub(super) ticks: u64,
+    first_ns: u64,
+    last_ns: u64,
+}
+
+impl Span {
+    pub(super) fn add(&mut self, tick: &TickRecord) {
+        if self.ticks == 0 {
+            self.first_ns = tick.start_ns;
+        }
+        self.ticks += 1;
+        self.last_ns = tick.start_ns;
+    }
+
+    /// From its beginning to `tick`, in s.
+    pub(super) fn seconds_to(&self, tick: &TickRecord) -> f64 {
+        let first_ns = if self.ticks == 0 {
+            tick.start_ns
+        } else {
+            self.first_ns
+        };
+        tick.start_ns.saturating_sub(first_ns) as f64 * 1e-9
+    }
+
+    pub(super) fn pace(&self, took: Duration) -> String {
+        let seconds = self.last_ns.saturating_sub(self.first_ns) as f64 * 1e-9;
+        let took = took.as_secs_f64();
+        format!(
+            "{seconds:.2} s replayed in {took:.3} s: {:.0} times real time",
+            seconds / took
+        )
+    }
+}
+
+/// A pilot with the configurations of a record, all of them changed by `changes`.
+pub(super) fn pilot(path: &Path, changes: &[Change]) -> Result<Replay, Box<dyn Error>> {
+    let mut reader = Reader::open(path)?.only(&[Topic::Configuration]);
+    if reader.meta().software.contains_key(import::SOFTWARE) {
+        let path = path.display();
+        return Err(format!(
+            "{path} was imported from the log of another program: no pilot made it, so there is \
+             nothing to repeat"
+        )
+        .into());
+    }
+    let start = reader.meta().configuration.clone();
+    let mut replay = Replay::new(configuration(path, 1, &start, changes)?);
+    // Nearly no record has another one.
+    if reader.message_count(Topic::Configuration) == Some(0) {
+        return Ok(replay);
+    }
+    for entry in reader.by_ref() {
+        if let Entry::Configuration(record) = entry? {
+            let number = record.number;
+            let pilot = configuration(path, number, &record.toml, changes)?;
+            replay.configuration(number, pilot);
+        }
+    }
+    Ok(replay)
+}
+
+fn configuration(
+    path: &Path,
+    number: u32,
+    toml: &str,
+    changes: &[Change],
+) -> Result<PilotConfig, Box<dyn Error>> {
+    let read = |toml: &str| -> Result<(PilotConfig, Config), ConfigError> {
+        let config = Config::from_toml(toml)?;
+        Ok((config.pilot()?, config))
+    };
+    // Whose fault it is shows when it is tried without the changes.
+    let configuration = format!("configuration {number} of {}", path.display());
+    let (pilot, config) = read(toml).map_err(|error| {
+        format!("{configuration} is not one that this version of singletrack takes: {error}")
+    })?;
+    if changes.is_empty() {
+        return Ok(pilot);
+    }
+    let applied = apply(toml, changes).map_err(|error| format!("--set {error}"))?;
+    let changed =
+        read(&applied).map_err(|error| format!("with --set, {configuration}: {error}"))?;
+    if changed.0 == pilot && changed.1 != config {
+        let changes: Vec<_> = changes.iter().map(Change::to_string).collect();
+        let changes = changes.join(" --set ");
+        return Err(format!(
+            "--set {changes}: the pilot reads nothing of that; a replay shows what changes in its \
+             sections, such as law, outer_loop, reference, limits, estimator, supervisor, watch and \
+             fence"
+        )
+        .into());
+    }
+    Ok(changed.0)
+}
+
+#[cfg(test)]
+mod tests {
+
+    use super::*;
+
+    const TOML: &str = "[law]\npoint_distance_m = 0.35\n[estimator]\nmarker_loss = \"hold\"\n";
+
+    fn changed(changes: &[&str]) -> Result<String, String> {
+        let changes: Result<Vec<Change>, _> = changes.iter().map(|text| text.parse()).collect();
+        apply(TOML, &changes?)
+    }
+
+    #[test]
+    fn numbers_and_words_are_set_and_keys_added() {
+        let text = changed(&[
+            "law.point_distance_m=1",
+            "estimator.marker_loss = coast",
+            "supervisor.hold_ms=500",
+            "fence.corners_m=[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]",
+        ])
+        .unwrap();
+        let table: Table = toml::from_str(&text).unwrap();
+        assert_eq!(table["law"]["point_distance_m"], Value::Float(1.0));
+        assert_eq!(table["estimator"]["marker_loss"].as_str(), Some("coast"));
+        assert_eq!(table["supervisor"]["hold_ms"].as_integer(), Some(500));
+        assert_eq!(table["fence"]["corners_m"].as_array().unwrap().len(), 3);
+    }
+
+    #[test]
+    fn what_is_no_change_is_refused_by_name() {
+        for (text, part) in [
+            ("law.point_distance_m", "KEY=VALUE"),
+            ("law..x=1", "law..x"),
+            ("=1", "no key"),
+            ("law.point_distance_m.x=1", "no section but 0.35"),
+        ] {
+            let error = changed(&[text]).unwrap_err().to_string();
+            assert!(error.contains(part), "{text}: {error}");
         }
     }
 }

@@ -10,7 +10,7 @@ use singletrack_pilot::{Mode, Output, Reason};
 use singletrack_record::{Entry, Meta, TickRecord};
 use singletrack_statistics::RootMeanSquare;
 
-use super::source::Span;
+use super::Span;
 
 /// Who makes records, as they name it.
 const DAEMON: &str = "singletrackd";

@@ -1,16 +1,25 @@
 //! `singletrack status`: what the daemon does now, for a person or for programs.
 
 mod summary;
-mod watch;
 
-use std::time::Duration;
+use std::{
+    io::{self, Write as _},
+    path::Path,
+    time::{Duration, Instant},
+};
 
 use clap::Args;
 use serde_json::Value;
-use singletrack_api::{Request, ask};
-
-use crate::operator::control::{ControlArgs, ControlError, print};
+use singletrack_api::{Answer, ClientError, Connection, Reply, Request, ask};
 use summary::Summary;
+
+use crate::{
+    interrupt::Interrupt,
+    operator::{
+        control::{ControlArgs, ControlError, print},
+        terminal::Screen,
+    },
+};
 
 /// Options of `singletrack status`.
 #[derive(Clone, Debug, Args)]
@@ -37,7 +46,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
     let socket = &args.control.socket;
     if args.watch {
-        return watch::run(socket);
+        return watch(socket);
     }
     if args.json {
         // As the daemon wrote it, which may be newer than this program.
@@ -52,3 +61,142 @@ pub fn run(args: &StatusArgs) -> Result<(), ControlError> {
 
 /// The line for an answer that has no status.
 const UNKNOWN: &str = "; pose none, battery unknown, link unknown, speed unknown";
+
+/// Interval of the pictures on a terminal, and of the lines elsewhere.
+const PICTURE: Duration = Duration::from_millis(100);
+const LINE: Duration = Duration::from_secs(1);
+/// Interval of the questions for what a state does not have, such as the battery.
+const QUESTION: Duration = Duration::from_millis(500);
+/// The longest wait for a state, so that a key and Ctrl-C are not late.
+const WAIT: Duration = Duration::from_millis(20);
+/// Silence of the stream from which on it is shown: 50 ticks.
+const SILENCE: Duration = Duration::from_millis(500);
+
+/// The daemon's status, kept up to date over two connections.
+struct Feed {
+    states: Connection,
+    questions: Connection,
+    summary: Summary,
+    asked: Instant,
+    is_answered: bool,
+    heard: Instant,
+}
+
+impl Feed {
+    fn open(socket: &Path) -> Result<Self, ControlError> {
+        let mut questions = Connection::open(socket, PATIENCE)?;
+        questions.send(&Request::Status {})?;
+        let answer: Answer = questions
+            .receive_within(PATIENCE)?
+            .ok_or_else(|| io::Error::from(io::ErrorKind::TimedOut))?;
+        let status = answer.agreed()?.status;
+        let missing = || ClientError::NoAnswer("an answer without a status".to_owned());
+        Ok(Self {
+            states: Connection::watch_states(socket, PATIENCE)?,
+            questions,
+            summary: status.map(Summary::of).ok_or_else(missing)?,
+            asked: Instant::now(),
+            is_answered: true,
+            heard: Instant::now(),
+        })
+    }
+
+    /// Takes what has come, and waits a little if nothing has.
+    fn renew(&mut self) -> Result<(), ControlError> {
+        if let Some(answer) = self.questions.receive::<Answer>()? {
+            if let Some(status) = answer.agreed()?.status {
+                self.summary.take_status(status);
+            }
+            self.is_answered = true;
+        }
+        if self.is_answered && self.asked.elapsed() >= QUESTION {
+            self.questions.send(&Request::Status {})?;
+            self.asked = Instant::now();
+            self.is_answered = false;
+        }
+        match self.states.receive_within(WAIT)? {
+            Some(Reply::State(state)) => {
+                self.heard = Instant::now();
+                self.summary.take_state(*state);
+            }
+            // The stream begins.
+            Some(Reply::Answer(answer)) => drop(answer.agreed()?),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// How long no tick has come, if that is long.
+    fn silence_s(&self) -> Option<f64> {
+        let silence = self.heard.elapsed();
+        (silence >= SILENCE).then_some(silence.as_secs_f64())
+    }
+}
+
+/// Shows the status until q or Ctrl-C is pressed.
+///
+/// # Errors
+///
+/// When the daemon can't be reached, or ends.
+fn watch(socket: &Path) -> Result<(), ControlError> {
+    let interrupt = Interrupt::listen()?;
+    let mut feed = Feed::open(socket)?;
+    match Screen::open()? {
+        Some(screen) => {
+            draw(&interrupt, &mut feed, screen, socket)?;
+            // The picture is gone with its screen.
+            print(&feed.summary.line())
+        }
+        None => print_lines(&interrupt, &mut feed),
+    }
+}
+
+fn draw(
+    interrupt: &Interrupt,
+    feed: &mut Feed,
+    mut screen: Screen,
+    socket: &Path,
+) -> Result<(), ControlError> {
+    let mut drawn: Option<Instant> = None;
+    while !interrupt.is_raised() && !screen.has_key(b'q')? {
+        feed.renew()?;
+        if drawn.is_some_and(|drawn| drawn.elapsed() < PICTURE) {
+            continue;
+        }
+        drawn = Some(Instant::now());
+        let (columns, _) = Screen::size();
+        let mut lines = vec![
+            format!("singletrackd at {}  (q ends)", socket.display()),
+            String::new(),
+        ];
+        lines.extend(feed.summary.lines(columns));
+        if let Some(silence_s) = feed.silence_s() {
+            lines.push(String::new());
+            lines.push(format!("no tick of the daemon for {silence_s:.1} s"));
+        }
+        screen.draw(&lines)?;
+    }
+    Ok(())
+}
+
+fn print_lines(interrupt: &Interrupt, feed: &mut Feed) -> Result<(), ControlError> {
+    let mut printed: Option<Instant> = None;
+    while !interrupt.is_raised() {
+        feed.renew()?;
+        if printed.is_some_and(|printed| printed.elapsed() < LINE) {
+            continue;
+        }
+        printed = Some(Instant::now());
+        let mut line = feed.summary.line();
+        if let Some(silence_s) = feed.silence_s() {
+            line += &format!(" (no tick of the daemon for {silence_s:.1} s)");
+        }
+        let mut output = io::stdout().lock();
+        match writeln!(output, "{line}").and_then(|()| output.flush()) {
+            Ok(()) => {}
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
+            Err(error) => return Err(ControlError::Output(error)),
+        }
+    }
+    Ok(())
+}

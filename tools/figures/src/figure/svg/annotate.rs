@@ -9,9 +9,9 @@ use super::{
 };
 use crate::figure::{
     Estimate, Level, Panel,
-    page::{INK, TEXT_SIZE},
+    page::INK,
     place::{Obstacles, Segment, Slot},
-    typeset,
+    typeset::{self, TEXT_SIZE},
 };
 
 /// Half the height of a label's slot, in mm: 'x' and figures, not every descender.

@@ -8,13 +8,11 @@ use super::{
 };
 use crate::figure::{
     Isoline, Map, Shade,
-    contours::Sheet,
-    hatch::hatch,
-    legend,
-    page::TEXT_SIZE,
+    contours::{Sheet, hatch},
+    page,
     place::{Obstacles, RIM, Slot, between, interrupted, length, segments},
     thin::{Piece, thin},
-    typeset,
+    typeset::{self, TEXT_SIZE},
 };
 
 /// Of an area's edge nothing smaller than this can be seen, in mm.
@@ -69,7 +67,7 @@ fn draw_shade(
 
 /// A shade's sample in a legend.
 pub(super) fn draw_key(svg: &mut String, shade: Shade, left: f64, middle: f64) -> fmt::Result {
-    let (right, [top, bottom]) = (left + legend::KEY_WIDTH, [middle - 1.2, middle + 1.2]);
+    let (right, [top, bottom]) = (left + page::KEY_WIDTH, [middle - 1.2, middle + 1.2]);
     let ring = vec![
         [left, top],
         [right, top],

@@ -16,12 +16,10 @@ use self::{
 };
 use super::{
     Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
-    legend::{self, Entry, Key},
-    page::escaped,
-    page::{INK, LINE_HEIGHT, MARGIN, NAME_SIZE, TEXT_SIZE, TICK_GAP},
+    page::{self, Entry, INK, Key, LINE_HEIGHT, MARGIN, NAME_SIZE, TICK_GAP},
     place::{Obstacles, Slot},
     thin::{envelope, pieces, thin},
-    typeset,
+    typeset::{self, TEXT_SIZE, escaped},
 };
 
 /// Nothing smaller than this can be seen, in mm.
@@ -60,11 +58,11 @@ impl Figure {
     }
 
     fn draw(&self, svg: &mut String) -> fmt::Result {
-        let entries = legend::entries(self);
+        let entries = page::entries(self);
         let width = self.width.mm();
-        let places = legend::places(&entries, width - 2.0 * MARGIN);
+        let places = page::places(&entries, width - 2.0 * MARGIN);
         let rows = places.last().map_or(0, |(_, row)| row + 1);
-        let top = MARGIN + rows as f64 * legend::ROW_HEIGHT + TICK_GAP;
+        let top = MARGIN + rows as f64 * page::ROW_HEIGHT + TICK_GAP;
         // The shades reach up to the frame, where the topmost tick may be.
         let mapped = self.panels.iter().any(|panel| panel.map.is_some());
         let top = top + if mapped { 0.8 } else { 0.0 };
@@ -82,7 +80,7 @@ impl Figure {
             r##"<rect class="paper" width="100%" height="100%" fill="#ffffff"/>"##
         )?;
         for (entry, (left, row)) in entries.iter().zip(&places) {
-            let middle = MARGIN + (*row as f64 + 0.5) * legend::ROW_HEIGHT;
+            let middle = MARGIN + (*row as f64 + 0.5) * page::ROW_HEIGHT;
             draw_entry(svg, entry, MARGIN + left, middle)?;
         }
         for (panel, area) in self.panels.iter().zip(&areas) {
@@ -278,16 +276,16 @@ fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
 }
 
 fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::Result {
-    let right = left + legend::KEY_WIDTH;
+    let right = left + page::KEY_WIDTH;
     let centre = [0.5 * (left + right), middle];
     match entry.key {
         Key::Line(look) => {
             let (pen, start) = (pen(look), through(&[[left, middle]]));
-            writeln!(svg, r#"<path {pen} d="{start}h{}"/>"#, legend::KEY_WIDTH)?;
+            writeln!(svg, r#"<path {pen} d="{start}h{}"/>"#, page::KEY_WIDTH)?;
         }
         Key::Mark(kind) => write::mark(svg, kind, centre, "")?,
         Key::Span => {
-            let span = rectangle("span", [left, middle - 1.2, legend::KEY_WIDTH, 2.4]);
+            let span = rectangle("span", [left, middle - 1.2, page::KEY_WIDTH, 2.4]);
             writeln!(svg, r#"<rect {span} fill="{SHADE}"/>"#)?;
         }
         Key::Shade(shade) => map::draw_key(svg, shade, left, middle)?,
@@ -298,7 +296,7 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
             write::mark(svg, kind, centre, "")?;
         }
     }
-    let place = [left + legend::TEXT_OFFSET, middle + 0.85];
+    let place = [left + page::TEXT_OFFSET, middle + 0.85];
     text(svg, place, "start", &entry.name)
 }
 

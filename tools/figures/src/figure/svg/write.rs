@@ -3,10 +3,10 @@
 use std::fmt::{self, Write as _};
 
 use crate::figure::{
-    page::{INK, Look, MarkKind, TEXT_SIZE, escaped},
+    page::{INK, Look, MarkKind},
     place::Slot,
     scale::trimmed,
-    typeset,
+    typeset::{self, TEXT_SIZE, escaped},
 };
 
 const PAPER: &str = "#ffffff";

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use toml::{Table, Value};
 
 use super::drive::{Drive, TickSample, distance};
-use crate::template::fill;
+use crate::output::fill;
 use scene::{Scene, View, number};
 
 /// The name of the animation's file.

@@ -3,7 +3,6 @@
 
 mod histogram;
 mod time;
-mod trajectory;
 
 use clap::ValueEnum;
 
@@ -77,7 +76,7 @@ impl FigureKind {
     /// What the drive lacks for it.
     pub fn draw(self, drive: &Drive) -> Result<Figure, &'static str> {
         let (figure, lacking) = match self {
-            Self::Trajectory => (trajectory::trajectory(drive), "no tick knows where P was"),
+            Self::Trajectory => (time::trajectory(drive), "no tick knows where P was"),
             Self::Position => (time::position(drive), "no tick knows where P was"),
             Self::CommandedVelocity => (
                 time::commanded_velocity(drive),

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     figure::{Figure, escaped},
-    template,
+    output,
 };
 
 /// Lines of the log in a report; of more, the warnings and errors stay longest.
@@ -72,7 +72,7 @@ pub(super) fn report(record: &Record, number: usize, drive: &Drive) -> String {
 
 /// The page with its parts.
 fn fill(parts: &[(&str, &str)]) -> String {
-    template::fill(include_str!("page.html"), parts)
+    output::fill(include_str!("page.html"), parts)
 }
 
 fn subtitle(drive: &Drive) -> String {
