@@ -36,7 +36,6 @@ mod drive_noise;
 mod files;
 mod handle;
 mod json_file;
-mod judgement;
 mod messages;
 mod mocap_receiver;
 mod mocap_socket;

@@ -1,4 +1,5 @@
-//! The drive that a node of ROS has armed, held by a connection of this process.
+//! The drive that a node of ROS has armed, held by a connection of this process; the services
+//! `arm`, `disarm` and `stop`.
 //!
 //! The daemon's dead-man switch is this connection. The controller behind it is watched by the
 //! age of its set-points: a drive can only be armed while set-points are passed on, and the
@@ -10,9 +11,15 @@ use std::{
     time::{Duration, Instant},
 };
 
+use futures::executor::block_on;
 use singletrack_api::{ClientError, HeldDrive, Reply, Request, ask};
 
-use crate::node::start;
+use crate::{
+    RunError,
+    arguments::Arguments,
+    message::TriggerResponse,
+    node::{Node, start},
+};
 
 /// The longest wait for a line, so that renewals are not late.
 const WAIT: Duration = Duration::from_millis(20);
@@ -150,6 +157,54 @@ fn hold(drive: &mut HeldDrive) -> Result<String, ClientError> {
             return Ok(ended.to_string());
         }
     }
+}
+
+/// Offers the services `arm`, `disarm` and `stop`, each on a thread of its own: an arm that waits
+/// does not delay a stop.
+pub(crate) fn offer(
+    node: &mut Node,
+    arguments: &Arguments,
+    attendance: &Attendance,
+) -> Result<(), RunError> {
+    if arguments.publish_only {
+        return Ok(());
+    }
+    serve(node, "arm", attendance, Attendance::arm)?;
+    serve(node, "disarm", attendance, Attendance::disarm)?;
+    serve(node, "stop", attendance, Attendance::stop)
+}
+
+fn serve(
+    node: &mut Node,
+    name: &'static str,
+    attendance: &Attendance,
+    obey: impl Fn(&Attendance) -> Result<(), String> + Send + 'static,
+) -> Result<(), RunError> {
+    let server = node.trigger(name)?;
+    let attendance = attendance.clone();
+    start(name, move || {
+        loop {
+            let request = match block_on(server.async_receive_request()) {
+                Ok((request, _)) => request,
+                Err(error) => {
+                    tracing::warn!("{name}: {error}");
+                    continue;
+                }
+            };
+            let done = obey(&attendance);
+            match &done {
+                Ok(()) => tracing::info!("{name}: done"),
+                Err(error) => tracing::warn!("{name}: {error}"),
+            }
+            let answer = TriggerResponse {
+                success: done.is_ok(),
+                message: done.err().unwrap_or_default(),
+            };
+            if let Err(error) = server.send_response(request, answer) {
+                tracing::warn!("{name}: the answer is not sent: {error}");
+            }
+        }
+    })
 }
 
 #[cfg(test)]

@@ -13,7 +13,6 @@ mod loopback;
 mod message;
 mod node;
 mod outgoing;
-mod services;
 mod setpoint;
 mod tally;
 
@@ -85,7 +84,7 @@ fn run(arguments: &Arguments) -> Result<(), RunError> {
     let mut node = node::Node::start(arguments)?;
     outgoing::start(&mut node, arguments, &tally)?;
     incoming::start(&mut node, arguments, &attendance, &tally)?;
-    services::start(&mut node, arguments, &attendance)?;
+    attendance::offer(&mut node, arguments, &attendance)?;
     diagnostics::start(&mut node, &tally)?;
     node.spin()?;
     tracing::info!(

@@ -1,17 +1,40 @@
 //! On the computer of a car: connects clients elsewhere to the daemon.
 
-use std::{collections::HashMap, path::Path, thread};
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+    thread,
+};
 
+use clap::Args;
 use zenoh::{Session, Wait as _, liveliness::LivelinessToken, sample::SampleKind};
 
 use crate::{
-    arguments::Car,
     connection::{Connection, Cut},
     network::{Keys, ZenohError, join},
 };
 
 /// Connections at once: more than a daemon serves, whose refusal then says why.
 const CONNECTIONS: usize = 64;
+
+#[derive(Debug, Args)]
+pub(crate) struct Car {
+    /// Of the car, as in the file of the fleet
+    #[arg(long)]
+    pub(crate) name: String,
+    /// The daemon's control socket
+    #[arg(
+        long,
+        value_name = "PATH",
+        env = "SINGLETRACK_SOCKET",
+        hide_env_values = true,
+        default_value = "/run/singletrackd/control.sock"
+    )]
+    pub(crate) socket: PathBuf,
+    /// The router, such as tcp/192.168.1.30:7447
+    #[arg(long, value_name = "ENDPOINT")]
+    pub(crate) router: String,
+}
 
 /// Serves a car until the process ends.
 pub(crate) fn serve(config: Option<&Path>, car: &Car) -> Result<(), ZenohError> {

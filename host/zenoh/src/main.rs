@@ -6,21 +6,54 @@
 //! when it ends at one of them, or when the router is lost: the daemon then stops a drive that its
 //! client held, as when the client dies.
 
-mod arguments;
 mod car;
 mod connection;
 mod desk;
 mod network;
 
-use std::{io, process::ExitCode};
+use std::{io, path::PathBuf, process::ExitCode};
 
-use arguments::{Arguments, Side};
-use clap::Parser as _;
+use car::Car;
+use clap::{Parser, Subcommand};
 use tracing_subscriber::{
     filter::{LevelFilter, Targets},
     layer::SubscriberExt as _,
     util::SubscriberInitExt as _,
 };
+
+/// Control sockets of cars on other computers, by way of a zenoh router
+///
+/// Who reaches the router can drive the cars, unless its configuration asks for a password.
+#[derive(Debug, Parser)]
+#[command(version)]
+struct Arguments {
+    /// A configuration file of zenoh (JSON5), such as one with a user and a password
+    #[arg(long, value_name = "FILE", global = true)]
+    config: Option<PathBuf>,
+    #[command(subcommand)]
+    side: Side,
+}
+
+#[derive(Debug, Subcommand)]
+enum Side {
+    /// On the computer of a car: lets others use the daemon's socket
+    Car(Car),
+    /// On another computer: offers a socket for each car of a fleet that names a router
+    Desk {
+        /// The cars
+        #[arg(long, value_name = "FILE", default_value = "fleet.toml")]
+        fleet: PathBuf,
+    },
+    /// The router, which runs once and which all others reach; zenohd can take its place
+    Router {
+        /// Where it listens: tcp/[::]:7447 for all computers
+        #[arg(long, value_name = "ENDPOINT", default_value = "tcp/127.0.0.1:7447")]
+        listen: String,
+        /// Let everyone in who reaches it, and drive the cars: only in a network of the cars alone
+        #[arg(long)]
+        without_password: bool,
+    },
+}
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();

@@ -1,5 +1,8 @@
 //! The answers to commands that a line asks for and that hold no connection.
 
+use std::time::Duration;
+
+use serde_json::json;
 use singletrack_api::{Answer, Clocks, Code, Refused};
 use singletrack_core::{
     ControlRequest,
@@ -7,16 +10,20 @@ use singletrack_core::{
     config::ReferenceSection,
     reconfigure::ChangeError,
 };
-use singletrack_pilot::{Mode, PilotRequest, Reason};
-use tokio::task::spawn_blocking;
+use singletrack_pilot::{Mode, PilotRequest, Reason, Tuned, Tuning};
+use tokio::{task::spawn_blocking, time::timeout};
 
-use super::{command::ParseError, setpoint::reject};
+use super::{
+    arm::{stand, warnings},
+    command::ParseError,
+    progress::next_tick,
+    setpoint::reject,
+};
 use crate::{
     clock::{monotonic_ns, wall_ns},
     commissioned_file::subject,
     handle::DaemonHandle,
-    judgement,
-    snapshot::Snapshot,
+    snapshot::{Snapshot, tuning_of},
 };
 
 /// The answer to a line that is no command. A rejected set-point is counted.
@@ -134,7 +141,7 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
             .set_reference(reference, changing.config_path.as_deref())
             .map_err(change_refused)?;
         let (_, config) = changing.reconfigurer.in_force();
-        let warnings = judgement::warnings(&config, judgement::stand(&changing.snapshot()));
+        let warnings = warnings(&config, stand(&changing.snapshot()));
         Ok((number, warnings))
     })
     .await;
@@ -177,4 +184,51 @@ pub(super) async fn commissioned(
     })
     .await;
     noted.map_or_else(Answer::refusal, |()| Answer::done())
+}
+
+/// The longest wait for the tick that takes the values: much less than the time in which a client
+/// must renew the drive that it holds.
+const TUNING_TIMEOUT: Duration = Duration::from_millis(200);
+
+/// Tunes the pilot, and says what is in force then.
+pub(super) async fn tune(tuning: Tuning, daemon: &DaemonHandle) -> Answer {
+    match try_tune(tuning, daemon).await {
+        Ok(tuned) => Answer {
+            tuning: Some(tuning_of(&tuned)),
+            ..Answer::done()
+        },
+        Err(Refused { code, text }) => Answer::failure(code, format!("can't tune: {text}")),
+    }
+}
+
+async fn try_tune(tuning: Tuning, daemon: &DaemonHandle) -> Result<Tuned, Refused> {
+    let latest = daemon.status.latest().tick.clone();
+    let before = latest.and_then(|tick| tick.output.tuned);
+    let rule = daemon.reconfigurer.tuning_rule();
+    rule.check(&tuning, before.as_ref())
+        .map_err(|error| Refused::new(Code::OutOfRange, error))?;
+    let mut ticks = daemon.status.ticks.subscribe();
+    let asked_ns = monotonic_ns();
+    daemon.tunings.send(tuning);
+    let taken = async {
+        loop {
+            let tick = next_tick(&mut ticks).await;
+            // A tick that began before the request may not have seen it.
+            if tick.start_ns > asked_ns {
+                break tick.output.tuned;
+            }
+        }
+    };
+    let tuned = timeout(TUNING_TIMEOUT, taken)
+        .await
+        .map_err(|_| Refused::new(Code::Stalled, "the control thread is stalled"))?
+        .filter(|tuned| tuned.has(&tuning));
+    let tuned = tuned.ok_or_else(|| {
+        Refused::new(
+            Code::Superseded,
+            "another client or another configuration has come meanwhile; ask again",
+        )
+    })?;
+    tracing::info!("tuned: {}", json!(tuning_of(&tuned)));
+    Ok(tuned)
 }

@@ -1,4 +1,5 @@
-//! Requests to arm and to jog: the checks before they reach the pilot, and timed drives.
+//! Requests to arm and to jog: the checks before they reach the pilot, whether the car can drive its
+//! reference from where it stands, and timed drives.
 //!
 //! A task of this thread renews a timed drive until its time is over. If the thread dies, the
 //! renewals end too, and the car stops.
@@ -6,7 +7,11 @@
 use std::time::Duration;
 
 use singletrack_api::{Answer, Code, RENEWAL, Refused};
-use singletrack_core::ControlRequest;
+use singletrack_core::{
+    ControlRequest,
+    config::Config,
+    feasibility::{Finding, Severity, Stand, judge_reference},
+};
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
     task::spawn_blocking,
@@ -18,7 +23,7 @@ use super::{
     drives::Ticket,
     progress::{DriveWatch, Progress, cannot_arm, not_ready},
 };
-use crate::{clock::monotonic_ns, handle::DaemonHandle, judgement, snapshot::Snapshot};
+use crate::{clock::monotonic_ns, handle::DaemonHandle, snapshot::Snapshot};
 
 /// Requests to arm an unattended or timed drive, and waits for the outcome.
 pub(super) async fn arm(daemon: &DaemonHandle, request: Arm) -> Result<(), Refused> {
@@ -77,7 +82,7 @@ pub(super) async fn begin(
         let _judging = judging;
         let (number, config) = judged.reconfigurer.in_force();
         let snapshot = judged.snapshot();
-        let stand = judgement::stand(&snapshot);
+        let stand = stand(&snapshot);
         let tuned = snapshot.output().and_then(|output| output.tuned);
         let refused = |code| move |why| Refused::new(code, format_args!("can't arm: {why}"));
         let refusal = (!uncalibrated)
@@ -89,7 +94,7 @@ pub(super) async fn begin(
                 Some(tuned) => config.with_tuning(tuned.gain, tuned.wanted_point_distance),
                 None => config,
             };
-            judgement::refusal(&config, stand, longest).map(refused(Code::NotFeasible))
+            infeasibility(&config, stand, longest).map(refused(Code::NotFeasible))
         });
         (number, refusal)
     });
@@ -194,5 +199,50 @@ async fn renew(ticket: Ticket, daemon: DaemonHandle, time: Duration) {
         if ticket.push(&daemon, PilotRequest::Hold).is_err() {
             return;
         }
+    }
+}
+
+/// Where the car stands by its estimate; `None` without one.
+pub(super) fn stand(snapshot: &Snapshot) -> Option<Stand> {
+    let estimate = snapshot.output()?.estimate?;
+    Some(Stand {
+        x_m: estimate.position.x,
+        y_m: estimate.position.y,
+        yaw_rad: estimate.yaw,
+    })
+}
+
+/// Why the car can't drive its reference from there, for this time at most; `None` if it can.
+///
+/// It takes 10 to 300 ms of a processor, and with a governor up to some seconds, on a thread that
+/// nothing waits for but the client that asked.
+fn infeasibility(
+    config: &Config,
+    stand: Option<Stand>,
+    longest: Option<Duration>,
+) -> Option<String> {
+    let longest_s = longest.map(|time| time.as_secs_f64());
+    let findings = match judge_reference(config, stand, longest_s) {
+        Ok(judgement) if judgement.is_possible() => return None,
+        Ok(judgement) => judgement.findings,
+        Err(error) => return Some(error.to_string()),
+    };
+    let reasons: Vec<String> = findings
+        .iter()
+        .filter(|finding| finding.severity == Severity::Impossible)
+        .map(ToString::to_string)
+        .collect();
+    Some(reasons.join("; "))
+}
+
+/// What should be known about a reference that is in force, in one line each.
+pub(super) fn warnings(config: &Config, stand: Option<Stand>) -> Vec<String> {
+    let text = |finding: &Finding| match finding.severity {
+        Severity::Warning => finding.to_string(),
+        Severity::Impossible => format!("impossible: {finding}"),
+    };
+    match judge_reference(config, stand, None) {
+        Ok(judgement) => judgement.findings.iter().map(text).collect(),
+        Err(error) => vec![error.to_string()],
     }
 }

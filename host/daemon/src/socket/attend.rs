@@ -15,7 +15,7 @@ use tokio::{
 };
 
 use super::{
-    answers::{end, no_command, status},
+    answers::{end, no_command, status, tune},
     arm::{begin, begin_jogging, drive_begun},
     command::{Arm, Command},
     drives::Ticket,
@@ -23,7 +23,6 @@ use super::{
     setpoint::SetpointStream,
     stream::{LONGEST_LINE, send, skip_line},
     stream::{ReadHalf, WriteHalf},
-    tune::tune,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle};
 

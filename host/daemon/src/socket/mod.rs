@@ -22,7 +22,6 @@ mod tcp;
 #[cfg(test)]
 mod tests;
 mod thread;
-mod tune;
 
 pub(crate) use bind::BoundSocket;
 pub use bind::SocketError;

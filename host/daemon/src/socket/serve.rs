@@ -14,7 +14,7 @@ use tokio::{
 
 use super::{
     answers::{
-        clocks, commissioned, configuration, end, no_command, reload, set_reference, status,
+        clocks, commissioned, configuration, end, no_command, reload, set_reference, status, tune,
     },
     arm::{arm, drive_begun},
     attend::{Client, hold, hung_up, jog},
@@ -22,7 +22,6 @@ use super::{
     setpoint::SetpointStream,
     stream::{Connection, ReadHalf, WriteHalf, limit_send_buffer},
     stream::{LONGEST_LINE, send, skip_line},
-    tune::tune,
 };
 use crate::{clock::monotonic_ns, handle::DaemonHandle, shared_status::WATCHERS};
 
