@@ -2,9 +2,10 @@
 //! view for Foxglove, Lichtblick and PlotJuggler (`live`).
 //!
 //! Each is a client of the daemon's control socket and a server of its own, which takes no
-//! commands. It watches the daemon only while somebody watches it (the page for 5 s more), connects again when the daemon
-//! restarts, and is bounded in connections, memory and time. A viewer that hangs or is killed costs
-//! the daemon one place among its watchers, and nothing else.
+//! commands. It watches the daemon only while somebody watches it (the page for 5 s more), and
+//! connects again when the daemon restarts. The page is bounded in connections, memory and time; the
+//! live view listens on loopback only. A viewer that hangs or is killed costs the daemon one place
+//! among its watchers, and nothing else.
 
 #![cfg_attr(
     test,
