@@ -194,15 +194,14 @@ clock_skew_ppm = 0
 fn with_equal_clocks() -> TimingArgs {
     TimingArgs {
         delay_ms: 10.6,
-        yaw_rate_age_ms: 10.7,
         compensate: true,
         ..TimingArgs::simulated_car()
     }
 }
 
-/// Twelve points: 5 % below the first unstable speed of the tool what is left of the start decays,
-/// 5 % above it the wheels swing. At one of them they do not: with compensation and p = 0.35 m, from
-/// 8.3 m/s on, the tool is on the safe side.
+/// Twelve points: 5 % below the first unstable speed of the tool what is left of the start decays, and
+/// 10 % above it the wheels swing; without compensation, where the tool is on the safe side, 15 % above
+/// it. At one of them they do not: with compensation and p = 0.35 m the tool is on the safe side, too.
 #[test]
 fn limit_cycles_begin_at_the_first_unstable_speeds_of_the_linear_loop() {
     for p in [0.1, 0.2, 0.35] {
@@ -219,7 +218,8 @@ fn limit_cycles_begin_at_the_first_unstable_speeds_of_the_linear_loop() {
             let first = first_unstable(&subject, timing, &[0.0], p)
                 .unwrap()
                 .unwrap();
-            let steps = [(0.7, 3.0), (0.95, 7.0), (1.05, 15.0)]
+            let beyond = if timing.compensate { 1.1 } else { 1.15 };
+            let steps = [(0.7, 3.0), (0.95, 7.0), (beyond, 15.0)]
                 .map(|(part, duration)| (part * first, duration));
             let adds = format!("{STRONG_AND_QUIET}{clocks}");
             let scenario = straight_on(p, steps, timing.compensate, &adds);
@@ -241,11 +241,12 @@ slip_angles = "exact"
 
 /// Beyond the first unstable speed of the loop without a prediction, as fast as the simulated
 /// motor drives, the compensated car is as quiet as below it, also with tyres and slip angles
-/// that its model does not have. Without compensation it is in a limit cycle there.
+/// that its model does not have. Without compensation, and with a quiet gyro, it is in a limit cycle
+/// there with the smaller p.
 #[test]
 fn with_compensation_there_is_no_limit_cycle_up_to_the_top_speed_of_the_car() {
     let steps = [(1.0, 2.0), (1.6, 2.0), (2.2, 4.5)];
-    for (p, unstable_from) in [(0.05, 1.2), (0.1, 1.7)] {
+    for (p, unstable_from) in [(0.05, 1.4), (0.1, 2.0)] {
         let subject = Subject {
             vehicle: VehicleParameters::paper(),
             law: Law::FrontPoint,
@@ -278,8 +279,10 @@ fn with_compensation_there_is_no_limit_cycle_up_to_the_top_speed_of_the_car() {
                 );
             }
         }
-        let plain = swings(&straight_on(p, steps, false, FAST), steps, 1.2);
+        // A gyro that vibrates is believed less than the steering, and the loop is stable for longer.
+        let quiet = format!("{FAST}{QUIET}");
+        let plain = swings(&straight_on(p, steps, false, &quiet), steps, 1.2);
         println!("p = {p} m: plain {plain:.4?} rad");
-        assert!(plain[2] > 0.06, "{plain:?}");
+        assert_eq!(plain[2] > 0.06, p < 0.1, "{plain:?}");
     }
 }

@@ -78,8 +78,9 @@ mod thorough {
             let bounds = noisy.iter().map(|it| it.bounds(&free)[index].unwrap());
             let bound = bounds.sum::<f64>() / SEEDS as f64;
             println!("{parameter}: scatter {scatter:.2e}, bound {bound:.2e}");
-            // A factor of two, and what the scatter of these seeds is uncertain by.
-            assert!((0.4..2.5).contains(&(scatter / bound)), "{parameter}");
+            // A factor of two, and what the scatter of these seeds is uncertain by. What the model lacks is
+            // the same with every seed, and only the bound has it.
+            assert!((0.25..2.5).contains(&(scatter / bound)), "{parameter}");
         }
     }
 }

@@ -15,10 +15,6 @@ const COMMANDS: usize = 128;
 /// The longest step of the prediction, s.
 const LONGEST_STEP: f64 = 0.005;
 
-/// Yaw rates kept: a measured one is not older than the period of the board's telemetry, the
-/// time on the line, and a tick.
-const YAW_RATES: usize = 8;
-
 /// The most that is predicted, s: beyond it a model says little.
 const FARTHEST: f64 = 0.5;
 
@@ -48,8 +44,6 @@ pub struct Predictor {
     time: Option<Time>,
     wheels: f64,
     response: Response,
-    /// The yaw rates of the model at the last ticks, rad/s.
-    yaw_rates: Deque<(Time, f64), YAW_RATES>,
 }
 
 /// Yaw rate and sideslip of the model, in rad/s and rad.
@@ -156,7 +150,6 @@ impl Predictor {
             time: None,
             wheels: 0.0,
             response: Response::default(),
-            yaw_rates: Deque::new(),
         }
     }
 
@@ -178,7 +171,6 @@ impl Predictor {
         self.before = steering;
         self.wheels = steering;
         self.response = Response::default();
-        self.yaw_rates.clear();
         self.time = None;
     }
 
@@ -199,11 +191,6 @@ impl Predictor {
         let elapsed = now.seconds_since(from).clamp(0.0, FARTHEST);
         let (wheels, response) = self.run(from, self.wheels, self.response, speed, elapsed, |_| {});
         (self.wheels, self.response) = (wheels, response);
-        if self.yaw_rates.is_full() {
-            self.yaw_rates.pop_front();
-        }
-        // There is room.
-        let _ = self.yaw_rates.push_back((now, self.response.yaw_rate));
         // What no longer counts is forgotten.
         let counts_from = now.before(self.model.steering_dead_time);
         while let Some(&(time, steering)) = self.commands.front()
@@ -214,39 +201,14 @@ impl Predictor {
         }
     }
 
-    /// The change of the model's yaw rate since `time`, rad/s; that since the oldest tick kept
-    /// if it is earlier.
-    fn yaw_rate_since(&self, time: Time) -> f64 {
-        let mut later: Option<(Time, f64)> = None;
-        for &(at, yaw_rate) in self.yaw_rates.iter().rev() {
-            if at <= time {
-                let then = match later {
-                    Some((end, next)) if end > at => {
-                        let part = time.seconds_since(at) / end.seconds_since(at);
-                        yaw_rate + part * (next - yaw_rate)
-                    }
-                    _ => yaw_rate,
-                };
-                return self.response.yaw_rate - then;
-            }
-            later = Some((at, yaw_rate));
-        }
-        later.map_or(0.0, |(_, oldest)| self.response.yaw_rate - oldest)
-    }
-
     /// The state when a command of this tick begins to turn the wheels. The model must have
-    /// been advanced to the estimate's time. The yaw rate of the estimate was measured at
-    /// `measured`; since then it has changed by the model.
+    /// been advanced to the estimate's time.
     #[must_use]
-    pub fn predict(&self, estimate: &Estimate, measured: Option<Time>) -> Predicted {
+    pub fn predict(&self, estimate: &Estimate) -> Predicted {
         let ahead = self.model.steering_dead_time.min(FARTHEST);
-        let since = measured.map_or(0.0, |time| self.yaw_rate_since(time));
         let mut state = Predicted {
             position: estimate.position,
-            motion: Motion {
-                yaw_rate: estimate.yaw_rate + since,
-                ..estimate.motion()
-            },
+            motion: estimate.motion(),
             speed: estimate.speed,
             wheels: self.wheels,
             ahead: 0.0,
@@ -408,7 +370,7 @@ mod tests {
         for tick in 0..50 {
             let now = START.after(0.01 * f64::from(tick));
             predictor.advance(now, 0.5);
-            let seen = predictor.predict(&estimate(now, 0.5, 0.0), None);
+            let seen = predictor.predict(&estimate(now, 0.5, 0.0));
             assert!((seen.ahead - 0.02).abs() < 1e-12);
             command += 0.003;
             predictor.commanded(now, command);
@@ -428,38 +390,12 @@ mod tests {
             predictor.advance(START.after(0.01 * f64::from(tick)), 0.8);
         }
         let now = START.after(0.99);
-        let seen = predictor.predict(&estimate(now, 0.8, 0.7), None);
+        let seen = predictor.predict(&estimate(now, 0.8, 0.7));
         let turned = 0.7 * 0.02;
         assert!((seen.motion.yaw - turned).abs() < 1e-9);
         let chord = 0.8 * 0.02 * direction(0.5 * turned);
         assert!((seen.position - Position::origin() - chord).norm() < 1e-6);
         assert!((seen.motion.yaw_rate - 0.7).abs() < 1e-6);
-    }
-
-    #[test]
-    fn a_yaw_rate_that_is_old_has_changed_by_the_model() {
-        let mut predictor = predictor(MODEL);
-        for tick in 0..40 {
-            let now = START.after(0.01 * f64::from(tick));
-            predictor.advance(now, 0.8);
-            predictor.commanded(now, 0.004 * f64::from(tick));
-        }
-        let now = START.after(0.39);
-        let estimate = estimate(now, 0.8, 0.3);
-        let fresh = predictor.predict(&estimate, Some(now)).motion.yaw_rate;
-        let old = predictor
-            .predict(&estimate, Some(now.before(0.015)))
-            .motion
-            .yaw_rate;
-        // The wheels turn with 0.4 rad/s, and r = v δ / (L + K v²).
-        let expected = 0.015 * 0.4 * 0.8 / (0.26 + 0.007_86 * 0.64);
-        assert!(
-            (old - fresh - expected).abs() < 0.1 * expected,
-            "{old} {fresh}"
-        );
-        // Older than all that is known, it changes by what is known.
-        let ancient = predictor.predict(&estimate, Some(Time(0))).motion.yaw_rate;
-        assert!(ancient > old);
     }
 
     #[test]
@@ -514,7 +450,7 @@ mod tests {
             {
                 let now = START.after(0.005 * tick as f64);
                 predictor.advance(now, *speed);
-                let seen = predictor.predict(&estimate(now, *speed, 1.0), Some(now.before(0.01)));
+                let seen = predictor.predict(&estimate(now, *speed, 1.0));
                 assert!(seen.motion.yaw.is_finite() && seen.position.x.is_finite());
                 assert!(seen.motion.yaw_rate.is_finite() && seen.motion.sideslip.is_finite());
                 predictor.commanded(now, if tick % 2 == 0 { 1.2 } else { -1.2 });

@@ -5,6 +5,7 @@
     reason = "what a test expects is compared within a tolerance"
 )]
 
+mod estimator;
 mod example;
 mod governor;
 mod laws;

@@ -22,7 +22,7 @@ extern crate std;
 /// The number of the controller's arithmetic. It changes with whatever changes a bit of an output, and a
 /// record names the one that made it: only the same one repeats it. Records before it was counted are
 /// of controller 1.
-pub const CONTROLLER: u32 = 15;
+pub const CONTROLLER: u32 = 16;
 
 mod event;
 mod fence;

@@ -81,11 +81,11 @@ fn the_outputs_of_drives_have_the_bits_of_this_controller() {
     assert_eq!(
         (CONTROLLER, found),
         (
-            15,
+            16,
             [
-                15_625_051_856_845_853_031,
-                9_898_423_362_311_391_843,
-                9_871_218_895_390_824_922
+                17_567_031_296_879_523_504,
+                15_705_677_852_906_822_981,
+                5_658_629_218_043_773_377
             ]
         ),
         "the outputs have other bits: raise CONTROLLER, and write down both"

@@ -326,7 +326,7 @@ fn a_stop_measures_by_the_slower_of_motor_and_cameras_if_they_contradict_each_ot
     for (pulses, least, most, refused) in [
         (1.0, 1.4, 1.75, None),
         (2.0, 1.4, 1.75, None),
-        (0.5, 0.7, 0.88, Some(Reason::BrakesLessThanConfigured)),
+        (0.45, 0.63, 0.8, Some(Reason::BrakesLessThanConfigured)),
         // No motor sensor.
         (0.0, 1.4, 1.75, None),
     ] {

@@ -141,8 +141,7 @@ fn simulated_growth(point: &Point) -> (f64, usize) {
                 speed: v,
                 pose_time: now,
             };
-            let measured = now.before(point.yaw_rate_age as f64 * STEP);
-            let seen = predictor.predict(&estimate, Some(measured));
+            let seen = predictor.predict(&estimate);
             motion = seen.motion;
             let rate = law.command(&motion, seen.wheels, &wanted).unwrap();
             commanded = predictor.command_for(seen.wheels, rate.steering_rate, PERIOD);

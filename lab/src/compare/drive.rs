@@ -6,7 +6,6 @@ use singletrack_control::{
 use singletrack_core::{
     config::{CompensationSection, ReferenceSection},
     setpoint::SetpointCommand,
-    state_stream::States,
 };
 use singletrack_pilot::{Arming, Mode, PilotRequest, Reason};
 use singletrack_scenario::{
@@ -157,11 +156,7 @@ impl Case {
 enum Driver<'a> {
     /// The pilot, from its reference.
     Pilot,
-    Foreign {
-        law: Box<Foreign<'a>>,
-        /// For the age of the yaw rate.
-        states: States,
-    },
+    Foreign(Box<Foreign<'a>>),
     Yours(&'a mut Decide<'a>),
 }
 
@@ -263,11 +258,7 @@ impl<'a> Run<'a> {
                     let model = config.actuators.model();
                     law.compensation = Some(Ahead::new(model, &law.vehicle, period));
                 }
-                let states = States::default();
-                Driver::Foreign {
-                    law: Box::new(law),
-                    states,
-                }
+                Driver::Foreign(Box::new(law))
             }
         };
         Ok(Self {
@@ -305,9 +296,6 @@ impl<'a> Run<'a> {
             }
             self.stand();
             let tick = self.drive.step();
-            if let Driver::Foreign { states, .. } = &mut self.driver {
-                states.tick(&tick.tick);
-            }
             if tick.tick.output.mode == Mode::Driving {
                 self.lose();
                 self.take(&tick);
@@ -358,9 +346,6 @@ impl<'a> Run<'a> {
         let mut last = 0.0;
         while self.stopped.is_none() {
             let tick = self.drive.step();
-            if let Driver::Foreign { states, .. } = &mut self.driver {
-                states.tick(&tick.tick);
-            }
             let output = &tick.tick.output;
             let Some(time) = output.drive_time.filter(|_| output.mode == Mode::Driving) else {
                 let reason = self.drive.controller().pilot().reason();
@@ -419,11 +404,9 @@ impl<'a> Run<'a> {
         };
         self.errors.add(time, &tick.truth);
         match (&mut self.driver, &output.estimate) {
-            (Driver::Foreign { law, states }, Some(estimate)) => {
-                let age = states.state(&tick.tick).board_age_s;
+            (Driver::Foreign(law), Some(estimate)) => {
                 let known = Known {
                     estimate,
-                    measured: age.map(|age| tick.now.before(age)),
                     steering: output.actuation.steering,
                     time,
                 };

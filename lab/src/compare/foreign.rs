@@ -9,9 +9,7 @@
 use std::collections::VecDeque;
 
 use libm::{atan, atan2, cos, hypot, sin, tan};
-use singletrack_control::{
-    ActuatorModel, Estimate, Predicted, Predictor, Time, VehicleParameters, wrap,
-};
+use singletrack_control::{ActuatorModel, Estimate, Predicted, Predictor, VehicleParameters, wrap};
 
 use super::course::Table;
 
@@ -59,8 +57,6 @@ pub(super) struct Ahead {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Known<'a> {
     pub(super) estimate: &'a Estimate,
-    /// When the yaw rate was measured.
-    pub(super) measured: Option<Time>,
     /// The steering that the tick commanded, in rad.
     pub(super) steering: f64,
     /// In s since the start of the drive.
@@ -118,7 +114,7 @@ impl Ahead {
         let given = estimate.time.before(self.period);
         self.predictor.commanded(given, known.steering);
         self.predictor.advance(estimate.time, estimate.speed);
-        self.predictor.predict(estimate, known.measured)
+        self.predictor.predict(estimate)
     }
 }
 

@@ -198,7 +198,7 @@ pub(super) fn run(
                 speed: estimate.speed,
                 yaw_rate: estimate.yaw_rate,
                 sideslip: estimate.sideslip,
-                deviation: pilot.estimator().sideslip_variance(&estimate).sqrt(),
+                deviation: pilot.estimator().sideslip_variance().sqrt(),
                 truth,
             });
         }

@@ -60,7 +60,7 @@ pub(super) struct LeastArgs {
     mut_arg("steering_lag_ms", |arg| arg.default_value("40")),
     mut_arg("steering_dead_time_ms", |arg| arg.default_value("2")),
     mut_arg("servo_frame", |arg| arg.default_value("2")),
-    mut_arg("yaw_rate_age_ms", |arg| arg.default_value("15")),
+    mut_arg("yaw_rate_age_ms", |arg| arg.default_value("5")),
     mut_arg("predicted_ticks", |arg| arg.default_value("2")),
 )]
 struct ServoArgs {

@@ -65,7 +65,8 @@ impl Circle {
             yaw,
         };
         let verdict = self.estimator.handle_pose(&pose);
-        (verdict, self.estimator.estimate(self.time, 0.17))
+        self.estimator.send(self.time, 0.17);
+        (verdict, self.estimator.estimate(self.time))
     }
 }
 

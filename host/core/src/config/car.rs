@@ -184,7 +184,7 @@ section! {
     /// A pose whose yaw differs more than this from the prediction, beyond five deviations, is
     /// refused.
     yaw_gate_rad: f64 => yaw_gate, in up_to(3.0);
-    /// Noise density of the gyro.
+    /// Noise density of the gyro, before it is learned.
     gyro_noise_density_rad_s_per_sqrt_hz: f64 => gyro_noise_density, in up_to(1.0);
     /// Standard deviation of the gyro's scale from one, at the start; 0 takes it for exact.
     gyro_scale_noise: f64 => gyro_scale_noise, in 0.0..=0.1;
@@ -201,10 +201,6 @@ section! {
     motor_speed_noise_m_s: f64 => motor_speed_noise, in up_to(1.0);
     /// Standard deviation of the motor's speed, as a fraction of it.
     motor_speed_scale_noise: f64 => motor_speed_scale_noise, in up_to(1.0);
-    /// Standard deviation of the rear axle's lateral speed.
-    rear_slip_noise_m_s: f64 => rear_slip_noise, in up_to(1.0);
-    /// Standard deviation of the angle at which its tyres slip, per lateral acceleration.
-    rear_slip_compliance_rad_per_m_s2: f64 => rear_slip_compliance, in 0.0..=1.0;
     /// How far beyond a pose "hold" predicts, to cover the pose's latency.
     prediction_horizon_ms: f64 = 30.0, in 0.0..=100.0;
 }
@@ -214,6 +210,7 @@ impl EstimatorSection {
     pub(super) fn config(
         &self,
         vehicle: &VehicleParameters,
+        actuators: &ActuatorModel,
         marker_offset_m: [f64; 2],
         marker_yaw_rad: f64,
     ) -> EstimatorConfig {
@@ -221,6 +218,8 @@ impl EstimatorSection {
             prediction_horizon: self.prediction_horizon_ms / 1_000.0,
             marker_offset: marker_offset_m,
             marker_yaw: marker_yaw_rad,
+            steering_dead_time: actuators.steering_dead_time,
+            steering_lag: actuators.steering_lag,
             ..EstimatorConfig::for_vehicle(vehicle)
         })
     }

@@ -280,6 +280,7 @@ impl Config {
             limits,
             estimator: self.estimator.config(
                 &self.vehicle,
+                &self.actuators.model(),
                 self.motion_capture.marker_offset_m,
                 self.motion_capture.marker_yaw_rad,
             ),

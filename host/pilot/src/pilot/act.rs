@@ -264,7 +264,7 @@ impl Pilot {
                     period,
                 };
                 let (state, velocity, lead) =
-                    compensator.look_ahead(estimate, self.imu_time, &course, tracking, applied)?;
+                    compensator.look_ahead(estimate, &course, tracking, applied)?;
                 action.looked_ahead = Some(state.ahead);
                 let point = law.point(state.position, state.motion.yaw, state.wheels);
                 (state.motion, state.wheels, point, velocity, Some(lead))

@@ -175,8 +175,7 @@ impl Compensator {
     }
 
     /// The state at which the command acts, the wanted velocity of P there, and the lead over
-    /// the actuators. The yaw rate was measured at `measured`; `applied` is the velocity that P
-    /// was given in the last tick.
+    /// the actuators. `applied` is the velocity that P was given in the last tick.
     ///
     /// # Errors
     ///
@@ -184,12 +183,11 @@ impl Compensator {
     pub(super) fn look_ahead(
         &mut self,
         estimate: &Estimate,
-        measured: Option<Time>,
         course: &Course<'_>,
         tracking: &mut TrackingLoop,
         applied: Velocity,
     ) -> Result<(Predicted, Velocity, Lead), Singularity> {
-        let state = self.predictor.predict(estimate, measured);
+        let state = self.predictor.predict(estimate);
         let model = *self.predictor.model();
         let far = model.speed_dead_time.min(FARTHEST);
         // A loop that plans goes on from what P is given. The motor has yet to act on the speeds of

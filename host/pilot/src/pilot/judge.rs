@@ -1,7 +1,7 @@
 //! What a tick judges: whether the car may drive, and what is asked of the board.
 
 use libm::{copysign, fabs, tan};
-use singletrack_control::{Estimate, Reference, Stop, Velocity, along_bend, direction};
+use singletrack_control::{Estimate, Reference, Stop, Time, Velocity, along_bend, direction};
 
 use super::{Begins, Pilot, sense::Sensed};
 use crate::{
@@ -143,7 +143,7 @@ impl Pilot {
             overspeed: watches.drive.speeds.is_overspeed(),
             commanded_speed: sensed.commanded_speed,
             filter: self.safety.ends,
-            inside_fence: estimate.is_none_or(|estimate| self.stops_inside(estimate, sensed.pace)),
+            inside_fence: estimate.is_none_or(|it| self.stops_inside(now, it, sensed.pace)),
             neighbours: self.neighbours_in_the_way(sensed),
             late: watches.ticks.is_late(&config.watch),
             setpoint_stale: match &config.reference {
@@ -166,9 +166,9 @@ impl Pilot {
     /// `pace` (m/s). A stop holds the steering, so the
     /// path follows the commanded curvature; and the present one, from which the wheels turn
     /// there.
-    fn stops_inside(&self, estimate: &Estimate, pace: f64) -> bool {
+    fn stops_inside(&self, now: Time, estimate: &Estimate, pace: f64) -> bool {
         let fence = &self.config.fence;
-        self.stops(estimate, pace)
+        self.stops(now, estimate, pace)
             .iter()
             .all(|places| fence.contains_path(&estimate.position, places))
     }
@@ -183,7 +183,7 @@ impl Pilot {
         if sides.is_empty() || !moves {
             return None;
         }
-        let stops = self.stops(estimate, sensed.pace);
+        let stops = self.stops(sensed.now, estimate, sensed.pace);
         let clear = stops.iter().flatten().all(|way| {
             let place = estimate.position + way;
             // A NaN is not.
@@ -194,14 +194,14 @@ impl Pilot {
 
     /// The ways of a stop, half and whole, that the car may take from the estimate (m): the bend of
     /// the present path, and that of the commanded steering.
-    fn stops(&self, estimate: &Estimate, pace: f64) -> [[Velocity; 2]; 2] {
+    fn stops(&self, now: Time, estimate: &Estimate, pace: f64) -> [[Velocity; 2]; 2] {
         let stop = Stop {
             reaction: REACTION,
             braking: self.watches.braking(&self.config),
         };
         let ahead = self.watches.blind.distance() + stop.way(pace);
         let present = if fabs(estimate.speed) > BENDS_FROM {
-            estimate.yaw_rate / estimate.speed
+            self.witnessed(now, estimate).yaw_rate / estimate.speed
         } else {
             0.0
         };

@@ -67,6 +67,8 @@ pub struct Pilot {
     /// When the IMU last gave a sample, and one that is possible.
     imu_heard: Option<Time>,
     imu_time: Option<Time>,
+    /// What that sample's gyro read, rad/s.
+    gyro: f64,
     pose_time: Option<Time>,
     motor_speed: f64,
     drive_start: Option<Time>,
@@ -108,6 +110,7 @@ impl Pilot {
             motor_time: None,
             imu_heard: None,
             imu_time: None,
+            gyro: 0.0,
             pose_time: None,
             motor_speed: 0.0,
             drive_start: None,
@@ -198,9 +201,10 @@ impl Pilot {
         self.commanded_steering = action
             .command
             .map_or(action.actuation.steering, |command| command.steering);
+        let sent = self.commanded_steering;
+        let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
+        self.estimator.send(now, wheels);
         if let Some(compensator) = &mut self.compensator {
-            let sent = self.commanded_steering;
-            let wheels = self.learning.map_or(sent, |it| it.in_force.wheels(sent));
             compensator.commanded(now, wheels);
         }
         let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);

@@ -108,6 +108,7 @@ impl Pilot {
         }
         if let Some(inertial) = self.watches.observe_board(sample, mode, &self.config) {
             self.imu_time = Some(inertial.time);
+            self.gyro = inertial.yaw_rate;
             let motor_speed = measures.then_some(sample.motor_speed);
             self.estimator.handle_inertial(inertial, motor_speed);
         }
@@ -230,8 +231,11 @@ impl Pilot {
         self.slew_point_distance();
         let last_tick = self.last_tick.replace(now);
         let sent = self.law.actuation();
-        let (steering, commanded_speed) = foreign.unwrap_or((sent.steering, sent.speed));
-        let estimate = self.estimator.estimate(now, steering);
+        let commanded_speed = foreign.map_or(sent.speed, |(_, speed)| speed);
+        if let Some((steering, _)) = foreign {
+            self.estimator.send(now, steering);
+        }
+        let estimate = self.estimator.estimate(now);
         if estimate.is_none() {
             self.pose_time = None;
         }
@@ -246,9 +250,10 @@ impl Pilot {
         self.watches
             .observe_tick(now, estimate.as_ref(), pace, steering, config);
         let braking = self.watches.braking(config);
-        let wave = self.wave();
-        self.safety.observe(pace, steering, braking, config.period);
-        self.safety.watch(estimate.as_ref(), wave, config.period);
+        let (wave, period) = (self.wave(), config.period);
+        self.safety.observe(pace, steering, braking, period);
+        let witnessed = estimate.map(|it| self.witnessed(now, &it));
+        self.safety.watch(witnessed.as_ref(), wave, period);
         let drives = self.supervisor.mode().is_underway();
         self.obstacles.observe(now, estimate.as_ref(), drives);
         let within = |time: Option<Time>, longest: f64| {
@@ -274,6 +279,24 @@ impl Pilot {
             held,
             last_tick,
             commanded_speed,
+        }
+    }
+}
+
+impl Pilot {
+    /// The estimate with the yaw rate of the gyro alone, less its bias: what the steering says of the
+    /// yaw rate is in the estimate, which is no witness against it.
+    pub(super) fn witnessed(&self, now: Time, estimate: &Estimate) -> Estimate {
+        let is_recent = self
+            .imu_time
+            .is_some_and(|time| now.seconds_since(time) <= RECENT);
+        if !is_recent {
+            return *estimate;
+        }
+        let estimator = &self.estimator;
+        Estimate {
+            yaw_rate: (self.gyro - estimator.gyro_bias()) / estimator.gyro_scale(),
+            ..*estimate
         }
     }
 }

@@ -11,16 +11,13 @@ use crate::stability::characteristic::symbols;
 
 /// The longest step of the pilot's prediction, in s.
 const LONGEST_STEP: f64 = 0.005;
-/// The past ticks whose yaw rate the pilot's model keeps.
-const PAST_YAW_RATES: usize = 7;
 
 /// The compensation of the actuators as the pilot has it (`compensation.actuation`), about
 /// straight motion.
 ///
 /// It follows the wheels by a model of the servo. The state is predicted over the dead time as
-/// modelled, by the answer of first order that linear tyres give yaw rate and sideslip; a measured
-/// yaw rate is first brought from its age to the tick. The command is the angle that turns the
-/// lagging wheels with the law's rate.
+/// modelled, by the answer of first order that linear tyres give yaw rate and sideslip. The command is
+/// the angle that turns the lagging wheels with the law's rate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Compensation {
     /// The servo as modelled: its dead time counts from the tick (`[actuators]`).
@@ -64,11 +61,6 @@ impl Response {
 }
 
 impl Compensation {
-    /// The number of past ticks whose modelled yaw rate is needed for a measured one of this age.
-    pub(super) fn past(age: Delay) -> usize {
-        (age.ticks + 1).min(PAST_YAW_RATES)
-    }
-
     /// The model `duration` after a tick. `target` gives the command of a number of ticks before
     /// that tick; `each` is told of the model after each step, and of its length.
     pub(super) fn run(

@@ -26,8 +26,8 @@ struct Layout {
     /// What is measured late: which state, the first of its values, and its age. The values are
     /// those of the last ticks, from the newest to the oldest.
     aged: Vec<(usize, usize, Delay)>,
-    /// The pilot's model: wheels, yaw rate, sideslip, and the yaw rates of the last ticks.
-    model: Option<(usize, usize)>,
+    /// The pilot's model: wheels, yaw rate, sideslip.
+    model: Option<usize>,
     size: usize,
 }
 
@@ -104,9 +104,8 @@ impl SampledLoop {
             }
         }
         if self.compensation.is_some() {
-            let past = Compensation::past(Delay::new(self.ages.yaw_rate, self.period));
-            layout.model = Some((layout.size, past));
-            layout.size += 3 + past;
+            layout.model = Some(layout.size);
+            layout.size += 3;
         }
 
         let command = self.command(&layout, steering, has_pose);
@@ -133,17 +132,13 @@ impl SampledLoop {
                 map[(first + tick, first + tick - 1)] = 1.0;
             }
         }
-        if let (Some((model, past)), Some(compensation)) = (layout.model, self.compensation) {
+        if let (Some(model), Some(compensation)) = (layout.model, self.compensation) {
             let given = |age| layout.given(Some(&command), age);
             let now = layout.modelled(model);
             let next = compensation.run(speed, self.period, self.period, now, given, |_, _| {});
             map.set_row(model, &next.wheels.transpose());
             map.set_row(model + 1, &next.yaw_rate.transpose());
             map.set_row(model + 2, &next.sideslip.transpose());
-            map[(model + 3, model + 1)] = 1.0;
-            for tick in 1..past {
-                map[(model + 3 + tick, model + 2 + tick)] = 1.0;
-            }
         }
         if let (Some(row), Some(delay), Some(prediction)) =
             (layout.modelled, modelled_delay, self.prediction)
@@ -193,8 +188,8 @@ impl SampledLoop {
         for &(state, first, age) in &layout.aged {
             measured.set_row(state, &layout.unit(first + age.ticks).transpose());
         }
-        if let (Some((model, past)), Some(compensation)) = (layout.model, self.compensation) {
-            return self.compensated(&compensation, measured, layout, model, past);
+        if let (Some(model), Some(compensation)) = (layout.model, self.compensation) {
+            return self.compensated(&compensation, measured, layout, model);
         }
         let angle = match (steering, layout.modelled) {
             (_, Some(modelled)) => modelled,
@@ -224,26 +219,10 @@ impl SampledLoop {
     fn compensated(
         &self,
         compensation: &Compensation,
-        mut measured: DMatrix<f64>,
+        measured: DMatrix<f64>,
         layout: &Layout,
         model: usize,
-        past: usize,
     ) -> DVector<f64> {
-        // Since it was measured, the yaw rate has changed by the model.
-        let age = Delay::new(self.ages.yaw_rate, self.period);
-        let part = if age.ticks < past {
-            age.late / self.period
-        } else {
-            1.0
-        };
-        let at = |ticks: usize| match ticks.min(past) {
-            0 => layout.unit(model + 1),
-            ticks => layout.unit(model + 2 + ticks),
-        };
-        let then = at(age.ticks) * (1.0 - part) + at(age.ticks + 1) * part;
-        let since = at(0) - then;
-        let mut yaw_rate = measured.row_mut(YAW_RATE);
-        yaw_rate += since.transpose();
         let predicted = compensation.predicted(
             self.closed_loop.speed,
             self.period,
