@@ -117,9 +117,9 @@ fn slope(vehicle: &VehicleParameters, speed: f64, variable: usize) -> [f64; 4] {
 
 /// How old, at the tick, the values are that the law takes for the present ones, in s.
 ///
-/// On the car the yaw rate is that of the newest inertial sample: it waits for the board's
-/// telemetry, passes the serial line, and waits for the tick. Yaw and the velocity of G are
-/// predicted to the tick by the estimator; their angle is the sideslip.
+/// A sample of the yaw rate waits for the board's telemetry, passes the serial line, and waits for the
+/// tick; the pilot's estimator goes on from there by the steering that was sent, and what it gives acts
+/// as a younger one. Yaw and the velocity of G are predicted to the tick; their angle is the sideslip.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ages {
     /// Of the yaw rate.
