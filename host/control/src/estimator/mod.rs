@@ -818,3 +818,66 @@ fn interval(before: Option<&Sample>, next: &Sample) -> f64 {
 fn square(value: f64) -> f64 {
     value * value
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test may fail")]
+mod tests {
+    use super::*;
+
+    /// An estimator of a car that stands, and its time.
+    fn standing(frames: i32, mut each: impl FnMut(i32, &mut Estimator)) -> (Estimator, Time) {
+        let config = EstimatorConfig::for_vehicle(&VehicleParameters::paper());
+        let mut estimator = Estimator::new(config);
+        let mut now = Time(1_000_000_000);
+        for frame in 0..frames {
+            now = now.after(0.01);
+            let inertial = InertialSample {
+                time: now,
+                yaw_rate: 0.0,
+                forward_acceleration: 0.0,
+                left_acceleration: 0.0,
+            };
+            estimator.handle_inertial(inertial, Some(0.0));
+            each(frame, &mut estimator);
+            let pose = PoseSample {
+                capture: now.before(0.005),
+                receive: now,
+                frame,
+                position: Position::new(1.0, 2.0),
+                yaw: 0.3,
+            };
+            assert_eq!(estimator.handle_pose(&pose), PoseVerdict::Accepted);
+        }
+        (estimator, now)
+    }
+
+    #[test]
+    fn filters_that_count_their_turns_otherwise_have_one_yaw() {
+        let (mut estimator, now) = standing(50, |frame, estimator| {
+            if frame == 30 {
+                let track = estimator.track.as_mut().unwrap();
+                track.filters[1].count_turns_as(0.3 + core::f64::consts::TAU);
+                track.likelihoods = [0.0; 3];
+            }
+        });
+        let estimate = estimator.estimate(now).unwrap();
+        assert!(fabs(estimate.yaw - 0.3) < 0.01, "{}", estimate.yaw);
+    }
+
+    #[test]
+    fn a_filter_that_alone_has_lost_the_car_finds_it_again() {
+        let config = EstimatorConfig::for_vehicle(&VehicleParameters::paper());
+        let elsewhere = CarPose {
+            position: Position::new(4.0, -3.0),
+            yaw: 2.0,
+        };
+        let (estimator, _) = standing(80, |frame, estimator| {
+            if frame == 30 {
+                let track = estimator.track.as_mut().unwrap();
+                track.filters[FREE] = Filter::at_pose(PRIORS[FREE], &elsewhere, &config);
+            }
+        });
+        let track = estimator.track.unwrap();
+        assert!(fabs(track.filters[FREE].yaw() - 0.3) < 0.05);
+    }
+}
