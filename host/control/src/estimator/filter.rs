@@ -152,6 +152,23 @@ pub(super) struct Navigation {
     pub(super) sideslip_variance: f64,
 }
 
+impl Navigation {
+    /// Whether all of it is a number.
+    pub(super) fn is_finite(&self) -> bool {
+        let Self {
+            position,
+            yaw,
+            yaw_rate,
+            forward,
+            left,
+            ..
+        } = self;
+        [position.x, position.y, *yaw, *yaw_rate, *forward, *left]
+            .iter()
+            .all(|value| value.is_finite())
+    }
+}
+
 impl Filter {
     /// A filter that starts at a pose, with zero velocity.
     pub(super) fn at_pose(prior: Prior, pose: &CarPose, config: &EstimatorConfig) -> Self {

@@ -10,15 +10,17 @@
 //! the measurements of the last third of a second: a servo that is stuck, reversed or loose costs
 //! accuracy, and nothing else.
 
+mod bank;
 mod filter;
 mod wheels;
 
 use heapless::Deque;
-use libm::{atan, atan2, exp, fabs, hypot, tan};
+use libm::{atan, atan2, hypot, tan};
 use singletrack_words::words;
 
 use self::{
-    filter::{Filter, Navigation, Prior, Reading},
+    bank::{Bank, SAMPLE_PERIOD, Sample},
+    filter::Navigation,
     wheels::Sent,
 };
 use crate::{
@@ -164,63 +166,6 @@ const KINEMATIC_BELOW: f64 = 0.05;
 /// Above this speed, sideslip follows from the velocity alone, m/s.
 const DYNAMIC_ABOVE: f64 = 0.15;
 
-/// A sample that is older than the filter's state by more than this no longer counts, s.
-const OLDEST_SAMPLE: f64 = 0.05;
-
-/// The longest step of a filter, s.
-const LONGEST_STEP: f64 = 0.0101;
-
-/// The filters: what each believes of the steering.
-const PRIORS: [Prior; 3] = [
-    Prior {
-        steering: true,
-        turn: [0.01, 0.015, 0.08],
-        slip: [0.005, 0.01],
-        forward: 0.5,
-    },
-    Prior {
-        steering: true,
-        turn: [0.04, 0.04, 0.15],
-        slip: [0.02, 0.04],
-        forward: 1.5,
-    },
-    Prior {
-        steering: false,
-        turn: [0.0; 3],
-        slip: [0.1, 0.15],
-        forward: 3.0,
-    },
-];
-/// The one that believes the steering little, and the one without it.
-const LOOSE: usize = 1;
-const FREE: usize = 2;
-/// What was likely is forgotten with this time constant, s.
-const FORGETTING: f64 = 0.3;
-/// The poses in a row after which a filter that refuses them alone has lost the car.
-const LOST: u32 = 10;
-/// The least weight of a filter.
-const LEAST_WEIGHT: f64 = 1e-6;
-
-/// The noise of gyro and accelerometer is learned with this time constant, s: the gyro's down to this
-/// deviation of a sample, rad/s, and the accelerometer's not below the configured one. That of a car
-/// that moves faster than this, m/s, is apart from that at rest.
-const LEARNING: f64 = 1.0;
-const QUIETEST_GYRO: f64 = 1e-3;
-const QUIETER: f64 = 0.25;
-const MOVES_FROM: f64 = 0.1;
-/// A sample counts at most by this share in what is learned.
-const MOST_AT_ONCE: f64 = 0.2;
-
-/// The time constant of the accelerometer's mean error, s.
-const BIAS_TIME: f64 = 20.0;
-
-/// An inertial sample and the motor speed of the same telemetry.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Sample {
-    inertial: InertialSample,
-    motor_speed: Option<f64>,
-}
-
 /// Fuses motion capture, IMU, motor speed and the steering that was sent in three extended Kalman
 /// filters.
 ///
@@ -272,24 +217,10 @@ pub struct Estimator {
     implausible_in_a_row: u32,
 }
 
-/// Variances of a sample: of the gyro, rad²/s², and of the forward accelerometer, m²/s⁴.
-type Variances = [f64; 2];
-
-/// The filters since their first pose.
+/// The estimate since its first pose.
 #[derive(Clone, Debug)]
 struct Track {
-    filters: [Filter; 3],
-    /// How likely each made the last measurements, as a logarithm.
-    likelihoods: [f64; 3],
-    /// The poses in a row that each refused and the best one accepted.
-    refused: [u32; 3],
-    /// The noise of the IMU at rest, and of a car that moves.
-    noise: [Variances; 2],
-    /// Mean error of the accelerometer to the left, m/s², and the number of samples.
-    left_bias: f64,
-    accelerations: u32,
-    /// The time of the filters' state.
-    time: Time,
+    bank: Bank,
     /// Mid-exposure of the last accepted pose.
     pose_time: Time,
     poses: u32,
@@ -300,205 +231,6 @@ struct Track {
     /// The variance of the sideslip of the last estimate, rad².
     sideslip_variance: f64,
 }
-
-impl Track {
-    fn at_pose(pose: &CarPose, time: Time, config: &EstimatorConfig) -> Self {
-        Self {
-            filters: PRIORS.map(|prior| Filter::at_pose(prior, pose, config)),
-            likelihoods: [0.0; 3],
-            refused: [0; 3],
-            noise: [0.0, 1.0].map(|speed| configured_noise(speed, config)),
-            left_bias: 0.0,
-            accelerations: 0,
-            time,
-            pose_time: time,
-            poses: 1,
-            innovation: 0.0,
-            held: None,
-            sideslip_variance: f64::INFINITY,
-        }
-    }
-
-    /// The weights of the filters, whose sum is 1.
-    fn weights(&self) -> [f64; 3] {
-        let most = self
-            .likelihoods
-            .into_iter()
-            .fold(f64::NEG_INFINITY, f64::max);
-        let weights = self
-            .likelihoods
-            .map(|likely| exp(likely - most) + LEAST_WEIGHT);
-        let sum: f64 = weights.iter().sum();
-        weights.map(|weight| weight / sum)
-    }
-
-    /// The most likely filter.
-    fn best(&self) -> usize {
-        let [tight, loose, free] = self.likelihoods;
-        match () {
-            () if tight >= loose && tight >= free => 0,
-            () if loose >= free => 1,
-            () => FREE,
-        }
-    }
-
-    /// Goes on to a time.
-    fn go(&mut self, end: Time, sent: &Sent, config: &EstimatorConfig) {
-        while end > self.time {
-            let next = end.min(self.time.after(LONGEST_STEP));
-            let dt = next.seconds_since(self.time);
-            let wheels = sent.between(self.time, next);
-            for filter in &mut self.filters {
-                filter.predict(dt, &wheels, config);
-            }
-            let kept = exp(-dt / FORGETTING);
-            self.likelihoods = self.likelihoods.map(|likely| likely * kept);
-            self.time = next;
-        }
-    }
-
-    /// Takes in a sample at its time, `elapsed` (s) after the one before. `learns` is false where the
-    /// filters are only a forecast.
-    fn take(
-        &mut self,
-        sample: &Sample,
-        elapsed: f64,
-        sent: &Sent,
-        config: &EstimatorConfig,
-        learns: bool,
-    ) {
-        let inertial = &sample.inertial;
-        let age = self.time.seconds_since(inertial.time).max(0.0);
-        if age > OLDEST_SAMPLE {
-            return;
-        }
-        let tangent = tan(sent.at(inertial.time));
-        let speed = self.filters[FREE].speed();
-        let configured = configured_noise(speed, config);
-        let regime = usize::from(fabs(speed) > MOVES_FROM);
-        let [gyro, acceleration] = self.noise[regime];
-        let variances = [gyro, acceleration];
-        let [gyro, acceleration] =
-            [inertial.yaw_rate, inertial.forward_acceleration].map(|value| Reading {
-                value,
-                variance: 0.0,
-                age,
-                tangent,
-            });
-        let gyro = Reading {
-            variance: variances[0],
-            ..gyro
-        };
-        let acceleration = Reading {
-            variance: variances[1],
-            ..acceleration
-        };
-        let shown = self.filters.each_mut().map(|filter| {
-            let acceleration = filter.correct_acceleration(&acceleration, config);
-            let gyro = filter.correct_gyro(&gyro, config);
-            if let Some(motor_speed) = sample.motor_speed {
-                filter.correct_motor(motor_speed, age, config);
-            }
-            [gyro, acceleration]
-        });
-        if learns {
-            self.compare_accelerations(inertial, tangent, config);
-            let share = (elapsed / LEARNING).min(MOST_AT_ONCE);
-            let least = [square(QUIETEST_GYRO), square(QUIETER) * configured[1]];
-            for (sensor, known) in self.noise[regime].iter_mut().enumerate() {
-                let excess = shown[LOOSE][sensor].clamp(0.0, OUTLYING * *known);
-                *known = (*known + share * (excess - *known)).max(least[sensor]);
-            }
-            self.take_likelihoods();
-        }
-    }
-
-    /// What the accelerometer measures to the left beyond the motion, as a mean.
-    fn compare_accelerations(
-        &mut self,
-        inertial: &InertialSample,
-        tangent: f64,
-        config: &EstimatorConfig,
-    ) {
-        let left = self.filters[self.best()].left_acceleration(tangent, config);
-        self.accelerations = self.accelerations.saturating_add(1);
-        let share = (SAMPLE_PERIOD / BIAS_TIME).max(1.0 / f64::from(self.accelerations));
-        self.left_bias += share * (inertial.left_acceleration - left - self.left_bias);
-    }
-
-    /// Filters that go on refusing the poses that the best one accepts have lost the car, and start
-    /// again. All count their turns alike, so that the mean of their yaws is one.
-    fn find_lost(
-        &mut self,
-        results: &[(f64, bool); 3],
-        best: usize,
-        pose: &CarPose,
-        config: &EstimatorConfig,
-    ) {
-        let known = self.filters[best];
-        for (index, filter) in self.filters.iter_mut().enumerate() {
-            let is_lost = results[best].1 && !results[index].1;
-            let refused = &mut self.refused[index];
-            *refused = if is_lost { *refused + 1 } else { 0 };
-            if *refused >= LOST {
-                *filter = filter.found_by(&known, pose, config);
-                *refused = 0;
-            }
-            filter.count_turns_as(known.yaw());
-        }
-    }
-
-    fn take_likelihoods(&mut self) {
-        for (sum, filter) in self.likelihoods.iter_mut().zip(&mut self.filters) {
-            *sum += core::mem::take(&mut filter.likelihood);
-        }
-    }
-
-    /// The mean of the filters' motions, and the variance of its sideslip.
-    fn navigation(&self, sent: &Sent, config: &EstimatorConfig) -> Navigation {
-        let tangent = tan(sent.at(self.time));
-        let weights = self.weights();
-        let all = self
-            .filters
-            .map(|filter| filter.navigation(tangent, config));
-        let mean = |of: fn(&Navigation) -> f64| -> f64 {
-            all.iter()
-                .zip(weights)
-                .map(|(one, weight)| weight * of(one))
-                .sum()
-        };
-        let (forward, left) = (mean(|one| one.forward), mean(|one| one.left));
-        let spread: f64 = all
-            .iter()
-            .zip(weights)
-            .map(|(one, weight)| {
-                // The directions of both velocities differ by this angle.
-                let across = one.left * forward - one.forward * left;
-                let along = one.forward * forward + one.left * left;
-                weight * (one.sideslip_variance + square(atan2(across, along)))
-            })
-            .sum();
-        Navigation {
-            position: Position::new(mean(|one| one.position.x), mean(|one| one.position.y)),
-            yaw: mean(|one| one.yaw),
-            yaw_rate: mean(|one| one.yaw_rate),
-            forward,
-            left,
-            sideslip_variance: spread,
-        }
-    }
-}
-
-/// The variances of a sample by the configuration, at a speed (m/s).
-fn configured_noise(speed: f64, config: &EstimatorConfig) -> Variances {
-    let acceleration = config.acceleration_variance(speed * speed);
-    [square(config.gyro_noise_density), acceleration].map(|density| density / SAMPLE_PERIOD)
-}
-
-/// The period of the inertial samples for which the times are meant, s.
-const SAMPLE_PERIOD: f64 = 0.01;
-/// A gyro sample counts at most as this multiple of the variance that is known.
-const OUTLYING: f64 = 9.0;
 
 impl Estimator {
     /// An estimator before its first measurement.
@@ -550,7 +282,7 @@ impl Estimator {
     pub fn gyro_bias(&self) -> f64 {
         self.track
             .as_ref()
-            .map_or(0.0, |track| track.filters[track.best()].gyro_bias())
+            .map_or(0.0, |track| track.bank.best().gyro_bias())
     }
 
     /// The estimated scale of the gyro, of what it reads to the yaw rate; 1 before the first pose.
@@ -558,7 +290,7 @@ impl Estimator {
     pub fn gyro_scale(&self) -> f64 {
         self.track
             .as_ref()
-            .map_or(1.0, |track| track.filters[track.best()].gyro_scale())
+            .map_or(1.0, |track| track.bank.best().gyro_scale())
     }
 
     /// The estimated biases of the accelerometer, forward and left, m/s²; 0 before the first
@@ -566,7 +298,7 @@ impl Estimator {
     #[must_use]
     pub fn acceleration_bias(&self) -> [f64; 2] {
         self.track.as_ref().map_or([0.0; 2], |track| {
-            [track.filters[track.best()].forward_bias(), track.left_bias]
+            [track.bank.best().forward_bias(), track.bank.left_bias()]
         })
     }
 
@@ -598,39 +330,15 @@ impl Estimator {
     /// innovation gate.
     pub fn handle_pose(&mut self, pose: &PoseSample) -> PoseVerdict {
         let measurement = self.centre_of_mass(pose);
-        let Some(track) = &mut self.track else {
-            if !(measurement.position.x.is_finite()
-                && measurement.position.y.is_finite()
-                && measurement.yaw.is_finite())
-            {
-                return PoseVerdict::Implausible;
-            }
-            self.track = Some(Track::at_pose(&measurement, pose.capture, &self.config));
-            self.drop_samples_before(pose.capture);
-            return PoseVerdict::Accepted;
+        let config = self.config;
+        let Some(track) = self.advance(pose.capture) else {
+            return self.start(&measurement, pose.capture);
         };
-        if pose.capture <= track.pose_time || pose.capture < track.time {
+        if pose.capture <= track.pose_time || pose.capture < track.bank.time() {
             return PoseVerdict::Late;
         }
-        let (samples, current) = (&mut self.samples, &mut self.current);
-        advance(
-            track,
-            samples,
-            current,
-            &self.sent,
-            pose.capture,
-            &self.config,
-        );
-        let best = track.best();
-        let config = &self.config;
-        let results = track
-            .filters
-            .each_mut()
-            .map(|filter| filter.correct_pose(&measurement, config));
-        track.take_likelihoods();
-        let (innovation, within) = results[best];
+        let (innovation, within) = track.bank.correct_pose(&measurement, &config);
         track.innovation = innovation;
-        track.find_lost(&results, best, &measurement, config);
         if !within {
             self.implausible_in_a_row = self.implausible_in_a_row.saturating_add(1);
             return PoseVerdict::Implausible;
@@ -640,6 +348,23 @@ impl Estimator {
         track.held = None;
         track.poses = track.poses.saturating_add(1);
         self.implausible_in_a_row = 0;
+        PoseVerdict::Accepted
+    }
+
+    /// Starts the estimate at a pose.
+    fn start(&mut self, pose: &CarPose, time: Time) -> PoseVerdict {
+        if !(pose.position.x.is_finite() && pose.position.y.is_finite() && pose.yaw.is_finite()) {
+            return PoseVerdict::Implausible;
+        }
+        self.track = Some(Track {
+            bank: Bank::at_pose(pose, time, &self.config),
+            pose_time: time,
+            poses: 1,
+            innovation: 0.0,
+            held: None,
+            sideslip_variance: f64::INFINITY,
+        });
+        self.drop_samples_before(time);
         PoseVerdict::Accepted
     }
 
@@ -679,28 +404,16 @@ impl Estimator {
 
     /// The estimate for `now`. `None` before the first pose and the first inertial sample.
     pub fn estimate(&mut self, now: Time) -> Option<Estimate> {
-        let track = self.track.as_mut()?;
-        let oldest = now.before(LAG);
-        if oldest > track.time {
-            let (samples, current) = (&mut self.samples, &mut self.current);
-            advance(track, samples, current, &self.sent, oldest, &self.config);
-        }
-        if !track.filters.iter().all(Filter::is_finite) {
+        let bank = &self.advance(now.before(LAG))?.bank;
+        let (is_finite, present) = (bank.is_finite(), self.forecast(now)?);
+        if !(is_finite && present.is_finite()) {
             self.reset();
             return None;
         }
         if self.samples.is_empty() && self.current.is_none() {
             return None;
         }
-        let present = forecast(
-            track,
-            &self.samples,
-            self.current.as_ref(),
-            &self.sent,
-            now,
-            &self.config,
-        );
-
+        let track = self.track.as_mut()?;
         let within_horizon = now.seconds_since(track.pose_time) <= self.config.prediction_horizon;
         let (position, yaw) = match (self.config.marker_loss, track.held) {
             (MarkerLoss::Hold, Some(held)) if !within_horizon => held,
@@ -708,15 +421,10 @@ impl Estimator {
         };
         track.held = Some((position, yaw));
 
-        let Navigation {
-            forward,
-            left,
-            sideslip_variance,
-            ..
-        } = present;
-        let (speed, sideslip) = self.speed_and_sideslip(forward, left, self.sent.at(now));
-        let track = self.track.as_mut()?;
-        track.sideslip_variance = sideslip_variance;
+        track.sideslip_variance = present.sideslip_variance;
+        let pose_time = track.pose_time;
+        let (speed, sideslip) =
+            self.speed_and_sideslip(present.forward, present.left, self.sent.at(now));
         Some(Estimate {
             time: now,
             position,
@@ -724,7 +432,7 @@ impl Estimator {
             yaw_rate: present.yaw_rate,
             sideslip,
             speed,
-            pose_time: track.pose_time,
+            pose_time,
         })
     }
 
@@ -761,123 +469,41 @@ impl Estimator {
             self.current = self.samples.pop_front();
         }
     }
-}
 
-/// Advances the filters to `end`, with the samples up to it.
-fn advance(
-    track: &mut Track,
-    samples: &mut Deque<Sample, SAMPLES>,
-    current: &mut Option<Sample>,
-    sent: &Sent,
-    end: Time,
-    config: &EstimatorConfig,
-) {
-    while let Some(next) = samples.front().copied()
-        && next.inertial.time <= end
-    {
-        samples.pop_front();
-        track.go(next.inertial.time, sent, config);
-        track.take(&next, interval(current.as_ref(), &next), sent, config, true);
-        *current = Some(next);
-    }
-    track.go(end, sent, config);
-}
-
-/// The motion at `end`, with the samples up to it.
-fn forecast(
-    track: &Track,
-    samples: &Deque<Sample, SAMPLES>,
-    current: Option<&Sample>,
-    sent: &Sent,
-    end: Time,
-    config: &EstimatorConfig,
-) -> Navigation {
-    let mut present = track.clone();
-    let mut before = current;
-    for sample in samples {
-        if sample.inertial.time > end {
-            break;
+    /// Advances the filters to `end` with the samples up to it, unless they are beyond it.
+    fn advance(&mut self, end: Time) -> Option<&mut Track> {
+        let track = self.track.as_mut()?;
+        let bank = &mut track.bank;
+        if end < bank.time() {
+            return Some(track);
         }
-        present.go(sample.inertial.time, sent, config);
-        present.take(sample, interval(before, sample), sent, config, false);
-        before = Some(sample);
-    }
-    present.go(end, sent, config);
-    // What a forecast finds likely does not count yet.
-    present.likelihoods = track.likelihoods;
-    present.navigation(sent, config)
-}
-
-/// The time between two inertial samples, s; the usual one if there is none before.
-fn interval(before: Option<&Sample>, next: &Sample) -> f64 {
-    before.map_or(SAMPLE_PERIOD, |before| {
-        next.inertial.time.seconds_since(before.inertial.time)
-    })
-}
-
-fn square(value: f64) -> f64 {
-    value * value
-}
-
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a test may fail")]
-mod tests {
-    use super::*;
-
-    /// An estimator of a car that stands, and its time.
-    fn standing(frames: i32, mut each: impl FnMut(i32, &mut Estimator)) -> (Estimator, Time) {
-        let config = EstimatorConfig::for_vehicle(&VehicleParameters::paper());
-        let mut estimator = Estimator::new(config);
-        let mut now = Time(1_000_000_000);
-        for frame in 0..frames {
-            now = now.after(0.01);
-            let inertial = InertialSample {
-                time: now,
-                yaw_rate: 0.0,
-                forward_acceleration: 0.0,
-                left_acceleration: 0.0,
-            };
-            estimator.handle_inertial(inertial, Some(0.0));
-            each(frame, &mut estimator);
-            let pose = PoseSample {
-                capture: now.before(0.005),
-                receive: now,
-                frame,
-                position: Position::new(1.0, 2.0),
-                yaw: 0.3,
-            };
-            assert_eq!(estimator.handle_pose(&pose), PoseVerdict::Accepted);
+        while let Some(next) = self.samples.front().copied()
+            && next.inertial.time <= end
+        {
+            self.samples.pop_front();
+            let elapsed = self.current.map_or(SAMPLE_PERIOD, |before| {
+                next.inertial.time.seconds_since(before.inertial.time)
+            });
+            bank.go(next.inertial.time, &self.sent, &self.config);
+            bank.take(&next, &self.sent, &self.config, Some(elapsed));
+            self.current = Some(next);
         }
-        (estimator, now)
+        bank.go(end, &self.sent, &self.config);
+        Some(track)
     }
 
-    #[test]
-    fn filters_that_count_their_turns_otherwise_have_one_yaw() {
-        let (mut estimator, now) = standing(50, |frame, estimator| {
-            if frame == 30 {
-                let track = estimator.track.as_mut().unwrap();
-                track.filters[1].count_turns_as(0.3 + core::f64::consts::TAU);
-                track.likelihoods = [0.0; 3];
+    /// The motion at `end`, with the samples up to it. What it finds likely does not count yet.
+    fn forecast(&self, end: Time) -> Option<Navigation> {
+        let known = &self.track.as_ref()?.bank;
+        let mut present = known.clone();
+        for sample in &self.samples {
+            if sample.inertial.time > end {
+                break;
             }
-        });
-        let estimate = estimator.estimate(now).unwrap();
-        assert!(fabs(estimate.yaw - 0.3) < 0.01, "{}", estimate.yaw);
-    }
-
-    #[test]
-    fn a_filter_that_alone_has_lost_the_car_finds_it_again() {
-        let config = EstimatorConfig::for_vehicle(&VehicleParameters::paper());
-        let elsewhere = CarPose {
-            position: Position::new(4.0, -3.0),
-            yaw: 2.0,
-        };
-        let (estimator, _) = standing(80, |frame, estimator| {
-            if frame == 30 {
-                let track = estimator.track.as_mut().unwrap();
-                track.filters[FREE] = Filter::at_pose(PRIORS[FREE], &elsewhere, &config);
-            }
-        });
-        let track = estimator.track.unwrap();
-        assert!(fabs(track.filters[FREE].yaw() - 0.3) < 0.05);
+            present.go(sample.inertial.time, &self.sent, &self.config);
+            present.take(sample, &self.sent, &self.config, None);
+        }
+        present.go(end, &self.sent, &self.config);
+        Some(present.navigation(known.weights(), &self.sent, &self.config))
     }
 }
