@@ -91,7 +91,7 @@ fn signs_byte(signs: [i16; 3]) -> u8 {
 /// The quaternion w, x, y, z that turns vectors along the new axes to the old ones, by
 /// the rotation's axis and angle.
 fn inverse_rotation([[a, b, c], [d, e, f], [g, h, i]]: [[f64; 3]; 3]) -> [f64; 4] {
-    // Of the four, one is at least a half.
+    // At least one of the four components is a half or more: their squares have the sum 1.
     let squares = [
         1.0 + a + e + i,
         1.0 + a - e - i,

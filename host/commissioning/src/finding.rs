@@ -286,7 +286,7 @@ pub(crate) fn keys(parameters: &[Parameter]) -> Vec<(&str, toml_edit::Value)> {
         .collect()
 }
 
-/// As two keys; as none if there is no key.
+/// A key and its value as two keys of the output, or as none if there is no key.
 fn key_and_toml<S: Serializer>(
     key: &Option<(Cow<'static, str>, toml_edit::Value)>,
     serializer: S,

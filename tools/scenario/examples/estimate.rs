@@ -27,7 +27,7 @@ use singletrack_statistics::RootMeanSquare;
 
 /// From here on the start no longer counts, in s.
 const SETTLED: f64 = 5.0;
-/// No faster turn of the sideslip is compared below this speed, m/s.
+/// The sideslip is not compared below this speed, m/s.
 const MOVES: f64 = 0.15;
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -342,7 +342,7 @@ const ROOM_US: f64 = 80.0;
 /// The steering as pairs, and how far it is from a straight line.
 pub(super) struct Bent {
     pub(super) table: SteeringTable,
-    /// Of the angle that is farthest from the line, rad.
+    /// The distance from the line of the angle that is farthest from it, rad.
     pub(super) off: Interval,
 }
 

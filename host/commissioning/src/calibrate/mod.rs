@@ -76,7 +76,7 @@ fn measure_cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let allowed = supervisor.blind_distance_m.max(supervisor.hold_distance_m)
         + SLOW * SLOW / (2.0 * config.fence.braking_m_s2)
         + 0.1;
-    // By the motor's pulses, from the last pose on.
+    // The way from the last pose on is that of the motor's pulses.
     let lost = drive.track.seconds(drive.last_pose_ns);
     let driven = drive.track.way();
     let way = driven.at(f64::INFINITY) - driven.at(lost);

@@ -112,7 +112,7 @@ pub(super) const NOSE_UP: Question = Question::begin(
          degrees, hold it for a second, and put it down again.",
 );
 
-/// The same for the left side.
+/// The operator lifts the left side of the car by about 45 degrees, and puts it down again.
 pub(super) const LEFT_SIDE_UP: Question = Question::begin(
     "left-side-up",
     "Press Enter, then lift the left side of the car by about 45 degrees, hold it for a \
@@ -149,7 +149,7 @@ pub(super) const TURN_LEFT_ABOUT_REAR_AXLE: Question = Question::begin(
          the rear axle over the point.",
 );
 
-/// The same to the right.
+/// The operator turns the car to the right about the middle of its rear axle.
 pub(super) const TURN_RIGHT_ABOUT_REAR_AXLE: Question = Question::begin(
     "turn-right-about-rear-axle",
     "Put the middle of the rear axle over the point again. Press Enter, then turn the car to \

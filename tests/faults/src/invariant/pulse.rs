@@ -176,7 +176,7 @@ pub(super) struct BrakePulse {
     stood_us: Option<u64>,
 }
 
-/// Time in which the board tells that the wheels stand, in µs: 150 ms without a motor
+/// How long the board takes to know that the wheels stand, in µs: 150 ms without a motor
 /// pulse, the pulse in progress and the round of the main loop; and for every millimetre
 /// between two motor pulses beyond three, 20 ms.
 fn standstill_us(pulse_distance_um: u16) -> u64 {
