@@ -8,8 +8,9 @@
 //! Prints for each file, over all seeds and from 5 s on: root mean squares of the errors of yaw rate,
 //! sideslip and speed; the mean of the normalised squares of sideslip and of the poses' innovations (of
 //! a consistent estimate 1 and 3), and the share of sideslips within the stated 95 %; the root mean square
-//! of the step of the steering from tick to tick; and that of P beside its reference. `--truth FILE`
-//! adds the sections of another file, such as `[truth.vehicle]`, to each.
+//! of the step of the steering from tick to tick; and that of P beside its reference, from 10 s on. Each `--with TEXT`
+//! drives with other values, such as `'truth.servo.lag_ms = 80'`. With `--perfect` the law gets the truth
+//! for the estimate, which goes on beside it.
 
 #![allow(
     clippy::disallowed_methods,
@@ -24,15 +25,18 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
 };
 use singletrack_statistics::RootMeanSquare;
+use toml::{Table, Value};
 
 /// From here on the start no longer counts, in s.
 const SETTLED: f64 = 5.0;
+/// From here on P is compared with its reference, in s.
+const FOLLOWS: f64 = 10.0;
 /// The sideslip is not compared below this speed, m/s.
 const MOVES: f64 = 0.15;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (mut first, mut seeds, mut seconds, mut truth, mut files) =
-        (1, 1, 40.0, String::new(), Vec::new());
+    let (mut first, mut seeds, mut seconds, mut perfect) = (1, 1, 40.0, false);
+    let (mut cars, mut files) = (Vec::new(), Vec::new());
     let mut arguments = env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
@@ -40,20 +44,48 @@ fn main() -> Result<(), Box<dyn Error>> {
             "--first-seed" => first = value()?.parse()?,
             "--seeds" => seeds = value()?.parse()?,
             "--seconds" => seconds = value()?.parse()?,
-            "--truth" => truth = fs::read_to_string(value()?)?,
+            "--with" => cars.push(value()?),
+            "--perfect" => perfect = true,
             _ => files.push(argument),
         }
     }
+    if cars.is_empty() {
+        cars.push(String::new());
+    }
     println!("yaw_rate sideslip  speed NEES within95  NIS step_mrad  P_mm ended file");
-    for file in files {
-        let text = fs::read_to_string(&file)? + "\n" + &truth;
-        let mut errors = Errors::default();
-        for seed in first..first + seeds {
-            errors.drive(&text, seed, seconds)?;
+    for car in cars {
+        if !car.is_empty() {
+            println!("{car}");
         }
-        errors.print(&file);
+        for file in &files {
+            let mut scenario = scenario(&fs::read_to_string(file)?, &car)?;
+            let mut errors = Errors::default();
+            for seed in first..first + seeds {
+                scenario.run.seed = seed;
+                errors.drive(&scenario, seconds, perfect)?;
+            }
+            errors.print(file);
+        }
     }
     Ok(())
+}
+
+/// The scenario of a file, with other values.
+fn scenario(file: &str, other: &str) -> Result<Scenario, toml::de::Error> {
+    let mut scenario: Table = toml::from_str(file)?;
+    merge(&mut scenario, toml::from_str(other)?);
+    scenario.try_into()
+}
+
+fn merge(into: &mut Table, other: Table) {
+    for (key, value) in other {
+        match (into.get_mut(&key), value) {
+            (Some(Value::Table(into)), Value::Table(other)) => merge(into, other),
+            (_, value) => {
+                into.insert(key, value);
+            }
+        }
+    }
 }
 
 #[derive(Default)]
@@ -71,14 +103,20 @@ struct Errors {
 }
 
 impl Errors {
-    fn drive(&mut self, text: &str, seed: u64, seconds: f64) -> Result<(), Box<dyn Error>> {
-        let mut scenario: Scenario = toml::from_str(text)?;
-        scenario.run.seed = seed;
-        let (daemon, simulation) = virtual_drive_config(&scenario)?;
+    fn drive(
+        &mut self,
+        scenario: &Scenario,
+        seconds: f64,
+        perfect: bool,
+    ) -> Result<(), Box<dyn Error>> {
+        let (daemon, simulation) = virtual_drive_config(scenario)?;
         let reference = scenario.reference()?;
         let p = daemon.law.point_distance_m;
         let front = simulation.car.vehicle.front_axle_distance_m;
-        let mut drive = Box::new(VirtualDrive::new(daemon, seed, simulation)?);
+        let mut drive = Box::new(VirtualDrive::new(daemon, scenario.run.seed, simulation)?);
+        if perfect {
+            drive.know_the_truth();
+        }
         let first = drive.start()?;
         let mut steering: Option<f64> = None;
         loop {
@@ -114,7 +152,8 @@ impl Errors {
                 self.step.add(sent - before);
             }
             let path = output.path.unwrap_or(drive_time);
-            if let Some(wanted) = reference.at(path).position {
+            let wanted = reference.at(path).position;
+            if let Some(wanted) = wanted.filter(|_| time > FOLLOWS) {
                 let wheels = truth.yaw + truth.steering;
                 let x = truth.x + front * truth.yaw.cos() + p * wheels.cos();
                 let y = truth.y + front * truth.yaw.sin() + p * wheels.sin();

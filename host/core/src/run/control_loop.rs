@@ -3,7 +3,7 @@
 //! It never waits or allocates; a lock it only tries, see [`slot`](crate::slot).
 
 use rtrb::{Consumer, Producer, PushError};
-use singletrack_control::{NeighbourSample, Time};
+use singletrack_control::{Estimate, NeighbourSample, Time};
 use singletrack_link::{Event as LinkEvent, State};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{Arming, Event, Jog, Mode, PilotRequest, RealTimeState, Tuning};
@@ -143,6 +143,11 @@ impl<L: Line> ControlLoop<L> {
     /// What the system granted the thread that runs the loop, for the pilot.
     pub fn real_time(&mut self, state: RealTimeState) {
         self.controller.push(Event::RealTime(state));
+    }
+
+    /// As [`Pilot::assume`](singletrack_pilot::Pilot::assume).
+    pub(super) const fn assume(&mut self, estimate: Estimate) {
+        self.controller.assume(estimate);
     }
 
     /// The controller.

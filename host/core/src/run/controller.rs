@@ -3,7 +3,7 @@
 //! The real-time thread and the simulations in virtual time run the same code. They differ
 //! only in the source of bytes and time.
 
-use singletrack_control::{NeighbourSample, PoseSample, Position, SteeringMap, Time};
+use singletrack_control::{Estimate, NeighbourSample, PoseSample, Position, SteeringMap, Time};
 use singletrack_link::{DriveCommand, DriveError, Event as LinkEvent, JogCommand, Session};
 use singletrack_mocap::{Observation, PoseState};
 use singletrack_pilot::{
@@ -116,6 +116,11 @@ impl Controller {
     #[must_use]
     pub const fn pilot(&self) -> &Pilot {
         &self.pilot
+    }
+
+    /// As [`Pilot::assume`].
+    pub(super) const fn assume(&mut self, estimate: Estimate) {
+        self.pilot.assume(estimate);
     }
 
     /// The configuration in force on this car; `None` before the board has given its number.

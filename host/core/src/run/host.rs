@@ -14,6 +14,7 @@
 use std::sync::{Arc, atomic::AtomicI64};
 
 use rtrb::{Consumer, RingBuffer};
+use singletrack_control::Estimate;
 use singletrack_link::Session as LinkSession;
 use singletrack_mocap::planar::{PlanarEvent, PlanarSession};
 use singletrack_pilot::{Jog, Learned, Mode, Pilot, PilotRequest, RealTimeState, Tuning};
@@ -224,6 +225,11 @@ impl<L: Line> VirtualHost<L> {
     #[must_use]
     pub const fn parts(&self) -> &Host<L> {
         &self.host
+    }
+
+    /// As [`Pilot::assume`](singletrack_pilot::Pilot::assume).
+    pub const fn assume(&mut self, estimate: Estimate) {
+        self.host.control.assume(estimate);
     }
 
     /// The controller.

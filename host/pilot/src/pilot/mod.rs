@@ -9,7 +9,7 @@ mod sense;
 mod watches;
 
 use singletrack_control::{
-    Estimator, Governor, LimitedLaw, Reference, Time, TrackingLoop, Velocity,
+    Estimate, Estimator, Governor, LimitedLaw, Reference, Time, TrackingLoop, Velocity,
 };
 
 use crate::{
@@ -52,6 +52,8 @@ pub struct Pilot {
     /// Where p goes to, in m; the law has the one of now.
     wanted_point_distance: f64,
     estimator: Estimator,
+    /// What is taken for the estimate of the next tick.
+    assumed: Option<Estimate>,
     supervisor: Supervisor,
     watches: Watches,
     /// The operator's last pulses, in [`Mode::Jogging`].
@@ -101,6 +103,7 @@ impl Pilot {
             learning: config.learns.then(Learning::default),
             wanted_point_distance: config.law.point_distance(),
             estimator: Estimator::new(config.estimator),
+            assumed: None,
             supervisor: Supervisor::new(config.supervisor),
             watches: Watches::default(),
             jog: None,
