@@ -8,7 +8,7 @@ use rand_chacha::{
     rand_core::{Rng as _, SeedableRng as _},
 };
 use singletrack_core::Config;
-use singletrack_lab::judge::{JudgeError, Verdict, judge};
+use singletrack_lab::judge::{JudgeError, Verdict, WHOLE, judge};
 use singletrack_logs::import::import;
 
 /// A file of the repository.
@@ -93,20 +93,24 @@ fn log(seed: u64, fault: &Fault<'_>) -> String {
 }
 
 fn judged(fault: &Fault<'_>) -> Verdict {
+    judged_with(&log(7, fault), &dart_map())
+}
+
+fn dart_map() -> String {
+    fs::read_to_string(in_repository("tools/real/dart-map.toml")).unwrap()
+}
+
+fn judged_with(log: &str, map: &str) -> Verdict {
     let folder = tempfile::tempdir().unwrap();
     let (csv, record) = (
         folder.path().join("log.csv"),
         folder.path().join("log.mcap"),
     );
-    fs::write(&csv, log(7, fault)).unwrap();
-    import(
-        &csv,
-        &in_repository("tools/real/dart-map.toml"),
-        &record,
-        |_, _| {},
-    )
-    .unwrap();
-    let (verdict, figure) = judge(&record, &dart(), |_, _| {}).unwrap();
+    let file = folder.path().join("map.toml");
+    fs::write(&csv, log).unwrap();
+    fs::write(&file, map).unwrap();
+    import(&csv, &file, &record, |_, _| {}).unwrap();
+    let (verdict, figure) = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap();
     assert!(figure.to_svg().ends_with("</svg>\n"));
     verdict
 }
@@ -134,7 +138,69 @@ fn a_clean_drive_has_no_stop_and_an_honest_estimate() {
     assert!(yaw_rate < 0.06, "{yaw_rate}");
     let within = verdict.sideslip_within_95.unwrap();
     assert!(within > 0.9, "{within}");
-    assert!(verdict.not_judged.contains(&"the commanded speed"));
+    assert!(
+        verdict
+            .not_judged
+            .iter()
+            .any(|what| what == "the commanded speed")
+    );
+    assert_eq!(verdict.findings, [""; 0]);
+}
+
+#[test]
+fn the_watches_begin_when_every_sensor_has_been_heard() {
+    // The board is silent for 0.93 s: its first record stays.
+    let mut rows: Vec<String> = log(7, &|_, _| {}).lines().map(str::to_owned).collect();
+    let cells = |row: &str| row.split(',').map(str::to_owned).collect::<Vec<_>>();
+    let first = cells(&rows[1])[..10].join(",");
+    for row in &mut rows[1..94] {
+        *row = [first.as_str(), &cells(row)[10..].join(",")].join(",");
+    }
+    let verdict = judged_with(&rows.join("\n"), &dart_map());
+    assert_eq!(reasons(&verdict), [""; 0]);
+    assert_eq!(verdict.rejected, 0);
+    let from = verdict.watched_from_s.unwrap();
+    assert!((0.8..1.3).contains(&from), "{from}");
+}
+
+#[test]
+fn a_wrong_sign_or_scale_of_a_sensor_is_named_with_its_fix() {
+    let log = log(7, &|_, _| {});
+    for (right, scale, finding) in [
+        (
+            "left_acceleration = \"acc y (IMU)\"",
+            -1.0,
+            "accelerometer: its left axis points to the right: negate imu.left_acceleration",
+        ),
+        (
+            "yaw_rate = \"W (IMU)\"",
+            -1.0,
+            "gyro: it reads the other sign than the cameras (-1.0",
+        ),
+        ("speed = \"vel encoder\"", 0.8, "motor: reads 0.8"),
+    ] {
+        let map = dart_map();
+        let (key, column) = right.split_once(" = ").unwrap();
+        let wrong = format!("{key} = {{ column = {column}, scale = {scale} }}");
+        assert!(map.contains(right), "{right}");
+        let found = judged_with(&log, &map.replace(right, &wrong)).findings;
+        let is_named = found.iter().any(|one| one.starts_with(finding));
+        assert!(is_named, "{finding}: {found:?}");
+    }
+}
+
+#[test]
+fn cameras_of_20_hz_are_judged() {
+    let log = log(7, &|_, _| {});
+    let rows = log.lines().enumerate();
+    let slow: Vec<&str> = rows
+        .filter(|(row, _)| row % 5 == 0)
+        .map(|(_, row)| row)
+        .collect();
+    let map = dart_map().replace("exposures_hz = 100", "exposures_hz = 20");
+    let verdict = judged_with(&slow.join("\n"), &map);
+    let speed = verdict.speed_rms_m_s.unwrap();
+    assert!(speed < 0.06, "{speed}");
 }
 
 #[test]
@@ -184,7 +250,7 @@ fn a_record_without_frames_says_what_is_missing() {
     fs::write(&map, text).unwrap();
     let record = folder.path().join("log.mcap");
     import(&csv, &map, &record, |_, _| {}).unwrap();
-    let error = judge(&record, &dart(), |_, _| {}).unwrap_err();
+    let error = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap_err();
     assert!(matches!(error, JudgeError::Empty { .. }), "{error}");
     assert!(
         error.to_string().contains("no frames of the cameras"),

@@ -13,7 +13,7 @@ use std::{
 
 use serde::Deserialize;
 use singletrack_core::Config;
-use singletrack_lab::judge::judge;
+use singletrack_lab::judge::{WHOLE, judge};
 use singletrack_logs::import::import;
 
 fn in_repository(path: &str) -> PathBuf {
@@ -89,7 +89,7 @@ fn nothing_stops_the_clean_logs_of_a_real_car_and_their_estimates_are_honest() {
             |_, _| {},
         )
         .unwrap();
-        let (verdict, _) = judge(&record, &car, |_, _| {}).unwrap();
+        let (verdict, _) = judge(&record, &car, WHOLE, |_, _| {}).unwrap();
         let special = known.log.iter().find(|log| log.file == file);
         let stops: Vec<&str> = verdict.stops.iter().map(|stop| stop.reason).collect();
         let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
@@ -117,7 +117,7 @@ fn nothing_stops_the_clean_logs_of_a_real_car_and_their_estimates_are_honest() {
             None => {
                 stops.is_empty()
                     // The filter's assumption of the path's curvature holds.
-                    && judge(&record, &filtered, |_, _| {}).unwrap().0.stops.is_empty()
+                    && judge(&record, &filtered, WHOLE, |_, _| {}).unwrap().0.stops.is_empty()
                     && (2.0..=6.0).contains(&nis)
                     && speed <= 0.06
                     && sideslip <= 0.022

@@ -9,8 +9,7 @@ use singletrack_figures::figure::{
 
 use super::{
     run::{Compared, Judged, Run, SLOWEST},
-    score,
-    truth::{self, Seen},
+    score, truth,
 };
 
 /// Time from the first pose, the same on every panel.
@@ -149,8 +148,7 @@ fn chi_square_3(value: f64) -> f64 {
 
 /// The noise of the IMU over the frequency.
 fn spectra(run: &Run) -> Panel {
-    let seen: Vec<Seen> = run.poses.iter().map(|judged| judged.seen).collect();
-    let rows = score::differences(&seen, &run.samples);
+    let rows = score::differences(&run.track, &run.samples);
     let curve = |name, look, axis: usize| {
         let moving = rows.iter().filter(|row| row.2.forward > SLOWEST);
         let samples: Vec<(Time, f64)> = moving

@@ -7,6 +7,7 @@
 mod figure;
 mod run;
 mod score;
+mod sensors;
 mod truth;
 
 use std::{
@@ -24,8 +25,12 @@ use singletrack_record::{Reader, RecordError};
 pub use run::Stop;
 pub use score::Noise;
 pub use score::Verdict;
+pub use sensors::Sensor;
 
 use run::Log;
+
+/// All of a record, for [`judge`].
+pub const WHOLE: [f64; 2] = [0.0, f64::INFINITY];
 
 /// Options of `singletrack judge`.
 #[derive(Clone, Debug, Args)]
@@ -37,6 +42,14 @@ pub struct JudgeArgs {
     /// has none].
     #[arg(long, value_name = "CAR.toml")]
     pub config: Option<PathBuf>,
+
+    /// Judges from this time on, in s from the first tick.
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub from: f64,
+
+    /// Judges up to this time, in s from the first tick [default: to the end].
+    #[arg(long, value_name = "SECONDS")]
+    pub to: Option<f64>,
 
     /// How to print the verdict.
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -101,7 +114,8 @@ pub enum JudgeError {
     Output(#[from] io::Error),
 }
 
-/// Judges a record with the configuration of a car. `progress` is told the tick, and how many there
+/// Judges a record with the configuration of a car, between two times in s from its first tick.
+/// `progress` is told the tick, and how many there
 /// are.
 ///
 /// # Errors
@@ -110,9 +124,10 @@ pub enum JudgeError {
 pub fn judge(
     record: &Path,
     config: &Config,
+    [from, to]: [f64; 2],
     mut progress: impl FnMut(usize, usize),
 ) -> Result<(Verdict, Figure), JudgeError> {
-    let log = Log::read(record)?;
+    let log = Log::read(record, from, to)?;
     let empty = |what| JudgeError::Empty {
         path: record.to_owned(),
         what,
@@ -123,14 +138,14 @@ pub fn judge(
     if log.frames.is_empty() {
         return Err(empty("frames of the cameras"));
     }
+    if !log.has_inertial {
+        return Err(empty("inertial samples"));
+    }
     let pilot = config.pilot()?;
     let estimator = pilot.estimator;
     let limits = config.motion_capture.session()?.limits;
     let ticks = log.ticks.len();
     let run = run::run(&log, pilot, limits, |tick| progress(tick, ticks));
-    if run.samples.is_empty() {
-        return Err(empty("inertial samples"));
-    }
     Ok((Verdict::of(&log, &run, &estimator), figure::of(&run)))
 }
 
@@ -144,12 +159,13 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
         Some(path) => Config::read(path)?,
         None => recorded(&args.record)?,
     };
+    let times = [args.from, args.to.unwrap_or(f64::INFINITY)];
     // Hidden when standard error is no terminal.
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks judged") {
         bar.set_style(style);
     }
-    let result = judge(&args.record, &config, |tick, ticks| {
+    let result = judge(&args.record, &config, times, |tick, ticks| {
         if tick.is_multiple_of(500) {
             bar.set_length(ticks as u64);
             bar.set_position(tick as u64);
@@ -213,7 +229,23 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
              (`singletrack disarm --carried` says that it is the car)"
         );
     }
-    if verdict.stops.is_empty() {
+    match verdict.watched_from_s {
+        Some(from) if from > 0.05 => {
+            let _ = writeln!(
+                text,
+                "watched from {from:.2} s on: before, not every sensor had been heard, or the estimate \
+                 had not settled"
+            );
+        }
+        Some(_) => {}
+        None => {
+            let _ = writeln!(
+                text,
+                "never watched: the estimate did not settle; `singletrack dump --stats` counts the poses"
+            );
+        }
+    }
+    if verdict.stops.is_empty() && verdict.watched_from_s.is_some() {
         let _ = writeln!(text, "nothing would have stopped the drive");
     }
     for stop in &verdict.stops {
@@ -247,6 +279,23 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
             noise.configured,
             noise.unit
         );
+    }
+    let _ = writeln!(
+        text,
+        "beside the cameras              slope  lag (ms)  correlation"
+    );
+    for sensor in &verdict.sensors {
+        let _ = writeln!(
+            text,
+            "  {:<22} {:>12.3} {:>9.0} {:>12.3}",
+            sensor.sensor,
+            sensor.slope,
+            1e3 * sensor.lag_s,
+            sensor.correlation
+        );
+    }
+    for finding in &verdict.findings {
+        let _ = writeln!(text, "{finding}");
     }
     let _ = writeln!(text, "not judged: {}", verdict.not_judged.join(", "));
     let _ = writeln!(text, "figures: {}", figure.display());

@@ -8,7 +8,7 @@ use singletrack_mocap::{Observation, PoseLimits, PoseState, planar::PoseGate};
 use singletrack_pilot::{Commanded, Event, Mode, Pilot, PilotConfig};
 use singletrack_record::{Entry, Reader, RecordError, TickRecord, Topic};
 
-use super::truth::{self, Kind, Motion, Seen};
+use super::truth::{self, Kind, Motion, Seen, Track};
 
 /// The time after a stop until the next drive is watched, s.
 const PAUSE: f64 = 1.0;
@@ -70,6 +70,10 @@ pub(super) struct Judged {
 pub(super) struct Run {
     pub(super) stops: Vec<Stop>,
     pub(super) poses: Vec<Judged>,
+    pub(super) track: Track,
+    /// When the watches began, s: the first tick by which every source of the log has been heard and
+    /// the estimate has settled, as before a drive of ours. None if that never was.
+    pub(super) watched_from: Option<f64>,
     pub(super) compared: Vec<Compared>,
     pub(super) samples: Vec<(InertialSample, f64)>,
     /// When a person would have been asked whether the body is the car, s.
@@ -81,7 +85,7 @@ pub(super) struct Run {
 }
 
 /// The poses of the log as those of the car.
-pub(super) fn seen(log: &Log, pilot: &Pilot) -> Vec<Seen> {
+pub(super) fn seen(log: &Log, pilot: &Pilot) -> Track {
     let poses: Vec<(Time, CarPose)> = log
         .frames
         .iter()
@@ -103,11 +107,11 @@ pub(super) fn run(
     let settling = config.supervisor.settling_poses;
     let mut pilot = Pilot::new(config);
     let seen = seen(log, &pilot);
-    let mut kinds = seen.iter().copied();
+    let mut kinds = seen.seen.iter().copied();
     let mut gate = PoseGate::new(limits);
     let mut run = Run::default();
+    let mut waits_for_imu = true;
     let mut frames: VecDeque<_> = log.frames.iter().collect();
-    let begin = log.ticks.first().map_or(Time(0), |tick| tick.time);
     let mut paused: Option<Time> = None;
     let mut lost: u32 = 0;
     let mut accepted: Option<Time> = None;
@@ -142,10 +146,11 @@ pub(super) fn run(
             frames.pop_front();
         }
         for event in &events {
-            if let Event::Board(board) = event
-                && let Some(inertial) = board.inertial
-            {
-                run.samples.push((inertial, board.motor_speed));
+            if let Event::Board(board) = event {
+                if let Some(inertial) = board.inertial {
+                    waits_for_imu = false;
+                    run.samples.push((inertial, board.motor_speed));
+                }
             }
         }
         let mut commanded = tick.commanded;
@@ -156,6 +161,14 @@ pub(super) fn run(
             paused = None;
         }
         let settled = pilot.estimator().poses() >= settling;
+        let time = tick.time.seconds_since(log.begin);
+        if run.watched_from.is_none() {
+            if settled && !waits_for_imu {
+                run.watched_from = Some(time);
+            } else {
+                commanded.drives = false;
+            }
+        }
         let observed = pilot.observe(tick.time, &events, &commanded, |_, verdict, innovation| {
             if let Some(judged) = arrived.pop_front().and_then(|at| run.poses.get_mut(at)) {
                 judged.verdict = Some(verdict);
@@ -173,7 +186,6 @@ pub(super) fn run(
                 }
             }
         });
-        let time = tick.time.seconds_since(begin);
         if let Some(reason) = observed.stop {
             run.stops.push(Stop {
                 t_s: time,
@@ -191,7 +203,7 @@ pub(super) fn run(
         }
         if let Some(estimate) = observed.estimate
             && settled
-            && let Some(truth) = truth::motion(&seen, tick.time)
+            && let Some(truth) = seen.motion(tick.time)
         {
             run.compared.push(Compared {
                 time: tick.time,
@@ -204,6 +216,7 @@ pub(super) fn run(
         }
     }
     run.gyro_scale = pilot.estimator().gyro_scale();
+    run.track = seen;
     run
 }
 
@@ -213,6 +226,10 @@ pub(super) struct Log {
     pub(super) ticks: Vec<Tick>,
     /// What the cameras saw, in the order of its arrival.
     pub(super) frames: Vec<Observation>,
+    /// The first tick of the record.
+    pub(super) begin: Time,
+    /// Whether the record has inertial samples.
+    pub(super) has_inertial: bool,
     /// Whether a speed was commanded in any tick.
     pub(super) has_speed: bool,
     /// Whether the board ever told its status.
@@ -231,7 +248,8 @@ pub(super) struct Tick {
 }
 
 impl Log {
-    pub(super) fn read(path: &Path) -> Result<Self, RecordError> {
+    /// Reads what lies between two times from the first tick on, in s.
+    pub(super) fn read(path: &Path, from: f64, to: f64) -> Result<Self, RecordError> {
         let mut log = Self::default();
         for entry in Reader::open(path)?.only(&[Topic::Tick, Topic::Pose]) {
             match entry? {
@@ -258,6 +276,10 @@ impl Log {
             let last = log.ticks.iter().rposition(from_board);
             log.ticks.truncate(last.map_or(0, |last| last + 1));
         }
+        log.begin = log.ticks.first().map_or(Time(0), |tick| tick.time);
+        let lies = |time: Time| (from..=to).contains(&time.seconds_since(log.begin));
+        log.ticks.retain(|tick| lies(tick.time));
+        log.frames.retain(|frame| lies(Time(frame.receive_time_ns)));
         Ok(log)
     }
 
@@ -268,6 +290,7 @@ impl Log {
         for event in &tick.events {
             self.has_health |= matches!(event, Event::Health(_));
             self.has_attitude |= matches!(event, Event::Attitude(_));
+            self.has_inertial |= matches!(event, Event::Board(board) if board.inertial.is_some());
         }
         self.ticks.push(Tick {
             time: tick.pilot_time,

@@ -6,7 +6,8 @@ use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::{
     run::{Compared, Log, Run, Stop},
-    truth::{self, Kind, Motion, Seen},
+    sensors::{self, Sensor},
+    truth::{self, Kind, Motion, SLOWEST_CAMERAS, Seen, Track},
 };
 
 /// Below this speed a car stands, m/s.
@@ -63,22 +64,22 @@ pub struct Noise {
 
 /// The noise of every sensor.
 pub(super) fn noise(
-    seen: &[Seen],
+    track: &Track,
     samples: &[(InertialSample, f64)],
     config: &EstimatorConfig,
 ) -> Vec<Noise> {
     let mut position = RootMeanSquare::default();
     let mut yaw = RootMeanSquare::default();
-    for now in seen {
-        let motion = truth::motion(seen, now.time);
+    for now in &track.seen {
+        let motion = track.motion(now.time);
         let moves = motion.is_some_and(|motion| motion.speed().abs() > STANDS);
-        if let Some([x, y, turned]) = truth::residual(seen, now).filter(|_| moves) {
+        if let Some([x, y, turned]) = track.residual(now).filter(|_| moves) {
             position.add(x);
             position.add(y);
             yaw.add(turned);
         }
     }
-    let inertial = Inertial::of(seen, samples, config);
+    let inertial = Inertial::of(track, samples, config);
     let moving = inertial.configured.value();
     let moving = moving.unwrap_or(config.acceleration_noise_density);
     let motor = inertial.motor_configured.value();
@@ -139,9 +140,9 @@ struct Span {
 }
 
 impl Inertial {
-    fn of(seen: &[Seen], samples: &[(InertialSample, f64)], config: &EstimatorConfig) -> Self {
+    fn of(track: &Track, samples: &[(InertialSample, f64)], config: &EstimatorConfig) -> Self {
         let mut noise = Self::default();
-        let rows = differences(seen, samples);
+        let rows = differences(track, samples);
         for (_, motor, motion, _) in rows.iter().filter(|row| row.2.forward > STANDS) {
             noise.motor.add(motor - motion.forward);
             noise
@@ -207,13 +208,13 @@ impl Inertial {
 /// the differences of the accelerations forward and to the left (m/s²) and of the yaw rate (rad/s),
 /// without bias and scale of the gyro.
 pub(super) fn differences(
-    seen: &[Seen],
+    track: &Track,
     samples: &[(InertialSample, f64)],
 ) -> Vec<(Time, f64, Motion, [f64; 3])> {
     let mut rows: Vec<(Time, f64, Motion, [f64; 3])> = samples
         .iter()
         .filter_map(|(sample, motor)| {
-            let motion = truth::motion(seen, sample.time)?;
+            let motion = track.motion(sample.time)?;
             let [forward, left] = motion.acceleration;
             let differences = [
                 sample.forward_acceleration - forward,
@@ -256,6 +257,11 @@ pub struct Verdict {
     /// Mean of the normalised innovation squared of every pose of the car after the estimate has
     /// settled, before any weighting, rejected poses included; 3 is right.
     pub nis_mean: Option<f64>,
+    /// The median of the same, which a gap of the cameras does not move; of white noise 2.4.
+    pub nis_median: Option<f64>,
+    /// From when on the watches judged: every sensor of the log had been heard, and the estimate had
+    /// settled.
+    pub watched_from_s: Option<f64>,
     /// What would have ended a drive.
     pub stops: Vec<Stop>,
     /// The largest estimated speed after the estimate has settled.
@@ -274,13 +280,17 @@ pub struct Verdict {
     pub gyro_scale: f64,
     /// Of every sensor.
     pub noise: Vec<Noise>,
+    /// Every sensor beside the cameras.
+    pub sensors: Vec<Sensor>,
+    /// What is wrong with them, and the fix.
+    pub findings: Vec<String>,
     /// What could not be judged, for want of an input.
-    pub not_judged: Vec<&'static str>,
+    pub not_judged: Vec<String>,
 }
 
 impl Verdict {
     pub(super) fn of(log: &Log, run: &Run, config: &EstimatorConfig) -> Self {
-        let begin = log.ticks.first().map(|tick| tick.time).unwrap_or_default();
+        let begin = log.begin;
         let at = |seen: &Seen| seen.time.seconds_since(begin);
         let poses = run.poses.iter();
         let of_car = poses.filter(|judged| counts(judged.seen.kind));
@@ -288,7 +298,10 @@ impl Verdict {
             .clone()
             .filter(|judged| judged.gated || judged.verdict == Some(PoseVerdict::Implausible));
         let settled = of_car.filter(|judged| judged.settled);
-        let innovations: Vec<f64> = settled.filter_map(|judged| judged.innovation).collect();
+        let mut innovations: Vec<f64> = settled.filter_map(|judged| judged.innovation).collect();
+        let nis_mean = (!innovations.is_empty())
+            .then(|| innovations.iter().sum::<f64>() / innovations.len() as f64);
+        innovations.sort_by(f64::total_cmp);
         let ghosts = truth::ghosts_of(run.poses.iter().map(|judged| judged.seen));
         let mut adopted = 0;
         let mut was_adopted = false;
@@ -299,8 +312,8 @@ impl Verdict {
             was_adopted = is_adopted;
         }
         let errors = Errors::of(&run.compared);
-        let seen: Vec<Seen> = run.poses.iter().map(|judged| judged.seen).collect();
-        let flips = seen.iter().filter(|seen| seen.kind == Kind::Flip);
+        let (sensors, findings) = sensors::compare(log, run, config.wheelbase);
+        let flips = run.track.seen.iter().filter(|seen| seen.kind == Kind::Flip);
         Self {
             duration_s: log.duration(),
             poses: run.poses.len(),
@@ -312,8 +325,9 @@ impl Verdict {
                 .collect(),
             flips_s: flips.map(at).collect(),
             asked_s: run.asked.clone(),
-            nis_mean: (!innovations.is_empty())
-                .then(|| innovations.iter().sum::<f64>() / innovations.len() as f64),
+            nis_mean,
+            nis_median: innovations.get(innovations.len() / 2).copied(),
+            watched_from_s: run.watched_from,
             stops: run.stops.clone(),
             speed_max_m_s: run.speed_max,
             speed_rms_m_s: errors.speed.value(),
@@ -322,22 +336,33 @@ impl Verdict {
             true_sideslip_rms_rad: errors.true_sideslip.value(),
             sideslip_within_95: errors.within_95(),
             gyro_scale: run.gyro_scale,
-            noise: noise(&seen, &run.samples, config),
-            not_judged: not_judged(log),
+            noise: noise(&run.track, &run.samples, config),
+            sensors,
+            findings,
+            not_judged: not_judged(log, run),
         }
     }
 }
 
-fn not_judged(log: &Log) -> Vec<&'static str> {
-    let mut missing = vec!["arming", "the proving run", "the end of a stop", "the law"];
-    if !log.has_speed {
-        missing.push("the commanded speed");
-    }
-    if !log.has_health {
-        missing.push("battery, stop switch and real time");
-    }
-    if !log.has_attitude {
-        missing.push("tilt, height and the cameras' clock");
+fn not_judged(log: &Log, run: &Run) -> Vec<String> {
+    let missing = [
+        (true, "arming"),
+        (true, "the proving run"),
+        (true, "the end of a stop"),
+        (true, "the law"),
+        (!log.has_speed, "the commanded speed"),
+        (!log.has_health, "battery, stop switch and real time"),
+        (!log.has_attitude, "tilt, height and the cameras' clock"),
+    ];
+    let mut missing: Vec<String> = missing
+        .into_iter()
+        .filter_map(|(is_missing, what)| is_missing.then(|| what.to_owned()))
+        .collect();
+    if run.track.rate() < SLOWEST_CAMERAS {
+        missing.push(format!(
+            "the errors of the estimate and the sensors (poses come at {:.0} Hz, and 20 are needed)",
+            run.track.rate()
+        ));
     }
     missing
 }

@@ -3,10 +3,16 @@
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::{CarPose, Time, direction, wrap};
 
-/// Half of the time over which the motion is smoothed, s: 110 ms, 11 poses at 100 Hz.
+/// Half of the time over which the motion is smoothed, s: 110 ms, 11 poses at 100 Hz; of slower cameras
+/// [`PERIODS`], so that five poses are in it.
 const HALF: f64 = 0.055;
-/// The fewest poses in that time.
-const FEWEST: usize = 7;
+const PERIODS: f64 = 2.6;
+/// The share of the poses in that time that may be missing.
+const MISSING: f64 = 0.36;
+/// The fewest poses of a parabola that smooths.
+const FEWEST: usize = 4;
+/// Slower cameras do not show how a car moves, Hz.
+pub(super) const SLOWEST_CAMERAS: f64 = 18.0;
 /// The poses of which the median is taken.
 const MEDIAN: usize = 9;
 /// A pose farther than this from the median is none of a moving car, m and rad.
@@ -62,8 +68,20 @@ impl Motion {
     }
 }
 
+/// What the cameras saw, in the order of time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Track {
+    pub(super) seen: Vec<Seen>,
+    /// Median of the times between two poses, s.
+    pub(super) period: f64,
+    /// Half of the time over which the motion is smoothed, s.
+    half: f64,
+    /// The fewest poses in that time.
+    fewest: usize,
+}
+
 /// Tells the poses apart.
-pub(super) fn tell(poses: &[(Time, CarPose)]) -> Vec<Seen> {
+pub(super) fn tell(poses: &[(Time, CarPose)]) -> Track {
     let mut seen: Vec<Seen> = poses
         .iter()
         .map(|&(time, pose)| Seen {
@@ -74,7 +92,7 @@ pub(super) fn tell(poses: &[(Time, CarPose)]) -> Vec<Seen> {
         .collect();
     ghosts(&mut seen);
     moments(&mut seen);
-    seen
+    Track::of(seen)
 }
 
 /// A stretch of poses that begins where the car can't have come to is of another body, to its end;
@@ -172,47 +190,89 @@ impl Parabolas {
     }
 }
 
-/// The poses that smooth the motion at `time`; none where too few are on either side, or one of
-/// them is off.
-fn around(seen: &[Seen], time: Time) -> Option<&[Seen]> {
-    let begin = seen.partition_point(|seen| seen.time < time.before(HALF));
-    let end = seen.partition_point(|seen| seen.time <= time.after(HALF));
-    let around = seen.get(begin..end)?;
-    let at = |seen: &Seen| seen.time.seconds_since(time);
-    let reaches = at(around.first()?) <= -0.6 * HALF && at(around.last()?) >= 0.6 * HALF;
-    let whole = around.iter().all(|seen| seen.kind == Kind::Car);
-    (whole && reaches && around.len() >= FEWEST).then_some(around)
-}
+impl Track {
+    fn of(seen: Vec<Seen>) -> Self {
+        let mut times: Vec<f64> = seen
+            .windows(2)
+            .filter_map(|pair| match pair {
+                [before, after] => Some(after.time.seconds_since(before.time)),
+                _ => None,
+            })
+            .collect();
+        times.sort_by(f64::total_cmp);
+        let period = times.get(times.len() / 2).copied().unwrap_or(0.01);
+        let half = HALF.max(PERIODS * period);
+        let whole = 2.0 * half / period.max(1e-4);
+        Self {
+            seen,
+            period,
+            half,
+            fewest: FEWEST.max(((1.0 - MISSING) * whole) as usize),
+        }
+    }
 
-/// The smoothed motion of the car at `time`: a parabola through the poses of 110 ms (what Savitzky and
-/// Golay's filter of second order is for poses at equal times).
-pub(super) fn motion(seen: &[Seen], time: Time) -> Option<Motion> {
-    let around = around(seen, time)?;
-    let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
-    let axis = direction(around.first()?.pose.yaw + yaw.x);
-    let in_car = |vx: f64, vy: f64| [axis.x * vx + axis.y * vy, axis.x * vy - axis.y * vx];
-    let [forward, left] = in_car(x.y, y.y);
-    Some(Motion {
-        forward,
-        left,
-        yaw_rate: yaw.y,
-        acceleration: in_car(2.0 * x.z, 2.0 * y.z),
-    })
-}
+    /// Poses per second; zero without poses.
+    pub(super) fn rate(&self) -> f64 {
+        if self.seen.len() < 2 {
+            0.0
+        } else {
+            1.0 / self.period.max(1e-4)
+        }
+    }
 
-/// How far a pose is from the parabola through those around it, without its own pull on that: x and
-/// y in m, yaw in rad.
-pub(super) fn residual(seen: &[Seen], now: &Seen) -> Option<[f64; 3]> {
-    let around = around(seen, now.time)?;
-    let first = around.first()?.pose;
-    let Parabolas { x, y, yaw, weight } = Parabolas::through(around, now.time)?;
-    let offset = now.pose.position - first.position;
-    let left = (1.0 - weight).max(0.1).sqrt();
-    Some([
-        (offset.x - x.x) / left,
-        (offset.y - y.x) / left,
-        (wrap(now.pose.yaw - first.yaw) - yaw.x) / left,
-    ])
+    /// Half of the time over which the motion is smoothed, s.
+    pub(super) const fn half(&self) -> f64 {
+        self.half
+    }
+
+    /// The poses that smooth the motion at `time`; none where too few are on either side, or one of
+    /// them is off.
+    fn around(&self, time: Time) -> Option<&[Seen]> {
+        let half = self.half;
+        let begin = self
+            .seen
+            .partition_point(|seen| seen.time < time.before(half));
+        let end = self
+            .seen
+            .partition_point(|seen| seen.time <= time.after(half));
+        let around = self.seen.get(begin..end)?;
+        let at = |seen: &Seen| seen.time.seconds_since(time);
+        let reaches = at(around.first()?) <= -0.6 * half && at(around.last()?) >= 0.6 * half;
+        let whole = around.iter().all(|seen| seen.kind == Kind::Car);
+        let enough = around.len() >= self.fewest && self.rate() >= SLOWEST_CAMERAS;
+        (whole && reaches && enough).then_some(around)
+    }
+
+    /// The smoothed motion of the car at `time`: a parabola through the poses around it (what Savitzky
+    /// and Golay's filter of second order is for poses at equal times).
+    pub(super) fn motion(&self, time: Time) -> Option<Motion> {
+        let around = self.around(time)?;
+        let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
+        let axis = direction(around.first()?.pose.yaw + yaw.x);
+        let in_car = |vx: f64, vy: f64| [axis.x * vx + axis.y * vy, axis.x * vy - axis.y * vx];
+        let [forward, left] = in_car(x.y, y.y);
+        Some(Motion {
+            forward,
+            left,
+            yaw_rate: yaw.y,
+            acceleration: in_car(2.0 * x.z, 2.0 * y.z),
+        })
+    }
+
+    /// How far a pose is from the parabola through those around it, without its own pull on that: x
+    /// and y in m, yaw in rad.
+    pub(super) fn residual(&self, now: &Seen) -> Option<[f64; 3]> {
+        let around = self.around(now.time)?;
+        let first = around.first()?.pose;
+        let Parabolas { x, y, yaw, weight } = Parabolas::through(around, now.time)?;
+        let offset = now.pose.position - first.position;
+        let left = (1.0 - weight).max(0.1).sqrt();
+        Some([
+            (offset.x - x.x) / left,
+            (offset.y - y.x) / left,
+            (wrap(now.pose.yaw - first.yaw) - yaw.x) / left,
+        ])
+    }
 }
 
 /// Stretches of poses of another body: first and last time.

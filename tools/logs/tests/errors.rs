@@ -2,7 +2,9 @@
 
 use std::fs;
 
-use crate::bench::{Bench, MAP, error};
+use singletrack_mocap::{Observation, PoseState};
+
+use crate::bench::{Bench, MAP, error, imported};
 
 const LOG: &str = "t,x,y,yaw,v,s\n0,0,0,0,1,0\n0.01,0,0,0,1,0\n";
 
@@ -127,9 +129,27 @@ fn a_time_that_is_no_number_is_named() {
 fn time_that_goes_backwards_is_named_with_its_line() {
     assert_log_error(
         "0.5,0,0,0,1,0\n\n0.25,0,0,0,1,0\n",
-        "log.csv, line 5, column \"t\": \"0.25\" is 0.25 s before the row above: put the rows in the \
+        "log.csv, line 5, column \"t\": \"0.25\" is 250 ms before a row above: put the rows in the \
          order of time, or remove those of another log",
     );
+}
+
+#[test]
+fn rows_a_hair_out_of_order_are_sorted_and_counted() {
+    let log = "t,x,y,yaw,v,s\n0,0,0,0,1,0\n0.0104541,2,0,0,1,0\n0.01,1,0,0,1,0\n0.02,3,0,0,1,0\n";
+    let imported = imported(log, MAP);
+    assert_eq!(imported.summary.sorted, 1);
+    let told = imported.summary.to_string();
+    assert!(
+        told.ends_with("; rows sorted into the order of their times: 1"),
+        "{told}"
+    );
+    let x = |pose: &&Observation| match pose.state {
+        PoseState::Valid(pose) => pose.x_m,
+        _ => f64::NAN,
+    };
+    let poses: Vec<f64> = imported.observations().iter().map(x).collect();
+    assert_eq!(poses, [0.0, 1.0, 2.0, 3.0]);
 }
 
 #[test]

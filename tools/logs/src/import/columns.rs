@@ -71,7 +71,7 @@ impl<'a> Columns<'a> {
     }
 
     /// What the rows say.
-    pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64) -> Log {
+    pub(super) fn log(self, map: &Map, start_wall_ns: u64, end_ns: u64, sorted: u64) -> Log {
         let held = |sensor: Sensor<1>| Series::new(sensor.samples, None);
         let inertial = self.imu.zip(map.imu.as_ref());
         let mut steering = self.steering.samples;
@@ -80,7 +80,9 @@ impl<'a> Columns<'a> {
         }
         Log {
             start_wall_ns,
+            sorted,
             end_ns,
+            exposures_are_known: map.pose.exposures_hz.is_some(),
             poses: self.poses.poses,
             inertial: inertial
                 .map(|(sensor, imu)| Series::new(sensor.samples, imu.interpolation())),

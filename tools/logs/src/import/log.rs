@@ -10,7 +10,7 @@ use singletrack_mocap::Observation;
 use singletrack_record::{RecordError, seconds_since};
 use singletrack_statistics::Arrivals;
 
-use super::{FIRST_ROW_NS, samples::Series};
+use super::{FIRST_ROW_NS, samples::Series, times::Times};
 
 /// Why a log was not imported.
 #[derive(Debug, thiserror::Error)]
@@ -46,13 +46,32 @@ impl ImportError {
     }
 }
 
+/// A row or message that is before an earlier one by no more is sorted into its place, in ns: one
+/// program has written what several threads measured. More is another log.
+pub(super) const JITTER_NS: u64 = 2_000_000;
+
+/// A duration as people write it.
+pub(super) fn duration(ns: u64) -> String {
+    let ms = ns as f64 * 1e-6;
+    match ns {
+        0..10_000_000 => format!("{ms:.2} ms"),
+        10_000_000..1_000_000_000 => format!("{ms:.0} ms"),
+        1_000_000_000..100_000_000_000 => format!("{:.2} s", 1e-3 * ms),
+        _ => format!("{:.0} s", 1e-3 * ms),
+    }
+}
+
 /// The contents of a log, each in the order of time.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Log {
     /// The wall time of the first row, in ns since 1970; 0 if the log does not have it.
     pub(super) start_wall_ns: u64,
+    /// Rows or messages that were sorted into their place.
+    pub(super) sorted: u64,
     /// The time of the last row.
     pub(super) end_ns: u64,
+    /// Whether the map has the rate of the exposures.
+    pub(super) exposures_are_known: bool,
     /// Every pose of the log, usable or not, with its place as the number of its frame.
     pub(super) poses: Vec<Observation>,
     /// Forward and left acceleration in m/s², yaw rate in rad/s. `None` if the log has no IMU.
@@ -110,6 +129,12 @@ pub struct Summary {
     /// Inertial samples that are left out, because the speed of the motor is not known at their
     /// time.
     pub without_motor_speed: u64,
+    /// Rows or messages that were not in the order of their times, and were sorted into it.
+    pub sorted: u64,
+    /// How regular the times are of the usable poses, the IMU and the motor; none of fewer than ten.
+    pub times: [Option<Times>; 3],
+    /// Whether the map has the rate of the exposures.
+    pub exposures_are_known: bool,
     /// Ticks.
     pub ticks: u64,
 }
@@ -122,6 +147,40 @@ impl Summary {
             arrivals.add(Some(time_ns.cast_signed()));
         }
         arrivals
+    }
+}
+
+impl Summary {
+    fn write_times(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut before = "; ";
+        for (what, times) in ["poses", "IMU", "motor"].into_iter().zip(&self.times) {
+            let Some(times) = times else { continue };
+            let (rate, jitter) = (times.rate_hz, 1e3 * times.jitter_s);
+            write!(
+                formatter,
+                "{before}{what} at {rate:.1} Hz, jitter {jitter:.2} ms"
+            )?;
+            if let Some(grid) = times.grid_s {
+                write!(formatter, " on a grid of {:.2} ms", 1e3 * grid)?;
+            }
+            before = ", ";
+        }
+        if let [Some(poses), ..] = &self.times
+            && let Some(rate) = poses.exposures_hz()
+            && !self.exposures_are_known
+        {
+            write!(
+                formatter,
+                "; if the cameras expose regularly, set pose.exposures_hz = {rate} in the map"
+            )?;
+        }
+        match self.sorted {
+            0 => Ok(()),
+            rows => write!(
+                formatter,
+                "; rows sorted into the order of their times: {rows}"
+            ),
+        }
     }
 }
 
@@ -155,7 +214,8 @@ impl fmt::Display for Summary {
             write_gap(formatter, ", IMU", inertial)?;
         }
         write_gap(formatter, ", motor", &self.motor)?;
-        write_gap(formatter, ", board samples", &self.board)
+        write_gap(formatter, ", board samples", &self.board)?;
+        self.write_times(formatter)
     }
 }
 

@@ -27,6 +27,7 @@ mod row;
 mod samples;
 mod sensor;
 mod timeline;
+mod times;
 
 use std::{collections::BTreeMap, fs, path::Path};
 
@@ -39,6 +40,7 @@ pub use map::{
     ImuSection, Length, Map, MotorSection, PoseSection, Quantity, Speed, SteeringSection,
     TimeSection, TimeUnit,
 };
+pub use times::Times;
 
 use log::Log;
 use timeline::Timeline;

@@ -9,6 +9,7 @@ use super::{
     FIRST_ROW_NS,
     board::BoardSamples,
     log::{Log, Summary},
+    times::Times,
 };
 
 /// The observations and the board samples of a log, tick by tick.
@@ -110,15 +111,23 @@ impl<'a> Timeline<'a> {
         let valid = poses.iter().filter(is_valid);
         let count = |state| poses.iter().filter(|pose| pose.state == state).count() as u64;
         let inertial = self.log.inertial.as_ref();
+        let times = |times: &mut dyn Iterator<Item = u64>| Times::of(&times.collect::<Vec<_>>());
         Summary {
             duration_ns: self.log.end_ns - FIRST_ROW_NS,
-            poses: Summary::arrivals(valid.map(|pose| pose.receive_time_ns)),
+            poses: Summary::arrivals(valid.clone().map(|pose| pose.receive_time_ns)),
             rejected: count(PoseState::Rejected(RejectReason::NotFinite)),
             untracked: count(PoseState::Untracked),
             inertial: inertial.map(|series| Summary::arrivals(series.times_ns())),
             motor: Summary::arrivals(self.log.motor_speed.times_ns()),
             board: Summary::arrivals(self.board.samples.iter().map(|sample| sample.time.0)),
             without_motor_speed: self.board.without_motor_speed,
+            sorted: self.log.sorted,
+            times: [
+                times(&mut valid.clone().map(|pose| pose.receive_time_ns)),
+                inertial.and_then(|series| times(&mut series.times_ns())),
+                times(&mut self.log.motor_speed.times_ns()),
+            ],
+            exposures_are_known: self.log.exposures_are_known,
             ticks: self.ticks,
         }
     }

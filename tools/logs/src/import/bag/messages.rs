@@ -9,7 +9,7 @@ use super::{
     row::{Entry, Row, message_error},
     wanted::{Source, Sources, Wanted},
 };
-use crate::import::log::ImportError;
+use crate::import::log::{ImportError, JITTER_NS};
 
 /// Names of elements that are listed in an error, at most.
 const MAX_NAMES: usize = 20;
@@ -234,7 +234,8 @@ impl Messages {
 
     /// Orders all messages by their times. Fails if something that the map wants is missing, if the
     /// times of a source go backwards, or if two messages are farther apart than the longest gap.
-    pub(super) fn sort(&mut self, longest_gap_ns: u64) -> Result<(), ImportError> {
+    /// Returns how many were not in their order, by a little.
+    pub(super) fn sort(&mut self, longest_gap_ns: u64) -> Result<u64, ImportError> {
         for source in &self.sources.sources {
             self.check(source)?;
         }
@@ -244,8 +245,23 @@ impl Messages {
             self.entries.sort_by_key(|entry| entry.receive_ns);
             self.check_order()?;
         }
+        let sorted = self.disordered();
         self.entries.sort_by_key(|entry| entry.stamp_ns);
-        self.check_gaps(longest_gap_ns)
+        self.check_gaps(longest_gap_ns)?;
+        Ok(sorted)
+    }
+
+    /// Messages that came after a later one of their source, by a little.
+    fn disordered(&self) -> u64 {
+        let mut last = vec![0; self.sources.sources.len()];
+        let mut count = 0;
+        for entry in &self.entries {
+            if let Some(last) = last.get_mut(entry.source) {
+                count += u64::from(entry.stamp_ns < *last);
+                *last = entry.stamp_ns.max(*last);
+            }
+        }
+        count
     }
 
     /// The rows that the messages are, each with its time in ns since 1970.
@@ -302,7 +318,7 @@ impl Messages {
             let Some(last) = last.get_mut(entry.source) else {
                 continue;
             };
-            if entry.stamp_ns < *last {
+            if entry.stamp_ns + JITTER_NS < *last {
                 let back = Seconds(*last - entry.stamp_ns);
                 let fault = format!(
                     "is {back} s before that of the message before: two nodes publish on the topic, or \
@@ -310,7 +326,7 @@ impl Messages {
                 );
                 return Err(self.time_error(entry, &fault));
             }
-            *last = entry.stamp_ns;
+            *last = entry.stamp_ns.max(*last);
         }
         Ok(())
     }

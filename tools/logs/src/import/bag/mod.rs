@@ -43,7 +43,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
             }
         }
     }
-    messages.sort(nanoseconds(map.time.longest_gap_s))?;
+    let sorted = messages.sort(nanoseconds(map.time.longest_gap_s))?;
     let mut span = None;
     for (time_ns, row) in messages.rows() {
         let (first_ns, _) = *span.get_or_insert((time_ns, time_ns));
@@ -52,7 +52,7 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
     }
     let (first_ns, last_ns) = span.unwrap_or_default();
     let end_ns = FIRST_ROW_NS.saturating_add(last_ns - first_ns);
-    Ok(columns.log(map, first_ns, end_ns))
+    Ok(columns.log(map, first_ns, end_ns, sorted))
 }
 
 /// The error of a file or folder that is no bag, or is damaged; why, and what to do.

@@ -10,8 +10,7 @@ use super::{
     FIRST_ROW_NS,
     columns::Columns,
     decimal,
-    log::ImportError,
-    log::Log,
+    log::{ImportError, JITTER_NS, Log, duration},
     map::{Map, TimeSection, TimeUnit, nanoseconds},
     row::Place,
 };
@@ -34,19 +33,25 @@ pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
     let mut header = Header { path, names };
     let mut columns = Columns::find(&mut header, map)?;
     let mut clock = Clock::find(&header, &map.time)?;
+    let mut rows: Vec<(i64, StringRecord)> = Vec::new();
     let mut cells = StringRecord::new();
     while reader.read_record(&mut cells).map_err(failure)? {
-        let row = header.row(&cells);
-        let time_ns = clock.time_ns(&row)?;
-        columns.take(&row, time_ns)?;
+        rows.push((clock.time(&header.row(&cells))?, cells.clone()));
     }
-    match clock.ends() {
-        Some((start_wall_ns, end_ns)) => Ok(columns.log(map, start_wall_ns, end_ns)),
-        None => {
-            let why = " has the names of the columns, but no rows: there is nothing to import";
-            Err(ImportError::file(path, why))
-        }
+    rows.sort_by_key(|(time, _)| *time);
+    let (Some((first, _)), Some((last, _))) = (rows.first(), rows.last()) else {
+        let why = " has the names of the columns, but no rows: there is nothing to import";
+        return Err(ImportError::file(path, why));
+    };
+    let since_first = |time: i64| FIRST_ROW_NS.saturating_add(time.abs_diff(*first));
+    for (time, cells) in &rows {
+        columns.take(&header.row(cells), since_first(*time))?;
     }
+    let start_wall_ns = match clock.unix {
+        true => first.unsigned_abs(),
+        false => 0,
+    };
+    Ok(columns.log(map, start_wall_ns, since_first(*last), clock.sorted))
 }
 
 /// An error of the CSV reader, with file, line and fix.
@@ -78,8 +83,10 @@ struct Clock {
     unit: TimeUnit,
     unix: bool,
     longest_gap_ns: u64,
-    /// The first and the last time, in ns from the zero of the log.
-    span: Option<(i64, i64)>,
+    /// The latest time so far, in ns from the zero of the log.
+    latest: Option<i64>,
+    /// Rows that were before an earlier one by a little.
+    sorted: u64,
 }
 
 impl Clock {
@@ -91,12 +98,13 @@ impl Clock {
             unit: time.unit.unwrap_or_default(),
             unix: time.unix.unwrap_or_default(),
             longest_gap_ns: nanoseconds(time.longest_gap_s),
-            span: None,
+            latest: None,
+            sorted: 0,
         })
     }
 
-    /// The time of a row on the clock of the record.
-    fn time_ns(&mut self, row: &Row<'_>) -> Result<u64, ImportError> {
+    /// The time of a row, in ns from the zero of the log.
+    fn time(&mut self, row: &Row<'_>) -> Result<i64, ImportError> {
         let cell = row.cell(self.place);
         let time = decimal::scaled(cell, self.unit.exponent()).ok_or_else(|| {
             let fix = row::comma_fix(cell).unwrap_or(
@@ -107,36 +115,27 @@ impl Clock {
                 &format!(" is not a time as a decimal number: {fix}"),
             )
         })?;
-        let (first, before) = self.span.unwrap_or((time, time));
+        let before = self.latest.unwrap_or(time);
         let since_ns = time.abs_diff(before);
-        let since_s = since_ns as f64 * 1e-9;
         let fault = if self.unix && time < 0 {
             " is before 1970: set time.unix = false in the map".to_owned()
-        } else if time < before {
+        } else if time < before && since_ns > JITTER_NS {
             format!(
-                " is {since_s} s before the row above: put the rows in the order of time, or remove \
-                 those of another log"
+                " is {} before a row above: put the rows in the order of time, or remove \
+                 those of another log",
+                duration(since_ns)
             )
         } else if since_ns > self.longest_gap_ns {
             format!(
-                " is {since_s} s after the row above: remove the rows on one side of the gap, \
-                 correct time.unit in the map, or raise its time.longest_gap_s"
+                " is {} after the row above: remove the rows on one side of the gap, \
+                 correct time.unit in the map, or raise its time.longest_gap_s",
+                duration(since_ns)
             )
         } else {
-            self.span = Some((first, time));
-            return Ok(FIRST_ROW_NS.saturating_add(time.abs_diff(first)));
+            self.sorted += u64::from(time < before);
+            self.latest = Some(time.max(before));
+            return Ok(time);
         };
         Err(row.error(self.place, &fault))
-    }
-
-    /// The wall time of the first row, and the time of the last one on the clock of the record;
-    /// `None` without a row.
-    fn ends(&self) -> Option<(u64, u64)> {
-        let (first, last) = self.span?;
-        let wall_ns = match self.unix {
-            true => first.unsigned_abs(),
-            false => 0,
-        };
-        Some((wall_ns, FIRST_ROW_NS.saturating_add(last.abs_diff(first))))
     }
 }

@@ -1,0 +1,466 @@
+//! Each sensor beside what the cameras say of the same motion: whether it is mounted, scaled and timed
+//! as the record takes it to be.
+//!
+//! The cameras' motion is that of a parabola through the poses of a window. The sensors are smoothed by
+//! what that does to a signal: its first derivative is the mean weighted by h² - t², its second the mean
+//! weighted by (h² - t²)², h being half of the window. So a slope of one is one, whatever the window.
+
+use serde::Serialize;
+use singletrack_control::{InertialSample, Time};
+use singletrack_pilot::{BoardSample, Event};
+
+use super::{
+    run::{Log, Run},
+    truth::{Motion, Track},
+};
+
+/// The step of the comparison, s.
+const STEP: f64 = 0.005;
+/// The largest lag that is looked for, in steps: 200 ms.
+const LAGS: isize = 40;
+/// Parts of the drive, each of which is left out once: how much the results differ says how sure they
+/// are.
+const PARTS: usize = 10;
+/// A result is told if it differs by this many of its standard deviations.
+const SURE: f64 = 4.0;
+/// A slope that differs by less, and a lag that is less (s), are nobody's mistake.
+const SCALE: f64 = 0.05;
+const LATE: f64 = 0.01;
+/// An encoder counts over a while: its speed may be so late, s.
+const COUNTS: f64 = 0.025;
+/// A lag is told if without it so many times as much of the sensor is unexplained.
+const BETTER: f64 = 1.15;
+/// A lag is told only where it is known within this, s, and where the sensor says what the cameras say.
+const LAG_KNOWN: f64 = 0.01;
+const AGREES: f64 = 0.5;
+/// An axis of the accelerometer sees an acceleration if its slope is this much, and this many of its
+/// standard deviations; and its axes are swapped if that explains so many times as much.
+const SEES: f64 = 0.3;
+const FOUND: f64 = 4.5;
+const CROSSED: f64 = 1.5;
+
+/// A sensor beside the cameras.
+#[derive(Clone, Debug, Serialize)]
+pub struct Sensor {
+    /// Which.
+    pub sensor: &'static str,
+    /// What it reads for each unit of what the cameras say, at the lag.
+    pub slope: f64,
+    /// Standard deviation of the slope.
+    pub slope_deviation: f64,
+    /// By how much it is later than the cameras; of the steering, which the car follows, negative.
+    pub lag_s: f64,
+    /// Standard deviation of the lag.
+    pub lag_deviation_s: f64,
+    /// Of sensor and cameras at the lag.
+    pub correlation: f64,
+    /// What is unexplained without the lag, over what is with it.
+    pub gain: f64,
+}
+
+/// All sensors that can be compared, and what is wrong with them: which, what, and the fix.
+pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec<String>) {
+    let Some(grid) = Grid::of(&run.track) else {
+        return (Vec::new(), Vec::new());
+    };
+    let inertial = |value: fn(&InertialSample) -> f64, power| {
+        let samples = run.samples.iter();
+        let values = samples.map(|(sample, _)| (sample.time, value(sample)));
+        grid.smoothed(values.collect(), power)
+    };
+    let truth = |value: fn(&Motion) -> f64| grid.truth(value);
+    let yaw_rate = truth(|motion| motion.yaw_rate);
+    let mut sensors = Vec::new();
+    let mut findings = Vec::new();
+    let gyro = inertial(|sample| sample.yaw_rate, 1);
+    let mut lag = 0.0;
+    if let Some(sensor) = Sensor::of("gyro", &yaw_rate, &gyro) {
+        if sensor.agrees() {
+            lag = sensor.lag_s / STEP;
+        }
+        findings.extend(sensor.finding("imu.yaw_rate", Some(("imu", LATE))));
+        sensors.push(sensor);
+    }
+    let read = [
+        inertial(|sample| sample.forward_acceleration, 2),
+        inertial(|sample| sample.left_acceleration, 2),
+    ];
+    let moved = [
+        truth(|motion| motion.acceleration[0]),
+        truth(|motion| motion.acceleration[1]),
+    ];
+    let mounting = Mounting::of(&moved, &read, lag);
+    let turned = mounting.finding();
+    let keys = ["imu.forward_acceleration", "imu.left_acceleration"];
+    for (sensor, key) in mounting.axes.into_iter().zip(keys) {
+        let Some(sensor) = sensor else { continue };
+        if turned.is_none() {
+            findings.extend(sensor.finding(key, None));
+        }
+        sensors.push(sensor);
+    }
+    findings.extend(turned);
+    let forward = truth(|motion| motion.forward);
+    let motor = grid.smoothed(board(log, |board, _| board.motor_speed), 1);
+    if let Some(mut sensor) = Sensor::of("motor", &forward, &motor) {
+        // An encoder has no bias, and many drives one speed.
+        (sensor.slope, sensor.slope_deviation) = ratio(&forward, &motor);
+        findings.extend(sensor.finding("motor.speed", Some(("motor", COUNTS))));
+        sensors.push(sensor);
+    }
+    let bend = board(log, |_, steering| libm::tan(steering) / wheelbase);
+    let bend = grid.smoothed(bend, 1);
+    let turn: Signal = bend
+        .iter()
+        .zip(&forward)
+        .map(|(bend, forward)| Some(bend.as_ref()? * forward.as_ref()?))
+        .collect();
+    if let Some(sensor) = Sensor::of("steering", &yaw_rate, &turn) {
+        if sensor.slope < 0.0 && sensor.correlation < -AGREES {
+            findings.push(
+                "steering: the car turns to the other side than the command says: negate \
+                 steering.radians_per_unit (of our own car, board.servo.gain_us_per_rad)"
+                    .to_owned(),
+            );
+        }
+        sensors.push(sensor);
+    }
+    (sensors, findings)
+}
+
+/// A value of each sample of the board, with the steering of its tick.
+fn board(log: &Log, value: impl Fn(&BoardSample, f64) -> f64) -> Vec<(Time, f64)> {
+    let mut values = Vec::new();
+    for tick in &log.ticks {
+        for event in &tick.events {
+            if let Event::Board(board) = event {
+                values.push((board.time, value(board, tick.commanded.steering)));
+            }
+        }
+    }
+    values
+}
+
+/// The cameras' motion at equal times; none where they do not show it.
+struct Grid {
+    begin: Time,
+    half: f64,
+    motions: Vec<Option<Motion>>,
+}
+
+/// A signal at the times of the grid.
+type Signal = Vec<Option<f64>>;
+
+impl Grid {
+    fn of(track: &Track) -> Option<Self> {
+        let (first, last) = (track.seen.first()?.time, track.seen.last()?.time);
+        let steps = (last.seconds_since(first) / STEP) as usize;
+        let motions = (0..steps).map(|step| track.motion(first.after(STEP * step as f64)));
+        Some(Self {
+            begin: first,
+            half: track.half(),
+            motions: motions.collect(),
+        })
+    }
+
+    fn truth(&self, value: impl Fn(&Motion) -> f64) -> Signal {
+        let motions = self.motions.iter();
+        motions.map(|motion| motion.as_ref().map(&value)).collect()
+    }
+
+    /// Samples, smoothed with the weight (h² - t²) to a power; none where there are few.
+    fn smoothed(&self, mut samples: Vec<(Time, f64)>, power: i32) -> Signal {
+        samples.sort_by_key(|(time, _)| *time);
+        let whole = 2.0 * self.half;
+        (0..self.motions.len())
+            .map(|step| {
+                let now = self.begin.after(STEP * step as f64);
+                let from = samples.partition_point(|(time, _)| *time <= now.before(self.half));
+                let to = samples.partition_point(|(time, _)| *time < now.after(self.half));
+                let around = samples.get(from..to)?;
+                let (first, last) = (around.first()?.0, around.last()?.0);
+                if around.len() < 4 || last.seconds_since(first) < 0.6 * whole {
+                    return None;
+                }
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for (time, value) in around {
+                    let t = time.seconds_since(now) / self.half;
+                    let weight = (1.0 - t * t).powi(power);
+                    sum += weight * value;
+                    weights += weight;
+                }
+                Some(sum / weights)
+            })
+            .collect()
+    }
+}
+
+/// Sums over pairs of the truth and what a sensor reads.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    count: f64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Sums {
+    fn add(&mut self, x: f64, y: f64) {
+        self.count += 1.0;
+        self.x += x;
+        self.y += y;
+        self.xx += x * x;
+        self.xy += x * y;
+        self.yy += y * y;
+    }
+
+    fn less(self, part: &Self) -> Self {
+        Self {
+            count: self.count - part.count,
+            x: self.x - part.x,
+            y: self.y - part.y,
+            xx: self.xx - part.xx,
+            xy: self.xy - part.xy,
+            yy: self.yy - part.yy,
+        }
+    }
+
+    fn slope_and_correlation(&self) -> Option<(f64, f64)> {
+        let xx = self.xx - self.x * self.x / self.count;
+        let xy = self.xy - self.x * self.y / self.count;
+        let yy = self.yy - self.y * self.y / self.count;
+        (self.count > 20.0 && xx > 0.0 && yy > 0.0).then(|| (xy / xx, xy / (xx * yy).sqrt()))
+    }
+}
+
+/// Sums over the parts of a drive, and of all of it with each of them left out.
+fn sums(truth: &[Option<f64>], read: &[Option<f64>], lag: isize) -> (Sums, [Sums; PARTS]) {
+    let mut all = Sums::default();
+    let mut parts = [Sums::default(); PARTS];
+    for (step, seen) in truth.iter().enumerate() {
+        let later = step.checked_add_signed(lag);
+        let read = later.and_then(|later| *read.get(later)?);
+        if let (Some(x), Some(y)) = (*seen, read) {
+            all.add(x, y);
+            if let Some(part) = parts.get_mut(step * PARTS / truth.len()) {
+                part.add(x, y);
+            }
+        }
+    }
+    (all, parts.map(|part| all.less(&part)))
+}
+
+/// What a sensor without bias reads of the truth, and its standard deviation.
+fn ratio(truth: &[Option<f64>], read: &[Option<f64>]) -> (f64, f64) {
+    let (all, parts) = sums(truth, read, 0);
+    let ratio = |sums: &Sums| sums.xy / sums.xx;
+    (ratio(&all), deviation(&parts.each_ref().map(ratio)))
+}
+
+/// Standard deviation of what comes out if each part is left out once.
+fn deviation(left_out: &[f64]) -> f64 {
+    let count = left_out.len() as f64;
+    let mean = left_out.iter().sum::<f64>() / count;
+    let squares = left_out.iter().map(|value| (value - mean).powi(2));
+    ((count - 1.0) / count * squares.sum::<f64>()).sqrt()
+}
+
+/// The lag at which the magnitude of the correlation is largest, in steps and a share of one.
+fn best_lag(correlations: &[Option<f64>]) -> Option<f64> {
+    let size = |at: usize| Some(correlations.get(at)?.as_ref()?.abs());
+    let best = (0..correlations.len())
+        .filter(|at| size(*at).is_some())
+        .max_by(|a, b| size(*a).unwrap_or(0.0).total_cmp(&size(*b).unwrap_or(0.0)))?;
+    let middle = size(best)?;
+    let sides = best
+        .checked_sub(1)
+        .and_then(|before| Some([size(before)?, size(best + 1)?]));
+    let share = sides.map_or(0.0, |[before, after]| {
+        let bend = before - 2.0 * middle + after;
+        if bend < 0.0 {
+            0.5 * (before - after) / bend
+        } else {
+            0.0
+        }
+    });
+    Some(best as f64 + share - LAGS as f64)
+}
+
+impl Sensor {
+    fn of(sensor: &'static str, truth: &[Option<f64>], read: &[Option<f64>]) -> Option<Self> {
+        let by_lag: Vec<(Sums, [Sums; PARTS])> =
+            (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
+        let correlations = |of: &dyn Fn(&(Sums, [Sums; PARTS])) -> Option<Sums>| {
+            let each = by_lag.iter();
+            let values = each.map(|sums| Some(of(sums)?.slope_and_correlation()?.1));
+            values.collect::<Vec<_>>()
+        };
+        let lag = best_lag(&correlations(&|(all, _)| Some(*all)))?;
+        let lags: Vec<f64> = (0..PARTS)
+            .filter_map(|part| best_lag(&correlations(&|(_, parts)| parts.get(part).copied())))
+            .collect();
+        let found = Self::at(lag, sensor, truth, read)?;
+        let unexplained = |correlation: f64| 1.0 - correlation * correlation;
+        let without = Self::at(0.0, sensor, truth, read)?.correlation;
+        Some(Self {
+            lag_deviation_s: STEP * deviation(&lags),
+            gain: unexplained(without) / unexplained(found.correlation).max(1e-9),
+            ..found
+        })
+    }
+
+    /// At a lag that is known, in steps.
+    fn at(
+        lag: f64,
+        sensor: &'static str,
+        truth: &[Option<f64>],
+        read: &[Option<f64>],
+    ) -> Option<Self> {
+        let (all, parts) = sums(truth, read, lag.round() as isize);
+        let (slope, correlation) = all.slope_and_correlation()?;
+        let slopes: Vec<f64> = parts
+            .iter()
+            .filter_map(|part| Some(part.slope_and_correlation()?.0))
+            .collect();
+        Some(Self {
+            sensor,
+            slope,
+            slope_deviation: deviation(&slopes),
+            lag_s: STEP * lag,
+            lag_deviation_s: 0.0,
+            correlation,
+            gain: 1.0,
+        })
+    }
+
+    /// Whether the sensor says what the cameras say, and when is known.
+    fn agrees(&self) -> bool {
+        let is_known = self.lag_deviation_s < LAG_KNOWN && self.gain > BETTER;
+        self.correlation.abs() > AGREES && is_known
+    }
+
+    /// Whether it sees any of what the cameras say.
+    fn sees(&self) -> bool {
+        self.slope.abs() > SEES.max(FOUND * self.slope_deviation)
+    }
+
+    /// What is wrong with it, and the key of the map that mends it. `section` has its delay, if that is
+    /// its own, and may be wrong by so much.
+    fn finding(&self, key: &str, section: Option<(&str, f64)>) -> Option<String> {
+        let Self { sensor, slope, .. } = self;
+        if self.correlation.abs() <= AGREES {
+            return None;
+        }
+        if *slope < 0.0 {
+            return Some(format!(
+                "{sensor}: it reads the other sign than the cameras ({slope:.2} of it): negate {key}"
+            ));
+        }
+        let mut wrong = Vec::new();
+        let off = (slope - 1.0).abs();
+        if off > SCALE.max(SURE * self.slope_deviation) {
+            let slips = match key == "motor.speed" {
+                true => ", unless its wheels slip",
+                false => "",
+            };
+            wrong.push(format!(
+                "reads {slope:.3} of what the cameras say: scale {key} by {:.3}{slips}",
+                1.0 / slope
+            ));
+        }
+        let ms = 1e3 * self.lag_s;
+        if let Some((section, tolerance)) = section
+            && self.agrees()
+            && self.lag_s.abs() > tolerance.max(SURE * self.lag_deviation_s)
+        {
+            wrong.push(match ms > 0.0 {
+                true => format!("is {ms:.0} ms late: add {:.3} to {section}.delay_s", self.lag_s),
+                false => format!(
+                    "is {:.0} ms ahead of the cameras: take {:.3} from {section}.delay_s, or add it \
+                     to pose.delay_s",
+                    -ms, -self.lag_s
+                ),
+            });
+        }
+        (!wrong.is_empty()).then(|| format!("{sensor}: {}", wrong.join("; it ")))
+    }
+}
+
+/// How the accelerometer is mounted.
+struct Mounting {
+    /// Its forward and its left axis, each beside the acceleration that it sees.
+    axes: [Option<Sensor>; 2],
+    /// Whether the forward axis sees the acceleration to the left, and the left one that forward.
+    crossed: bool,
+}
+
+impl Mounting {
+    /// `lag` is that of the gyro, in steps: both are one chip, and an accelerometer that is before or
+    /// behind G feels turns sooner or later.
+    fn of(moved: &[Signal; 2], read: &[Signal; 2], lag: f64) -> Self {
+        const NAMES: [&str; 2] = ["accelerometer, forward", "accelerometer, left"];
+        let [forward, left] = moved;
+        let [ahead, beside] = read;
+        let straight = [
+            Sensor::at(lag, NAMES[0], forward, ahead),
+            Sensor::at(lag, NAMES[1], left, beside),
+        ];
+        let crossed = [
+            Sensor::at(lag, NAMES[0], left, ahead),
+            Sensor::at(lag, NAMES[1], forward, beside),
+        ];
+        let weight = |pair: &[Option<Sensor>; 2]| {
+            let seen = pair.iter().flatten().filter(|sensor| sensor.sees());
+            seen.map(|sensor| sensor.correlation.abs()).sum::<f64>()
+        };
+        let is_crossed = weight(&crossed) > CROSSED * weight(&straight);
+        Self {
+            axes: if is_crossed { crossed } else { straight },
+            crossed: is_crossed,
+        }
+    }
+
+    fn finding(&self) -> Option<String> {
+        let sign = |axis: &Option<Sensor>| {
+            let sensor = axis.as_ref().filter(|sensor| sensor.sees())?;
+            Some(sensor.slope > 0.0)
+        };
+        let [forward, left] = &self.axes;
+        let how = match (self.crossed, sign(forward), sign(left)) {
+            (false, Some(false), Some(false)) => {
+                "it is turned by 180 degrees: negate imu.forward_acceleration and \
+                 imu.left_acceleration"
+            }
+            (false, Some(false), _) => {
+                "its forward axis points backward: negate imu.forward_acceleration"
+            }
+            (false, _, Some(false)) => {
+                "its left axis points to the right: negate imu.left_acceleration"
+            }
+            (false, ..) => return None,
+            (true, Some(true), Some(false)) => {
+                "it is turned by 90 degrees to the left: swap the columns of \
+                 imu.forward_acceleration and imu.left_acceleration, and negate the new forward one"
+            }
+            (true, Some(false), Some(true)) => {
+                "it is turned by 90 degrees to the right: swap the columns of \
+                 imu.forward_acceleration and imu.left_acceleration, and negate the new left one"
+            }
+            (true, Some(false), Some(false)) => {
+                "its axes are swapped, and both reversed: swap the columns of \
+                 imu.forward_acceleration and imu.left_acceleration, and negate both"
+            }
+            (true, ..) => {
+                "its axes are swapped: swap the columns of imu.forward_acceleration and \
+                 imu.left_acceleration"
+            }
+        };
+        let unknown = match self.axes.iter().all(|axis| sign(axis).is_some()) {
+            true => "",
+            false => "; the sign of one axis does not show in this drive",
+        };
+        Some(format!("accelerometer: {how}{unknown}"))
+    }
+}
