@@ -146,11 +146,11 @@ pub(super) fn run(
             frames.pop_front();
         }
         for event in &events {
-            if let Event::Board(board) = event {
-                if let Some(inertial) = board.inertial {
-                    waits_for_imu = false;
-                    run.samples.push((inertial, board.motor_speed));
-                }
+            if let Event::Board(board) = event
+                && let Some(inertial) = board.inertial
+            {
+                waits_for_imu = false;
+                run.samples.push((inertial, board.motor_speed));
             }
         }
         let mut commanded = tick.commanded;

@@ -356,7 +356,8 @@ fn not_judged(log: &Log, run: &Run) -> Vec<String> {
     ];
     let mut missing: Vec<String> = missing
         .into_iter()
-        .filter_map(|(is_missing, what)| is_missing.then(|| what.to_owned()))
+        .filter(|(is_missing, _)| *is_missing)
+        .map(|(_, what)| what.to_owned())
         .collect();
     if run.track.rate() < SLOWEST_CAMERAS {
         missing.push(format!(

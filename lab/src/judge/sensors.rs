@@ -235,8 +235,10 @@ impl Sums {
     }
 }
 
-/// Sums over the parts of a drive, and of all of it with each of them left out.
-fn sums(truth: &[Option<f64>], read: &[Option<f64>], lag: isize) -> (Sums, [Sums; PARTS]) {
+/// Sums over all of a drive, and with each of its parts left out.
+type Summed = (Sums, [Sums; PARTS]);
+
+fn sums(truth: &[Option<f64>], read: &[Option<f64>], lag: isize) -> Summed {
     let mut all = Sums::default();
     let mut parts = [Sums::default(); PARTS];
     for (step, seen) in truth.iter().enumerate() {
@@ -290,9 +292,8 @@ fn best_lag(correlations: &[Option<f64>]) -> Option<f64> {
 
 impl Sensor {
     fn of(sensor: &'static str, truth: &[Option<f64>], read: &[Option<f64>]) -> Option<Self> {
-        let by_lag: Vec<(Sums, [Sums; PARTS])> =
-            (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
-        let correlations = |of: &dyn Fn(&(Sums, [Sums; PARTS])) -> Option<Sums>| {
+        let by_lag: Vec<Summed> = (-LAGS..=LAGS).map(|lag| sums(truth, read, lag)).collect();
+        let correlations = |of: &dyn Fn(&Summed) -> Option<Sums>| {
             let each = by_lag.iter();
             let values = each.map(|sums| Some(of(sums)?.slope_and_correlation()?.1));
             values.collect::<Vec<_>>()
