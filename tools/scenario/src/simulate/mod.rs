@@ -18,7 +18,7 @@ pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_
 pub use ideal::IdealError;
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
-    StartSection, SteeringHold, merge,
+    StartSection, SteeringHold,
 };
 pub use singletrack_sim::integrator::IntegrationError;
 pub use summary::{CalibrationLine, HEADER, Row, Summary, trim_zeros, write_csv};
