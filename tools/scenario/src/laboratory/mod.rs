@@ -16,6 +16,7 @@ use singletrack_core::{
     state_stream::States,
 };
 use singletrack_pilot::{Arming, PilotRequest, Tuning};
+use singletrack_record::Digest;
 use singletrack_sim::{
     LossPattern, LossWindow, SimulationConfig, StartPose, Truth, parse_duration_us,
 };
@@ -39,6 +40,7 @@ pub struct Laboratory {
     drive: Box<VirtualDrive>,
     last: Option<VirtualTick>,
     states: States,
+    digest: Option<Digest>,
     record: Option<VirtualRecord>,
     unwritten: u32,
 }
@@ -60,6 +62,7 @@ impl Laboratory {
             seed,
             last: None,
             states: States::default(),
+            digest: None,
             record: None,
             unwritten: 0,
         })
@@ -76,6 +79,54 @@ impl Laboratory {
         Ok(())
     }
 
+    /// Records the drive in memory, from now on: see [`Laboratory::take_record`].
+    ///
+    /// # Errors
+    ///
+    /// The configuration can't be written.
+    pub fn record_in_memory(&mut self) -> Result<(), VirtualRecordError> {
+        let record = VirtualRecord::in_memory(&mut self.drive, &self.config, self.seed)?;
+        self.record = Some(record);
+        Ok(())
+    }
+
+    /// Completes the record in memory, and returns it; empty if there is none.
+    ///
+    /// # Errors
+    ///
+    /// The record can't be completed.
+    pub fn take_record(&mut self) -> Result<Vec<u8>, VirtualRecordError> {
+        match self.record.take() {
+            Some(record) => record.into_bytes(&mut self.drive),
+            None => Ok(Vec::new()),
+        }
+    }
+
+    /// Computes the digest of the drive, from now on.
+    pub fn keep_digest(&mut self) {
+        self.digest = Some(Digest::default());
+    }
+
+    /// The digest of the ticks since [`Laboratory::keep_digest`].
+    #[must_use]
+    pub const fn digest(&self) -> Option<Digest> {
+        self.digest
+    }
+
+    /// Waits until the car can drive, arms it, and goes on to the first driving tick, which it
+    /// returns.
+    ///
+    /// # Errors
+    ///
+    /// The car does not drive within 15 s.
+    pub fn start(&mut self) -> Result<&VirtualTick, VirtualDriveError> {
+        let (states, digest) = (&mut self.states, &mut self.digest);
+        let first = self
+            .drive
+            .start_with(&mut |tick| take(states, digest, tick));
+        Ok(self.last.insert(first?))
+    }
+
     /// Runs a tick.
     ///
     /// # Errors
@@ -83,7 +134,7 @@ impl Laboratory {
     /// The record can't be written.
     pub fn step(&mut self) -> Result<&VirtualTick, VirtualRecordError> {
         let tick = self.drive.step();
-        self.states.tick(&tick.tick);
+        take(&mut self.states, &mut self.digest, &tick);
         self.unwritten += 1;
         if let Some(record) = &mut self.record
             && self.unwritten >= TICKS_PER_WRITE
@@ -278,5 +329,12 @@ impl Laboratory {
             record.finish(&mut self.drive)?;
         }
         Ok(())
+    }
+}
+
+fn take(states: &mut States, digest: &mut Option<Digest>, tick: &VirtualTick) {
+    states.tick(&tick.tick);
+    if let Some(digest) = digest {
+        digest.add(&tick.tick);
     }
 }
