@@ -85,6 +85,26 @@ await chromium.run(`{ const toml = document.getElementById("toml");
   toml.value = toml.value.replace("duration_s", "duration"); }`);
 await click("use");
 await chromium.until('document.getElementById("mistake").textContent.includes("duration")');
+// P is dragged from where it begins, which turns the car. The map of stability is drawn.
+await open("#exercise=lab-3");
+await chromium.until("Number(document.body?.dataset.driven) > 0");
+await click("restart");
+await click("pause");
+await chromium.run('document.getElementById("stability").open = true');
+const before = await chromium.run('document.querySelector("[data-key=\\"start.yaw_deg\\"]").value');
+// The view shows the circle, P at (1.5, -0.5) m, the car behind it, and 0.4 m around.
+const at = await chromium.run(`{ const { left, top, width, height } = document.getElementById("view").getBoundingClientRect();
+  const scale = Math.min((width - 44) / 3.5, (height - 44) / 2.8);
+  [left + width / 2 + (1.5 - 0.35) * scale, top + height / 2 + 0.5 * scale]; }`);
+for (const [type, dx] of [["mousePressed", 0], ["mouseMoved", 40], ["mouseReleased", 40]]) {
+  await chromium.send("Input.dispatchMouseEvent",
+    { type, x: at[0] + dx, y: at[1], button: "left", buttons: 1, clickCount: 1 });
+}
+await chromium.until(`document.querySelector('[data-key="start.yaw_deg"]').value !== "${before}"`);
+await chromium.until('document.getElementById("stability-text").textContent.includes("with the servo")');
+console.log(await shown("stability-text"));
+writeFileSync(join(folder, "stability.png"), await chromium.screenshot(1280, 900, "light"));
+
 // Hands: without the cable the board stops the car.
 await open("");
 await chromium.until("Number(document.body?.dataset.driven) > 0");
