@@ -10,7 +10,7 @@ export function describe({ stable, critical_speed_m_s: critical, first_unstable_
   const paper = critical === null ? "at every speed" : critical === 0 ? "at no speed"
     : `up to ${critical.toFixed(2)} m/s`;
   const car = first === null ? "up to 20 m/s and beyond" : `below ${first.toFixed(2)} m/s`;
-  return `${stable ? "Stable" : "Unstable"} at this speed. The paper's loop is stable ${paper}; in `
+  return `${stable ? "stable" : "unstable"}. The paper's loop is stable ${paper}; in `
     + `ticks of 10 ms, with the servo and the delays of the simulated car, ${car}.`;
 }
 

@@ -46,7 +46,7 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 const STEPS: [Step; 8] = [
     row("notes", 0.03, Always, "release notes, and the licences of all libraries", write_notes),
     row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
-    row("book", 1.8, All, "the site, with the laboratory", book),
+    row("book", 2.9, All, "the site, with the laboratory", book),
     row("debian", 14.2, All, "the Debian packages", debian),
     row("drive", 3.9, All,
         "the packaged daemon drives a simulated board; optimised for the Odroid, the bits are the same",
