@@ -124,6 +124,7 @@ class Simulator(Closing):
         board_power    whether the board has power
         esc_power      whether the ESC is switched on
         battery        whether the battery is plugged in
+        servo_reversed whether the servo turns the other way
         stop_switch    whether the stop input is open
         ============== =====================================================
         """

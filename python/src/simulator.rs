@@ -15,37 +15,19 @@ use pyo3::{
 use pythonize::{depythonize, pythonize};
 use singletrack_api::{Fleet as Cars, FleetArm, FleetDrive as Drive, Request};
 use singletrack_control::Velocity;
-use singletrack_core::{config::ReferenceSection, setpoint::SetpointCommand, state_stream::States};
-use singletrack_pilot::{Arming, PilotRequest, Tuning};
-use singletrack_scenario::{
-    virtual_drive::{VirtualDrive, VirtualTick},
-    virtual_record::VirtualRecord,
-};
-use singletrack_sim::{
-    ImuFault, LossKind, LossPattern, LossWindow, MotorSensorFault, StartPose, TRUTH_KEYS,
-    parse_duration_us,
-};
+use singletrack_core::config::ReferenceSection;
+use singletrack_pilot::Tuning;
+use singletrack_scenario::laboratory::{FaultValue, Laboratory, Setup, reference};
+use singletrack_sim::{StartPose, TRUTH_KEYS};
 
-use crate::setup::{Setup, choice, fail, in_hall, reference, refuse, seconds};
-
-/// Ticks after which a record is written to its file.
-const TICKS_PER_WRITE: u32 = 100;
+use crate::setup::{fail, refuse, seconds};
 
 /// Ticks after which a signal of the program is seen.
 const TICKS_PER_CHECK: usize = 1_000;
 
 /// A host, a board, cameras and a car in virtual time.
 #[pyclass(frozen, module = "singletrack._native")]
-pub(crate) struct Simulator(Mutex<Simulation>);
-
-struct Simulation {
-    setup: Setup,
-    drive: VirtualDrive,
-    last: Option<VirtualTick>,
-    states: States,
-    record: Option<VirtualRecord>,
-    unwritten: u32,
-}
+pub(crate) struct Simulator(Mutex<Laboratory>);
 
 #[pymethods]
 impl Simulator {
@@ -74,20 +56,12 @@ impl Simulator {
             StartPose { x_m, y_m, yaw_rad }
         };
         let simulation = setup.simulation(seed, start, &[]).map_err(refuse)?;
-        let mut drive =
-            VirtualDrive::new(setup.config.clone(), seed, simulation).map_err(refuse)?;
-        let record = record
-            .map(|path| VirtualRecord::start(&path, &mut drive, &setup.config, seed))
-            .transpose()
-            .map_err(|error| PyOSError::new_err(error.to_string()))?;
-        Ok(Self(Mutex::new(Simulation {
-            setup,
-            drive,
-            last: None,
-            states: States::default(),
-            record,
-            unwritten: 0,
-        })))
+        let mut laboratory = Laboratory::new(setup.config, seed, simulation).map_err(refuse)?;
+        if let Some(path) = record {
+            let started = laboratory.record(&path);
+            started.map_err(|error| PyOSError::new_err(error.to_string()))?;
+        }
+        Ok(Self(Mutex::new(laboratory)))
     }
 
     /// Runs ticks of 10 ms.
@@ -95,9 +69,9 @@ impl Simulator {
     fn step(&self, py: Python<'_>, count: u32) -> PyResult<()> {
         for begun in (0..count).step_by(TICKS_PER_CHECK) {
             py.detach(|| {
-                let mut simulation = self.simulation()?;
+                let mut laboratory = self.laboratory()?;
                 let ticks = (count - begun).min(TICKS_PER_CHECK as u32);
-                (0..ticks).try_for_each(|_| simulation.step())
+                (0..ticks).try_for_each(|_| laboratory.step().map(drop).map_err(fail))
             })?;
             // For Ctrl-C.
             py.check_signals()?;
@@ -107,52 +81,34 @@ impl Simulator {
 
     /// What the last tick saw and did; `None` before the first.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        let simulation = self.simulation()?;
-        let last = simulation.last.as_ref();
-        let state = last.map(|last| pythonize(py, &simulation.states.state(&last.tick)));
-        Ok(state.transpose()?)
+        let state = self.laboratory()?.state();
+        Ok(state.map(|state| pythonize(py, &state)).transpose()?)
     }
 
     /// The mode after the last tick.
     #[getter]
     fn mode(&self) -> PyResult<&'static str> {
-        Ok(self.simulation()?.drive.mode().name())
+        Ok(self.laboratory()?.drive().mode().name())
     }
 
     /// The present, in s of virtual time.
     #[getter]
     fn now(&self) -> PyResult<f64> {
-        let simulation = self.simulation()?;
-        let last = simulation.last.as_ref();
-        Ok(last.map_or(0.0, |tick| tick.now.0 as f64 * 1e-9))
+        Ok(self.laboratory()?.now().0 as f64 * 1e-9)
     }
 
     /// Requests something of the pilot, with the next tick.
     fn request(&self, request: &str) -> PyResult<()> {
-        let request = match request {
-            "arm" => PilotRequest::Arm(Arming::Unattended),
-            "disarm" => PilotRequest::Disarm,
-            "stop" => PilotRequest::EmergencyStop,
-            "halt" => PilotRequest::Halt,
-            "carried" => PilotRequest::Carried,
-            other => return Err(refuse(format!("unknown request {other:?}"))),
-        };
-        self.simulation()?.drive.request(request).map_err(fail)
+        let requested = self.laboratory()?.request(request).map_err(refuse)?;
+        requested.map_err(fail)
     }
 
     /// Puts another reference in force.
     fn set_reference(&self, py: Python<'_>, toml: &str) -> PyResult<u32> {
         let section = reference(toml).map_err(refuse)?;
         py.detach(|| {
-            let mut simulation = self.simulation()?;
-            let mut config = simulation.setup.config.clone();
-            config.reference = section;
-            let number = simulation
-                .drive
-                .reconfigure(config.clone())
-                .map_err(refuse)?;
-            simulation.setup.config = config;
-            Ok(number)
+            let changed = self.laboratory()?.set_reference(section);
+            changed.map_err(refuse)
         })
     }
 
@@ -163,35 +119,30 @@ impl Simulator {
             gain: gain_per_s.map(Velocity::from),
             point_distance: point_distance_m,
         };
-        self.simulation()?.drive.tune(tuning).map_err(refuse)
+        self.laboratory()?.tune(tuning).map_err(refuse)
     }
 
     /// Whether the reference is that of a controller outside.
     #[getter]
     fn is_external(&self) -> PyResult<bool> {
-        Ok(matches!(
-            self.simulation()?.setup.config.reference,
-            ReferenceSection::External { .. }
-        ))
+        Ok(self.laboratory()?.is_external())
     }
 
     /// Gives a set-point by the keys of the control socket, decided after the last tick. One that is
     /// not obeyed is refused with the reason and the daemon's word for it.
     fn setpoint(&self, keys: &Bound<'_, PyAny>) -> PyResult<()> {
-        let simulation = self.simulation()?;
-        let last = simulation.last.as_ref();
-        let last = last.ok_or_else(|| fail("run a tick before the first set-point"))?;
-        let command = SetpointCommand::of(depythonize(keys).map_err(refuse)?, last.now)
-            .map_err(|rejected| PyValueError::new_err((rejected.text, rejected.code.name())))?;
-        simulation.drive.pass_setpoint(&command);
-        Ok(())
+        let laboratory = self.laboratory()?;
+        let given = laboratory.setpoint(depythonize(keys).map_err(refuse)?);
+        given.map_err(|rejected| match laboratory.last() {
+            Some(_) => PyValueError::new_err((rejected.text, rejected.code.name())),
+            None => fail(rejected.text),
+        })
     }
 
     /// The ground truth.
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let simulation = self.simulation()?;
-        let truth = simulation.drive.world().truth();
-        let law = &simulation.setup.config.law;
+        let laboratory = self.laboratory()?;
+        let truth = laboratory.truth();
         let dictionary = PyDict::new(py);
         for (name, value) in [
             ("t", truth.time_us as f64 * 1e-6),
@@ -208,7 +159,7 @@ impl Simulator {
         ] {
             dictionary.set_item(name, value)?;
         }
-        let [x, y] = truth.point_p(law.front_axle_distance_m, law.point_distance_m);
+        let [x, y] = laboratory.true_point();
         dictionary.set_item("point", (x, y))?;
         Ok(dictionary)
     }
@@ -216,165 +167,51 @@ impl Simulator {
     /// Loses the markers periodically, such as `200ms@2s` from now on; never with `None`.
     #[pyo3(signature = (pattern))]
     fn marker_loss(&self, pattern: Option<&str>) -> PyResult<()> {
-        let pattern = pattern
-            .map(str::parse::<LossPattern>)
-            .transpose()
-            .map_err(refuse)?;
-        let mut simulation = self.simulation()?;
-        let world = simulation.drive.world_mut();
-        let now_us = world.now_us();
-        world.cameras_mut().set_loss_epoch(Some(now_us));
-        world.cameras_mut().set_loss(pattern);
-        Ok(())
+        let lost = self.laboratory()?.marker_loss(pattern);
+        lost.map_err(refuse)
     }
 
     /// Loses the markers once, from now on, for a duration such as `300ms`.
     fn lose_markers(&self, duration: &str) -> PyResult<()> {
-        let duration_us = parse_duration_us(duration).map_err(refuse)?;
-        let mut simulation = self.simulation()?;
-        let world = simulation.drive.world_mut();
-        let now_us = world.now_us();
-        world.cameras_mut().set_loss_epoch(Some(0));
-        world.cameras_mut().add_loss_window(LossWindow {
-            start_us: now_us,
-            end_us: now_us + duration_us,
-        });
-        Ok(())
+        let lost = self.laboratory()?.lose_markers(duration);
+        lost.map_err(refuse)
     }
 
     /// Sets a fault by its name; `value` is a word or a number.
     fn set_fault(&self, name: &str, value: &Bound<'_, PyAny>) -> PyResult<()> {
-        let mut simulation = self.simulation()?;
-        let world = simulation.drive.world_mut();
-        match name {
-            "imu" => world.set_imu_fault(choice(
-                name,
-                value.extract()?,
-                &[
-                    ("none", ImuFault::None),
-                    ("silent", ImuFault::Silent),
-                    ("stuck", ImuFault::Stuck),
-                    ("saturated", ImuFault::Saturated),
-                    ("erratic", ImuFault::Erratic),
-                ],
-            )?),
-            "motor_sensor" => world.car_mut().set_motor_sensor_fault(choice(
-                name,
-                value.extract()?,
-                &[
-                    ("none", MotorSensorFault::None),
-                    ("gone", MotorSensorFault::Gone),
-                    ("doubled", MotorSensorFault::Doubled),
-                    ("halved", MotorSensorFault::Halved),
-                    ("erratic", MotorSensorFault::Erratic),
-                ],
-            )?),
-            "cameras" => {
-                world.cameras_mut().faults_mut().loss = choice(
-                    name,
-                    value.extract()?,
-                    &[
-                        ("none", None),
-                        ("occluded", Some(LossKind::Occluded)),
-                        ("absent", Some(LossKind::Absent)),
-                        ("silent", Some(LossKind::Silent)),
-                    ],
-                )?;
-            }
-            "camera_jump_m" => {
-                let jump_m: [f64; 3] = value.extract()?;
-                if !jump_m.into_iter().all(in_hall) {
-                    return Err(refuse(format!(
-                        "{name} is {jump_m:?}: give three lengths in m"
-                    )));
-                }
-                world.cameras_mut().faults_mut().jump_m = jump_m;
-            }
-            "line_drop" => world.wire_mut().faults_mut().drop = probability(name, value)?,
-            "line_corrupt" => world.wire_mut().faults_mut().corrupt = probability(name, value)?,
-            "line_delay_us" => world.wire_mut().faults_mut().delay_us = value.extract()?,
-            "line_stuck" => world.wire_mut().faults_mut().stuck = value.extract()?,
-            "cable" => world.set_cable(value.extract()?),
-            "board_power" => world.set_board_power(value.extract()?),
-            "esc_power" => world.car_mut().set_esc_power(value.extract()?),
-            "battery" => world.car_mut().set_battery_plugged(value.extract()?),
-            "stop_switch" => world.board_mut().set_stop_input_open(value.extract()?),
-            _ => {
-                return Err(refuse(format!(
-                    "unknown fault {name:?}: use imu, motor_sensor, cameras, camera_jump_m, \
-                     line_drop, line_corrupt, line_delay_us, line_stuck, cable, board_power, \
-                     esc_power, battery or stop_switch"
-                )));
-            }
-        }
-        Ok(())
+        let value: FaultValue = depythonize(value).map_err(refuse)?;
+        let set = self.laboratory()?.set_fault(name, &value);
+        set.map_err(refuse)
     }
 
     /// Presses the board's reset button.
     fn press_reset(&self) -> PyResult<()> {
-        self.simulation()?.drive.world_mut().press_reset();
+        self.laboratory()?.press_reset();
         Ok(())
     }
 
     /// Puts the car down elsewhere, at rest.
     fn place(&self, x_m: f64, y_m: f64, yaw_rad: f64) -> PyResult<()> {
-        if ![x_m, y_m, yaw_rad].into_iter().all(in_hall) {
-            return Err(refuse("this is not a place on a floor"));
-        }
         let pose = StartPose { x_m, y_m, yaw_rad };
-        self.simulation()?.drive.world_mut().car_mut().place(pose);
-        Ok(())
+        self.laboratory()?.place(pose).map_err(refuse)
     }
 
     /// The configuration in force, as TOML.
     fn configuration(&self) -> PyResult<String> {
-        self.simulation()?.setup.config.to_toml().map_err(fail)
+        self.laboratory()?.config().to_toml().map_err(fail)
     }
 
     /// Completes the record, if there is one.
     fn finish(&self, py: Python<'_>) -> PyResult<()> {
-        py.detach(|| {
-            let mut simulation = self.simulation()?;
-            let simulation = &mut *simulation;
-            if let Some(record) = simulation.record.take() {
-                record.finish(&mut simulation.drive).map_err(fail)?;
-            }
-            Ok(())
-        })
+        py.detach(|| self.laboratory()?.finish().map_err(fail))
     }
-}
-
-fn probability(name: &str, value: &Bound<'_, PyAny>) -> PyResult<f64> {
-    let probability = value.extract()?;
-    if !(0.0..=1.0).contains(&probability) {
-        return Err(refuse(format!(
-            "{name} is {probability}: it must be between 0 and 1"
-        )));
-    }
-    Ok(probability)
 }
 
 impl Simulator {
-    fn simulation(&self) -> PyResult<MutexGuard<'_, Simulation>> {
+    fn laboratory(&self) -> PyResult<MutexGuard<'_, Laboratory>> {
         self.0
             .lock()
             .map_err(|_| fail("the simulation has panicked before"))
-    }
-}
-
-impl Simulation {
-    fn step(&mut self) -> PyResult<()> {
-        let tick = self.drive.step();
-        self.states.tick(&tick.tick);
-        self.last = Some(tick);
-        self.unwritten += 1;
-        if let Some(record) = &mut self.record
-            && self.unwritten >= TICKS_PER_WRITE
-        {
-            record.write(&mut self.drive).map_err(fail)?;
-            self.unwritten = 0;
-        }
-        Ok(())
     }
 }
 

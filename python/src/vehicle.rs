@@ -6,10 +6,11 @@ use singletrack_control::{
 };
 use singletrack_core::config::ReferenceSection;
 use singletrack_pilot::{Arming, Mode, PilotRequest};
-use singletrack_scenario::virtual_drive::{VirtualDrive, VirtualTick};
+use singletrack_scenario::{
+    laboratory::{Setup, SetupError},
+    virtual_drive::{VirtualDrive, VirtualTick},
+};
 use singletrack_sim::{Car, SERVO_FRAME_US, SimulationConfig, Truth};
-
-use crate::setup::{Setup, SetupError};
 
 /// A period of the controller, in µs.
 pub(crate) const PERIOD_US: u64 = 10_000;

@@ -1,6 +1,6 @@
 //! The project's own commands, each an alias in `.cargo/config.toml`:
 //! `cargo deb`, `cargo demo`, `cargo explore`, `cargo faults`, `cargo odroid`, `cargo onboard`,
-//! `cargo release`, `cargo uno`, `cargo verify`.
+//! `cargo release`, `cargo uno`, `cargo verify`, `cargo web`.
 //!
 //! It has no dependencies, so that it is built in seconds.
 
@@ -19,6 +19,7 @@ mod target;
 mod toolchain;
 mod uno;
 mod verify;
+mod web;
 mod workspace;
 
 use std::process::ExitCode;
@@ -27,7 +28,7 @@ use process::{Failure, NOT_VALID};
 use programs::become_program;
 
 const COMMANDS: &str =
-    "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify";
+    "cargo deb | demo | explore | faults | odroid | onboard | release | uno | verify | web";
 
 fn main() -> ExitCode {
     if let Some(code) = once::called(std::env::args()) {
@@ -48,6 +49,7 @@ fn main() -> ExitCode {
         "odroid" => odroid::main(arguments),
         "release" => release::main(arguments),
         "verify" => verify::main(arguments),
+        "web" => web::main(arguments),
         unknown => Err(process::failure!(
             "unknown command {unknown:?}; known: {COMMANDS}"
         )),

@@ -29,7 +29,7 @@ const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-d
                           --features singletrack-scenario/files";
 
 /// One scenario per plant.
-const SCENARIOS: [&str; 3] = [
+pub(crate) const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle.toml",
     "tools/scenarios/circle-sampled.toml",
     "tools/scenarios/circle-car.toml",
@@ -72,7 +72,7 @@ pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result {
         run.arg(&emulated);
         run
     };
-    compare(packages, "this machine", ("ARMv7", &run))
+    compare(packages, &SCENARIOS, "this machine", ("ARMv7", &run))
 }
 
 /// Checks that a release build simulates the same bits as the tests. The programs themselves are
@@ -81,7 +81,12 @@ pub(crate) fn compare_release(packages: &Packages) -> Result {
     let (mut build, folder) = release_build()?;
     check(build.args(TRAJECTORY.split(' ')))?;
     let run = || Command::new(folder.join("trajectory"));
-    compare(packages, "the tested build", ("the release build", &run))
+    compare(
+        packages,
+        &SCENARIOS,
+        "the tested build",
+        ("the release build", &run),
+    )
 }
 
 /// Builds programs, and returns their folder.
@@ -93,13 +98,14 @@ fn build(profile: &str, options: &str) -> Result<PathBuf> {
 
 /// Checks that another build simulates the same bits as that of the tests; otherwise, records of the
 /// car's computer could not be replayed on another.
-fn compare(
+pub(crate) fn compare(
     packages: &Packages,
+    scenarios: &[&str],
     tested_name: &str,
     (name, other): (&str, &dyn Fn() -> Command),
 ) -> Result {
     let tested = packages.path("trajectory")?;
-    for scenario in SCENARIOS {
+    for scenario in scenarios {
         let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
         let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
         if let Some(place) = first_difference(&tested, &other) {

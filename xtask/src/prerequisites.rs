@@ -31,6 +31,8 @@ words! {
         Octave = "octave",
         /// The page in a browser.
         Browser = "browser",
+        /// The laboratory in a browser.
+        Web = "web",
         /// Campaigns on a cluster.
         Slurm = "slurm",
         /// systemd's verification of the service.
@@ -253,7 +255,7 @@ mod tests {
             "get it   rustup toolchain install nightly --component rust-src,clippy\n             or name",
             "\napt-get install: E: Unable to locate package chromium\n",
             "packaging/Containerfile",
-            "cargo verify --without uno,browser,debian",
+            "cargo verify --without uno,browser,web,debian",
         ] {
             assert!(why.contains(part), "{part}\n{why}");
         }

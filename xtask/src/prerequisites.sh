@@ -17,14 +17,14 @@ trap 'rm -rf "$folder"' EXIT
 cd "$folder"
 
 # The parts of `cargo verify --without`, in the order in which messages name them.
-optional="uno odroid readers python ros zenoh octave browser slurm units debian"
+optional="uno odroid readers python ros zenoh octave browser web slurm units debian"
 
 nightly="rustup toolchain install nightly --component rust-src,clippy
 or name one: SINGLETRACK_RUSTC=/path/to/rustc"
 
 # row PARTS NAME PACKAGES PROBE [HINT]: what these parts need, its part in packaging/prerequisites, its
 # probe, and how to get it without the packages. Beside those of `cargo verify`, `image` is the part of
-# everything that runs the Arduino's image, `armhf` that of `cargo odroid`.
+# everything that runs the Arduino's image, `armhf` that of `cargo odroid`, `wasm` that of `cargo web`.
 table() {
     row base "rustfmt" "" "format" "rustup component add rustfmt
 or, with Debian's Rust: apt-get install rustfmt-web"
@@ -41,7 +41,10 @@ or, with Debian's Rust: apt-get install rust-web-clippy"
     row "readers python" "Python" python "find_python"
     row ros "Python for ROS" ros "python_for_ros"
     row octave "Octave" octave "octave"
-    row browser "Chromium" browser "chromium --headless --version"
+    row "web wasm" "Rust for the browser" rust "compiler wasm32-unknown-unknown std" "$nightly"
+    row "web wasm" "C for the browser" web "wasm_tools"
+    row web "Node" node "programs node"
+    row "browser web" "Chromium" browser "chromium --headless --version"
     row slurm "Slurm" slurm "slurm"
     row units "systemd-analyze" units "systemd"
     row debian "debhelper" debian "debhelper"
@@ -216,6 +219,29 @@ simavr() {
 c_for_odroid() {
     links arm-linux-gnueabihf-gcc 'int main(void) { exit(0); }' -include stdlib.h
     arm-linux-gnueabihf-gcc --version
+}
+
+# Prints linker, C compiler and archiver for WebAssembly. The linker must know what the compiler's LLVM
+# writes: it is of the same release, or that of rustup.
+wasm_tools() {
+    rustc=$(compiler wasm32-unknown-unknown std | sed -n 2p)
+    llvm=$("$rustc" -vV | sed -n 's/^LLVM version: \([0-9]*\).*/\1/p')
+    set +f
+    lld=$(ls "$("$rustc" --print sysroot)"/lib/rustlib/*/bin/rust-lld 2>/dev/null || true)
+    if [ "$lld" ]; then echo "$lld"; else first "wasm-ld-$llvm"; fi
+    first "clang-$llvm" clang
+    first "llvm-ar-$llvm" llvm-ar
+}
+
+# first NAME...: the first program that there is.
+first() {
+    for program; do
+        if command -v "$program" >/dev/null; then
+            echo "$program"
+            return
+        fi
+    done
+    fail "there is no $*"
 }
 
 debhelper() {

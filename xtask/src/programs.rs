@@ -18,11 +18,12 @@ use crate::{
 pub(crate) const NAMED_TESTS: [&str; 4] = ["hil", "book", "uno", "real_logs"];
 
 /// The packages that need more than Rust and a C compiler; they are no default members.
-const OF_PARTS: [(Part, &str); 4] = [
+const OF_PARTS: [(Part, &str); 5] = [
     (Part::Uno, "singletrack-simavr-process"),
     (Part::Python, "singletrack-python"),
     (Part::Ros, "singletrack-ros"),
     (Part::Zenoh, "singletrack-zenoh"),
+    (Part::Web, "singletrack-web"),
 ];
 
 /// The packages with programs that are installed, and those programs.

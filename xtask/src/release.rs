@@ -15,7 +15,7 @@ use crate::{
         Scope::{All, Always},
         Step, demo_s, row, run_all,
     },
-    target,
+    target, web,
     workspace::{cargo, root},
 };
 
@@ -46,7 +46,7 @@ const ARCHITECTURES: [&str; 3] = ["amd64", "arm64", "armhf"];
 const STEPS: [Step; 8] = [
     row("notes", 0.03, Always, "release notes, and the licences of all libraries", write_notes),
     row("crates", 0.21, All, "the packages of crates.io, in their order", crates),
-    row("book", 0.63, All, "the site", book),
+    row("book", 2.9, All, "the site, with the laboratory", book),
     row("debian", 14.2, All, "the Debian packages", debian),
     row("drive", 3.9, All,
         "the packaged daemon drives a simulated board; optimised for the Odroid, the bits are the same",
@@ -72,7 +72,13 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     let newest = notes::newest()?;
     let git = plan.tag.as_ref().map(|_| "git");
     let podman = plan.has("image").then_some("podman");
-    prerequisites::ensure(&git.into_iter().chain(podman).collect::<Vec<_>>())?;
+    let wasm = plan.has("book").then_some("wasm");
+    prerequisites::ensure(
+        &git.into_iter()
+            .chain(podman)
+            .chain(wasm)
+            .collect::<Vec<_>>(),
+    )?;
     if let Some(tag) = &plan.tag {
         newest.check_tag(tag)?;
         check_clean()?;
@@ -171,6 +177,7 @@ fn book(_: &Packages) -> Result {
     let mut mdbook = Command::new(tools.join("bin/mdbook"));
     mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
     check(mdbook.current_dir(root()))?;
+    web::copy(&web::build()?, &site.join("laboratory"))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
     let mut tar = command("tar --create --gzip --file");
     silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))

@@ -12,7 +12,7 @@ use crate::{
         Scope::{All, Always, Of},
         Step, demo_s, row, run_all,
     },
-    target, uno,
+    target, uno, web,
     workspace::{cargo, root},
 };
 
@@ -23,7 +23,7 @@ Run the checks that need nothing but Rust and a C compiler, or the named steps. 
 the processor time and the budget of each step, and stops at the first failure.
 
   --all            run every check of the project; installs Debian packages that are missing
-  --without PART   every check but those of a part: uno, odroid, readers, python, ros, zenoh, octave, browser, slurm, units, debian
+  --without PART   every check but those of a part: uno, odroid, readers, python, ros, zenoh, octave, browser, web, slurm, units, debian
   -h, --help       print this help
 ";
 
@@ -145,7 +145,7 @@ fn parse(arguments: &[String]) -> Result<Selection> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 28] = [
+const STEPS: [Step; 29] = [
     // Static checks.
     row(PREREQUISITES, 0.1, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -209,6 +209,8 @@ const STEPS: [Step; 28] = [
         deb::verify),
     row("odroid", 1.6, Of(Part::Odroid),
         "the daemon compiles for the Odroid, and the same bits are simulated there", odroid::verify),
+    row("web", 1.2, Of(Part::Web),
+        "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
     row("python", 0.5, Of(Part::Python),
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),

@@ -2,7 +2,6 @@
 
 use std::{
     io::{BufReader, BufWriter},
-    os::unix::process::CommandExt,
     path::{Path, PathBuf},
     process::{Child, ChildStdin, ChildStdout, Command, Stdio},
 };
@@ -407,12 +406,14 @@ impl Process {
             program: program.to_owned(),
             reason,
         };
-        let mut child = Command::new(program)
+        let mut command = Command::new(program);
+        // Not interrupted by Ctrl-C: it must end after the simulator.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let mut child = command
             .arg(image)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            // Not interrupted by Ctrl-C: it must end after the simulator.
-            .process_group(0)
             .spawn()
             .map_err(|source| error(source.to_string()))?;
         match (child.stdin.take(), child.stdout.take()) {

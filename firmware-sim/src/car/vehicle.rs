@@ -36,6 +36,7 @@ pub struct Car {
     servo_target: f64,
     /// The pulse that the wheels stand for, in µs: differs from the last one by the play.
     servo_held_us: f64,
+    servo_is_reversed: bool,
     servo_pending: VecDeque<Pending>,
     esc: SpeedController,
     /// The ESC's switch, and the relay in its supply.
@@ -90,6 +91,7 @@ impl Car {
             state: CarState::default(),
             servo_target: 0.0,
             servo_held_us: parameters.servo.centre_us,
+            servo_is_reversed: false,
             servo_pending: VecDeque::new(),
             esc: SpeedController::new(),
             esc_is_switched_on: true,
@@ -207,6 +209,15 @@ impl Car {
     /// Sets the fault of the motor's pulse sensor.
     pub fn set_motor_sensor_fault(&mut self, fault: MotorSensorFault) {
         self.sensor_fault = fault;
+    }
+
+    /// Connects the servo so that it turns the other way, or as configured; of no effect on
+    /// one with a table.
+    pub fn set_servo_reversed(&mut self, reversed: bool) {
+        if reversed != self.servo_is_reversed {
+            self.servo_is_reversed = reversed;
+            self.parameters.servo.gain_us_per_rad *= -1.0;
+        }
     }
 
     /// Switches the ESC's supply. Without it the motor is free; afterwards the ESC

@@ -2,29 +2,40 @@
 //! connections that speak it.
 //!
 //! A connection blocks and starts no thread. The protocol is on the page `docs/control-socket.md`.
+//! Where there are no Unix sockets, as in a browser, there are the messages without the connections.
 
 #[cfg(feature = "server")]
 pub mod access;
+#[cfg(unix)]
 mod clock;
+#[cfg(unix)]
 mod connection;
 mod error;
 mod explain;
+#[cfg(unix)]
 mod fleet;
+#[cfg(unix)]
 mod held;
+#[cfg(unix)]
 mod messages;
 mod reply;
 mod request;
 mod state;
 mod status;
 
+#[cfg(unix)]
 pub use clock::ClockOffset;
+#[cfg(unix)]
 pub use connection::{Connection, ask, ask_for_line, ask_within, connect};
 pub use error::ClientError;
 pub use explain::explain;
+#[cfg(unix)]
 pub use fleet::{Fleet, FleetArm, FleetCar, FleetDrive, FleetEnd, FleetFileError, NotObeyed};
+#[cfg(unix)]
 pub use held::{HeldDrive, RENEWAL};
-pub use messages::{Clocks, Message, MessageStream, Received};
-pub use reply::{Answer, Code, Drive, Ended, Refused, Reply, Tuning, TuningBounds, Word};
+#[cfg(unix)]
+pub use messages::{Message, MessageStream, Received};
+pub use reply::{Answer, Clocks, Code, Drive, Ended, Refused, Reply, Tuning, TuningBounds, Word};
 pub use request::{
     Arm, Attendance, EXAMPLES, Gain, Request, RequestError, Setpoint, TrajectoryPoint, Tune,
 };

@@ -7,21 +7,12 @@ use std::{
     time::Duration,
 };
 
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
-use crate::{Answer, ClientError, Request, connect};
+use crate::{Answer, ClientError, Clocks, Request, connect};
 
 /// The largest message that is received, in bytes.
 const LARGEST: usize = 1 << 20;
-
-/// A moment on the daemon's two clocks, in ns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Clocks {
-    /// On `CLOCK_MONOTONIC`.
-    pub monotonic_ns: u64,
-    /// On the wall clock, since 1970.
-    pub wall_ns: u64,
-}
 
 /// A message of the stream. It belongs to the stream's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

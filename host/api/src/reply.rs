@@ -6,7 +6,16 @@ use std::borrow::Cow;
 use serde::{Deserialize, Serialize};
 use singletrack_words::words;
 
-use crate::{ClientError, Clocks, SOCKET_VERSION, State, Status};
+use crate::{ClientError, SOCKET_VERSION, State, Status};
+
+/// A moment on the daemon's two clocks, in ns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clocks {
+    /// On `CLOCK_MONOTONIC`.
+    pub monotonic_ns: u64,
+    /// On the wall clock, since 1970.
+    pub wall_ns: u64,
+}
 
 /// A word of a closed list, which a newer daemon may have lengthened.
 pub type Word = Cow<'static, str>;

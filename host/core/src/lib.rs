@@ -13,6 +13,7 @@ mod explain {
     pub mod diagnosis;
     pub mod feasibility;
     pub mod reasons;
+    pub mod top_view;
 }
 
 /// The loop that runs the car, in real or virtual time.
@@ -36,7 +37,7 @@ mod run {
 
 pub use config::{Config, ConfigError, record_meta, restart_keys};
 pub use controller::pose_event;
-pub use explain::{commissioned, diagnosis, feasibility, reasons};
+pub use explain::{commissioned, diagnosis, feasibility, reasons, top_view};
 pub use host::{Host, HostOptions, VirtualHost};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use run::report::{LineCounters, Report, link_phase, pilot_event};

@@ -23,6 +23,7 @@
 
 mod batch;
 mod derive;
+mod digest;
 mod entry;
 #[cfg(feature = "files")]
 mod file;
@@ -35,6 +36,7 @@ mod value;
 
 pub use batch::{EncodeError, Publication};
 pub use derive::Encoder;
+pub use digest::Digest;
 pub use entry::{
     ClockMapping, ConfigurationRecord, Drops, Entry, Level, Log, Meta, RECORD_VERSION,
     StatusRecord, TelemetryRecord, seconds_since,

@@ -5,10 +5,7 @@ use std::{collections::BTreeMap, fmt};
 
 use singletrack_pilot::{Event, Output, Pilot, PilotConfig, Underway};
 
-use crate::{
-    Entry, TickRecord, Topic, Value,
-    message::{self, Represents, TickMessage},
-};
+use crate::{Entry, TickRecord, Topic, Value};
 
 /// A pilot that steps through the ticks of a record.
 #[derive(Clone, Debug)]
@@ -132,19 +129,11 @@ impl TickRecord {
     /// Whether `output` equals the recorded output, bit for bit.
     #[must_use]
     pub fn is_output(&self, output: &Output) -> bool {
-        let bytes = |output: &Output| {
-            let tick = Self {
-                events: heapless::Vec::new(),
-                output: *output,
-                ..*self
-            };
-            // Longer than nearly every tick without its events.
-            let mut bytes = Vec::with_capacity(1 << 10);
-            let encoded = message::encode(&TickMessage::of(&tick), &mut bytes);
-            encoded.is_ok().then_some(bytes)
-        };
         // Bytes are compared because `==` takes -0 for 0 and NaN for different from itself.
-        matches!((bytes(&self.output), bytes(output)), (Some(a), Some(b)) if a == b)
+        matches!(
+            (self.output_bytes(&self.output), self.output_bytes(output)),
+            (Some(a), Some(b)) if a == b
+        )
     }
 
     /// The fields in which `output` differs from the recorded output.

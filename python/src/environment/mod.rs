@@ -12,9 +12,10 @@ use pyo3::prelude::*;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use singletrack_control::Start;
 use singletrack_core::Config;
+use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange, reference};
 
 use self::task::{Autoreset, Control, INFORMATION, Instance, Lap, Reward, Task, state};
-use crate::setup::{Setup, SetupError, TruthRange, choice, reference, refuse};
+use crate::setup::{choice, refuse};
 
 /// Places of the picture of a reference.
 const PLACES: usize = 400;

@@ -8,11 +8,9 @@ use rand_chacha::{
     rand_core::{Rng, SeedableRng},
 };
 use singletrack_control::{Position, Reference, ReferencePoint, Start, front_point};
+use singletrack_scenario::laboratory::{Setup, SetupError, TruthRange};
 
-use crate::{
-    setup::{Setup, SetupError, TruthRange},
-    vehicle::{Command, Plant, Seen, System, Vehicle},
-};
+use crate::vehicle::{Command, Plant, Seen, System, Vehicle};
 
 /// Columns of the state.
 const STATE: usize = 7;

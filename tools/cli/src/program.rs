@@ -63,12 +63,14 @@ enum Command {
     Operator(crate::operator::OperatorCommand),
 }
 
-#[derive(Clone, Copy, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum SimulateFormat {
     /// The result: the tracking error, and of plant kind "car" how the drive ended.
     Text,
     /// The trajectory: one row every 0.05 s, SI units and radians.
     Csv,
+    /// A number for the bits of all outputs (plant kind "car"), which the browser shows, too.
+    Digest,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -148,6 +150,8 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
             let options = simulate::RunOptions {
                 record: record.as_deref(),
                 summary: summary.is_some(),
+                digest: *format == SimulateFormat::Digest,
+                ..simulate::RunOptions::default()
             };
             let simulation = simulate::simulate_with(&scenario, options)?;
             for note in &simulation.notes {
@@ -160,6 +164,10 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                     text.push(b'\n');
                 }
                 (None, SimulateFormat::Text) => writeln!(text, "{simulation}")?,
+                (None, SimulateFormat::Digest) => {
+                    let digest = simulation.digest.ok_or(simulate::SimulateError::NoDigest)?;
+                    writeln!(text, "{digest}")?;
+                }
                 (None, SimulateFormat::Csv) => simulate::write_csv(&simulation.rows, &mut text)?,
             }
             output::print(&String::from_utf8(text)?)?;

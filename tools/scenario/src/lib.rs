@@ -3,6 +3,7 @@
 
 #[cfg(feature = "files")]
 pub mod csv_text;
+pub mod laboratory;
 #[cfg(feature = "files")]
 pub mod simulate;
 pub mod simulated;

@@ -29,6 +29,28 @@ impl VirtualRecord {
         Err(VirtualRecordError)
     }
 
+    /// Refuses to start a record.
+    ///
+    /// # Errors
+    ///
+    /// Always.
+    pub fn in_memory(
+        _drive: &mut VirtualDrive,
+        _config: &Config,
+        _seed: u64,
+    ) -> Result<Self, VirtualRecordError> {
+        Err(VirtualRecordError)
+    }
+
+    /// Is never called.
+    ///
+    /// # Errors
+    ///
+    /// Never.
+    pub fn into_bytes(self, _drive: &mut VirtualDrive) -> Result<Vec<u8>, VirtualRecordError> {
+        match self.0 {}
+    }
+
     /// Is never called.
     ///
     /// # Errors

@@ -8,6 +8,7 @@ use singletrack_core::config::{
     OuterLoopSection, ReferenceSection, SerialSection, UpAxis,
 };
 use singletrack_sim::{SimulationConfig, StartPose, default_board_configuration};
+use toml::{Table, Value};
 
 /// The simulator's name for the car's rigid body.
 const RIGID_BODY: &str = "car";
@@ -108,4 +109,16 @@ pub fn follow(believed: &Config, simulation: &mut SimulationConfig) {
         body.set_pivot(cameras.marker_offset_m);
     }
     simulation.cameras.up_axis = cameras.up_axis;
+}
+
+/// Replaces the keys that are written, at any depth.
+pub fn merge(base: &mut Table, written: &Table) {
+    for (key, value) in written {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(base)), Value::Table(written)) => merge(base, written),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
 }

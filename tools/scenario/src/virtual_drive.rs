@@ -364,6 +364,18 @@ impl VirtualDrive {
     ///
     /// The car does not drive within 15 s.
     pub fn start(&mut self) -> Result<VirtualTick, VirtualDriveError> {
+        self.start_with(&mut |_| {})
+    }
+
+    /// As [`start`](Self::start), and passes on every tick.
+    ///
+    /// # Errors
+    ///
+    /// As [`start`](Self::start).
+    pub fn start_with(
+        &mut self,
+        on_tick: &mut impl FnMut(&VirtualTick),
+    ) -> Result<VirtualTick, VirtualDriveError> {
         let mut armed = false;
         while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
             if !armed && self.mode() == Mode::Ready {
@@ -371,6 +383,7 @@ impl VirtualDrive {
                 armed = self.request(PilotRequest::Arm(Arming::Unattended)).is_ok();
             }
             let tick = self.step();
+            on_tick(&tick);
             if tick.tick.output.mode == Mode::Driving {
                 return Ok(tick);
             }

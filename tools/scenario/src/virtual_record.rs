@@ -39,6 +39,21 @@ impl VirtualRecord {
         Ok(Self(Recorder::create(path, &meta)?.without_timed_flushes()))
     }
 
+    /// Starts a record in memory: see [`VirtualRecord::into_bytes`]. The drive must not have begun.
+    ///
+    /// # Errors
+    ///
+    /// The configuration can't be written.
+    pub fn in_memory(
+        drive: &mut VirtualDrive,
+        config: &Config,
+        seed: u64,
+    ) -> Result<Self, VirtualRecordError> {
+        let meta = record_meta(config, Some(seed), ClockMapping::VIRTUAL)?;
+        drive.keep_entries();
+        Ok(Self(Recorder::in_memory(&meta)?))
+    }
+
     /// Writes the entries that the drive has kept since the last call.
     ///
     /// # Errors
@@ -68,5 +83,15 @@ impl VirtualRecord {
     pub fn finish(mut self, drive: &mut VirtualDrive) -> Result<Finished, VirtualRecordError> {
         self.write(drive)?;
         Ok(self.0.finish()?)
+    }
+
+    /// Writes the rest and returns the record that was written in memory.
+    ///
+    /// # Errors
+    ///
+    /// The record can't be completed.
+    pub fn into_bytes(mut self, drive: &mut VirtualDrive) -> Result<Vec<u8>, VirtualRecordError> {
+        self.write(drive)?;
+        Ok(self.0.into_bytes()?)
     }
 }

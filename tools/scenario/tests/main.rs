@@ -13,6 +13,7 @@
 
 #[path = "common/calibrated.rs"]
 mod calibrated;
+mod digest;
 #[path = "common/estimation.rs"]
 mod estimation;
 mod fence;

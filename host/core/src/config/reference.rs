@@ -7,7 +7,6 @@ use std::{
     borrow::Cow,
     fs::OpenOptions,
     io::{self, Read as _},
-    os::unix::fs::OpenOptionsExt as _,
     path::{Path, PathBuf},
 };
 
@@ -443,11 +442,11 @@ const LONGEST: u64 = 1 << 20;
 /// The system's error; or the file is not a regular file, is too long, or is not UTF-8, each
 /// with a fix.
 pub(super) fn read_text(path: &Path) -> io::Result<String> {
+    let mut options = OpenOptions::new();
     // Non-blocking: opening a pipe without a writer would wait for ever.
-    let file = OpenOptions::new()
-        .read(true)
-        .custom_flags(libc::O_NONBLOCK)
-        .open(path)?;
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, libc::O_NONBLOCK);
+    let file = options.read(true).open(path)?;
     let metadata = file.metadata()?;
     if !metadata.is_file() {
         let kind = if metadata.is_dir() {

@@ -42,7 +42,7 @@ const FOLLOW_PERIOD: Duration = Duration::from_millis(100);
 /// channels are skipped. After an error nothing follows.
 pub struct Reader {
     path: PathBuf,
-    file: File,
+    file: Box<dyn Read + Send>,
     linear: LinearReader,
     chunk: Chunk,
     catalogue: Catalogue,
@@ -137,13 +137,21 @@ impl Reader {
         } else {
             path
         };
-        let file = File::open(path).map_err(failure("open", path))?;
+        Self::from_read(File::open(path).map_err(failure("open", path))?, path)
+    }
+
+    /// Reads a record that is no file of this computer. Errors name it by `path`.
+    ///
+    /// # Errors
+    ///
+    /// When it is not a record, or is one of another version.
+    pub fn from_read(file: impl Read + Send + 'static, path: &Path) -> Result<Self, RecordError> {
         let options = LinearReaderOptions::default()
             .with_emit_chunks(true)
             .with_record_length_limit(MAX_PART_LENGTH);
         let mut reader = Self {
             path: path.to_owned(),
-            file,
+            file: Box::new(file),
             linear: LinearReader::new_with_options(options),
             chunk: Chunk::default(),
             catalogue: Catalogue::default(),

@@ -7,7 +7,7 @@ use std::{
     fs,
     fs::File,
     io,
-    io::{BufWriter, Write},
+    io::{BufWriter, Cursor, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
@@ -36,8 +36,8 @@ pub struct Recorder {
     container: Container,
     encoder: Encoder,
     channels: [WrittenChannel; Channel::COUNT],
-    flushed: Instant,
-    flush_period: Option<Duration>,
+    /// The last flush; `None` if none is made by the clock.
+    flushed: Option<Instant>,
     unflushed: bool,
     /// Bytes of the messages since the last chunk.
     chunk_length: usize,
@@ -68,7 +68,26 @@ impl Recorder {
     ///
     /// When it or its unfinished file exists, or the file can't be written.
     pub fn create(path: &Path, meta: &Meta) -> Result<Self, RecordError> {
-        let mut container = Container::create(path, part_path(path))?;
+        let container = Container::create(path, part_path(path))?;
+        let mut recorder = Self::begin(container, meta)?;
+        recorder.flushed = Some(Instant::now());
+        recorder.flush()?;
+        Ok(recorder)
+    }
+
+    /// Starts a record in memory: see [`Recorder::into_bytes`]. The same entries give the bytes of a
+    /// file without timed flushes.
+    ///
+    /// # Errors
+    ///
+    /// When the metadata can't be encoded.
+    pub fn in_memory(meta: &Meta) -> Result<Self, RecordError> {
+        let mut recorder = Self::begin(Container::in_memory()?, meta)?;
+        recorder.flush()?;
+        Ok(recorder)
+    }
+
+    fn begin(mut container: Container, meta: &Meta) -> Result<Self, RecordError> {
         container.write(|writer| {
             writer.write_metadata(&meta.to_metadata())?;
             writer.attach(&meta.to_attachment())
@@ -76,25 +95,22 @@ impl Recorder {
         let channels = container
             .describe()?
             .map(|id| WrittenChannel { id, sequence: 0 });
-        let mut recorder = Self {
+        Ok(Self {
             container,
             encoder: Encoder::new(meta.start),
             channels,
-            flushed: Instant::now(),
-            flush_period: Some(FLUSH_PERIOD),
+            flushed: None,
             unflushed: false,
             chunk_length: 0,
             entries: 0,
-        };
-        recorder.flush()?;
-        Ok(recorder)
+        })
     }
 
     /// Turns the flushes by the clock off, so that the same entries give the same bytes.
     /// For entries that can be recorded again, such as those of a simulation.
     #[must_use]
     pub const fn without_timed_flushes(mut self) -> Self {
-        self.flush_period = None;
+        self.flushed = None;
         self
     }
 
@@ -149,8 +165,8 @@ impl Recorder {
     ///
     /// When the file can't be written.
     pub fn flush_if_due(&mut self) -> Result<(), RecordError> {
-        let is_due = |period| self.flushed.elapsed() >= period;
-        if self.unflushed && self.flush_period.is_some_and(is_due) {
+        let is_due = |flushed: Instant| flushed.elapsed() >= FLUSH_PERIOD;
+        if self.unflushed && self.flushed.is_some_and(is_due) {
             self.flush()?;
         }
         Ok(())
@@ -163,7 +179,9 @@ impl Recorder {
     ///
     /// When the file can't be written.
     pub fn flush(&mut self) -> Result<(), RecordError> {
-        self.flushed = Instant::now();
+        if let Some(flushed) = &mut self.flushed {
+            *flushed = Instant::now();
+        }
         self.unflushed = false;
         self.chunk_length = 0;
         self.container.flush()
@@ -182,6 +200,15 @@ impl Recorder {
             entries: self.entries,
             bytes,
         })
+    }
+
+    /// Completes a record in memory, and returns it; nothing of a record in a file.
+    ///
+    /// # Errors
+    ///
+    /// When it can't be completed.
+    pub fn into_bytes(self) -> Result<Vec<u8>, RecordError> {
+        self.container.into_bytes()
     }
 }
 
@@ -205,13 +232,44 @@ pub(crate) fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// A file that is being written.
+/// A file that is being written, or its bytes in memory.
 pub(crate) struct Container {
     path: PathBuf,
     part: PathBuf,
-    writer: Writer<BufWriter<File>>,
-    /// Another handle of the same file, to sync it.
-    file: File,
+    writer: Writer<Output>,
+    /// Another handle of the same file, to sync it; none in memory.
+    file: Option<File>,
+}
+
+/// Where the bytes go.
+pub(crate) enum Output {
+    File(BufWriter<File>),
+    Memory(Cursor<Vec<u8>>),
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.write(bytes),
+            Self::Memory(memory) => memory.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.flush(),
+            Self::Memory(memory) => memory.flush(),
+        }
+    }
+}
+
+impl Seek for Output {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match self {
+            Self::File(file) => file.seek(to),
+            Self::Memory(memory) => memory.seek(to),
+        }
+    }
 }
 
 impl Container {
@@ -230,6 +288,22 @@ impl Container {
         // have no locks: an error is ignored.
         let _ = file.try_lock();
         let handle = file.try_clone().map_err(failure("open", &part))?;
+        let output = Output::File(BufWriter::new(file));
+        Self::with_output(path.to_owned(), part, output, Some(handle))
+    }
+
+    /// Starts one in memory.
+    pub(crate) fn in_memory() -> Result<Self, RecordError> {
+        let memory = Output::Memory(Cursor::default());
+        Self::with_output("memory".into(), "memory".into(), memory, None)
+    }
+
+    fn with_output(
+        path: PathBuf,
+        part: PathBuf,
+        output: Output,
+        file: Option<File>,
+    ) -> Result<Self, RecordError> {
         let writer = WriteOptions::new()
             .profile(PROFILE)
             .library(LIBRARY)
@@ -240,16 +314,16 @@ impl Container {
             .chunk_size(None)
             // Otherwise an open chunk makes the whole file unreadable.
             .disable_seeking(true)
-            .create(BufWriter::new(file))
+            .create(output)
             .map_err(|source| RecordError::Write {
                 path: part.clone(),
                 source: Box::new(source),
             })?;
         Ok(Self {
-            path: path.to_owned(),
+            path,
             part,
             writer,
-            file: handle,
+            file,
         })
     }
 
@@ -266,7 +340,7 @@ impl Container {
     /// Calls `write` with the writer of the file.
     pub(crate) fn write<T>(
         &mut self,
-        write: impl FnOnce(&mut Writer<BufWriter<File>>) -> Result<T, McapError>,
+        write: impl FnOnce(&mut Writer<Output>) -> Result<T, McapError>,
     ) -> Result<T, RecordError> {
         write(&mut self.writer).map_err(|source| RecordError::Write {
             path: self.part.clone(),
@@ -306,7 +380,10 @@ impl Container {
     /// Writes everything so far to the disk, under the name that it had.
     fn flush(&mut self) -> Result<(), RecordError> {
         self.end_chunk()?;
-        self.file.sync_data().map_err(failure("sync", &self.part))?;
+        let Some(file) = &self.file else {
+            return Ok(());
+        };
+        file.sync_data().map_err(failure("sync", &self.part))?;
         // A system writes to a removed file without an error, and throws it away at the end.
         match fs::exists(&self.part) {
             Ok(false) => Err(RecordError::Gone(self.part.clone())),
@@ -327,6 +404,9 @@ impl Container {
             .into_inner()
             .flush()
             .map_err(failure("write", &part))?;
+        let Some(file) = file else {
+            return Ok(0);
+        };
         file.sync_all().map_err(failure("sync", &part))?;
         let bytes = file.metadata().map_err(failure("look at", &part))?.len();
         if path.exists() {
@@ -334,6 +414,15 @@ impl Container {
         }
         put_in_place(&part, &path).map_err(failure("rename", &part))?;
         Ok(bytes)
+    }
+
+    /// Completes what is in memory, and returns it.
+    fn into_bytes(mut self) -> Result<Vec<u8>, RecordError> {
+        self.write(Writer::finish)?;
+        match self.writer.into_inner() {
+            Output::Memory(memory) => Ok(memory.into_inner()),
+            Output::File(_) => Ok(Vec::new()),
+        }
     }
 
     /// Removes the file.

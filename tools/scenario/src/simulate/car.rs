@@ -9,7 +9,7 @@ use singletrack_core::{
 };
 use singletrack_pilot::{Arming, Mode, Output, PilotRequest, Reason};
 use singletrack_record::Entry;
-use singletrack_sim::{LossWindow, SimulationConfig, Truth};
+use singletrack_sim::{LossWindow, SimulationConfig, Truth, World};
 
 use super::{
     Operator, OperatorSection, Simulation,
@@ -17,9 +17,10 @@ use super::{
     summary::{CalibrationLine, ROWS_PER_SECOND, Row, Summary, Tally, drives},
 };
 use crate::{
+    laboratory::Laboratory,
     tracking::TrackingError,
     virtual_drive::{READY_TIMEOUT, VirtualDrive, VirtualDriveError, VirtualTick},
-    virtual_record::{VirtualRecord, VirtualRecordError},
+    virtual_record::VirtualRecordError,
 };
 
 /// Why a scenario failed on the simulated car.
@@ -101,6 +102,10 @@ pub fn drive_entries(
 pub struct RunOptions<'a> {
     /// Where to write a record of the drive.
     pub record: Option<&'a Path>,
+    /// Whether to record the drive in memory: see [`Laboratory::take_record`].
+    pub in_memory: bool,
+    /// Whether the digest of the drive is wanted.
+    pub digest: bool,
     /// Whether the summary is wanted: a drive that does not start is a result then, and the
     /// run goes on after the end of a drive.
     pub summary: bool,
@@ -122,48 +127,33 @@ pub fn simulate_configured(
     simulation: &SimulationConfig,
     options: RunOptions<'_>,
 ) -> Result<Simulation, CarError> {
-    let period_us = daemon.control.period_ns() / 1_000;
-    let under_way = simulation.cameras.latency_us.div_ceil(period_us);
-    for loss in &scenario.marker_loss {
-        if loss.first_tick <= under_way {
-            return Err(ScenarioError::value(
-                "marker_loss.first_tick",
-                loss.first_tick,
-                "on plant kind \"car\" the frames of the first ticks are under way when it starts; make it later",
-            )
-            .into());
+    let mut run = ScenarioRun::begin(scenario, daemon, simulation, options)?;
+    let mut rows = Vec::new();
+    while !run.is_complete() {
+        if let Progress::Row(row) = run.advance()? {
+            rows.push(row);
         }
     }
-    let takes_any_end = options.summary || scenario.expects_any_end();
-    let operator = scenario.operator.unwrap_or_default();
-    if operator.arm {
-        let mut run = Run::new(scenario, daemon, simulation, options.record)?;
-        match run.start() {
-            Ok(()) => return run.finish(takes_any_end),
-            Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if takes_any_end => {}
-            Err(error) => return Err(error),
-        }
-        if let Some(path) = options.record {
-            // The run is repeated from its start, with a record of its own.
-            let _ = std::fs::remove_file(path);
-        }
-    }
-    let mut run = Run::new(scenario, daemon, simulation, options.record)?;
-    run.start_without_drive(operator.arm);
-    run.finish(takes_any_end)
+    run.finish(rows)
 }
 
-/// A run of a scenario.
-struct Run<'a> {
-    scenario: &'a Scenario,
-    daemon: &'a Config,
+/// What a run went on to.
+#[derive(Clone, Copy, Debug)]
+pub enum Progress {
+    /// A tick.
+    Tick,
+    /// The time of a row. Before the first tick there are none.
+    Row(Row),
+}
+
+/// A run of a scenario, tick by tick.
+pub struct ScenarioRun {
+    scenario: Scenario,
+    laboratory: Laboratory,
+    takes_any_end: bool,
     /// The true distance of the front axle from G, in m.
     front_axle_distance_m: f64,
     latency_us: u64,
-    /// In a box: host and world are too large for a thread's stack.
-    drive: Box<VirtualDrive>,
-    record: Option<VirtualRecord>,
-    unrecorded: Option<VirtualRecordError>,
     operator: Operator,
     /// Arms the car as soon as it is ready, until the time-out.
     arms: bool,
@@ -173,69 +163,124 @@ struct Run<'a> {
     least_s: f64,
     start_us: u64,
     tally: Tally,
-    last: Option<VirtualTick>,
     /// As the pilot has begun it.
     reference: Reference,
     /// Of the reference.
     path: PathClock,
     calibration: Option<OnlineCalibration>,
+    /// Number of the next row.
+    next_row: u64,
+    /// When the car ceased to follow its reference, in words.
+    ended: Option<String>,
+    /// Of P from the reference, in the rows of the drive, in m.
+    distances: Vec<f64>,
 }
 
-impl<'a> Run<'a> {
-    fn new(
-        scenario: &'a Scenario,
-        daemon: &'a Config,
+impl ScenarioRun {
+    /// Powers everything on and goes on to the first driving tick, which is time zero; or to the
+    /// start of the run, if there is no drive.
+    ///
+    /// # Errors
+    ///
+    /// The car can't drive the scenario, or does not start.
+    pub fn begin(
+        scenario: &Scenario,
+        daemon: &Config,
         simulation: &SimulationConfig,
-        record: Option<&Path>,
+        options: RunOptions<'_>,
     ) -> Result<Self, CarError> {
-        let seed = scenario.run.seed;
-        let drive = VirtualDrive::new(daemon.clone(), seed, simulation.clone())?;
-        let mut drive = Box::new(drive);
+        let period_us = daemon.control.period_ns() / 1_000;
+        let under_way = simulation.cameras.latency_us.div_ceil(period_us);
+        for loss in &scenario.marker_loss {
+            if loss.first_tick <= under_way {
+                return Err(ScenarioError::value(
+                    "marker_loss.first_tick",
+                    loss.first_tick,
+                    "on plant kind \"car\" the frames of the first ticks are under way when it starts; make it later",
+                )
+                .into());
+            }
+        }
+        let arms = scenario.operator.unwrap_or_default().arm;
+        let mut run = Self::new(scenario, daemon, simulation, options)?;
+        if arms {
+            match run.start() {
+                Ok(()) => return Ok(run),
+                Err(CarError::Drive(VirtualDriveError::NotStarted { .. })) if run.takes_any_end => {
+                }
+                Err(error) => return Err(error),
+            }
+            if let Some(path) = options.record {
+                // The run is repeated from its start, with a record of its own.
+                drop(run);
+                let _ = std::fs::remove_file(path);
+            }
+            run = Self::new(scenario, daemon, simulation, options)?;
+        }
+        run.start_without_drive(arms);
+        Ok(run)
+    }
+
+    fn new(
+        scenario: &Scenario,
+        daemon: &Config,
+        simulation: &SimulationConfig,
+        options: RunOptions<'_>,
+    ) -> Result<Self, CarError> {
+        let mut laboratory =
+            Laboratory::new(daemon.clone(), scenario.run.seed, simulation.clone())?;
+        if options.digest {
+            laboratory.keep_digest();
+        }
+        match options.record {
+            Some(path) => laboratory.record(path)?,
+            None if options.in_memory => laboratory.record_in_memory()?,
+            None => {}
+        }
         // Until the car drives, nothing timed happens to it.
-        drive.world_mut().set_epoch(None);
+        let world = laboratory.drive_mut().world_mut();
+        world.set_epoch(None);
         let connected_us = match scenario.expects_any_end() {
             true => (scenario.operator.unwrap_or_default().daemon_after_s * 1e6) as u64,
             // A car whose ESC is ready when it must be, as configured.
             false => 0,
         };
-        drive.world_mut().set_wire_connected(connected_us == 0);
-        let record = record
-            .map(|path| VirtualRecord::start(path, &mut drive, daemon, seed))
-            .transpose()?;
+        world.set_wire_connected(connected_us == 0);
         let fence = daemon.fence.fence(&daemon.vehicle)?;
         let tally = Tally::new(&fence).map_err(ConfigError::Fence)?;
         Ok(Self {
-            scenario,
-            daemon,
+            laboratory,
+            takes_any_end: options.summary || scenario.expects_any_end(),
             front_axle_distance_m: simulation.car.vehicle.front_axle_distance_m,
             latency_us: simulation.cameras.latency_us,
-            drive,
-            record,
-            unrecorded: None,
             operator: Operator::new(&scenario.operator.unwrap_or_default(), &scenario.tune),
             arms: false,
             connected_us,
             least_s: 0.0,
             start_us: 0,
             tally,
-            last: None,
             reference: scenario.reference()?,
             path: PathClock::default(),
             calibration: OnlineCalibration::new(daemon),
+            next_row: 0,
+            ended: None,
+            distances: Vec::new(),
+            scenario: scenario.clone(),
         })
     }
 
     /// Goes on to the first driving tick.
     fn start(&mut self) -> Result<(), CarError> {
-        while self.drive.next_tick_us() < self.connected_us {
-            self.drive.step();
+        while self.laboratory.drive().next_tick_us() < self.connected_us {
+            self.laboratory.step()?;
         }
-        self.drive.world_mut().set_wire_connected(true);
-        let first = self.drive.start()?;
+        self.world().set_wire_connected(true);
+        let first = self.laboratory.start()?.clone();
         self.connected_us = 0;
         self.start_us = first.now.0 / 1_000;
-        self.drive.world_mut().set_epoch(Some(self.start_us));
-        self.take(first);
+        let start_us = self.start_us;
+        self.world().set_epoch(Some(start_us));
+        self.take(&first);
         self.lose_markers();
         Ok(())
     }
@@ -248,23 +293,25 @@ impl<'a> Run<'a> {
             self.least_s = READY_TIMEOUT;
             self.operator = Operator::new(&OperatorSection::default(), &[]);
         } else {
-            self.drive.world_mut().set_epoch(Some(0));
+            self.world().set_epoch(Some(0));
             self.lose_markers();
         }
     }
 
+    const fn world(&mut self) -> &mut World {
+        self.laboratory.drive_mut().world_mut()
+    }
+
     fn lose_markers(&mut self) {
-        let period_us = self.daemon.control.period_ns() / 1_000;
-        for loss in &self.scenario.marker_loss {
+        let period_us = self.laboratory.config().control.period_ns() / 1_000;
+        for index in 0..self.scenario.marker_loss.len() {
+            let loss = self.scenario.marker_loss[index];
             // A tick is lost when no frame arrives in the period before it.
             let first_us = self.start_us + (loss.first_tick - 1) * period_us - self.latency_us;
-            self.drive
-                .world_mut()
-                .cameras_mut()
-                .add_loss_window(LossWindow {
-                    start_us: first_us,
-                    end_us: first_us + loss.ticks * period_us,
-                });
+            self.world().cameras_mut().add_loss_window(LossWindow {
+                start_us: first_us,
+                end_us: first_us + loss.ticks * period_us,
+            });
         }
     }
 
@@ -273,105 +320,123 @@ impl<'a> Run<'a> {
         now_us.saturating_sub(self.start_us) as f64 * 1e-6
     }
 
-    fn take(&mut self, tick: VirtualTick) {
+    fn take(&mut self, tick: &VirtualTick) {
         let time = self.time(tick.now.0 / 1_000);
-        self.tally.add(time, &tick);
+        self.tally.add(time, tick);
         let output = &tick.tick.output;
         if let (Some(0.0), Some(point), Some(estimate)) =
             (output.drive_time, output.point, output.estimate)
         {
-            let start = self.daemon.reference.start();
+            let start = self.laboratory.config().reference.start();
             self.reference.begin(start, &point, estimate.yaw);
         }
         self.path.take(time, output);
         let calibration = self.calibration.as_mut();
         if let Some(learned) = calibration.and_then(|it| it.tick(&tick.tick)) {
             // Nothing else fills the ring.
-            let _ = self.drive.learned(learned);
+            let _ = self.laboratory.drive().learned(learned);
         }
-        self.last = Some(tick);
     }
 
     fn step(&mut self) -> Result<(), CarError> {
-        let next_us = self.drive.next_tick_us();
+        let next_us = self.laboratory.drive().next_tick_us();
         if self.connected_us > 0 && next_us >= self.connected_us {
             self.connected_us = 0;
             let connected = !self.operator.has_unplugged();
-            self.drive.world_mut().set_wire_connected(connected);
+            self.world().set_wire_connected(connected);
         }
         let time = self.time(next_us);
-        self.operator.act(&mut self.drive, time)?;
+        self.operator.act(self.laboratory.drive_mut(), time)?;
         if self.arms && time >= READY_TIMEOUT {
             self.arms = false;
         }
-        if self.arms && self.drive.mode() == Mode::Ready {
-            self.arms = self
-                .drive
-                .request(PilotRequest::Arm(Arming::Unattended))
-                .is_err();
+        let drive = self.laboratory.drive();
+        if self.arms && drive.mode() == Mode::Ready {
+            let arm = PilotRequest::Arm(Arming::Unattended);
+            self.arms = drive.request(arm).is_err();
         }
-        let tick = self.drive.step();
-        self.take(tick);
+        let tick = self.laboratory.step()?.clone();
+        self.take(&tick);
         Ok(())
     }
 
-    /// Goes on to the end of the run.
-    fn finish(mut self, takes_any_end: bool) -> Result<Simulation, CarError> {
-        let duration_s = self.scenario.run.duration_s;
-        let count = (duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64;
-        let mut ended = None;
-        let mut distances = Vec::new();
-        let mut rows = Vec::new();
-        for index in 0..=count {
-            let row_us = self.start_us + index * 1_000_000 / ROWS_PER_SECOND;
-            // Ticks until then, and at that time.
-            while !self.drive.advance_to(row_us) {
-                self.step()?;
-            }
-            self.write();
-            let time = index as f64 / ROWS_PER_SECOND as f64;
-            let Some(last) = &self.last else {
-                // Before the first tick.
-                continue;
-            };
-            let truth = if row_us == last.now.0 / 1_000 {
-                last.truth
-            } else {
-                self.drive.world().truth()
-            };
-            let output = &last.tick.output;
-            if !drives(output.mode) && ended.is_none() {
-                let reason = output.reason.map_or("no reason", Reason::name);
-                ended = Some(format!(
-                    "the car no longer follows its reference from t = {time} s on: {}, {reason}",
-                    output.mode
-                ));
-            }
-            let row = self.row(time, &truth, last);
-            if drives(output.mode) {
-                distances.push(row.distance_from_reference());
-            }
-            rows.push(row);
+    /// Host, board, cameras and car.
+    #[must_use]
+    pub const fn laboratory(&self) -> &Laboratory {
+        &self.laboratory
+    }
+
+    /// Host, board, cameras and car, to intervene in the run.
+    pub const fn laboratory_mut(&mut self) -> &mut Laboratory {
+        &mut self.laboratory
+    }
+
+    /// Whether the run has reached its end. It can go on beyond, without rows.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        let next_s = || self.time(self.laboratory.drive().next_tick_us());
+        self.next_row > self.last_row() && (!self.takes_any_end || next_s() > self.until_s())
+    }
+
+    fn last_row(&self) -> u64 {
+        (self.scenario.run.duration_s * ROWS_PER_SECOND as f64 + 1e-6) as u64
+    }
+
+    /// Until when a run goes on whose drive may end at any time, in s.
+    fn until_s(&self) -> f64 {
+        let ended_s = self.tally.ended_s();
+        let after = ended_s.map_or(0.0, |ended_s| ended_s + AFTER_END);
+        self.scenario.run.duration_s.max(after).max(self.least_s)
+    }
+
+    /// Goes on to the next tick or to the time of the next row, whichever is sooner; of a tick at
+    /// the time of a row, to the tick.
+    ///
+    /// # Errors
+    ///
+    /// The record can't be written, or the operator's request is refused.
+    pub fn advance(&mut self) -> Result<Progress, CarError> {
+        if self.next_row > self.last_row() {
+            self.step()?;
+            return Ok(Progress::Tick);
         }
-        if takes_any_end {
-            let until_s = |run: &Self| {
-                let after = run
-                    .tally
-                    .ended_s()
-                    .map_or(0.0, |ended_s| ended_s + AFTER_END);
-                duration_s.max(after).max(run.least_s)
-            };
-            while self.time(self.drive.next_tick_us()) <= until_s(&self) {
-                self.step()?;
-                self.write();
-            }
+        let row_us = self.start_us + self.next_row * 1_000_000 / ROWS_PER_SECOND;
+        if !self.laboratory.drive_mut().advance_to(row_us) {
+            self.step()?;
+            return Ok(Progress::Tick);
         }
-        if let Some(error) = self.unrecorded {
-            return Err(error.into());
+        let time = self.next_row as f64 / ROWS_PER_SECOND as f64;
+        self.next_row += 1;
+        let Some(last) = self.laboratory.last() else {
+            // Before the first tick.
+            return Ok(Progress::Tick);
+        };
+        let truth = if row_us == last.now.0 / 1_000 {
+            last.truth
+        } else {
+            self.laboratory.truth()
+        };
+        let output = &last.tick.output;
+        let row = self.row(time, &truth, last);
+        if drives(output.mode) {
+            self.distances.push(row.distance_from_reference());
+        } else if self.ended.is_none() {
+            let reason = output.reason.map_or("no reason", Reason::name);
+            self.ended = Some(format!(
+                "the car no longer follows its reference from t = {time} s on: {}, {reason}",
+                output.mode
+            ));
         }
-        if let Some(record) = self.record {
-            record.finish(&mut self.drive)?;
-        }
+        Ok(Progress::Row(row))
+    }
+
+    /// Completes the record, and sums the run up. `rows` are those of [`ScenarioRun::advance`].
+    ///
+    /// # Errors
+    ///
+    /// The record can't be written.
+    pub fn finish(mut self, rows: Vec<Row>) -> Result<Simulation, CarError> {
+        self.laboratory.finish()?;
         let mut notes = Vec::new();
         let control = &self.scenario.control;
         if control.delay_ticks > 0 || control.steering == SteeringHold::Step {
@@ -381,8 +446,9 @@ impl<'a> Run<'a> {
                     .to_owned(),
             );
         }
-        notes.extend(ended);
-        let tracking_error = TrackingError::of(&distances);
+        notes.extend(self.ended);
+        let distances = &self.distances;
+        let tracking_error = TrackingError::of(distances);
         let later = TrackingError::of(&distances[distances.len() / 2..]);
         let estimates = self.calibration.as_ref().map(OnlineCalibration::estimates);
         let summary = Summary {
@@ -400,15 +466,8 @@ impl<'a> Run<'a> {
             tracking_error,
             summary: Some(summary),
             estimates: estimates.map_or_else(Vec::new, Vec::from),
+            digest: self.laboratory.digest(),
         })
-    }
-
-    fn write(&mut self) {
-        if let Some(record) = &mut self.record
-            && self.unrecorded.is_none()
-        {
-            self.unrecorded = record.write(&mut self.drive).err();
-        }
     }
 
     fn row(&self, time: f64, truth: &Truth, last: &VirtualTick) -> Row {

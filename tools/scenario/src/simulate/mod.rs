@@ -10,15 +10,19 @@ use std::{fmt, path::Path};
 use singletrack_control::{CalibrationEstimate, Velocity};
 use singletrack_core::config::TuningRule;
 use singletrack_pilot::{Arming, PilotRequest, Tuning};
+use singletrack_record::Digest;
 use singletrack_settings::{check, section};
 
 use crate::{tracking::TrackingError, virtual_drive::VirtualDrive};
 
-pub use car::{CarError, RunOptions, drive_entries, simulate_configured, virtual_drive_config};
+pub use car::{
+    CarError, Progress, RunOptions, ScenarioRun, drive_entries, simulate_configured,
+    virtual_drive_config,
+};
 pub use ideal::IdealError;
 pub use scenario::{
     ControlSection, MarkerLoss, PlantKind, PlantSection, RunSection, Scenario, ScenarioError,
-    StartSection, SteeringHold, merge,
+    StartSection, SteeringHold,
 };
 pub use singletrack_sim::integrator::IntegrationError;
 pub use summary::{CalibrationLine, HEADER, Row, Summary, trim_zeros, write_csv};
@@ -38,6 +42,9 @@ pub enum SimulateError {
     /// The ideal plant has no pilot to record.
     #[error("there is nothing to record: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
     NoPilot,
+    /// The ideal plant has no pilot whose outputs could be compared.
+    #[error("there is no digest: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
+    NoDigest,
     /// The ideal plant has no pilot whose drive could be summed up.
     #[error("there is no summary: plant.kind is \"ideal\", which has no pilot; use \"car\"")]
     NoSummary,
@@ -66,6 +73,8 @@ pub struct Simulation {
     pub summary: Option<Summary>,
     /// What the drive says about the calibration; empty if `online_calibration.mode` is "off".
     pub estimates: Vec<CalibrationEstimate>,
+    /// The digest of the drive, if it was asked for.
+    pub digest: Option<Digest>,
 }
 
 /// Runs a scenario on the plant that it names.
@@ -90,6 +99,7 @@ pub fn simulate_with(
     match scenario.plant.kind {
         PlantKind::Ideal if options.record.is_some() => Err(SimulateError::NoPilot),
         PlantKind::Ideal if options.summary => Err(SimulateError::NoSummary),
+        PlantKind::Ideal if options.digest => Err(SimulateError::NoDigest),
         PlantKind::Ideal => {
             let rows = ideal::simulate(scenario)?;
             let distances: Vec<_> = rows.iter().map(Row::distance_from_reference).collect();
@@ -99,6 +109,7 @@ pub fn simulate_with(
                 tracking_error: TrackingError::of(&distances),
                 summary: None,
                 estimates: Vec::new(),
+                digest: None,
             })
         }
         PlantKind::Car => {

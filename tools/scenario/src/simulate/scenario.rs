@@ -14,7 +14,7 @@ use singletrack_sim::{BoardKind, CarTruth, SimulationConfig};
 use toml::{Table, Value};
 
 use super::{MOMENT, OperatorSection, TuneSection};
-use crate::simulated::{self, daemon_config, follow, start_of};
+use crate::simulated::{self, daemon_config, follow, merge, start_of};
 
 /// A scenario; unknown keys are refused.
 #[derive(Clone, Debug, Deserialize)]
@@ -477,18 +477,6 @@ fn layer<T: Serialize + DeserializeOwned>(
         .try_into()
         .map_err(|cause| error(explain_table(&cause)))?;
     Ok(())
-}
-
-/// Replaces the keys that are written, at any depth.
-pub fn merge(base: &mut Table, written: &Table) {
-    for (key, value) in written {
-        match (base.get_mut(key), value) {
-            (Some(Value::Table(base)), Value::Table(written)) => merge(base, written),
-            _ => {
-                base.insert(key.clone(), value.clone());
-            }
-        }
-    }
 }
 
 /// A scenario that can't be simulated.

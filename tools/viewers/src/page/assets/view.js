@@ -54,6 +54,11 @@ export class View {
       width / 2 + (x - (x0 + x1) / 2) * scale,
       height / 2 - (y - (y0 + y1) / 2) * scale,
     ];
+    // Where a place of the canvas is, in m.
+    this.from = ([x, y]) => [
+      (x - width / 2) / scale + (x0 + x1) / 2,
+      (height / 2 - y) / scale + (y0 + y1) / 2,
+    ];
     pen.lineJoin = "round";
     this.drawGrid(pen, width, height, to, scale, colour);
 

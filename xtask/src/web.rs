@@ -1,0 +1,207 @@
+//! `cargo web`: the laboratory in a browser, a folder of static files; and its checks, in Node and in
+//! Chromium.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+use crate::{
+    odroid, prerequisites,
+    process::{At as _, Result, check, command, failure, output, require, silent, text},
+    programs::Packages,
+    step::processor_s,
+    target,
+    toolchain::Compiler,
+    workspace::root,
+};
+
+const USAGE: &str = "\
+usage: cargo web
+
+Build the laboratory for a browser into the folder web/site of the target folder, and print its path.
+Any server of static files serves it. Installs missing Debian packages.
+";
+
+/// Searches the compiler for WebAssembly.
+const WASM: &str = "compiler wasm32-unknown-unknown std";
+
+/// Files of the page, which the laboratory shares, with their places.
+const SHARED: [(&str, &str); 7] = [
+    ("tools/viewers/src/page/assets/chart.js", "chart.js"),
+    ("tools/viewers/src/page/assets/view.js", "view.js"),
+    ("tools/viewers/src/page/assets/page.css", "page.css"),
+    ("tools/viewers/src/page/assets/icon.svg", "icon.svg"),
+    (
+        "tools/scenarios/circle-car.toml",
+        "scenarios/circle-car.toml",
+    ),
+    ("tools/scenarios/steps-car.toml", "scenarios/steps-car.toml"),
+    (
+        "tools/scenarios/best/circle-1.0-lqi.toml",
+        "scenarios/circle-lqi.toml",
+    ),
+];
+
+/// Scenarios whose trajectories are compared, besides those for the Odroid: with marker losses, and
+/// each outer loop.
+const SCENARIOS: [&str; 4] = [
+    "tools/scenarios/steps-car.toml",
+    "tools/scenarios/best/circle-1.0-lqi.toml",
+    "web/static/scenarios/circle-mpc.toml",
+    "web/static/scenarios/eight-losses.toml",
+];
+
+/// The largest size of all files after gzip, in bytes.
+const LARGEST: u64 = 1_600_000;
+
+/// The least speed of the simulation, as a fraction of that of the tested build.
+const LEAST_SPEED: f64 = 0.5;
+
+pub(crate) fn main(arguments: &[String]) -> Result {
+    match arguments {
+        [] => {
+            prerequisites::ensure(&["wasm"])?;
+            println!("{}", build()?.display());
+            Ok(())
+        }
+        [help] if help == "--help" || help == "-h" => {
+            print!("{USAGE}");
+            Ok(())
+        }
+        [unknown, ..] => Err(failure!("unexpected argument {unknown:?}\n\n{USAGE}")),
+    }
+}
+
+/// Makes the folder of static files, and returns it.
+pub(crate) fn build() -> Result<PathBuf> {
+    let tools = prerequisites::find("wasm_tools")?;
+    let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
+        return Err(failure!("wasm_tools found {tools:?}"));
+    };
+    let folder = target::folder()?.join("web");
+    let mut cargo = Compiler::find(WASM)?.cargo(root());
+    cargo
+        .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", linker)
+        // zstd is C.
+        .env("CC_wasm32_unknown_unknown", clang)
+        .env("AR_wasm32_unknown_unknown", archiver)
+        .args([
+            "rustc",
+            "--locked",
+            "--package",
+            "singletrack-web",
+            "--profile",
+            "web",
+        ])
+        .args([
+            "-Zbuild-std=std,panic_abort",
+            "--target",
+            "wasm32-unknown-unknown",
+        ])
+        .arg("--target-dir")
+        .arg(&folder)
+        // Of 1 MiB by default, which overflows without a message.
+        .args(["--", "-Clink-arg=-zstack-size=16777216"]);
+    check(cargo.stdout(Stdio::null()))?;
+    let site = folder.join("site");
+    target::empty(&site)?;
+    copy(&root().join("web/static"), &site)?;
+    for (from, to) in SHARED {
+        target::put(&root().join(from), &site.join(to))?;
+    }
+    let module = folder.join("wasm32-unknown-unknown/web/singletrack_web.wasm");
+    target::put(&module, &site.join("singletrack.wasm"))?;
+    Ok(site)
+}
+
+/// Copies a folder.
+pub(crate) fn copy(from: &Path, to: &Path) -> Result {
+    for entry in fs::read_dir(from).at(from)?.flatten() {
+        let (path, to) = (entry.path(), to.join(entry.file_name()));
+        match path.is_dir() {
+            true => copy(&path, &to)?,
+            false => target::put(&path, &to)?,
+        }
+    }
+    Ok(())
+}
+
+/// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and its
+/// bounds of size and speed.
+pub(crate) fn verify(packages: &Packages) -> Result {
+    let site = build()?;
+    check_size(&site)?;
+    let node = |check: &str| {
+        let mut node = command("node");
+        node.current_dir(root())
+            .arg(format!("web/check/{check}.mjs"));
+        node.arg(&site);
+        node
+    };
+    let trajectory = || {
+        let mut node = node("node");
+        node.arg("trajectory");
+        node
+    };
+    for scenarios in [&odroid::SCENARIOS[..], &SCENARIOS] {
+        odroid::compare(packages, scenarios, "this machine", ("Node", &trajectory))?;
+    }
+    let folder = target::folder()?.join("web/checked");
+    target::empty(&folder)?;
+    let (scenario, record) = ("tools/scenarios/circle-car.toml", folder.join("drive.mcap"));
+    let simulate = |option: &str| {
+        let mut simulate = Command::new(packages.path("singletrack")?);
+        simulate
+            .current_dir(root())
+            .args(["simulate", scenario, option]);
+        Ok(simulate)
+    };
+    silent(simulate("--record")?.arg(&record))?;
+    let digest = text(simulate("--format")?.arg("digest"))?;
+    let replayed = text(node("node").arg("replay").arg(&record))?;
+    require!(
+        replayed == digest,
+        "the record has the digest {digest}, replayed in Node {replayed}"
+    );
+    check_speed(packages, scenario, &mut node("node"))?;
+    check(node("browser").arg(&record).arg(digest.trim()).arg(&folder))
+}
+
+fn check_size(site: &Path) -> Result {
+    let mut tar = command("tar --create --sort=name --directory");
+    let archive = site.with_extension("tar.gz");
+    silent(
+        tar.arg(site)
+            .arg("--gzip")
+            .arg("--file")
+            .arg(&archive)
+            .arg("."),
+    )?;
+    let size = fs::metadata(&archive).at(&archive)?.len();
+    println!("all files after gzip: {size} bytes, at most {LARGEST}");
+    require!(size <= LARGEST, "the files are too large");
+    Ok(())
+}
+
+/// Compares processor times, the best of three runs each: other programs disturb some.
+fn check_speed(packages: &Packages, scenario: &str, node: &mut Command) -> Result {
+    let program = packages.path("trajectory")?;
+    let mut native_s = f64::INFINITY;
+    for _ in 0..3 {
+        let before_s = processor_s();
+        output(Command::new(&program).arg(scenario).current_dir(root()))?;
+        native_s = native_s.min(processor_s() - before_s);
+    }
+    let measured = text(node.arg("time").arg(scenario))?;
+    let wasm_s: f64 = measured
+        .trim()
+        .parse()
+        .map_err(|_| failure!("Node printed {measured:?}"))?;
+    let speed = native_s / wasm_s;
+    println!("{scenario}: {native_s:.3} s here, {wasm_s:.3} s in Node, {speed:.2} of the speed");
+    let is_slow = speed < LEAST_SPEED;
+    require!(!is_slow, "slower than {LEAST_SPEED} of the tested build");
+    Ok(())
+}
