@@ -92,6 +92,31 @@ fn the_simulations_parameters_are_those_of_the_car_where_the_model_is_right() {
 }
 
 #[test]
+fn a_servo_that_answers_after_20_to_150_ms_is_identified() {
+    // The longest is pulled by its prior, which the yaw inertia makes good.
+    for (delay, within) in [(0.02, 0.1), (0.08, 0.1), (0.15, 0.25)] {
+        let course = Course {
+            steering_delay: delay,
+            ..Course::weaving(21, 20.0)
+        };
+        let settings = Settings {
+            frames: Some(ServoFrames::Even),
+            ..Settings::default()
+        };
+        let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+        let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
+        assert!(
+            (estimate.value - delay).abs() < 0.003,
+            "{delay}: {estimate:?}"
+        );
+        for parameter in Parameter::VEHICLE {
+            let error = relative_error(&found, &course, parameter);
+            assert!(error < within, "{delay}, {parameter}: {error}");
+        }
+    }
+}
+
+#[test]
 fn no_standard_deviation_is_below_the_cramer_rao_bound() {
     let course = Course::weaving(2, 10.0);
     let data = course.drive();

@@ -51,7 +51,8 @@ const TABLE: [(&str, Prior); COUNT] = [
     ("", Prior::factor(0.5)),
     ("", Prior::factor(0.2)),
     ("s", Prior::factor(1.0)),
-    ("s", Prior::shift(0.03)),
+    // A slow servo, or one whose command goes a long way: up to a fifth of a second.
+    ("s", Prior::shift(0.085)),
     ("rad", Prior::shift(0.1)),
     ("s", Prior::shift(0.03)),
     ("m/s²", Prior::shift(0.3)),
