@@ -359,30 +359,44 @@ mod thorough {
         );
     }
 
+    /// The reproduction for another car, in the folder of an earlier one with a note and an old picture.
+    fn for_another_car() -> &'static Reproduced {
+        static ONCE: OnceLock<Reproduced> = OnceLock::new();
+        ONCE.get_or_init(|| {
+            let folder = tempfile::tempdir().unwrap();
+            let mut copy = Command::new("cp");
+            copy.arg("-r").arg(&Reproduced::get().out);
+            assert!(copy.arg(folder.path()).status().unwrap().success());
+            let out = folder.path().join("reproduction");
+            fs::write(out.join(NOTES), "mine").unwrap();
+            fs::write(out.join(PICTURE), "an old picture").unwrap();
+            let vehicle = shipped("bmw-320i.toml");
+            let output = reproduce(&out, &["--vehicle", vehicle.to_str().unwrap()]);
+            Reproduced {
+                _folder: folder,
+                out,
+                output,
+            }
+        })
+    }
+
+    const NOTES: &str = "notes.txt";
+    const PICTURE: &str = "figures/circle-trajectory-ideal.svg";
+
     #[test]
     fn a_reproduction_replaces_an_earlier_one_and_nothing_else() {
-        let folder = tempfile::tempdir().unwrap();
-        let vehicle = shipped("bmw-320i.toml");
-        let options = ["--vehicle", vehicle.to_str().unwrap()];
-        assert!(reproduce(folder.path(), &options).status.success());
-        let notes = folder.path().join("notes.txt");
-        fs::write(&notes, "mine").unwrap();
-        let old = folder.path().join("figures/circle-trajectory-ideal.svg");
-        fs::write(&old, "an old picture").unwrap();
-        assert!(reproduce(folder.path(), &options).status.success());
-        assert_eq!(fs::read_to_string(notes).unwrap(), "mine");
-        assert!(fs::read_to_string(old).unwrap().starts_with("<svg"));
+        let run = for_another_car();
+        assert!(run.output.status.success());
+        assert_eq!(run.read(NOTES), "mine");
+        assert!(run.read(PICTURE).starts_with("<svg"));
     }
 
     #[test]
     fn for_another_car_everything_is_computed_and_the_papers_numbers_are_not_compared() {
-        let folder = tempfile::tempdir().unwrap();
-        let vehicle = shipped("bmw-320i.toml");
-        let output = reproduce(folder.path(), &["--vehicle", vehicle.to_str().unwrap()]);
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{error}");
-        let text = fs::read_to_string(folder.path().join("claims.json")).unwrap();
-        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let run = for_another_car();
+        let error = String::from_utf8_lossy(&run.output.stderr);
+        assert!(run.output.status.success(), "{error}");
+        let json = run.json();
         let claim = |id: &str| {
             let mut claims = json["claims"].as_array().unwrap().iter();
             claims.find(|claim| claim["id"] == id).unwrap()
@@ -398,7 +412,7 @@ mod thorough {
             "{value}"
         );
         assert_eq!(claim("steps-integrators")["verdict"], "agrees");
-        let report = fs::read_to_string(folder.path().join("report.html")).unwrap();
+        let report = run.read("report.html");
         assert!(report.contains("bmw-320i.toml") && report.contains("not driven"));
     }
 }

@@ -9,7 +9,8 @@
 //! What is tested is the compiler's own output: clippy's driver does not optimise as the compiler does.
 //!
 //! Tests are not optimised where that takes longer than they run: the unit tests of a library compile
-//! all of it again.
+//! all of it again. Without optimisation both drivers generate the same code, and clippy's compiles and
+//! lints such a test in one go.
 
 use std::{
     env, fs,
@@ -28,7 +29,8 @@ use crate::{
 const COMPILER: &str = "compile-lint-document";
 
 /// Clippy's variable for its arguments, each of which ends with the separator. Its warnings contain
-/// those of the compiler.
+/// those of the compiler. It is part of what a crate depends on that clippy's driver has compiled, so
+/// that cargo has it as well.
 const CLIPPY_ARGUMENTS: (&str, &str) = (
     "CLIPPY_ARGS",
     "-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__",
@@ -53,6 +55,7 @@ pub(crate) fn wrap(cargo: &mut Command) -> Result<(), Failure> {
         target::put(&program, &copy)?;
     }
     cargo.env("RUSTC_WORKSPACE_WRAPPER", copy);
+    cargo.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
     Ok(())
 }
 
@@ -78,19 +81,24 @@ fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
     let Some((compiler, arguments)) = arguments.split_first() else {
         return Err(failure!("cargo names no compiler"));
     };
-    let mut commands = vec![Command::new(compiler)];
-    commands[0].args(arguments);
-    let package = env::var("CARGO_PKG_NAME").unwrap_or_default();
-    if !is_optimised(arguments, &package) {
-        commands[0].args(["-C", "opt-level=0"]);
-    }
     let is_a_crate = arguments.iter().any(|argument| argument.ends_with(".rs"));
-    if is_a_crate {
-        commands[0].args(["-D", "warnings"]);
+    let package = env::var("CARGO_PKG_NAME").unwrap_or_default();
+    let clippy = || Command::new(beside(compiler, "clippy-driver"));
+    let is_optimised = is_optimised(arguments, &package);
+    let mut first = match is_optimised {
+        true => Command::new(compiler),
+        false => clippy(),
+    };
+    first.args(arguments);
+    if !is_optimised {
+        first.args(["-C", "opt-level=0"]);
     }
-    if is_a_crate && !(is_library(arguments) && has_unit_tests()?) {
-        let mut clippy = Command::new(beside(compiler, "clippy-driver"));
-        clippy.env(CLIPPY_ARGUMENTS.0, CLIPPY_ARGUMENTS.1);
+    if is_a_crate {
+        first.args(["-D", "warnings"]);
+    }
+    let mut commands = vec![first];
+    if is_a_crate && is_optimised && !(is_library(arguments) && has_unit_tests()?) {
+        let mut clippy = clippy();
         clippy.args(kept(arguments)).arg("--emit=metadata");
         commands.push(clippy);
     }
@@ -141,10 +149,12 @@ fn is_documented(arguments: &[String]) -> bool {
             .any(|argument| argument == "build_script_build")
 }
 
-/// Whether a crate keeps the optimisation of its profile: all but tests, and tests that compute.
+/// Whether a crate keeps the optimisation of its profile: all but tests and benchmarks, and tests that
+/// compute. `cargo bench`, which runs the benchmarks, compiles them in a profile of their own.
 fn is_optimised(arguments: &[String], package: &str) -> bool {
     let is_test = is_test(arguments);
     match package {
+        "singletrack-benches" => false,
         "singletrack-commissioning" => true,
         "singletrack-analysis" | "singletrack-control" => !(is_test && has_library_root(arguments)),
         _ => !is_test,
@@ -214,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn tests_are_optimised_only_if_they_compute() {
+    fn tests_and_benchmarks_are_optimised_only_if_they_compute() {
         let optimised = |line: &str, package: &str| is_optimised(&words(line), package);
         assert!(optimised("core/src/lib.rs", "singletrack-core"));
         assert!(!optimised("core/src/lib.rs --test", "singletrack-core"));
@@ -226,6 +236,7 @@ mod tests {
             "control/tests/main.rs --test",
             "singletrack-control"
         ));
+        assert!(!optimised("benches/benches/dump.rs", "singletrack-benches"));
     }
 
     #[test]

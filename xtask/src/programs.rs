@@ -78,8 +78,10 @@ impl Packages {
     pub(crate) fn compile(&self) -> Result {
         let named = NAMED_TESTS.into_iter().flat_map(|name| ["--test", name]);
         // `cargo build`: `cargo test --all-targets` would compile the examples as tests, and what runs
-        // the tests would compile them again.
-        check(self.cargo("build")?.arg("--all-targets"))?;
+        // the tests would compile them again. Not `--benches` and `--all-targets`: both would compile
+        // every library and program as a benchmark, too.
+        let targets = ["--lib", "--bins", "--tests", "--examples", "--bench", "*"];
+        check(self.cargo("build")?.args(targets))?;
         // That does not include them, whatever else is named.
         check(self.cargo("test")?.arg("--no-run").args(named))
     }

@@ -129,6 +129,60 @@ mod tests {
         assert!(listed > 80, "{listed}");
     }
 
+    /// Whether a text has an example that rustdoc would compile: of a language, or of none that is named.
+    fn has_example(text: &str) -> bool {
+        let comments = text.lines().map(str::trim_start);
+        let comments = comments.filter_map(|line| {
+            line.strip_prefix("///")
+                .or_else(|| line.strip_prefix("//!"))
+        });
+        let fences = comments.filter_map(|line| line.trim().strip_prefix("```"));
+        // Each second one ends a block.
+        let mut languages = fences.step_by(2);
+        languages.any(|language| !["text", "sh", "toml", "console"].contains(&language))
+    }
+
+    /// Whether a file below a folder has an example, or takes its documentation from another file.
+    fn has_examples(folder: &Path) -> bool {
+        fs::read_dir(folder).unwrap().flatten().any(|entry| {
+            let path = entry.path();
+            if path.is_dir() {
+                return has_examples(&path);
+            }
+            let text = fs::read_to_string(&path).unwrap_or_default();
+            path.extension().is_some_and(|ending| ending == "rs")
+                && (has_example(&text) || text.contains("doc = include_str!"))
+        })
+    }
+
+    #[test]
+    fn a_library_s_examples_are_tested_if_it_has_some() {
+        assert!(has_example("    /// ```\n    /// let a = 1;\n    /// ```"));
+        assert!(has_example("//! ```should_panic\n//! ```"));
+        assert!(!has_example(
+            "//! ```text\n//! a\n//! ```\nlet a = \"```\";"
+        ));
+        let mut found = Vec::new();
+        packages(&find().unwrap(), &mut found);
+        found.retain(|package| package.join("src/lib.rs").is_file());
+        for package in &found {
+            let manifest = fs::read_to_string(package.join("Cargo.toml")).unwrap();
+            if manifest.contains("\n[workspace]") {
+                continue;
+            }
+            let is_tested = !manifest.lines().any(|line| line == "doctest = false");
+            assert_eq!(
+                is_tested,
+                has_examples(&package.join("src")),
+                "{}: the line `doctest = false` below [lib] of Cargo.toml belongs to a library \
+                 without examples in its documentation, and to no other: cargo compiles a library \
+                 once more in search of them",
+                package.display()
+            );
+        }
+        assert!(found.len() > 25, "{}", found.len());
+    }
+
     #[test]
     fn the_root_holds_this_package() {
         let root = find().unwrap();
