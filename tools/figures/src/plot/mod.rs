@@ -127,12 +127,12 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
         plotted.missing = screen.missing;
     }
     if args.animate {
-        plotted.files.push(write_animation(&record, drive, &out)?);
+        plotted.files.push(write_animation(record, drive, &out)?);
     }
     if formats.contains(&PlotFormat::Html) {
         plotted
             .files
-            .push(write_report(&record, number, drive, &out)?);
+            .push(write_report(record, number, drive, &out)?);
     }
     for (kind, why) in &plotted.missing {
         eprintln!("singletrack: no figure {}: {why}", kind.name());
