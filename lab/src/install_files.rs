@@ -6,8 +6,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use clap::{Args, Command, CommandFactory as _};
-use clap_complete::{Shell, generate_to};
+use clap::{Args, Command, CommandFactory as _, ValueEnum};
+use clap_complete::{Shell, generate, generate_to};
+use singletrack_figures::output;
 
 /// Options of `singletrack-lab install-files`.
 #[derive(Clone, Debug, Args)]
@@ -17,6 +18,57 @@ pub struct InstallFilesArgs {
     out: PathBuf,
 }
 
+/// A shell with completions.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum CompletedShell {
+    /// Write it to `~/.local/share/bash-completion/completions/singletrack`.
+    Bash,
+    /// Write it to a folder of `fpath`, as `_singletrack`.
+    Zsh,
+    /// Write it to `~/.config/fish/completions/singletrack.fish`.
+    Fish,
+}
+
+impl CompletedShell {
+    /// All of them, with the folders of their files.
+    const ALL: [(Self, &str); 3] = [
+        (Self::Bash, "bash"),
+        (Self::Zsh, "zsh"),
+        (Self::Fish, "fish"),
+    ];
+
+    const fn shell(self) -> Shell {
+        match self {
+            Self::Bash => Shell::Bash,
+            Self::Zsh => Shell::Zsh,
+            Self::Fish => Shell::Fish,
+        }
+    }
+}
+
+/// Prints the completions of `singletrack`, with the commands of the laboratory, which `command`
+/// describes.
+///
+/// # Errors
+///
+/// When standard output can't be written; a closed pipe is no error.
+pub fn print(shell: CompletedShell, command: &Command) -> io::Result<()> {
+    let mut text = Vec::new();
+    generate(
+        shell.shell(),
+        &mut singletrack(command),
+        "singletrack",
+        &mut text,
+    );
+    output::print(&String::from_utf8_lossy(&text))
+}
+
+/// `singletrack` with the commands of the laboratory.
+fn singletrack(command: &Command) -> Command {
+    let commands = command.get_subcommands().cloned();
+    shown(&singletrack::program::command().subcommands(commands))
+}
+
 /// Writes the files for `singletrack`, with the commands of the laboratory, which `command`
 /// describes, for `singletrackd` and for `singletrack-sim`.
 ///
@@ -24,21 +76,15 @@ pub struct InstallFilesArgs {
 ///
 /// When a file can't be written.
 pub fn run(args: &InstallFilesArgs, command: &Command) -> Result<(), String> {
-    let commands = command.get_subcommands().cloned();
-    let singletrack = singletrack::program::command().subcommands(commands);
     for command in [
-        &shown(&singletrack),
+        &singletrack(command),
         &singletrackd::Arguments::command(),
         &singletrack_sim::Arguments::command(),
     ] {
         let name = command.get_name();
-        for (shell, folder) in [
-            (Shell::Bash, "bash"),
-            (Shell::Zsh, "zsh"),
-            (Shell::Fish, "fish"),
-        ] {
+        for (shell, folder) in CompletedShell::ALL {
             write_to(&args.out.join(folder), |folder| {
-                generate_to(shell, &mut command.clone(), name, folder).map(drop)
+                generate_to(shell.shell(), &mut command.clone(), name, folder).map(drop)
             })?;
         }
         write_to(&args.out.join("man"), |folder| {

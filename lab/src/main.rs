@@ -19,6 +19,11 @@ struct Cli {
 enum Command {
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
+    /// Print the completions of `singletrack` for a shell.
+    Completions {
+        /// The shell.
+        shell: install_files::CompletedShell,
+    },
     /// Identify the car's parameters from recorded drives.
     Identify(identify::IdentifyArgs),
     /// Say what the pilot would have said of a recorded drive: stops, and errors of its estimate.
@@ -56,6 +61,7 @@ fn main() -> ExitCode {
 fn run(command: &Command) -> Result<(), Box<dyn Error>> {
     match command {
         Command::Compare(args) => compare::run(args)?,
+        Command::Completions { shell } => install_files::print(*shell, &Cli::command())?,
         Command::Identify(args) => identify::run(args)?,
         Command::Judge(args) => judge::run(args)?,
         Command::Merge(args) => run_merge(args)?,

@@ -33,6 +33,24 @@ fn singletrack_lists_and_passes_on_the_commands_of_this_program() {
 }
 
 #[test]
+fn completions_are_printed_for_a_shell() {
+    for (shell, word) in [
+        ("bash", "complete"),
+        ("zsh", "#compdef"),
+        ("fish", "complete -c"),
+    ] {
+        let output = run(&["completions", shell]);
+        let printed = text(&output.stdout);
+        assert!(output.status.success() && printed.contains(word), "{shell}");
+        assert!(
+            printed.contains("bring-up") && printed.contains("stability"),
+            "{shell}"
+        );
+    }
+    assert!(!run(&["completions", "csh"]).status.success());
+}
+
+#[test]
 fn completions_and_manual_pages_name_every_command() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().to_str().unwrap();

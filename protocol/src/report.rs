@@ -58,7 +58,7 @@ enumeration! {
         ///
         /// Effect: Neutral within 120 ms of the last command; kill output off at once.
         ///
-        /// Remedy: The host died, hung or lost the line: read its log.
+        /// Remedy: Look in the log of `singletrackd` why it stopped sending.
         CommandTimeout = "command-timeout",
         /// The pose behind the commands is older than `board.max_pose_age_ms`.
         ///
@@ -101,7 +101,7 @@ enumeration! {
         ///
         /// Effect: Neutral within 120 ms of them; kill output off at once.
         ///
-        /// Remedy: The host died, hung or lost the line: read its log.
+        /// Remedy: Look in the log of `singletrackd` why it stopped sending.
         JogTimeout = "jog-timeout",
         /// The wheels turned faster than 1 m/s while jogging.
         ///

@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from typing import Any, Literal
 
 import gymnasium
@@ -34,6 +35,9 @@ Ranges = Mapping[str, tuple[float, float]]
 
 #: The columns of the state, with f1tenth_gym's names.
 STATE = ("pose_x", "pose_y", "delta", "linear_vel_x", "pose_theta", "ang_vel_z", "beta")
+
+#: Largest yaw rate of an observation, in rad/s: that of the IMU.
+MAX_YAW_RATE = 35.0
 
 #: The paper's circle: radius 1 m, 0.5 m/s, from its right end on.
 CIRCLE: Mapping[str, Any] = {
@@ -135,10 +139,22 @@ def _picture(native: _native.Batch, mode: str | None, known: Sequence[str]) -> P
     return Picture(native.path(), native.geometry) if mode else None
 
 
-def _observation_space(native: _native.Batch, kind: str) -> spaces.Space[Any]:
-    if kind == "tracking":
-        return spaces.Box(-np.inf, np.inf, (native.columns,), np.float32)
+def _observation_space(native: _native.Batch, chosen: dict[str, Any]) -> spaces.Space[Any]:
+    if chosen["observation"] == "tracking":
+        given = chosen["native"]
+        _, reverse, speed = native.limits
+        # A car may be faster than it should, and slide.
+        fast = 2.0 * max(speed, reverse) + 1.0
+        action = np.abs(_action_space(native, given["control"]).high).tolist()
+        head = [fast, np.pi, MAX_YAW_RATE, np.pi / 2, *action]
+        reaches = [given["lost_m"] + fast * (ahead + 1.0) for ahead in given["preview"]]
+        high = np.array(head + [each for far in reaches for each in (far, far, fast, fast)])
+        return spaces.Box(-high.astype(np.float32), high.astype(np.float32), dtype=np.float32)
     return spaces.Dict({name: spaces.Box(-np.inf, np.inf, (), np.float32) for name in STATE})
+
+
+def _clipped(rows: NDArray[np.float32], space: Any) -> NDArray[np.float32]:
+    return np.clip(rows, space.low, space.high)
 
 
 class SingletrackEnv(gymnasium.Env[Any, Any]):
@@ -160,7 +176,8 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
             "speed"]`` (rad and m/s; the default, and the order of f1tenth_gym's arrays),
             ``["speed", "steering_angle"]``, or ``["point_velocity"]``: the velocity of P in the
             world, m/s.
-        observation: ``"tracking"``: float32 of the shape ``(6 + 4 k,)``: speed, sideslip, yaw
+        observation: ``"tracking"``: float32 of the shape ``(6 + 4 k,)``, clipped to bounds from the
+            configuration: speed, sideslip, yaw
             rate, steering and the last action; then, for each of the ``k`` times of
             ``preview``, distance from P to the reference and velocity of the reference, forward
             and left of the car. ``"kinematic_state"``: f1tenth_gym's dictionary ``pose_x,
@@ -174,14 +191,14 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         lost: Distance between P and the reference that ends the episode, in m.
         start_error: Largest errors of the start: of P along each axis (m), and of the yaw (rad).
         render_mode: ``"rgb_array"``: :meth:`render` returns a view from above, uint8 of the shape
-            ``(480, 480, 3)``; ``"human"``: a window, in real time (the extra ``plots``).
+            ``(480, 480, 3)``; ``"human"``, with the extra ``plots``: a window, in real time.
 
     ``info`` has ``point_error`` (m), ``progress`` (m), ``speed`` (the true one, m/s) and, once the
     episode has been terminated, ``reason``.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class)
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": ["human", "rgb_array"] if find_spec("matplotlib") else ["rgb_array"],
         "render_fps": 100,
     }
 
@@ -192,11 +209,11 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         chosen["native"]["max_steps"] = 2**31
         self._native = _native.Batch(1, autoreset="disabled", threads=1, **chosen["native"])
         self.action_space = _action_space(self._native, chosen["native"]["control"])
-        self.observation_space = _observation_space(self._native, self._kind)
+        self.observation_space = _observation_space(self._native, chosen)
         self.timestep = chosen["native"]["periods"] * 0.01
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1 / self.timestep)}
-        self._picture = _picture(self._native, render_mode, self.metadata["render_modes"])
+        self._picture = _picture(self._native, render_mode, ["human", "rgb_array"])
         self._window = Window() if render_mode == "human" else None
 
     def reset(
@@ -263,7 +280,7 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         return self._native.reference().reshape(4)
 
     def _observation(self, state: NDArray[np.float64], row: NDArray[np.float32]) -> Observation:
-        return row if self._kind == "tracking" else _named(state)
+        return _clipped(row, self.observation_space) if self._kind == "tracking" else _named(state)
 
 
 class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
@@ -307,7 +324,7 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
         )
         self.num_envs = num_envs
         self.single_action_space = _action_space(self._native, chosen["native"]["control"])
-        self.single_observation_space = _observation_space(self._native, self._kind)
+        self.single_observation_space = _observation_space(self._native, chosen)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.timestep = chosen["native"]["periods"] * 0.01
@@ -376,7 +393,11 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             final = np.full(self.num_envs, None, dtype=object)
             ended = np.zeros(self.num_envs, dtype=np.bool_)
             for index, last, row in self._native.last():
-                final[index] = row if self._kind == "tracking" else _named(last)
+                final[index] = (
+                    _clipped(row, self.single_observation_space)
+                    if self._kind == "tracking"
+                    else _named(last)
+                )
                 ended[index] = True
             information.update(final_obs=final, _final_obs=ended)
         self._follow()
@@ -418,7 +439,7 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _observation(self, state: NDArray[np.float64], rows: NDArray[np.float32]) -> Observation:
         if self._kind == "tracking":
-            return rows
+            return _clipped(rows, self.single_observation_space)
         values = state.astype(np.float32)
         return {name: values[:, column] for column, name in enumerate(STATE)}
 

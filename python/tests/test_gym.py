@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import warnings
 from typing import Any
@@ -29,8 +30,40 @@ DRIVE = np.array([0.25, 0.5], np.float32)
 def test_gymnasiums_checker_passes(name: str, options: dict[str, Any]) -> None:
     with warnings.catch_warnings(record=True) as warned:
         check_env(gymnasium.make(name, **options).unwrapped)
-    # Others advise symmetric actions and bounded observations.
-    assert not [str(one.message) for one in warned if "render" in str(one.message).lower()]
+    words = [str(one.message).lower() for one in warned]
+    # Another advises symmetric actions: the wrapper RescaleAction.
+    assert not [text for text in words if "render" in text]
+    is_bounded = options.get("observation") != "kinematic_state"
+    assert not is_bounded or not [text for text in words if "infinity" in text]
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_an_observation_is_within_its_bounds_also_of_a_car_that_is_lost(name: str) -> None:
+    env = gymnasium.make(name, randomise="other-cars", lost=0.3)
+    space: Any = env.observation_space
+    assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
+    observation, _ = env.reset(seed=3)
+    for _ in range(300):
+        assert observation in space
+        observation, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        if terminated or truncated:
+            break
+    assert observation in space
+
+
+def test_modes_that_need_a_package_are_declared_if_it_is_there() -> None:
+    code = (
+        "import sys, importlib.machinery as m\n"
+        "find = m.PathFinder.find_spec\n"
+        "m.PathFinder.find_spec = lambda name, *rest: (\n"
+        "    None if name.startswith('matplotlib') else find(name, *rest))\n"
+        "import gymnasium, singletrack, singletrack.gym\n"
+        "from gymnasium.utils.env_checker import check_env\n"
+        "check_env(gymnasium.make('Singletrack-v0').unwrapped)\n"
+        "print(singletrack.gym.SingletrackEnv.metadata['render_modes'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "['rgb_array']", done.stderr
 
 
 def reddish(frame: Any) -> int:

@@ -16,8 +16,8 @@ pub enum ClientError {
         "can't reach the daemon at {}: {source}; {}",
         path.display(),
         match source.kind() {
-            io::ErrorKind::PermissionDenied => "is this user in the group of the socket?",
-            _ => "is singletrackd running, with this socket.path?",
+            io::ErrorKind::PermissionDenied => "add this user to the group of the socket, and log in again",
+            _ => "start singletrackd, or correct socket.path or --socket",
         }
     )]
     Connect {

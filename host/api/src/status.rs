@@ -37,6 +37,9 @@ pub struct Status {
     /// Why the record will soon end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub record_warning: Option<String>,
+    /// Why the serial port can't be opened, and what to do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial_error: Option<String>,
     /// The last tick; `None` before the first.
     pub state: Option<State>,
     /// What can be tuned; `None` if nothing can be.

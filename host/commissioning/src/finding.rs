@@ -261,6 +261,9 @@ pub struct Parameter {
         deserialize_with = "of_key_and_toml"
     )]
     pub key: Option<(Cow<'static, str>, toml_edit::Value)>,
+    /// Why that value is not the estimate; empty if it is.
+    #[serde(default, skip_serializing_if = "str::is_empty")]
+    pub why: Cow<'static, str>,
 }
 
 impl Parameter {
@@ -275,7 +278,14 @@ impl Parameter {
             unit: Cow::Borrowed(unit),
             estimate,
             key: key.map(|(key, value)| (key.into(), value)),
+            why: Cow::Borrowed(""),
         }
+    }
+
+    /// With the reason why the key takes another value.
+    pub(crate) fn because(self, why: &'static str) -> Self {
+        let why = Cow::Borrowed(why);
+        Self { why, ..self }
     }
 }
 

@@ -60,7 +60,7 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
     if findings.iter().any(|one| !one.parameters.is_empty()) {
         page.push_str("\n## Measured\n\n");
         page.push_str(
-            "| parameter | value | 95 % interval | unit | key |\n|---|---|---|---|---|\n",
+            "| parameter | value | 95 % interval | unit | written, and why |\n|---|---|---|---|---|\n",
         );
         for parameter in findings.iter().flat_map(|one| &one.parameters) {
             let Interval { value, low, high } = parameter.estimate;
@@ -73,10 +73,11 @@ pub fn page(about: &About<'_>, findings: &[Finding]) -> String {
                 parameter
                     .key
                     .as_ref()
-                    .map_or(String::new(), |(key, value)| format!(
-                        "`{key} = {}`",
-                        value.to_string().trim()
-                    )),
+                    .map_or(String::new(), |(key, value)| {
+                        let value = value.to_string();
+                        let because = if parameter.why.is_empty() { "" } else { ": " };
+                        format!("`{key} = {}`{because}{}", value.trim(), parameter.why)
+                    }),
             );
         }
     }
@@ -155,12 +156,14 @@ mod tests {
                     unit: "um".into(),
                     estimate: Interval::around(3_012.4, 21.0),
                     key: Some(("board.speed.pulse_distance_um".into(), 3012.into())),
+                    why: "by the board's clock".into(),
                 },
                 Parameter {
                     name: "body-left".into(),
                     unit: "m".into(),
                     estimate: Interval::around(-0.0021, 0.0004),
                     key: None,
+                    why: "".into(),
                 },
             ],
         }
@@ -216,7 +219,7 @@ mod tests {
             "1 steps: 1 warning",
             "| geometry | warning | 4 passes \\| 2.0 m | straight |",
             "- geometry: roll it again",
-            "| pulse-distance | 3012 | 2991 to 3033 | um | `board.speed.pulse_distance_um = 3012` |",
+            "| pulse-distance | 3012 | 2991 to 3033 | um | `board.speed.pulse_distance_um = 3012`: by the board's clock |",
             "| body-left | -0.00210 | -0.00250 to -0.00170 | m |  |",
             "![Latency](latency.svg)",
             "```diff\n-a\n+b\n```",

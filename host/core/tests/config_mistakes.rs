@@ -126,6 +126,8 @@ control | period_ms = 50 | watch.max_gap_ms | 80 | give it two periods, 100 ms
 reference | radius_m = 0.0 | reference.radius_m | 0 | above zero
 reference | radius_m = 1e300 | reference.radius_m | 1000000 | between -1000 and 1000
 reference | angular_velocity_rad_s = nan | reference.angular_velocity_rad_s | NaN | between -100 and 100
+vehicle | front_axle_distance_m = 136.8 | vehicle.front_axle_distance_m | 136.8 | at most 2; the axles are in m
+vehicle | rear_axle_distance_m = -0.1 | vehicle.rear_axle_distance_m | -0.1 | above 0
 vehicle | mass_kg = -1.9 | vehicle.mass_kg | -1.9 | above zero
 limits | max_speed_m_s = 0.0 | limits.max_speed_m_s | 0 | above 0
 limits | max_acceleration_m_s2 = inf | limits.max_acceleration_m_s2 | inf | at most 50
@@ -223,7 +225,8 @@ law | point_distance_m | law.point_distance_m |  | is missing
 outer_loop | gain_per_s | outer_loop.gain_per_s | proportional | needs it
 reference | kind | reference.kind |  | is missing
 reference | radius_m | reference.radius_m | circle | needs it
-vehicle | mass_kg | vehicle.mass_kg |  | is missing
+vehicle | front_axle_distance_m | vehicle.front_axle_distance_m |  | is missing
+vehicle | rear_axle_distance_m | vehicle.rear_axle_distance_m |  | is missing
 fence | braking_m_s2 | fence.braking_m_s2 |  | is missing
 board.servo | centre_us | board.servo.centre_us |  | is missing
 board.servo | gain_us_per_rad | board.servo.gain_us_per_rad |  | is missing

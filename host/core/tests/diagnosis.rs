@@ -6,9 +6,11 @@ use std::{
 };
 
 use rtrb::{Consumer, RingBuffer};
+use singletrack_api::Status;
 use singletrack_core::{
     cameras::{CameraReceiver, CameraReport, Channel, Sockets, StreamEvent},
     diagnosis::{DIAGNOSES, Diagnosis},
+    reasons::Why,
 };
 use singletrack_mocap::{
     LocalEnd, Protocol, Stream, Transport, UpAxis,
@@ -589,4 +591,40 @@ fn stamps_that_go_back_by_a_day_are_a_wrong_clock() {
     });
     assert_eq!(word, "wrong-clock", "{text}");
     assert!(text.contains("UTC"), "{text}");
+}
+
+/// What a person reads of a status with this state, and this at its top.
+fn why(mode: &str, reason: &str, top: &str) -> String {
+    let text = format!(
+        "figures = {{}}\nrealtime = {{}}\n{top}\n\
+         [state]\ntopic = \"state\"\ntick = 1\nt_s = 0.0\ntime_ns = 1\nx_m = 1.234\ny_m = -0.5\n\
+         mode = \"{mode}\"\nreason = \"{reason}\"\nlink = \"ready\"\nheld = true\n\
+         steering_rad = 0.0\ncommanded_speed_m_s = 0.0\nfiltering = \"none\"\nfiltered_ticks = 0\n\
+         [cameras]\ndiagnosis = \"no-server\"\ntext = \"nothing comes: is the port open?\"\n\
+         [configuration]\nnumber = 1\n"
+    );
+    let status: Status = toml::from_str(&text).unwrap();
+    Why::of(&status).unwrap().to_string()
+}
+
+#[test]
+fn a_status_says_why_the_port_does_not_open_and_where_the_car_is() {
+    let port = "serial_error = \"/dev/x: no such device; plug the board in\"";
+    let told = why("disconnected", "link-down", port);
+    assert!(
+        told.ends_with("To do: /dev/x: no such device; plug the board in."),
+        "{told}"
+    );
+    let told = why("disconnected", "link-down", "");
+    assert!(told.contains("To do: Plug the board in"), "{told}");
+    // It answers again.
+    let told = why("ready", "link-down", "");
+    assert!(
+        told.starts_with("the last drive ended") && !told.contains("To do"),
+        "{told}"
+    );
+    let told = why("stopping", "outside-fence", "");
+    assert!(told.contains("at (1.23, -0.50) m"), "{told}");
+    let told = why("idle", "no-pose", "");
+    assert!(told.ends_with("is the port open?"), "{told}");
 }

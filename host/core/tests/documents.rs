@@ -1,15 +1,45 @@
-//! The documents that the declarations give: the example file, the list of the keys, the sections
-//! on the pages, and the list of reasons. With `SINGLETRACK_RENEW=1` these tests write them
+//! The documents that the declarations give: the example file, the list of the keys, their schema for
+//! editors, the sections on the pages, and the list of reasons. With `SINGLETRACK_RENEW=1` these tests write them
 //! instead.
 
 use std::{collections::BTreeSet, env, fs, path::Path};
 
+use serde_json::{Map, Value as Json, json};
 use singletrack_core::{
     config::{Config, Key, SECTIONS, Section},
     reasons::{Explanation, explanations},
 };
 use singletrack_protocol::ConfigurationError;
 use singletrack_record::Topic;
+
+/// The keys that a lab sets for its car and its room; the page folds the others.
+const BASIC: [&str; 25] = [
+    "serial.port",
+    "motion_capture.kind",
+    "motion_capture.server",
+    "motion_capture.rigid_body",
+    "motion_capture.up_axis",
+    "law.point_distance_m",
+    "law.front_axle_distance_m",
+    "outer_loop.gain_per_s",
+    "outer_loop.feed_forward",
+    "reference.kind",
+    "reference.radius_m",
+    "reference.angular_velocity_rad_s",
+    "vehicle.front_axle_distance_m",
+    "vehicle.rear_axle_distance_m",
+    "limits.max_speed_m_s",
+    "fence.corners_m",
+    "fence.braking_m_s2",
+    "board.servo.centre_us",
+    "board.servo.gain_us_per_rad",
+    "board.servo.min_us",
+    "board.servo.max_us",
+    "board.esc.kind",
+    "board.esc.neutral_us",
+    "board.esc.deadband_us",
+    "board.speed.pulse_distance_um",
+];
 
 /// The longest line of a comment in the example file.
 const WIDTH: usize = 80;
@@ -72,6 +102,10 @@ Each line has a key, in brackets its default and range, and its meaning. A key w
 mandatory, in sections with a `kind` for its kind only. A key's name ends with its unit: `_m_s2` is
 m/s², `_us` µs, `_um` µm, `_n_rad` N/rad, `_per_s` 1/s.
 
+Shown are the keys that a lab sets; the others are folded. An editor with TOML schemas, such as VS Code
+with Even Better TOML, completes and explains all if the first line of the file is
+`#:schema PATH/host/daemon/singletrackd.schema.json`.
+
 SIGHUP reloads the file while the car does not drive. A key marked ↻ takes a restart of the daemon.
 
 Generated from the declarations in `host/core/src/config`; see `host/core/tests/documents.rs`.
@@ -85,6 +119,7 @@ fn the_example_file_is_that_of_the_declarations() {
 #[test]
 fn the_list_of_the_keys_is_that_of_the_declarations() {
     compare("docs/configuration.md", &page());
+    compare("host/daemon/singletrackd.schema.json", &schema());
 }
 
 /// The ranges of `[board]` are text in the declarations: the board checks the numbers.
@@ -185,11 +220,12 @@ fn example() -> String {
         text += &comment(section.help);
         match section.name {
             "reference" => text += EXAMPLE_REFERENCE,
-            // Without a default for a single key: all keys or none.
+            // The paper's car if the section is left out.
             "vehicle" => {
                 text += "#[vehicle]\n";
                 for key in section.keys {
-                    text += &assignment(section, key);
+                    let line = assignment(section, key);
+                    text += &format!("#{}", line.trim_start_matches('#'));
                 }
             }
             name => {
@@ -252,37 +288,163 @@ fn page() -> String {
             section.name,
             help(section.help)
         );
-        for key in section.keys.iter().filter(|key| !is_section(section, key)) {
-            let default = match (key.default)() {
-                Some(value) => format!("`{value}`"),
-                None if key.mandatory || has_kinds(section) => String::new(),
-                None => "none".to_owned(),
-            };
-            // The default shows a type.
-            let is_type = key.range.is_empty() && (key.words)().is_empty();
-            let range = if is_type && default.starts_with('`') {
-                String::new()
-            } else {
-                range(key)
-            };
-            let range = match range.starts_with("above") {
-                true => range,
-                false => range.replace(" to ", "…"),
-            };
-            let parts: Vec<_> = [default, range]
-                .into_iter()
-                .filter(|part| !part.is_empty())
-                .collect();
-            let restart = if key.restart { " ↻" } else { "" };
-            text += &format!(
-                "- `{}`{restart} ({}): {}\n",
-                key.name,
-                parts.join("; "),
-                help(key.help)
+        let keys = section.keys.iter().filter(|key| !is_section(section, key));
+        let (basic, more): (Vec<_>, Vec<_>) = keys.partition(|key| is_basic(section, key));
+        for key in basic {
+            text += &line_of(section, key);
+        }
+        if !more.is_empty() {
+            text += &format!("\n<details><summary>{} more</summary>\n\n", more.len());
+            for key in more {
+                text += &line_of(section, key);
+            }
+            text += "\n</details>\n";
+        }
+    }
+    text.replace("\n\n\n", "\n\n")
+}
+
+fn is_basic(section: &Section, key: &Key) -> bool {
+    BASIC.contains(&&*format!("{}.{}", section.name, key.name))
+}
+
+/// A key's line in the page.
+fn line_of(section: &Section, key: &Key) -> String {
+    let default = match (key.default)() {
+        Some(value) => format!("`{value}`"),
+        None if key.mandatory || has_kinds(section) => String::new(),
+        None => "none".to_owned(),
+    };
+    // The default shows a type.
+    let is_type = key.range.is_empty() && (key.words)().is_empty();
+    let range = if is_type && default.starts_with('`') {
+        String::new()
+    } else {
+        range(key)
+    };
+    let range = match range.starts_with("above") {
+        true => range,
+        false => range.replace(" to ", "…"),
+    };
+    let parts: Vec<_> = [default, range]
+        .into_iter()
+        .filter(|part| !part.is_empty())
+        .collect();
+    let restart = if key.restart { " ↻" } else { "" };
+    format!(
+        "- `{}`{restart} ({}): {}\n",
+        key.name,
+        parts.join("; "),
+        help(key.help)
+    )
+}
+
+/// The schema of the file for editors.
+fn schema() -> String {
+    let mut whole = json!({
+        "$schema": "http://json-schema.org/draft-07/schema#",
+        "title": "singletrackd",
+        "type": "object",
+        "additionalProperties": false,
+        "properties": {},
+    });
+    for section in SECTIONS {
+        let mut at = &mut whole;
+        for part in section.name.split('.') {
+            let properties = at["properties"].as_object_mut().unwrap();
+            at = properties.entry(part).or_insert_with(|| json!({}));
+        }
+        let keys = section.keys.iter().filter(|key| !is_section(section, key));
+        let properties: Map<_, _> = keys
+            .map(|key| (key.name.to_owned(), property(key)))
+            .collect();
+        let mandatory = section
+            .keys
+            .iter()
+            .filter(|key| key.mandatory && !is_section(section, key));
+        *at = json!({
+            "description": help(section.help),
+            "type": "object",
+            "additionalProperties": false,
+            "properties": properties,
+            "required": mandatory.map(|key| key.name).collect::<Vec<_>>(),
+        });
+    }
+    serde_json::to_string_pretty(&whole).unwrap() + "\n"
+}
+
+/// What an editor knows of a key.
+fn property(key: &Key) -> Json {
+    let inner = key
+        .kind
+        .strip_prefix("Option<")
+        .and_then(|kind| kind.strip_suffix('>'));
+    let mut property = match inner.unwrap_or(key.kind) {
+        _ if !(key.words)().is_empty() => json!({ "enum": (key.words)() }),
+        "bool" => json!({ "type": "boolean" }),
+        "f64" => json!({ "type": "number" }),
+        "u8" | "u16" | "i16" | "u32" => json!({ "type": "integer" }),
+        "[f64; 2]" => {
+            json!({ "type": "array", "items": { "type": "number" }, "minItems": 2, "maxItems": 2 })
+        }
+        kind if kind.starts_with("Vec<") => json!({ "type": "array" }),
+        _ => json!({ "type": "string" }),
+    };
+    let bound = |text: &str| number(text).parse::<f64>().ok();
+    let (low, high) = match key.range.strip_prefix("up_to(") {
+        Some(high) => {
+            property["exclusiveMinimum"] = json!(0);
+            (None, bound(high.trim_end_matches(')')))
+        }
+        None => match key.range.split_once("..=") {
+            Some((low, high)) => (bound(low), bound(high)),
+            None => (None, None),
+        },
+    };
+    let is_number = matches!(property["type"].as_str(), Some("number" | "integer"));
+    if !is_number {
+        property.as_object_mut().unwrap().remove("exclusiveMinimum");
+    }
+    for (name, bound) in [("minimum", low), ("maximum", high)] {
+        if let (true, Some(bound)) = (is_number, bound) {
+            property[name] = json!(bound);
+        }
+    }
+    if let Some(default) = (key.default)() {
+        property["default"] = json!(default);
+    }
+    property["description"] = json!(help(key.help));
+    property
+}
+
+#[test]
+fn an_editor_knows_every_key_and_refuses_others() {
+    let schema: Json = serde_json::from_str(&schema()).unwrap();
+    for section in SECTIONS {
+        let at = section
+            .name
+            .split('.')
+            .fold(&schema, |at, part| &at["properties"][part]);
+        assert_eq!(at["additionalProperties"], false, "{}", section.name);
+        for key in section.keys {
+            assert!(
+                at["properties"][key.name]["description"].is_string(),
+                "{}",
+                key.name
             );
         }
     }
-    text
+    let speed = &schema["properties"]["limits"]["properties"]["max_speed_m_s"];
+    assert_eq!(
+        (&speed["exclusiveMinimum"], &speed["maximum"]),
+        (&json!(0), &json!(20.0))
+    );
+    let known = |name: &str| {
+        let (section, key) = name.rsplit_once('.').unwrap();
+        let section = SECTIONS.iter().find(|known| known.name == section);
+        section.is_some_and(|section| section.keys.iter().any(|known| known.name == key))
+    };
+    assert!(BASIC.into_iter().all(known));
 }
 
 /// The values that a key may have, in words.

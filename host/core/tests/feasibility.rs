@@ -286,6 +286,59 @@ fn a_fence_that_the_car_cannot_stay_inside_is_impossible_and_a_larger_one_is_not
 }
 
 #[test]
+fn a_circle_that_the_fence_has_no_room_for_names_the_radius_and_the_largest_one() {
+    let mut config = own();
+    config.reference = circle(1.2, 0.3);
+    let judgement = found(&config);
+    let finding = only(&judgement);
+    assert_eq!(
+        (finding.key, &*finding.value),
+        ("reference.radius_m", "1.2")
+    );
+    let (_, rest) = finding.fix.split_once("give ").unwrap();
+    let largest: f64 = rest.split(' ').next().unwrap().parse().unwrap();
+    config.reference = circle(largest + 0.02, 0.3);
+    assert_eq!(only(&found(&config)).key, "reference.radius_m");
+    // From there on it is the way to the circle that takes room.
+    config.reference = circle(largest - 0.02, 0.3);
+    assert!(
+        found(&config)
+            .findings
+            .iter()
+            .all(|finding| finding.key != "reference.radius_m")
+    );
+}
+
+#[test]
+fn a_car_of_which_the_axles_are_known_is_the_papers_at_that_scale_with_a_warning() {
+    let with = |keys: &str| {
+        let axles = "front_axle_distance_m = 0.16\nrear_axle_distance_m = 0.16\n";
+        let config = format!("{EXAMPLE}\n[vehicle]\n{axles}{keys}");
+        let config = Config::from_toml(&config).unwrap();
+        let warned = found(&config).findings.into_iter();
+        let warned = warned.filter(|finding| finding.key.starts_with("vehicle"));
+        (
+            config,
+            warned
+                .map(|finding| finding.to_string())
+                .collect::<Vec<_>>(),
+        )
+    };
+    let (config, warned) = with("");
+    assert!((config.vehicle.mass_kg - 1.9 * (0.32_f64 / 0.26).powi(3)).abs() < 1e-9);
+    assert_eq!(config.vehicle.friction, 0.25);
+    assert!(
+        warned.len() == 1 && warned[0].starts_with("vehicle.mass_kg is 3.54: left out"),
+        "{warned:?}"
+    );
+    // What is written is what a record has.
+    let again = Config::from_toml(&config.to_toml().unwrap()).unwrap();
+    assert_eq!(again.vehicle, config.vehicle);
+    let (config, warned) = with("mass_kg = 3.0");
+    assert_eq!((config.vehicle.mass_kg, warned), (3.0, vec![]));
+}
+
+#[test]
 fn a_car_that_has_to_turn_round_first_is_told_so_from_where_it_stands() {
     let config = own();
     let good = found(&config).start.unwrap();

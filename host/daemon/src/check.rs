@@ -35,7 +35,8 @@ pub(crate) fn run(path: &Path, config: &Config, stand: Option<Stand>) -> ExitCod
     }
     println!("{}: good", path.display());
     println!(
-        "its braking, {} m/s2, allows a limits.max_speed_m_s of {} (with board.max_pose_age_ms = 1000)",
+        "control.stop_deceleration_m_s2 = {} allows limits.max_speed_m_s up to {} (with \
+         board.max_pose_age_ms = 1000)",
         config.control.stop_deceleration_m_s2,
         config.fastest_stopped_m_s()
     );

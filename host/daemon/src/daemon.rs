@@ -273,9 +273,10 @@ impl Daemon {
         let fifo_priority = daemon.handle.realtime.fifo_priority;
         let reader_stop = stop.clone();
         let reader = host.reader;
+        let status = Arc::clone(&daemon.handle.status);
         daemon.reader = Some(NamedThread::spawn("serial", move || {
             realtime::make_prompt(fifo_priority);
-            serial_reader::run(reader, serial, &reader_stop)
+            serial_reader::run(reader, serial, status, &reader_stop)
         })?);
         let receiver = host.receiver;
         daemon.receiver = Some(NamedThread::spawn("mocap", move || {

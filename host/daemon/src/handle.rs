@@ -83,6 +83,7 @@ impl DaemonHandle {
             record: self.record.clone(),
             record_error: latest.record_error.clone(),
             record_warning: latest.record_warning.clone(),
+            serial_error: latest.serial_error.clone(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The thread of the serial reader: waits for the port or its bytes, and polls.
 
-use std::{os::fd::AsFd, path::PathBuf, time::Duration};
+use std::{os::fd::AsFd, path::PathBuf, sync::Arc, time::Duration};
 
 use singletrack_core::{
     config::SerialSection,
@@ -12,6 +12,7 @@ use tracing::{info, warn};
 use crate::{
     clock::monotonic_ns,
     serial_port::{self, ReadHalf, WriteHalf},
+    shared_status::SharedStatus,
     wake::{StopFlag, Woken},
 };
 
@@ -20,8 +21,8 @@ struct Device {
     path: PathBuf,
     baud: u32,
     read: Option<ReadHalf>,
-    /// The last error of an attempt to open it. An equal one is not logged again.
-    last_error: String,
+    /// Holds the last error of an attempt to open it. An equal one is not logged again.
+    status: Arc<SharedStatus>,
 }
 
 impl Port for Device {
@@ -31,15 +32,15 @@ impl Port for Device {
         match serial_port::open(&self.path, self.baud) {
             Ok((read, write)) => {
                 info!(port = %self.path.display(), baud = self.baud, "serial port open");
-                self.last_error.clear();
+                self.status.latest().serial_error = None;
                 self.read = Some(read);
                 Some(write)
             }
             Err(error) => {
                 let error = error.to_string();
-                if error != self.last_error {
+                let last = self.status.latest().serial_error.replace(error.clone());
+                if last.as_ref() != Some(&error) {
                     warn!("can't open the serial port: {error}");
-                    self.last_error = error;
                 }
                 None
             }
@@ -67,13 +68,14 @@ impl Port for Device {
 pub(crate) fn run(
     mut reader: SerialReader<WriteHalf>,
     config: SerialSection,
+    status: Arc<SharedStatus>,
     stop: &StopFlag,
 ) -> ReaderCounters {
     let mut device = Device {
         path: config.port,
         baud: config.baud,
         read: None,
-        last_error: String::new(),
+        status,
     };
     loop {
         let wait = reader.poll(&monotonic_ns, &mut device);

@@ -42,6 +42,8 @@ pub(crate) struct Latest {
     /// What is wrong with the cameras.
     pub(crate) cameras: Diagnosis,
     pub(crate) tally: Tally,
+    /// Why the serial port can't be opened; none if it is open.
+    pub(crate) serial_error: Option<String>,
     /// Why the record ended before the daemon.
     pub(crate) record_error: Option<String>,
     /// Why the record will soon end.

@@ -55,6 +55,8 @@ pub struct Snapshot {
     pub record_error: Option<String>,
     /// Why the record will soon end, such as a disk that is nearly full.
     pub record_warning: Option<String>,
+    /// Why the serial port can't be opened.
+    pub serial_error: Option<String>,
 }
 
 impl Snapshot {
@@ -108,6 +110,7 @@ impl Snapshot {
             record: self.record.as_deref().map(shown),
             record_error: self.record_error.clone(),
             record_warning: self.record_warning.clone(),
+            serial_error: self.serial_error.clone(),
             state: self.state.clone(),
             tuning: self.tunable(),
         }
@@ -256,6 +259,7 @@ mod tests {
             record: Some("records/one.mcap".into()),
             record_error: Some("disk full".to_owned()),
             record_warning: None,
+            serial_error: None,
         }
     }
 

@@ -60,7 +60,10 @@ fn what_was_left_as_in_the_example_is_warned_of_and_the_status_is_success() {
     let (status, out, error) = check(folder.path(), &example(folder.path()), &[]);
     assert_eq!(status, 0, "{error}");
     assert!(out.contains("car.toml: good"), "{out}");
-    assert!(out.contains("allows a limits.max_speed_m_s of "), "{out}");
+    assert!(
+        out.contains("= 2.4 allows limits.max_speed_m_s up to "),
+        "{out}"
+    );
     assert!(
         out.contains("the car can drive its reference from: centre of mass at ("),
         "{out}"

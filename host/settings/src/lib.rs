@@ -8,7 +8,7 @@ mod section;
 mod value;
 
 pub use explain::{expected, explain, explain_table, kind, list, quoted_after, shortened};
-pub use section::{Declared, Key, Maps, Section, Written, check_kind, or_default, toml_value};
+pub use section::{Declared, Key, Maps, Section, Via, Written, check_kind, or_default, toml_value};
 pub use value::{
     Convert, Numbers, Rule, UpTo, ValueError, Worded, check, in_words, seconds, up_to,
 };

@@ -9,8 +9,10 @@
 //! messages then lack line and key. So all keys are read first, into a section of optional keys,
 //! which is converted.
 
+use core::{fmt::Display, marker::PhantomData};
+
 use serde::{
-    Serialize,
+    Deserialize, Deserializer, Serialize,
     de::{self, DeserializeOwned},
 };
 use toml::{Table, Value};
@@ -90,6 +92,17 @@ pub fn or_default<T, E: de::Error>(
     written.or(default).ok_or_else(|| E::missing_field(key))
 }
 
+/// A `T` that is read as a `K`.
+#[derive(Debug)]
+pub struct Via<K, T>(pub T, PhantomData<K>);
+
+impl<'de, K: Deserialize<'de>, T: TryFrom<K, Error: Display>> Deserialize<'de> for Via<K, T> {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        let value = T::try_from(K::deserialize(source)?).map_err(de::Error::custom)?;
+        Ok(Self(value, PhantomData))
+    }
+}
+
 /// Declares a section.
 ///
 /// ```text
@@ -106,7 +119,8 @@ pub fn or_default<T, E: de::Error>(
 /// A key's default stands after `=`, or is that of the inner struct's field after `=>`; a key
 /// with neither is mandatory. A range may name other keys of the section; a range that other
 /// code checks is a `text`. `otherwise` states the default of an optional key that some kinds
-/// of the section have, and `words E` that the key is the enumeration `E`. The second line may
+/// of the section have, `words E` that the key is the enumeration `E`, and `from K` that it is read
+/// as the section `K` and converted. The second line may
 /// instead be `[maps Inner]` (no defaults from there), `[default]` (implements `Default`),
 /// `[new]` (a constructor from the mandatory keys), or `[]`.
 #[macro_export]
@@ -118,8 +132,9 @@ macro_rules! section {
         $(
             $(#[doc = $key_help:literal])+
             $(@$key_restart:ident)? $key:ident: $type:ty $(= $default:expr)? $(=> $inner:ident)?
-            $(, in $range:expr)? $(, text $text:literal)? $(, words $words:ident)?
-            $(, otherwise $otherwise:expr)? $(, example $example:expr)?;
+            $(, from $from:ident)? $(, in $range:expr)? $(, text $text:literal)?
+            $(, words $words:ident)? $(, otherwise $otherwise:expr)?
+            $(, example $example:expr)?;
         )+
     ) => {
         $(#[doc = $help])+
@@ -138,13 +153,13 @@ macro_rules! section {
                         #[derive(serde::Deserialize)]
                         #[serde(deny_unknown_fields)]
                         struct $section {
-                            $($key: Option<$type>,)+
+                            $($key: Option<$crate::section!(@written $type $(, $from)?)>,)+
                         }
                         $section::deserialize(source)?
                     };
                     Ok(Self {
                         $($key: or_default(
-                            written.$key,
+                            $crate::section!(@read (written.$key) $(, $from)?),
                             $crate::section!(@default $extra [$($default)?] [$($inner)?] $key),
                             stringify!($key),
                         )?,)+
@@ -186,6 +201,12 @@ macro_rules! section {
             $crate::section! { @extra $extra $section $($key: $type, [$($default)?] [$($inner)?];)+ }
         };
     };
+
+    // What is read of a key, and its value.
+    (@written $type:ty) => { $type };
+    (@written $type:ty, $from:ident) => { Via<$from, $type> };
+    (@read ($written:expr)) => { $written };
+    (@read ($written:expr), $from:ident) => { $written.map(|via| via.0) };
 
     // A default as an option: what is written here, the inner struct's, or none.
     (@default $extra:tt [$default:expr] $inner:tt $key:ident) => { Some($default) };

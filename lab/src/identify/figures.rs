@@ -87,8 +87,8 @@ fn inputs(points: &[SimulationPoint], which: &str) -> Figure {
     let trajectory = Panel {
         height_mm: 70.0,
         curves: vec![
-            path(MODEL, Look::Nominal, |point| point.position_m),
-            path(MEASURED, Look::Actual, |point| point.measured_m),
+            path(MEASURED, Look::Nominal, |point| point.measured_m),
+            path(MODEL, Look::Actual, |point| point.position_m),
         ],
         begins_row: true,
         ..Panel::floor("G")
@@ -117,8 +117,8 @@ fn states(points: &[SimulationPoint], which: &str) -> Figure {
             [0, 1].map(|which: usize| column(points, |point| values(point)[which]));
         Panel {
             curves: vec![
-                Curve::new(MODEL, Look::Nominal, &time, model),
-                Curve::new(MEASURED, Look::Actual, &time, measured),
+                Curve::new(MEASURED, Look::Nominal, &time, measured),
+                Curve::new(MODEL, Look::Actual, &time, model),
             ],
             ..Panel::new(Axis::TIME, Axis::new(quantity, Some(symbol), unit))
         }

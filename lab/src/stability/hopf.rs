@@ -123,6 +123,7 @@ pub(super) fn run_cycles(args: &CyclesArgs) -> Result<(), StabilityCommandError>
     for (hopf, branch) in &branches {
         describe(hopf, branch);
     }
+    let hopf: Vec<HopfPoint> = branches.iter().map(|(hopf, _)| *hopf).collect();
     let cycles: Vec<LimitCycle> = branches.into_iter().flat_map(|(_, b)| b.cycles).collect();
     match args.format {
         DrawnFormat::Csv => print(&cycle_table(&cycles).to_csv())?,
@@ -130,7 +131,7 @@ pub(super) fn run_cycles(args: &CyclesArgs) -> Result<(), StabilityCommandError>
             let points: Vec<_> = cycles.iter().map(cycle_document).collect();
             write_json(&subject, &points)?;
         }
-        DrawnFormat::Svg => print(&figures::cycles(&cycles, args.speed).to_svg())?,
+        DrawnFormat::Svg => print(&figures::cycles(&cycles, &hopf, args.speed).to_svg())?,
     }
     Ok(())
 }

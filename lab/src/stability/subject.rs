@@ -97,7 +97,7 @@ impl Subject {
 /// The largest number of points.
 const MOST_POINTS: f64 = 100_000.0;
 
-/// Evenly spaced values: `A:B:STEP` with both ends, or a single value.
+/// Evenly spaced values, `A:B:STEP` with both ends, or a list such as `1.0,1.5`.
 ///
 /// Values have no more decimals than what was written, so that they print as a person
 /// would write them.
@@ -141,9 +141,17 @@ impl FromStr for Grid {
         };
         let parts: Vec<&str> = text.split(':').collect();
         let (from, to, step) = match parts[..] {
-            [value] => return Ok(Self(vec![number(value)?])),
+            [list] => {
+                let mut values: Vec<f64> = list.split(',').map(number).collect::<Result<_, _>>()?;
+                values.sort_by(f64::total_cmp);
+                return Ok(Self(values));
+            }
             [from, to, step] => (number(from)?, number(to)?, number(step)?),
-            _ => return Err("write A:B:STEP, such as 0.1:8:0.1, or a single value".to_owned()),
+            _ => {
+                return Err(
+                    "write A:B:STEP, such as 0.1:8:0.1, or a list, such as 1.0,1.5".to_owned(),
+                );
+            }
         };
         if step <= 0.0 {
             return Err(format!("the step is {step}: it must be above zero"));
@@ -245,6 +253,7 @@ mod tests {
         assert_eq!(values("0:1:0.4"), [0.0, 0.4, 0.8]);
         assert_eq!(values("1e-1:3e-1:1e-1"), [0.1, 0.2, 0.3]);
         assert_eq!(values("2"), [2.0]);
+        assert_eq!(values("1.5,1.0"), [1.0, 1.5]);
         assert_eq!(values("0.1:8:0.05").len(), 159);
         assert_eq!(values("0.1:8:0.1").len(), 80);
         assert_eq!(values("-0.6:0.6:0.01").len(), 121);

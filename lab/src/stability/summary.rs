@@ -38,7 +38,8 @@ pub(super) fn run(args: &SummaryArgs) -> Result<(), StabilityCommandError> {
     let [from, to] = ClosedLoop::meaningful_deviations(&vehicle);
     writeln!(
         out,
-        "meaningful dl: {from} m to {to} m (-l_f to l_r); p = {} m\n",
+        "meaningful dl: {from} m to {to} m (-l_f to l_r); p = {} m; l1 as Kuznetsov's (figures: \
+         MatCont's)\n",
         args.car.point_distance
     )?;
     proposed(&mut out, &subject(Law::FrontPoint))?;

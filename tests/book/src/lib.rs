@@ -5,7 +5,11 @@
 //! The command lines of all blocks are also given to their programs with `--help`, which refuses
 //! unknown commands, options and values.
 
+mod printed;
+
 use std::collections::{BTreeMap, BTreeSet};
+
+pub use printed::{Printed, printed};
 
 /// How a block is run, or why it is not: the words after `sh`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

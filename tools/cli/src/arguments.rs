@@ -74,13 +74,17 @@ pub fn take_negative_numbers(command: Command) -> Command {
         .mut_subcommands(take_negative_numbers)
 }
 
-/// A duration such as `2.5s` or `500ms`; a bare number is in seconds.
+/// A duration such as `2.5s`, `500ms` or `5m`; a bare number is in seconds.
 ///
 /// # Errors
 ///
 /// When it is neither, or negative; in words.
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
-    let seconds = text.trim().parse().ok();
+    let text = text.trim();
+    let minutes = text
+        .strip_suffix('m')
+        .and_then(|number| number.parse::<f64>().ok());
+    let seconds = minutes.map(|minutes| 60.0 * minutes).or(text.parse().ok());
     if let Some(duration) = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok()) {
         return Ok(duration);
     }
@@ -114,12 +118,14 @@ mod tests {
             ("2.5s", 2_500),
             ("500ms", 500),
             ("10", 10_000),
+            ("5m", 300_000),
+            ("0.5m", 30_000),
             ("0.2", 200),
         ] {
             let duration = parse_duration(text).unwrap();
             assert_eq!(duration.as_millis(), milliseconds, "{text}");
         }
-        for text in ["-5", "-5s", "soon", "inf", "NaN", "", "1e30"] {
+        for text in ["-5", "-5s", "-5m", "m", "soon", "inf", "NaN", "", "1e30"] {
             let error = parse_duration(text).unwrap_err();
             assert!(error.contains("is not a duration"), "{text}: {error}");
         }

@@ -8,10 +8,14 @@ use clap::{Arg, Command};
 const PROGRAM: &str = "singletrack-lab";
 
 /// Names and purposes, for the list of all commands.
-pub const COMMANDS: [(&str, &str); 6] = [
+pub const COMMANDS: [(&str, &str); 7] = [
     (
         "compare",
         "Compare controllers on the simulated car: errors, intervals and stops",
+    ),
+    (
+        "completions",
+        "Print the completions of `singletrack` for a shell",
     ),
     (
         "identify",

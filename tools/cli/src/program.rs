@@ -6,6 +6,7 @@ use clap::{
     ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
     error::ErrorKind,
 };
+use singletrack_core::feasibility::{Finding, judge_reference};
 use singletrack_figures::{output, plot};
 use singletrack_scenario::simulate;
 
@@ -153,6 +154,9 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                 digest: *format == SimulateFormat::Digest,
                 ..simulate::RunOptions::default()
             };
+            for finding in doubts(&scenario)? {
+                eprintln!("singletrack: warning: {finding}");
+            }
             let simulation = simulate::simulate_with(&scenario, options)?;
             for note in &simulation.notes {
                 eprintln!("singletrack: note: {note}");
@@ -174,6 +178,15 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// What `singletrackd --check` would say of the scenario's reference; the ideal plant has no limits.
+fn doubts(scenario: &simulate::Scenario) -> Result<Vec<Finding>, Box<dyn std::error::Error>> {
+    if scenario.plant.kind == simulate::PlantKind::Ideal {
+        return Ok(Vec::new());
+    }
+    let (config, _) = simulate::virtual_drive_config(scenario)?;
+    Ok(judge_reference(&config, None, None)?.findings)
 }
 
 #[cfg(test)]

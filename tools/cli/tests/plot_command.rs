@@ -247,9 +247,9 @@ fn a_shaded_span_lies_where_the_time_axis_has_its_time() {
 }
 
 #[test]
-fn of_several_drives_the_longest_is_drawn_unless_one_is_chosen() {
+fn of_several_drives_the_operators_last_is_drawn_unless_one_is_chosen() {
     let script = Script {
-        drives: vec![300, 600, 600],
+        drives: vec![300, 600, 500],
         ..Script::default()
     };
     let plot = Plot::of(&script, &["--figure", "trajectory"]);
@@ -258,8 +258,8 @@ fn of_several_drives_the_longest_is_drawn_unless_one_is_chosen() {
         let svg = plot.svg(FigureKind::Trajectory);
         assert_eq!(titles(&svg, "mark end"), [format!("end ({x:.3}, {y:.3})")]);
     };
-    ends_at(&plot, 600);
-    assert!(plot.said().contains("drive 2 of 3"), "{}", plot.said());
+    ends_at(&plot, 500);
+    assert!(plot.said().contains("drive 3 of 3"), "{}", plot.said());
     let plot = Plot::of(&script, &["--figure", "trajectory", "--drive", "1"]);
     ends_at(&plot, 300);
     for number in ["0", "4"] {
@@ -267,6 +267,39 @@ fn of_several_drives_the_longest_is_drawn_unless_one_is_chosen() {
         assert!(!plot.output.status.success());
         assert!(plot.said().contains("from 1 to 3"), "{}", plot.said());
     }
+}
+
+#[test]
+fn of_several_records_every_drive_has_a_number_and_a_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let paths = ["one.mcap", "two.mcap", "none.mcap"].map(|name| folder.path().join(name));
+    for (path, drives) in paths.iter().zip([vec![300, 600], vec![400], vec![]]) {
+        let script = Script {
+            drives,
+            ..Script::default()
+        };
+        recorded::write(path, &script);
+    }
+    let [one, two, none] = &paths;
+    let more = [two.to_str().unwrap(), none.to_str().unwrap()];
+    let listed = plot(one, &[&more[..], &["--list"]].concat());
+    let text = String::from_utf8(listed.stdout).unwrap();
+    let lines: Vec<_> = text.lines().collect();
+    assert_eq!(lines.len(), 3, "{text}");
+    assert!(
+        lines[2].contains("   3  ") && lines[2].ends_with("two.mcap"),
+        "{text}"
+    );
+    assert!(lines[1].contains("circle"), "{text}");
+    let plotted = plot(one, &[&more[..], &["--figure", "trajectory"]].concat());
+    assert!(plotted.status.success());
+    assert!(folder.path().join("two/trajectory.svg").exists());
+    let plotted = plot(
+        one,
+        &[&more[..], &["--figure", "trajectory", "--drive", "1"]].concat(),
+    );
+    assert!(plotted.status.success());
+    assert!(folder.path().join("one/trajectory.svg").exists());
 }
 
 #[test]

@@ -50,6 +50,23 @@ fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
     }
 }
 
+#[test]
+fn a_circle_that_the_car_can_not_drive_is_warned_of_with_the_least_radius() {
+    let text = std::fs::read_to_string(scenario("circle-car.toml")).unwrap();
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("small.toml");
+    let text = text.replace("radius_m = 1.0", "radius_m = 0.3");
+    std::fs::write(&path, text.replace("duration_s = 40.0", "duration_s = 1.0")).unwrap();
+    let error = String::from_utf8(simulate(&path).stderr).unwrap();
+    let warning = "warning: reference.radius_m is 0.3: ";
+    assert!(
+        error.contains(warning) && error.contains("give at least 0.78"),
+        "{error}"
+    );
+    let good = String::from_utf8(simulate(&scenario("circle-car.toml")).stderr).unwrap();
+    assert!(!good.contains("warning"), "{good}");
+}
+
 /// Changes a scenario, and expects an error that says all of `words`.
 fn assert_refused(from: &str, to: &str, words: &[&str]) {
     let (_folder, path) = changed("circle-sampled.toml", &[(from, to)]);

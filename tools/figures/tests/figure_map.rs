@@ -428,7 +428,7 @@ fn panels_stand_in_the_rows_that_they_begin() {
         .parse()
         .unwrap();
     assert!(height > frames[3].top + frames[3].height);
-    assert!(svg.contains(">λ</tspan><tspan font-size=\"70%\" dy=\"0.7\">4</tspan>"));
+    assert!(svg.contains(">λ</tspan><tspan font-size=\"1.73\" dy=\"0.7\">4</tspan>"));
     assert_eq!(svg.matches(">unstable</text>").count(), 1, "one legend");
 }
 

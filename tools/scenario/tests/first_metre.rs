@@ -97,6 +97,23 @@ fn the_first_metre_of_an_unproved_car_finds_what_contradicts_within_half_a_metre
 }
 
 #[test]
+fn a_wheelbase_that_is_wrong_by_a_quarter_shows_and_one_by_a_tenth_does_not() {
+    for (share, reason) in [(0.77, Some("steering-differs")), (0.9, None), (1.1, None)] {
+        let [front, rear] = [0.1368, 0.1232].map(|axle| share * axle);
+        let believed = format!(
+            "[vehicle]\nmass_kg = 1.9\nyaw_inertia_kg_m2 = 0.0251\nfriction = 0.25\n\
+             front_cornering_stiffness_n_rad = 58.085\nrear_cornering_stiffness_n_rad = 130.805\n\
+             front_axle_distance_m = {front}\nrear_axle_distance_m = {rear}\n\
+             [truth.vehicle]\nfront_axle_distance_m = 0.1368\nrear_axle_distance_m = 0.1232\n"
+        );
+        for course in [CIRCLE, STRAIGHT] {
+            let summary = drive(course, &believed);
+            assert_eq!(summary.reason, reason, "{share} {course}: {summary:?}");
+        }
+    }
+}
+
+#[test]
 fn a_servo_whose_trim_is_wrong_shows_on_a_straight() {
     let summary = drive(STRAIGHT, "[truth.servo]\ncentre_us = 1612\n");
     assert_eq!(summary.reason, Some("steering-differs"), "{summary:?}");

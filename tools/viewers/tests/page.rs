@@ -276,6 +276,8 @@ fn a_viewer_gets_the_setup_the_status_and_the_newest_states() {
     assert!(head.contains("Content-Type: application/json"), "{head}");
     let setup: Value = serde_json::from_str(&setup).unwrap();
     assert_eq!(setup["fence"]["corners_m"][0], json!([-1.0, -1.0]));
+    // Where the map shows the car that can begin.
+    assert!(setup["start"]["x_m"].is_f64(), "{}", setup["start"]);
     let remedy = setup["reasons"]["host"]["link-down"]["remedy"]
         .as_str()
         .unwrap();

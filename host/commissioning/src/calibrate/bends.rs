@@ -264,6 +264,10 @@ fn identified(bench: &mut dyn Bench, track: &Track, bounds: &[f64]) -> Result<Fi
         parameter("servo-dead-time", "ms", dead, dead_time_key),
     ];
     if let Some(bent) = &bent {
+        let centre = &mut parameters[0];
+        *centre = centre
+            .clone()
+            .because("where the wheels are straight by `actuators.steering_table`");
         let key = "actuators.steering_table";
         parameters.push(parameter("steering-bend", "rad", bent.off, key));
     }

@@ -188,7 +188,8 @@ fn finding(bench: &mut dyn Bench, rises: &[DriveTrain], rolls: &[f64]) -> Result
                settings";
     let [gain_key, lag_key, dead_key] = keys.map(Some);
     Ok(Finding::warning_if(is_slow, found, fix).with(vec![
-        Parameter::new("feed-forward", "us/(m/s)", gain, gain_key),
+        Parameter::new("feed-forward", "us/(m/s)", gain, gain_key)
+            .because("less 20 %, so that the proportional gain does not overshoot"),
         Parameter::new("motor-lag", "ms", lag, lag_key),
         Parameter::new("motor-dead-time", "ms", dead, dead_key),
     ]))
@@ -300,6 +301,7 @@ fn measure_roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let braking = weakest.map(|estimate| {
         let key = ("fence.braking_m_s2", counted.into());
         Parameter::new("braking", "m/s2", estimate, Some(key))
+            .because("the weakest roll-out, less 20 %")
     });
     Ok(Finding::new(verdict, found, "").with(braking.into_iter().collect()))
 }

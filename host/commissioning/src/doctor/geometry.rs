@@ -244,7 +244,8 @@ fn pulses(bench: &dyn Bench, passes: &[Pass], checks: &mut Checks) {
         checks.failed(found, "0.1 to 30 mm", fix);
     }
     let key = Some(("board.speed.pulse_distance_um", (written as i64).into()));
-    checks.measured(Parameter::new("pulse-distance", "um", distance, key));
+    let distance = Parameter::new("pulse-distance", "um", distance, key);
+    checks.measured(distance.because("by the board's clock, which divides by it"));
 }
 
 /// Way by the cameras over way by the pulses, of the rear axle, while the car was fast. The car

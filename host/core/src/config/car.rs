@@ -8,30 +8,78 @@ use singletrack_control::{
     ActuatorModel, EstimatorConfig, Limits, MarkerLoss, SteeringMap, SteeringTable,
     VehicleParameters,
 };
-use singletrack_settings::{Declared as _, Maps as _, section};
+use singletrack_settings::{Declared as _, Maps as _, ValueError, section};
 use singletrack_words::words;
 
 use super::{Config, ConfigError, ServoSection};
 
-section! {
-    /// The car: the 1:10 car of the paper unless given. All of these keys or none.
-    "vehicle" => pub(super) VehicleKeys;
-    [maps VehicleParameters = VehicleParameters::paper()];
+const PAPER: VehicleParameters = VehicleParameters::paper();
 
-    /// Mass.
-    mass_kg: f64 => mass_kg, text "above 0";
+section! {
+    /// The car: the 1:10 car of the paper unless given. The law needs both axles; tyres and mass bound
+    /// the steering in fast bends and say how the car slips.
+    "vehicle" => pub(super) VehicleKeys;
+    [];
+
+    /// Mass. The default, as those of inertia and tyres, is the paper's car's scaled to the wheelbase.
+    mass_kg: Option<f64> = None, text "above 0", otherwise PAPER.mass_kg;
     /// Yaw moment of inertia about the centre of mass.
-    yaw_inertia_kg_m2: f64 => yaw_inertia_kg_m2, text "above 0";
+    yaw_inertia_kg_m2: Option<f64> = None, text "above 0", otherwise PAPER.yaw_inertia_kg_m2;
     /// Distance of the front axle from the centre of mass.
-    front_axle_distance_m: f64 => front_axle_distance_m, text "above 0";
+    front_axle_distance_m: f64, in up_to(2.0), example PAPER.front_axle_distance_m;
     /// Distance of the rear axle from the centre of mass.
-    rear_axle_distance_m: f64 => rear_axle_distance_m, text "above 0";
+    rear_axle_distance_m: f64, in up_to(2.0), example PAPER.rear_axle_distance_m;
     /// Friction coefficient between tyre and ground.
-    friction: f64 => friction, text "above 0";
+    friction: Option<f64> = None, text "above 0", otherwise PAPER.friction;
     /// Cornering stiffness of the front axle.
-    front_cornering_stiffness_n_rad: f64 => front_cornering_stiffness_n_rad, text "above 0";
+    front_cornering_stiffness_n_rad: Option<f64> = None, text "above 0",
+        otherwise PAPER.front_cornering_stiffness_n_rad;
     /// Cornering stiffness of the rear axle.
-    rear_cornering_stiffness_n_rad: f64 => rear_cornering_stiffness_n_rad, text "above 0";
+    rear_cornering_stiffness_n_rad: Option<f64> = None, text "above 0",
+        otherwise PAPER.rear_cornering_stiffness_n_rad;
+}
+
+/// A car with these axles, and the mass, inertia and tyres of the paper's car at this scale.
+pub(crate) fn scaled_paper(
+    front_axle_distance_m: f64,
+    rear_axle_distance_m: f64,
+) -> VehicleParameters {
+    let scale = (front_axle_distance_m + rear_axle_distance_m) / PAPER.wheelbase_m();
+    // A tyre's stiffness grows with its load.
+    let [load, inertia] = [scale.powi(3), scale.powi(5)];
+    VehicleParameters {
+        mass_kg: PAPER.mass_kg * load,
+        yaw_inertia_kg_m2: PAPER.yaw_inertia_kg_m2 * inertia,
+        front_axle_distance_m,
+        rear_axle_distance_m,
+        friction: PAPER.friction,
+        front_cornering_stiffness_n_rad: PAPER.front_cornering_stiffness_n_rad * load,
+        rear_cornering_stiffness_n_rad: PAPER.rear_cornering_stiffness_n_rad * load,
+    }
+}
+
+impl TryFrom<VehicleKeys> for VehicleParameters {
+    type Error = ValueError;
+
+    fn try_from(keys: VehicleKeys) -> Result<Self, ValueError> {
+        keys.check().map_err(|error| ValueError {
+            fix: format!("{}; the axles are in m", error.fix),
+            ..error
+        })?;
+        let paper = scaled_paper(keys.front_axle_distance_m, keys.rear_axle_distance_m);
+        Ok(Self {
+            mass_kg: keys.mass_kg.unwrap_or(paper.mass_kg),
+            yaw_inertia_kg_m2: keys.yaw_inertia_kg_m2.unwrap_or(paper.yaw_inertia_kg_m2),
+            friction: keys.friction.unwrap_or(paper.friction),
+            front_cornering_stiffness_n_rad: keys
+                .front_cornering_stiffness_n_rad
+                .unwrap_or(paper.front_cornering_stiffness_n_rad),
+            rear_cornering_stiffness_n_rad: keys
+                .rear_cornering_stiffness_n_rad
+                .unwrap_or(paper.rear_cornering_stiffness_n_rad),
+            ..paper
+        })
+    }
 }
 
 section! {

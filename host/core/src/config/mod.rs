@@ -34,6 +34,7 @@ use toml::Value;
 use self::{car::VehicleKeys, outer_loop::OuterLoopKeys, reference::ReferenceKeys};
 
 pub use board::{BoardSection, EscSection, ImuSection, SerialSection, ServoSection, SpeedSection};
+pub(crate) use car::scaled_paper;
 pub use car::{
     ActuatorsSection, EstimatorSection, LimitsSection, OnlineCalibrationMode,
     OnlineCalibrationSection,
@@ -75,7 +76,7 @@ section! {
     /// Slows the reference down where the car can't follow it.
     governor: GovernorSection = GovernorSection::default();
     /// The car; the one of the paper if left out.
-    vehicle: VehicleParameters = VehicleParameters::default();
+    vehicle: VehicleParameters = VehicleParameters::default(), from VehicleKeys;
     /// What the car may do.
     limits: LimitsSection = LimitsSection::default();
     /// How the state is estimated.

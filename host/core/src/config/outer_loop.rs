@@ -27,9 +27,8 @@ section! {
     /// bounds it from below, the more the faster the car: see `singletrack stability least-p`.
     point_distance_m: f64, text "above 0", example 0.35;
     /// Distance `l_f` of the front axle from the centre of mass, as measured; law and
-    /// transform of P use it. The law needs only the distance of the front axle from the
-    /// rigid body's pivot. Set this key and `marker_offset_m` so that their difference,
-    /// forward, is the distance that you measured.
+    /// transform of P use it. Only its distance d from the rigid body's pivot matters: measure d,
+    /// and set `front_axle_distance_m` - `marker_offset_m[0]` = d.
     front_axle_distance_m: f64, text "above 0, below the wheelbase", example 0.1368;
 }
 

@@ -104,6 +104,8 @@ impl Why {
         let mut why = Self::explain(word, status);
         if status.mode() == "ready" {
             why.text.insert_str(0, "the last drive ended: ");
+            // The board answers again.
+            why.advice = why.advice.filter(|_| word != Reason::LinkDown.name());
         }
         Some(why)
     }
@@ -145,17 +147,36 @@ impl Why {
                 advice = stop.advice;
             }
         }
+        if word == Reason::LinkDown.name()
+            && let Some(error) = &status.serial_error
+        {
+            advice = Some(sentence(error));
+        }
+        if word == Reason::OutsideFence.name()
+            && let Some(state) = &status.state
+            && let (Some(x), Some(y)) = (state.x_m, state.y_m)
+        {
+            text += &format!("; its centre of mass is at ({x:.2}, {y:.2}) m");
+        }
         if matches!(word, "no-pose" | "pose-too-old" | "pose-implausible") {
             let cameras = &status.cameras;
             // The daemon knows better what is wrong with its cameras than the table does.
             if !matches!(&*cameras.diagnosis, "good" | "starting") {
-                advice = Some(format!("{}.", cameras.text));
+                advice = Some(sentence(&cameras.text));
             }
             if let Some(neighbour) = &cameras.neighbour {
                 text += &format!("; {neighbour}");
             }
         }
         Self { text, advice }
+    }
+}
+
+/// A text with its full stop.
+fn sentence(text: &str) -> String {
+    match text.ends_with(['.', '?', '!']) {
+        true => text.to_owned(),
+        false => format!("{text}."),
     }
 }
 

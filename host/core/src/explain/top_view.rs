@@ -8,11 +8,15 @@ use singletrack_control::Reference;
 
 use crate::{
     config::{Config, ReferenceSection},
+    feasibility::judge_reference,
     reasons::explanations,
 };
 
 /// Points of the reference's path.
 const POINTS: u32 = 400;
+
+/// For so long the start must be good, in s.
+const LONGEST_S: f64 = 60.0;
 
 /// The car's body and axles, in m.
 #[must_use]
@@ -41,6 +45,7 @@ pub fn setup(number: u32, config: &Config) -> Value {
             "margin_m": config.fence.margin_m(&config.vehicle),
         },
         "reference": { "points_m": points_m, "closed": is_closed },
+        "start": start(config),
         "car": car(config),
         "max_speed_m_s": config.limits.max_speed_m_s,
         "max_steering_rad": config.limits.max_steering_rad,
@@ -48,6 +53,16 @@ pub fn setup(number: u32, config: &Config) -> Value {
         "arm_battery_v": config.supervisor.arm_battery_v,
         "reasons": reasons(),
     })
+}
+
+/// A place from which the car can drive its reference, as `singletrackd --check` names it; null if
+/// there is none.
+fn start(config: &Config) -> Value {
+    let judgement = judge_reference(config, None, Some(LONGEST_S)).unwrap_or_default();
+    judgement.start.map_or(
+        Value::Null,
+        |start| json!({ "x_m": start.x_m, "y_m": start.y_m, "yaw_rad": start.yaw_rad }),
+    )
 }
 
 /// The positions of the reference over its lap or its duration, and whether it closes; none for a

@@ -213,7 +213,7 @@ words! {
         ///
         /// Effect: Stops; jogging: neutral within 0.3 s.
         ///
-        /// Remedy: Arm again, or without an operator: `arm --unattended`.
+        /// Remedy: Arm again, and let the command that arms run.
         OperatorGone = 34 "operator-gone",
         /// The time that was given with the arm request is over.
         ///
@@ -228,8 +228,7 @@ words! {
         /// Remedy: Cut the motor's supply by hand. Find the cause before you drive: the ESC ignores
         /// its pulse, or the car rolls downhill.
         StopNotObeyed = 36 "stop-not-obeyed",
-        /// Stops were weaker than `fence.braking_m_s2`: one by over 40 %, two by over 10 %, or the
-        /// roll on an unproved car's first metre by over 20 %.
+        /// The last stop was weaker than `fence.braking_m_s2` promises; the log has the deceleration.
         ///
         /// Effect: Refuses until the value fits these stops. First metre: needs a disarm.
         ///
@@ -248,7 +247,8 @@ words! {
         ///
         /// Effect: Needs a disarm.
         ///
-        /// Remedy: Measure `board.servo.gain_us_per_rad` and `centre_us`; check servo and linkage.
+        /// Remedy: Measure `board.servo.gain_us_per_rad`, `centre_us` and the axles in `[vehicle]`; check
+        /// servo and linkage.
         SteeringDiffers = 39 "steering-differs",
         /// Gyro and cameras measured different rotations.
         ///

@@ -27,6 +27,8 @@ const SIZE_AFTER: f64 = 0.17;
 const PROVED_AFTER: f64 = 0.3;
 /// Turn per turn that the steering should have made.
 const STEERING_RATIO: (f64, f64) = (0.65, 1.4);
+/// The same once the steering has made [`PROVED_AFTER`]: a wheelbase that is wrong by a quarter shows.
+const PROVED_RATIO: (f64, f64) = (0.8, 1.25);
 /// Turn of the gyro per turn of the cameras.
 const GYRO_RATIO: (f64, f64) = (0.75, 1.3);
 /// The way after which a wrong yaw of the body shows, m.
@@ -155,7 +157,9 @@ impl Proving {
         if (way > YAW_AFTER && angle > YAW_ERROR) || (way > CROSSWISE_AFTER && angle > 1.0) {
             return Some(Reason::BodyYawWrong);
         }
-        if self.wanted > SIZE_AFTER && outside(self.made, self.wanted, STEERING_RATIO) {
+        let differs = self.wanted > SIZE_AFTER && outside(self.made, self.wanted, STEERING_RATIO);
+        let is_off = self.wanted > PROVED_AFTER && outside(self.made, self.wanted, PROVED_RATIO);
+        if differs || is_off {
             return Some(Reason::SteeringDiffers);
         }
         let (margin, share) = MOTOR_TOLERANCE;
@@ -352,6 +356,10 @@ mod tests {
             (0.2, 0.131, None),
             (0.2, 0.279, None),
             (0.2, 0.281, Some(Reason::SteeringDiffers)),
+            (0.31, 0.8 * 0.31 - 1e-9, Some(Reason::SteeringDiffers)),
+            (0.31, 0.8 * 0.31 + 1e-9, None),
+            (0.31, 1.25 * 0.31 - 1e-9, None),
+            (0.31, 1.25 * 0.31 + 1e-9, Some(Reason::SteeringDiffers)),
         ] {
             let proving = Proving {
                 wanted,

@@ -202,9 +202,41 @@ fn panel(scene: &Scene, real_part: Grid, height_mm: f64) -> Panel {
     }
 }
 
-/// The amplitudes of cycles over dl, in the order of their branch.
+/// The straight motion, of which all cycles are born: no amplitude, stable up to its Hopf points.
+fn straight(cycles: &[LimitCycle], hopf: &[HopfPoint]) -> Vec<Curve> {
+    let born = || {
+        hopf.iter()
+            .filter(|point| point.largest_other_real_part < 0.0)
+    };
+    let mut ends: Vec<f64> = cycles.iter().map(|cycle| cycle.deviation).collect();
+    ends.extend(born().map(|point| point.deviation));
+    ends.sort_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (ends.first(), ends.last()) else {
+        return Vec::new();
+    };
+    let mut places: Vec<f64> = born().map(|point| point.deviation).collect();
+    places.extend([*first, *last]);
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    let curve = |part: &[f64]| {
+        let middle = 0.5 * (part[0] + part[1]);
+        let beside = |point: &&HopfPoint| (point.deviation - middle).abs();
+        let nearest = born().min_by(|one, other| beside(one).total_cmp(&beside(other)));
+        let is_stable =
+            nearest.is_some_and(|point| (middle - point.deviation) * point.crossing < 0.0);
+        let (name, look) = match is_stable {
+            true => ("stable", Look::Boundary),
+            false => ("unstable", Look::Other),
+        };
+        Curve::new(name, look, &Column::from(part), Column::from([0.0; 2]))
+    };
+    places.windows(2).map(curve).collect()
+}
+
+/// The amplitudes of cycles over dl, in the order of their branch, and the straight motion, whose Hopf
+/// points are known.
 #[must_use]
-pub fn cycles(cycles: &[LimitCycle], speed: f64) -> Figure {
+pub fn cycles(cycles: &[LimitCycle], hopf: &[HopfPoint], speed: f64) -> Figure {
     let curves = cycles.chunk_by(|one, other| one.is_stable() == other.is_stable());
     let curves = curves.map(|part| {
         let (name, look) = match part.first() {
@@ -219,11 +251,11 @@ pub fn cycles(cycles: &[LimitCycle], speed: f64) -> Figure {
         title: "Limit cycles".to_owned(),
         caption: format!(
             "Half the peak-to-peak steering angle of the limit cycles around the straight motion \
-             at {speed} m/s."
+             (at 0°) at {speed} m/s."
         ),
         width: Width::Column,
         panels: vec![Panel {
-            curves: curves.collect(),
+            curves: straight(cycles, hopf).into_iter().chain(curves).collect(),
             ..Panel::new(
                 DEVIATION,
                 Axis::new("amplitude", Some(Symbol::new("δ", "")), "°"),

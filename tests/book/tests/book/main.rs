@@ -18,7 +18,7 @@ use std::{
 };
 
 use libtest_mimic::{Arguments, Failed, Trial};
-use singletrack_book::{Block, Kind, Line, blocks, lines, spans};
+use singletrack_book::{Block, Kind, Line, Printed, blocks, lines, printed, spans};
 use tempfile::TempDir;
 
 /// The pages with commands, and those with kinds of blocks explained.
@@ -33,6 +33,8 @@ pub struct Page {
     pub text: String,
     /// Its blocks of shell commands.
     pub blocks: Vec<Block>,
+    /// What it says that commands print.
+    pub printed: Vec<Printed>,
 }
 
 /// The root of the repository.
@@ -67,7 +69,13 @@ fn pages() -> Result<Vec<Page>, String> {
         let name = path.strip_prefix(&root).unwrap().display().to_string();
         let text = fs::read_to_string(&path).unwrap();
         let blocks = blocks(&text).map_err(|error| format!("{name}: {error}"))?;
-        pages.push(Page { name, text, blocks });
+        let printed = printed(&text);
+        pages.push(Page {
+            name,
+            text,
+            blocks,
+            printed,
+        });
     }
     Ok(pages)
 }
@@ -120,6 +128,12 @@ fn main() -> ExitCode {
         trials.push(Trial::test(format!("parsed {}", page.name), move || {
             check(&parsed)
         }));
+        if !page.printed.is_empty() {
+            let page = page.clone();
+            trials.push(Trial::test(format!("printed {}", page.name), move || {
+                compare(&page)
+            }));
+        }
         if page.blocks.iter().any(Block::runs) {
             trials.push(Trial::test(format!("run {}", page.name), move || {
                 run(&page, number)
@@ -221,6 +235,31 @@ fn run_once(page: &Page, number: usize) -> Result<(), Failed> {
         page.name, output.status
     )
     .into())
+}
+
+/// Compares what a page says that commands print with what they print. Each runs in a folder that looks
+/// like a clone of the repository.
+fn compare(page: &Page) -> Result<(), Failed> {
+    let _others = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
+    let scratch = TempDir::with_prefix("book-")?;
+    let folder = scratch.path();
+    clone(&folder.join("clone"))?;
+    let path = format!("{}:/usr/bin:/bin", programs().display());
+    let mut wrong = Vec::new();
+    for part in &page.printed {
+        // A refusal is printed, too.
+        let output = Command::new("timeout")
+            .args(["60", "bash", "-c", &format!("{} 2>&1", part.command)])
+            .current_dir(folder.join("clone"))
+            .env("PATH", &path)
+            .env_remove("SINGLETRACK_SOCKET")
+            .output()?;
+        wrong.extend(part.compare(&String::from_utf8_lossy(&output.stdout)).err());
+    }
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => Err(format!("{}: {}", page.name, wrong.join("\n")).into()),
+    }
 }
 
 /// The commands that run a block.

@@ -56,7 +56,10 @@ impl Ruler {
         let [low, high] = self.range;
         match self.scale {
             Scale::Linear => {
-                let step = step((high - low) / count.max(1) as f64);
+                let wide = step((high - low) / count.max(1) as f64);
+                // Two numbers are too few to read between.
+                let is_sparse = (high / wide).floor() - (low / wide).ceil() < 2.0 && count > 1;
+                let step = if is_sparse { step(0.4 * wide) } else { wide };
                 let decimals = decimals(step);
                 let slack = 1e-9 * (high - low);
                 let (first, last) = (
@@ -195,6 +198,9 @@ mod tests {
         );
         assert_eq!(texts([0.0, 0.0041], 4), ["0.000", "0.002", "0.004"]);
         assert_eq!(texts([0.0, 1234.0], 3), ["0", "500", "1000"]);
+        assert_eq!(texts([0.0, 39.9], 3), ["0", "10", "20", "30"]);
+        let few = ["\u{2212}0.4", "\u{2212}0.2", "0.0", "0.2", "0.4", "0.6"];
+        assert_eq!(texts([-0.4, 0.75], 3), few);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Texts: escaped for XML, how symbols in them are set, and about how wide they are.
 
+use super::scale::trimmed;
+
 /// Text that means nothing to XML.
 #[must_use]
 pub fn escaped(text: &str) -> String {
@@ -76,20 +78,22 @@ pub(super) fn broken(name: &str, room: f64) -> Vec<String> {
 pub(super) fn content(text: &str) -> String {
     let parts = parts(text).into_iter().map(|part| match part {
         Part::Plain(text) => escaped(text),
-        Part::Symbol { letter, below } => symbol(letter, below),
+        Part::Symbol { letter, below } => symbol(letter, below, TEXT_SIZE),
     });
     parts.collect()
 }
 
-/// A letter in italics and what stands below it, upright.
-pub(super) fn symbol(letter: &str, below: &str) -> String {
+/// A letter in italics and what stands below it, upright; `size` is that of the text around it, in mm.
+pub(super) fn symbol(letter: &str, below: &str, size: f64) -> String {
     let letter = format!(r#"<tspan font-style="italic">{}</tspan>"#, escaped(letter));
     if below.is_empty() {
         return letter;
     }
     let below = escaped(below);
+    // As a number: some renderers take a percentage to be that of the page.
+    let size = trimmed(0.7 * size, 2);
     format!(
-        r#"{letter}<tspan font-size="70%" dy="0.7">{below}</tspan><tspan dy="-0.7">&#8203;</tspan>"#
+        r#"{letter}<tspan font-size="{size}" dy="0.7">{below}</tspan><tspan dy="-0.7">&#8203;</tspan>"#
     )
 }
 
@@ -133,7 +137,7 @@ mod tests {
     fn symbols_are_set_and_the_rest_is_as_it_was() {
         assert_eq!(content("markers lost"), "markers lost");
         let set = content("−$l_f$ & more");
-        let letter = r#"−<tspan font-style="italic">l</tspan><tspan font-size="70%" dy="0.7">f<"#;
+        let letter = r#"−<tspan font-style="italic">l</tspan><tspan font-size="1.73" dy="0.7">f<"#;
         assert!(set.starts_with(letter), "{set}");
         assert!(set.ends_with("</tspan> &amp; more"), "{set}");
     }

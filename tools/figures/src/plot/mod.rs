@@ -29,8 +29,9 @@ use drive::Drive;
 /// Options of `singletrack plot`.
 #[derive(Clone, Debug, Args)]
 pub struct PlotArgs {
-    /// A record (*.mcap, or *.mcap.part if it is unfinished or truncated).
-    pub record: PathBuf,
+    /// Records (*.mcap, or *.mcap.part if one is unfinished or truncated), the oldest first.
+    #[arg(required = true, value_name = "RECORD")]
+    pub records: Vec<PathBuf>,
 
     /// Folder for the pictures [default: beside the record, named after it].
     #[arg(long, value_name = "DIR")]
@@ -54,9 +55,14 @@ pub struct PlotArgs {
     #[arg(long, value_enum, value_delimiter = ',')]
     pub format: Vec<PlotFormat>,
 
-    /// Which drive of the record, from 1 [default: the longest].
+    /// Which drive of the records, from 1 [default: the last that follows a configured reference,
+    /// which those of the calibration don't, or else the last].
     #[arg(long, value_name = "N")]
     pub drive: Option<usize>,
+
+    /// Draw nothing; list the drives with their numbers.
+    #[arg(long, conflicts_with_all = ["drive", "figures", "animate", "format", "out"])]
+    pub list: bool,
 }
 
 /// What is written.
@@ -86,18 +92,19 @@ pub struct Plotted {
 ///
 /// A record without a drive, or a file that can't be written.
 pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
-    let record = Record::read(&args.record)?;
-    for note in &record.notes {
-        eprintln!("singletrack: {}: {note}", record.path.display());
+    let mut records = Vec::new();
+    for path in &args.records {
+        let record = Record::read(path)?;
+        for note in &record.notes {
+            eprintln!("singletrack: {}: {note}", record.path.display());
+        }
+        records.push(record);
     }
-    let (number, drive) = record.choose(args.drive)?;
-    let count = record.recording.drives.len();
-    if count > 1 {
-        eprintln!(
-            "singletrack: drive {number} of {count}, {:.1} s; choose another with --drive",
-            drive.duration()
-        );
+    if args.list {
+        return list(&records);
     }
+    let (record, number) = choose(&records, args.drive)?;
+    let (number, drive) = record.choose(Some(number))?;
     let out = args.out.clone().unwrap_or_else(|| beside(&record.path));
     let figures = if args.figures.is_empty() {
         FigureKind::of(drive).collect()
@@ -120,12 +127,12 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
         plotted.missing = screen.missing;
     }
     if args.animate {
-        plotted.files.push(write_animation(&record, drive, &out)?);
+        plotted.files.push(write_animation(record, drive, &out)?);
     }
     if formats.contains(&PlotFormat::Html) {
         plotted
             .files
-            .push(write_report(&record, number, drive, &out)?);
+            .push(write_report(record, number, drive, &out)?);
     }
     for (kind, why) in &plotted.missing {
         eprintln!("singletrack: no figure {}: {why}", kind.name());
@@ -140,7 +147,89 @@ pub fn run(args: &PlotArgs) -> Result<(), PlotError> {
     Ok(())
 }
 
+/// All drives, each with its record and its number in that, from 1.
+fn drives(records: &[Record]) -> impl DoubleEndedIterator<Item = (&Record, usize)> {
+    records.iter().flat_map(|record| {
+        let count = record.recording.drives.len();
+        (1..=count).map(move |number| (record, number))
+    })
+}
+
+/// The drive with this number of all of them, from 1, or the operator's last one: its record, and its
+/// number there.
+fn choose(records: &[Record], wanted: Option<usize>) -> Result<(&Record, usize), PlotError> {
+    let all: Vec<_> = drives(records).collect();
+    let count = all.len();
+    let operators = || {
+        all.iter()
+            .rposition(|(record, number)| record.is_operators(*number))
+    };
+    let chosen = match wanted {
+        Some(wanted) => wanted.checked_sub(1).filter(|index| *index < count),
+        None => operators().or(count.checked_sub(1)),
+    };
+    let path = || records.last().map(|last| last.path.clone());
+    let Some(index) = chosen else {
+        // Of records without a drive, the last says what it has instead.
+        if let Some(last) = records.last().filter(|_| count == 0) {
+            last.choose(None)?;
+        }
+        return Err(PlotError::UnknownDrive {
+            path: path().unwrap_or_default(),
+            wanted: wanted.unwrap_or_default(),
+            count,
+        });
+    };
+    if count > 1 {
+        let (record, number) = all[index];
+        let (_, drive) = record.choose(Some(number))?;
+        eprintln!(
+            "singletrack: drive {} of {count}, {:.1} s; choose another with --drive, or see them with \
+             --list",
+            index + 1,
+            drive.duration()
+        );
+    }
+    Ok(all[index])
+}
+
+/// Prints a line for each drive.
+fn list(records: &[Record]) -> Result<(), PlotError> {
+    let mut stdout = io::stdout().lock();
+    for (index, (record, number)) in drives(records).enumerate() {
+        let (_, drive) = record.choose(Some(number))?;
+        let begun = summary::begun(record, drive).unwrap_or_else(|| "virtual time".to_owned());
+        let reference = record.reference(drive).unwrap_or_else(|| "?".to_owned());
+        let line = format!(
+            "{:>4}  {begun:<23}  {:>6.1} s  {reference:<15}  {}  {}",
+            index + 1,
+            drive.duration(),
+            summary::ended(record, drive),
+            record.path.display()
+        );
+        if writeln!(stdout, "{line}").is_err() {
+            // The reader of a pipe may close it at any time.
+            break;
+        }
+    }
+    Ok(())
+}
+
 impl Record {
+    /// The kind of the reference that a drive was configured with.
+    fn reference(&self, drive: &Drive) -> Option<String> {
+        let configuration: toml::Table = self.configuration(drive)?.parse().ok()?;
+        let kind = configuration.get("reference")?.get("kind")?.as_str()?;
+        Some(kind.to_owned())
+    }
+
+    /// Whether the drive with this number, from 1, follows a configured reference: those of the
+    /// procedures, and of programs, get theirs from outside.
+    fn is_operators(&self, number: usize) -> bool {
+        let drive = self.recording.drives.get(number - 1);
+        drive.is_some_and(|drive| self.reference(drive).is_some_and(|kind| kind != "external"))
+    }
+
     /// The drive with this number, from 1, or the longest, with its number.
     ///
     /// # Errors

@@ -61,12 +61,44 @@ impl Record {
                 recording.entries_dropped
             ));
         }
-        Ok(Self {
+        let mut record = Self {
             path: path.to_owned(),
             meta,
             recording,
             notes,
-        })
+        };
+        record.place_points();
+        Ok(record)
+    }
+
+    /// Of a law that believes another front axle than the vehicle has, P is where the vehicle's puts it.
+    fn place_points(&mut self) {
+        let drives = self.recording.drives.iter();
+        let aside: Vec<f64> = drives
+            .map(|drive| self.axle_error(drive).unwrap_or(0.0))
+            .collect();
+        for (drive, aside) in self.recording.drives.iter_mut().zip(&aside) {
+            for tick in drive.ticks.iter_mut().filter(|_| *aside != 0.0) {
+                let [x, y] = tick.point;
+                tick.point = [x - aside * tick.yaw.cos(), y - aside * tick.yaw.sin()];
+            }
+        }
+        if let Some(aside) = aside.into_iter().find(|aside| *aside != 0.0) {
+            self.notes.push(format!(
+                "law.front_axle_distance_m is {aside:.4} m more than vehicle.front_axle_distance_m: P is \
+                 drawn where the vehicle's puts it, not where the law believes it"
+            ));
+        }
+    }
+
+    /// By how much the law believes the front axle to be farther ahead than the vehicle's, in m.
+    fn axle_error(&self, drive: &Drive) -> Option<f64> {
+        let configuration: toml::Table = self.configuration(drive)?.parse().ok()?;
+        let distance = |section: &str| {
+            let section = configuration.get(section)?;
+            section.get("front_axle_distance_m")?.as_float()
+        };
+        Some(distance("law")? - distance("vehicle")?)
     }
 }
 

@@ -141,13 +141,13 @@ pub(super) fn changes<'a>(record: &'a Record, drive: &Drive) -> Vec<(f64, &'a Ch
 }
 
 /// The time of day; a virtual drive has none.
-fn begun(record: &Record, drive: &Drive) -> Option<String> {
+pub(super) fn begun(record: &Record, drive: &Drive) -> Option<String> {
     let start = record.meta.start;
     (start != ClockMapping::VIRTUAL)
         .then(|| format!("{} UTC", utc(start.wall_ns_at(drive.start_ns))))
 }
 
-fn ended(record: &Record, drive: &Drive) -> String {
+pub(super) fn ended(record: &Record, drive: &Drive) -> String {
     let follows = |mode| matches!(mode, Mode::Driving | Mode::Slowing);
     let mut changes = changes(record, drive).into_iter();
     let stop = changes.find(|(_, change)| !follows(change.mode));

@@ -83,8 +83,7 @@ impl Ended {
     pub(super) fn how(&self) -> String {
         match self {
             Self::Left { time, position } => format!(
-                "the car can't stop inside any more; at best it comes to ({:.2}, {:.2}) m after \
-                 {time:.1} s",
+                "the car would leave the fence near ({:.2}, {:.2}) m after {time:.1} s",
                 position.x, position.y
             ),
             Self::Singular { time } => format!("the law has no answer after {time:.1} s"),
@@ -349,6 +348,21 @@ impl SteadyCircle {
         let distance = config.law.point_distance_m;
         let squared = self.point * self.point - distance * distance - wheelbase * wheelbase;
         (squared > 0.0).then(|| squared.sqrt())
+    }
+
+    /// Radius of the circle of the centre of mass, m; `None` if P's circle is too small for any angle.
+    pub(super) fn centre_of_mass(&self, config: &Config) -> Option<f64> {
+        let rear = self.rear_axle(config)?;
+        Some(libm::hypot(rear, config.vehicle.rear_axle_distance_m))
+    }
+
+    /// The largest radius of the reference, m, rounded down, with which the centre of mass keeps
+    /// within `room` (m); `None` if the car can't drive it.
+    pub(super) fn largest(&self, config: &Config, room: f64) -> Option<f64> {
+        let rear = config.vehicle.rear_axle_distance_m;
+        let ahead = libm::hypot(config.law.point_distance_m, config.vehicle.wheelbase_m());
+        let point = (room * room - rear * rear + ahead * ahead).max(0.0).sqrt();
+        (room > 0.0 && point > self.least).then(|| round_down(point / self.factor))
     }
 
     /// Judges the steering that it takes, for a reference that was asked for with the radius

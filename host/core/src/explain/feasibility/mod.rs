@@ -19,7 +19,9 @@ use singletrack_control::{
 };
 use singletrack_pilot::{Fence, PilotConfig};
 
-use crate::config::{Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS};
+use crate::config::{
+    Config, ConfigError, EXAMPLE_SERVER, ReferenceSection, SECTIONS, scaled_paper,
+};
 
 pub use unusual::warn_of_unusual;
 
@@ -242,13 +244,7 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
             "this is the example's address; give that of the computer that runs the motion capture",
         ));
     }
-    if config.vehicle == VehicleParameters::paper() {
-        findings.push(Finding::warning(
-            "vehicle",
-            "the paper's car",
-            "the section is left out; give your car's mass, axles and tyres, at least its wheelbase",
-        ));
-    }
+    warn_of_left_out(&config.vehicle, findings);
     if is_example("fence", &toml::Value::try_from(&config.fence).ok()) {
         findings.push(Finding::warning(
             "fence.braking_m_s2",
@@ -283,6 +279,28 @@ fn warn_of_examples(config: &Config, findings: &mut Vec<Finding>) {
         if is_example(key, &written.cloned()) {
             findings.push(Finding::warning(key, "the example's", fix));
         }
+    }
+}
+
+/// The whole car, or what follows from its axles because it is left out.
+fn warn_of_left_out(vehicle: &VehicleParameters, findings: &mut Vec<Finding>) {
+    if *vehicle == VehicleParameters::paper() {
+        findings.push(Finding::warning(
+            "vehicle",
+            "the paper's car",
+            "the section is left out; give front_axle_distance_m and rear_axle_distance_m of your car",
+        ));
+        return;
+    }
+    let scaled = scaled_paper(vehicle.front_axle_distance_m, vehicle.rear_axle_distance_m);
+    if vehicle.mass_kg == scaled.mass_kg {
+        findings.push(Finding::warning(
+            "vehicle.mass_kg",
+            format_args!("{:.2}", vehicle.mass_kg),
+            "left out, and scaled from the paper's car to this wheelbase, as are inertia and tyres that \
+             are left out; the law needs only the axles, but weigh the car and identify its tyres \
+             before you drive near the limits",
+        ));
     }
 }
 
@@ -456,6 +474,10 @@ fn judge_fence(
         ));
         return;
     }
+    if let Some(finding) = too_large(config, pilot) {
+        judgement.findings.push(finding);
+        return;
+    }
     // The attempt that lasted longest explains best where the fence is too narrow.
     let longest = candidates()
         .map(|start| ends(&pilot.fence, start))
@@ -501,6 +523,41 @@ fn leaves(config: &Config, ended: &Ended, stand: Option<Stand>) -> Finding {
     );
     let corners = format!("{:?}", config.fence.corners_m);
     Finding::impossible("fence.corners_m", corners, fix)
+}
+
+/// A circle that the fence has no room for, however the car comes to it.
+fn too_large(config: &Config, pilot: &PilotConfig) -> Option<Finding> {
+    let ReferenceSection::Circle {
+        radius_m,
+        angular_velocity_rad_s,
+        centre_m: [x, y],
+        ..
+    } = config.reference
+    else {
+        return None;
+    };
+    let circle = SteadyCircle::of(
+        config,
+        &pilot.limits,
+        radius_m,
+        angular_velocity_rad_s.abs(),
+    );
+    let margin = config.fence.margin_m(&config.vehicle);
+    let room = pilot.fence.clearance(&Position::new(x, y));
+    let centre_of_mass = circle.centre_of_mass(config)?;
+    // Where no circle fits, the fence is too small.
+    let most = circle.largest(config, room)?;
+    (centre_of_mass > room).then(|| {
+        Finding::impossible(
+            "reference.radius_m",
+            radius_m,
+            format!(
+                "the centre of mass drives a circle of {centre_of_mass:.2} m, and fence.corners_m \
+                 leaves {room:.2} m around ({x}, {y}) m within fence.margin_m = {margin}; give \
+                 {most:.2} or less, move reference.centre_m, or widen the fence"
+            ),
+        )
+    })
 }
 
 /// The reference of a drive from there.

@@ -146,6 +146,7 @@ mod tests {
                 unit: "us".into(),
                 estimate: Interval::around(1_512.0, 2.0),
                 key: Some(("board.servo.centre_us".into(), 1_512.into())),
+                why: "".into(),
             }],
         }
     }

@@ -275,7 +275,7 @@ mod tests {
         let mut status = standing();
         status["cameras"] = json!({"diagnosis": "no-server", "text": "is the cable plugged in?"});
         let line = of(&status).line();
-        assert!(line.ends_with("To do: is the cable plugged in?."), "{line}");
+        assert!(line.ends_with("To do: is the cable plugged in?"), "{line}");
         status["state"]["preflight"] = json!("battery-low");
         let line = of(&status).line();
         assert!(

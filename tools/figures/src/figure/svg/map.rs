@@ -86,7 +86,7 @@ pub(super) fn draw_dotted(svg: &mut String, class: &str, points: &[[f64; 2]]) ->
 
 /// How a dotted path is painted: in print as on a screen.
 const DOTTED: &str =
-    r##"stroke="#1a1a1a" stroke-width="0.24" stroke-linecap="round" stroke-dasharray="0.01 0.62""##;
+    r##"stroke="#1a1a1a" stroke-width="0.38" stroke-linecap="round" stroke-dasharray="0.01 0.8""##;
 
 /// How a shade is painted.
 const fn paint(shade: Shade) -> &'static str {

@@ -307,7 +307,7 @@ fn axis_name(svg: &mut String, axis: &Axis, place: &str) -> fmt::Result {
         if !name.is_empty() {
             name.push(' ');
         }
-        name += &typeset::symbol(letter, below);
+        name += &typeset::symbol(letter, below, NAME_SIZE);
     }
     if !axis.unit.is_empty() {
         name += &format!(" ({})", escaped(axis.unit));

@@ -87,6 +87,14 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
             ("reference_path", reference_path),
             ("trail", frames.trail(&seconds)),
             ("trail_width", number(view.metres(TRAIL_PX))),
+            // In m, as all on the floor: not every renderer knows strokes that do not scale.
+            ("px_1", number(view.metres(1.0))),
+            ("px_1_5", number(view.metres(1.5))),
+            ("px_2", number(view.metres(2.0))),
+            ("px_2_5", number(view.metres(2.5))),
+            ("px_3_5", number(view.metres(3.5))),
+            ("px_4", number(view.metres(4.0))),
+            ("px_7", number(view.metres(7.0))),
             ("lost", frames.lost(&seconds, view.width_px)),
             ("reference", reference),
             (

@@ -86,11 +86,12 @@ pub(super) fn steering(drive: &Drive) -> Figure {
 pub(super) fn speed(drive: &Drive) -> Figure {
     let y = Axis::new("speed", Some(Symbol::new("v", "")), "m/s");
     let curves = vec![
-        measured(drive, "motor pulses", |sample| sample.motor_speed),
         curve(drive, "reference", Look::Nominal, |tick| {
             tick.commanded_speed
         }),
         curve(drive, "actual", Look::Actual, |tick| tick.speed),
+        // Above what is estimated from them, which would hide them.
+        measured(drive, "motor pulses", |sample| sample.motor_speed),
         truth(drive, |sample| sample.speed),
     ];
     Figure {
@@ -148,31 +149,25 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
         curve(drive, "estimated", Look::Actual, |tick| tick.sideslip),
         truth(drive, |sample| sample.sideslip),
     ];
+    let gyro = measured(drive, "gyro", |sample| sample.yaw_rate);
+    let has_gyro = !gyro.is_empty();
     let yaw_rate = vec![
+        gyro,
         curve(drive, "estimated", Look::Actual, |tick| tick.yaw_rate),
         truth(drive, |sample| sample.yaw_rate),
     ];
-    let gyro = vec![
-        measured(drive, "gyro", |sample| sample.yaw_rate),
-        truth(drive, |sample| sample.yaw_rate),
-    ];
     let [beta, r] = ["β", "r"].map(|letter| Some(Symbol::new(letter, "")));
-    let mut panels = vec![
+    let panels = vec![
         over_time(drive, Axis::new("sideslip", beta, "rad"), sideslip),
         over_time(drive, Axis::new("yaw rate", r, "rad/s"), yaw_rate),
     ];
-    let has_gyro = !gyro[0].is_empty();
-    if has_gyro {
-        // One would hide the other.
-        panels.push(over_time(drive, Axis::new("gyro", r, "rad/s"), gyro));
-    }
     Figure {
         title: "Sideslip angle and yaw rate".to_owned(),
         caption: format!(
             "The estimated angle from the car's axis to the velocity of its centre of mass, and \
              its yaw rate{}; left is positive.",
             if has_gyro {
-                " beside the gyro's samples"
+                " over the gyro's samples"
             } else {
                 ""
             }
@@ -183,10 +178,17 @@ pub(super) fn sideslip_and_yaw_rate(drive: &Drive) -> Figure {
 }
 
 pub(super) fn tracking_error(drive: &Drive) -> Figure {
-    // The approach and the last millimetres on one axis.
+    let errors = [drive.tracking_error(), drive.true_errors()].concat();
+    let found = || errors.iter().filter(|error| error.is_finite());
+    let [least, most] = [
+        found().fold(f64::INFINITY, |a, b| a.min(*b)),
+        found().fold(0.0, |a: f64, b| a.max(*b)),
+    ];
+    // The approach and the last millimetres on one axis; but errors of one size as they are.
+    let is_wide = most > 10.0 * least;
     let y = Axis {
-        scale: Scale::Log,
-        include: Some(1.0),
+        scale: if is_wide { Scale::Log } else { Scale::Linear },
+        include: (!is_wide).then_some(0.0),
         ..Axis::new("tracking error", Some(Symbol::new("e", "P")), "mm")
     };
     let mut is_cut = false;
@@ -209,8 +211,13 @@ pub(super) fn tracking_error(drive: &Drive) -> Figure {
     Figure {
         title: "Tracking error of P".to_owned(),
         caption: format!(
-            "Distance from P to where it should be at that moment, on a logarithmic axis{}.",
-            if is_cut {
+            "Distance from P to where it should be at that moment{}{}.",
+            if is_wide {
+                ", on a logarithmic axis"
+            } else {
+                ""
+            },
+            if is_cut && is_wide {
                 "; what is below 0.1 mm is drawn there"
             } else {
                 ""

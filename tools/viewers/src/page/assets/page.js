@@ -192,7 +192,18 @@ function writeNow(isOld) {
   const isExplained = ABOUT_POSES.includes(word)
     && status && !NO_TROUBLE.includes(status.cameras.diagnosis);
   text(element("meaning"), `${before}\`${word}\`. ${meaning}`);
-  text(element("remedy"), `What to do: ${remedy}${isExplained ? ` Cameras: ${status.cameras.text}.` : ""}`);
+  if (word === "link-down" && mode === "ready") {
+    // The board answers again.
+    text(element("remedy"), "");
+    return;
+  }
+  const port = word === "link-down" && status?.serial_error;
+  const cameras = isExplained ? ` Cameras: ${sentence(status.cameras.text)}` : "";
+  text(element("remedy"), `What to do: ${port ? sentence(port) : remedy}${cameras}`);
+}
+
+function sentence(words) {
+  return /[.?!]$/.test(words) ? words : `${words}.`;
 }
 
 // What the drives say of the calibration.

@@ -72,6 +72,9 @@ export class View {
     if (state === null) {
       return;
     }
+    if (state.drive_time_s === null) {
+      this.drawStart(pen, to, scale, colour);
+    }
     this.drawTrail(pen, states, to, colour);
     pen.font = colour.font;
     for (const other of others(state).filter(({ x_m }) => x_m !== null)) {
@@ -107,15 +110,39 @@ export class View {
     const from = (at) => at - Math.ceil(at / (step * scale)) * step * scale;
     pen.strokeStyle = colour.line;
     pen.lineWidth = 0.5;
+    pen.fillStyle = colour.soft;
+    pen.font = colour.font;
+    const name = (pixels) => String(Number((pixels / scale).toFixed(1)));
     for (let x = from(origin[0]); x < width; x += step * scale) {
       line(pen, [[x, 0], [x, height]]);
+      // The corner is that of the names of the axes.
+      if (x > 40) {
+        pen.fillText(name(x - origin[0]), x + 3, height - 6);
+      }
     }
     for (let y = from(origin[1]); y < height; y += step * scale) {
       line(pen, [[0, y], [width, y]]);
+      if (y < height - 30) {
+        pen.fillText(name(origin[1] - y), 4, y - 3);
+      }
     }
-    pen.fillStyle = colour.soft;
-    pen.font = colour.font;
-    pen.fillText(`grid ${step} m`, 4, height - 6);
+    pen.fillText("x, y, m", 4, height - 6);
+  }
+
+  // A ghost of the car where it can begin to drive.
+  drawStart(pen, to, scale, colour) {
+    const { setup } = this;
+    if (setup.start) {
+      pen.globalAlpha = 0.4;
+      drawCar(pen, to, scale, { ...colour, ink: colour.soft }, setup,
+        { ...setup.start, steering_rad: 0, pose_age_s: Infinity });
+      pen.globalAlpha = 1;
+      const { x_m, y_m } = setup.start;
+      const [x, y] = to([x_m, y_m]);
+      pen.fillStyle = colour.soft;
+      pen.font = colour.font;
+      pen.fillText(`start (${x_m.toFixed(2)}, ${y_m.toFixed(2)})`, x + 12, y - 12);
+    }
   }
 
   // The older, the fainter.
