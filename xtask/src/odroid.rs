@@ -28,6 +28,17 @@ const INSTALLED: &str = "--package singletrackd --package singletrack";
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
                           --features singletrack-scenario/files";
 
+/// The packages of that program which hardly compute: they read files and pass values on. Without
+/// optimisation they compile in a third of the time.
+const NOT_COMPUTING: [&str; 3] = [
+    "singletrack-core",
+    "singletrack-record",
+    "singletrack-scenario",
+];
+
+/// What is simulated of a scenario in the emulator, which is some thirty times slower.
+const EMULATED_S: &str = "15";
+
 /// One scenario per plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle.toml",
@@ -53,40 +64,54 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// Checks that the Odroid's programs compile, and that the tested profile simulates the same bits
-/// there as here. The programs themselves are built and run by `cargo deb`.
+/// Checks that the Odroid's programs compile, and that what computes in the tested profile computes the
+/// same bits there as here. The programs themselves are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
     check_programs.args(INSTALLED.split(' '));
     // This combination of features is linted only here.
     check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
-    compare_bits(packages, "dev")
+    compare_emulated(packages, "dev", &not_optimised("dev"))
 }
 
-/// Checks that a profile simulates the same bits there as the tests here: records of the car are
-/// replayed here.
-pub(crate) fn compare_bits(packages: &Packages, profile: &str) -> Result {
-    let emulated = build(profile, TRAJECTORY)?.join("trajectory");
+/// Checks that a release as it is installed simulates the same bits here and there as the tests here:
+/// records of the car are replayed here.
+pub(crate) fn compare_installed(packages: &Packages) -> Result {
+    compare_native(packages, "")?;
+    compare_emulated(packages, "release", "")
+}
+
+/// Compares the bits of a profile, built with further options.
+fn compare_emulated(packages: &Packages, profile: &str, options: &str) -> Result {
+    let emulated = build(profile, &format!("{TRAJECTORY}{options}"))?.join("trajectory");
     let run = || {
         let mut run = command(&ARMHF.emulator());
         run.arg(&emulated);
         run
     };
-    compare(packages, &SCENARIOS, "this machine", ("ARMv7", &run))
+    let builds = ("this machine", "ARMv7");
+    compare(packages, &SCENARIOS, builds, &run, Some(EMULATED_S))
 }
 
-/// Checks that a release build simulates the same bits as the tests. The programs themselves are
-/// built by `cargo deb` and `cargo release`.
+/// Checks that what computes in a release build computes the same bits as in the tests. The programs
+/// themselves are built by `cargo deb` and `cargo release`.
 pub(crate) fn compare_release(packages: &Packages) -> Result {
+    compare_native(packages, &not_optimised("release"))
+}
+
+/// Compares the bits of a release build for this machine, built with further options.
+fn compare_native(packages: &Packages, options: &str) -> Result {
     let (mut build, folder) = release_build()?;
-    check(build.args(TRAJECTORY.split(' ')))?;
+    check(build.args(format!("{TRAJECTORY}{options}").split(' ')))?;
     let run = || Command::new(folder.join("trajectory"));
-    compare(
-        packages,
-        &SCENARIOS,
-        "the tested build",
-        ("the release build", &run),
-    )
+    let builds = ("the tested build", "the release build");
+    compare(packages, &SCENARIOS, builds, &run, None)
+}
+
+/// Cargo's options that keep a profile from optimising what hardly computes, each after a blank.
+fn not_optimised(profile: &str) -> String {
+    let option = |package| format!(" --config profile.{profile}.package.{package}.opt-level=0");
+    NOT_COMPUTING.into_iter().map(option).collect()
 }
 
 /// Builds programs, and returns their folder.
@@ -96,17 +121,19 @@ fn build(profile: &str, options: &str) -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// Checks that another build simulates the same bits as that of the tests; otherwise, records of the
-/// car's computer could not be replayed on another.
+/// Checks that another build simulates the same bits as that of the tests, the whole scenarios or the
+/// first seconds; otherwise, records of the car's computer could not be replayed on another.
 pub(crate) fn compare(
     packages: &Packages,
     scenarios: &[&str],
-    tested_name: &str,
-    (name, other): (&str, &dyn Fn() -> Command),
+    (tested_name, name): (&str, &str),
+    other: &dyn Fn() -> Command,
+    seconds: Option<&str>,
 ) -> Result {
     let tested = packages.path("trajectory")?;
     for scenario in scenarios {
-        let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
+        let simulate =
+            |mut run: Command| output(run.arg(scenario).args(seconds).current_dir(root()));
         let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
         if let Some(place) = first_difference(&tested, &other) {
             let builds = format!("{tested_name} and {name}");

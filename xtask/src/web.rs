@@ -146,7 +146,8 @@ pub(crate) fn verify(packages: &Packages) -> Result {
         node
     };
     for scenarios in [&odroid::SCENARIOS[..], &SCENARIOS] {
-        odroid::compare(packages, scenarios, "this machine", ("Node", &trajectory))?;
+        let builds = ("this machine", "Node");
+        odroid::compare(packages, scenarios, builds, &trajectory, None)?;
     }
     let folder = target::folder()?.join("web/checked");
     target::empty(&folder)?;
