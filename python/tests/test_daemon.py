@@ -231,7 +231,7 @@ def test_a_daemon_that_dies_ends_the_drive_with_an_error(daemon: Any) -> None:
             drive.point_velocity(0.0, 0.3)
             if state.drive_time_s > 0.3:
                 daemon.daemon.kill()
-    with pytest.raises(ConnectionError, match="is singletrackd running"):
+    with pytest.raises(ConnectionError, match="start singletrackd"):
         assert car.state
 
 

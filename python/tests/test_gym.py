@@ -62,7 +62,7 @@ def test_modes_that_need_a_package_are_declared_if_it_is_there() -> None:
         "check_env(gymnasium.make('Singletrack-v0').unwrapped)\n"
         "print(singletrack.gym.SingletrackEnv.metadata['render_modes'])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "['rgb_array']", done.stderr
 
 
