@@ -264,7 +264,7 @@ mod thorough {
 
     #[test]
     fn a_jump_of_the_cameras_ends_no_drive_and_one_of_three_frames_does_not_move_the_speed() {
-        for millimetres in [20.0, 48.0, 80.0] {
+        for millimetres in [20.0, 30.0, 48.0, 80.0] {
             for frames in [1.0, 3.0, 8.0] {
                 let verdict = judged(&move |time, pose| {
                     if (15.0..15.0 + 0.01 * frames - 1e-6).contains(&time) {

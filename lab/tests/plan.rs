@@ -68,7 +68,7 @@ mod thorough {
 
     #[test]
     fn estimates_scatter_as_the_bound_says() {
-        const SEEDS: u64 = 20;
+        const SEEDS: u64 = 40;
         let (free, noisy) = drives("eight-6x3.toml", SEEDS, 90.0);
         for (index, parameter) in Parameter::ALL.into_iter().enumerate() {
             let estimates = noisy.iter().map(|it| it.estimates()[index].value);

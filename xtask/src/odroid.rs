@@ -36,9 +36,6 @@ const NOT_COMPUTING: [&str; 3] = [
     "singletrack-scenario",
 ];
 
-/// What is simulated of a scenario in the emulator, which is some thirty times slower.
-const EMULATED_S: &str = "15";
-
 /// One scenario per plant.
 pub(crate) const SCENARIOS: [&str; 3] = [
     "tools/scenarios/circle.toml",
@@ -90,7 +87,7 @@ fn compare_emulated(packages: &Packages, profile: &str, options: &str) -> Result
         run
     };
     let builds = ("this machine", "ARMv7");
-    compare(packages, &SCENARIOS, builds, &run, Some(EMULATED_S))
+    compare(packages, &SCENARIOS, builds, &run)
 }
 
 /// Checks that what computes in a release build computes the same bits as in the tests. The programs
@@ -105,7 +102,7 @@ fn compare_native(packages: &Packages, options: &str) -> Result {
     check(build.args(format!("{TRAJECTORY}{options}").split(' ')))?;
     let run = || Command::new(folder.join("trajectory"));
     let builds = ("the tested build", "the release build");
-    compare(packages, &SCENARIOS, builds, &run, None)
+    compare(packages, &SCENARIOS, builds, &run)
 }
 
 /// Cargo's options that keep a profile from optimising what hardly computes, each after a blank.
@@ -121,19 +118,17 @@ fn build(profile: &str, options: &str) -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// Checks that another build simulates the same bits as that of the tests, the whole scenarios or the
-/// first seconds; otherwise, records of the car's computer could not be replayed on another.
+/// Checks that another build simulates the same bits as that of the tests; otherwise, records of the
+/// car's computer could not be replayed on another.
 pub(crate) fn compare(
     packages: &Packages,
     scenarios: &[&str],
     (tested_name, name): (&str, &str),
     other: &dyn Fn() -> Command,
-    seconds: Option<&str>,
 ) -> Result {
     let tested = packages.path("trajectory")?;
     for scenario in scenarios {
-        let simulate =
-            |mut run: Command| output(run.arg(scenario).args(seconds).current_dir(root()));
+        let simulate = |mut run: Command| output(run.arg(scenario).current_dir(root()));
         let (tested, other) = (simulate(Command::new(&tested))?, simulate(other())?);
         if let Some(place) = first_difference(&tested, &other) {
             let builds = format!("{tested_name} and {name}");

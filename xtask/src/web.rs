@@ -147,7 +147,7 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     };
     for scenarios in [&odroid::SCENARIOS[..], &SCENARIOS] {
         let builds = ("this machine", "Node");
-        odroid::compare(packages, scenarios, builds, &trajectory, None)?;
+        odroid::compare(packages, scenarios, builds, &trajectory)?;
     }
     let folder = target::folder()?.join("web/checked");
     target::empty(&folder)?;

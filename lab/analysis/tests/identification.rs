@@ -384,7 +384,7 @@ mod thorough {
 
     #[test]
     fn a_wrong_centre_of_mass_causes_a_warning_of_unexplained_forces() {
-        let course = Course::weaving(15, 14.0);
+        let course = Course::weaving(15, 21.0);
         let wrong = course.vehicle.with_centre_of_mass_at(0.1418);
         let settings = |parameters: &[Parameter]| Settings {
             frames: Some(ServoFrames::Even),
