@@ -133,7 +133,11 @@ pub fn judge(
         what,
     };
     if log.ticks.is_empty() {
-        return Err(empty("ticks"));
+        let is_cut = [from, to] != WHOLE;
+        return Err(empty(match is_cut {
+            true => "ticks between --from and --to",
+            false => "ticks",
+        }));
     }
     if log.frames.is_empty() {
         return Err(empty("frames of the cameras"));

@@ -21,20 +21,20 @@ const LAGS: isize = 40;
 /// Parts of the drive, each of which is left out once: how much the results differ says how sure they
 /// are.
 const PARTS: usize = 10;
-/// A result is told if it differs by this many of its standard deviations.
+/// A difference is reported if it is this many of its standard deviations.
 const SURE: f64 = 4.0;
-/// A slope that differs by less, and a lag that is less (s), are nobody's mistake.
+/// Slopes nearer to one than this, and shorter lags (s), are not reported.
 const SCALE: f64 = 0.05;
 const LATE: f64 = 0.01;
 /// An encoder counts over a while: its speed may be so late, s.
 const COUNTS: f64 = 0.025;
-/// A lag is told if without it so many times as much of the sensor is unexplained.
+/// A lag is reported if it lowers the unexplained variance by at least this factor.
 const BETTER: f64 = 1.15;
-/// A lag is told only where it is known within this, s, and where the sensor says what the cameras say.
+/// A lag is reported if its standard deviation is below this, s, and the correlation above that.
 const LAG_KNOWN: f64 = 0.01;
 const AGREES: f64 = 0.5;
-/// An axis of the accelerometer sees an acceleration if its slope is this much, and this many of its
-/// standard deviations; and its axes are swapped if that explains so many times as much.
+/// An axis of the accelerometer measures an acceleration if the slope is above the first, and above the
+/// second times its standard deviation. The axes are swapped if that correlates by the third factor more.
 const SEES: f64 = 0.3;
 const FOUND: f64 = 4.5;
 const CROSSED: f64 = 1.5;
@@ -52,9 +52,9 @@ pub struct Sensor {
     pub lag_s: f64,
     /// Standard deviation of the lag.
     pub lag_deviation_s: f64,
-    /// Of sensor and cameras at the lag.
+    /// Correlation of sensor and cameras at the lag.
     pub correlation: f64,
-    /// What is unexplained without the lag, over what is with it.
+    /// Ratio of the variance that is unexplained without the lag to that with it.
     pub gain: f64,
 }
 

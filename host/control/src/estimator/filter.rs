@@ -38,7 +38,7 @@ const GYRO_SCALE: usize = 9;
 const MOTOR_SCALE: usize = 10;
 /// Tangent of the front wheels' angle beyond that of the one sent, as a fraction.
 const STEERING_GAIN: usize = 11;
-/// The same when straight wheels are sent.
+/// Tangent of the front wheels' angle when straight ones are sent.
 const STEERING_TRIM: usize = 12;
 /// Angle at which the rear tyres slip per lateral acceleration, over the speed: s²/m.
 const COMPLIANCE: usize = 13;

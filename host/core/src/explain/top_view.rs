@@ -96,7 +96,7 @@ fn reference_path(config: &Config) -> (Vec<[f64; 2]>, bool) {
     (points, is_closed)
 }
 
-/// By who decides, then by word: what it means, and what to do.
+/// Meaning and remedy of every reason, by who decides and by word.
 fn reasons() -> Value {
     let mut all = Map::new();
     for row in explanations() {

@@ -145,7 +145,7 @@ impl<L: Line> ControlLoop<L> {
         self.controller.push(Event::RealTime(state));
     }
 
-    /// As [`Pilot::assume`](singletrack_pilot::Pilot::assume).
+    /// Replaces the estimate of the next tick: see [`Pilot::assume`](singletrack_pilot::Pilot::assume).
     pub(super) const fn assume(&mut self, estimate: Estimate) {
         self.controller.assume(estimate);
     }

@@ -118,7 +118,7 @@ impl Controller {
         &self.pilot
     }
 
-    /// As [`Pilot::assume`].
+    /// Replaces the estimate of the next tick: see [`Pilot::assume`].
     pub(super) const fn assume(&mut self, estimate: Estimate) {
         self.pilot.assume(estimate);
     }

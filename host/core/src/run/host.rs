@@ -227,7 +227,7 @@ impl<L: Line> VirtualHost<L> {
         &self.host
     }
 
-    /// As [`Pilot::assume`](singletrack_pilot::Pilot::assume).
+    /// Replaces the estimate of the next tick: see [`Pilot::assume`](singletrack_pilot::Pilot::assume).
     pub const fn assume(&mut self, estimate: Estimate) {
         self.host.control.assume(estimate);
     }

@@ -126,7 +126,7 @@ struct Exposures {
 }
 
 /// The share of a message's jitter that moves the next exposure: the clocks of cameras and log drift.
-const FOLLOWED: f64 = 0.02;
+pub(super) const FOLLOWED: f64 = 0.02;
 /// The largest jitter, in periods: a message that is farther off starts a new grid of exposures.
 const LARGEST_JITTER: f64 = 0.4;
 

@@ -1,5 +1,7 @@
 //! How regular the times of a source are.
 
+use super::sensor::FOLLOWED;
+
 /// The jitter from which exposures that are regular are worth the key, in s; and the share of a period
 /// up to which the times can be those of regular exposures.
 const WORTH: f64 = 2e-4;
@@ -66,7 +68,6 @@ fn mean_period(intervals: &[f64]) -> Option<f64> {
 
 /// Distances from regular times that follow the clock slowly, as the import's exposures do.
 fn jitter(intervals: &[f64], period: f64) -> f64 {
-    const FOLLOWED: f64 = 0.02;
     let (mut off, mut squares, mut count) = (0.0, 0.0, 0.0);
     for interval in intervals {
         let periods = (interval / period).round().max(1.0);
