@@ -8,6 +8,7 @@ use super::{
     map::{Conversion, EmptyRows, Messages, PoseSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
     samples::Sample,
+    times::FOLLOWED,
 };
 
 /// Tells the rows with a new value from those that repeat an old one.
@@ -125,8 +126,6 @@ struct Exposures {
     last_ns: Option<f64>,
 }
 
-/// The share of a message's jitter that moves the next exposure: the clocks of cameras and log drift.
-pub(super) const FOLLOWED: f64 = 0.02;
 /// The largest jitter, in periods: a message that is farther off starts a new grid of exposures.
 const LARGEST_JITTER: f64 = 0.4;
 

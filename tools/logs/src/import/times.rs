@@ -1,6 +1,7 @@
 //! How regular the times of a source are.
 
-use super::sensor::FOLLOWED;
+/// The share of a message's jitter that moves the next exposure: the clocks of cameras and log drift.
+pub(super) const FOLLOWED: f64 = 0.02;
 
 /// The jitter from which exposures that are regular are worth the key, in s; and the share of a period
 /// up to which the times can be those of regular exposures.
