@@ -145,7 +145,7 @@ fn parse(arguments: &[String]) -> Result<Selection> {
 
 /// The checks in order: fast ones first, real-time ones last.
 #[rustfmt::skip]
-const STEPS: [Step; 29] = [
+const STEPS: [Step; 30] = [
     // Static checks.
     row(PREREQUISITES, 0.1, Always, "the machine has what the steps need", |packages| {
         let parts = Part::ALL.into_iter().filter(|part| packages.has(*part));
@@ -200,6 +200,11 @@ const STEPS: [Step; 29] = [
         // A Slurm that is installed does not count.
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
+    row("certificates", 0.12, Of(Part::Python),
+        "programs that derive the loop for themselves accept the proofs of stability, and no changed one",
+        |packages| check(script("lab/certificates/check.sh")
+            .arg(packages.path("singletrack-lab")?)
+            .arg(target::folder()?.join("certificates")))),
     row("book", 0.5, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book"))?)),
     row("release", 0.6, All, "what computes gives the same bits in a release build as in the tested one",
@@ -211,7 +216,7 @@ const STEPS: [Step; 29] = [
         "the daemon compiles for the Odroid, and what computes gives the same bits there", odroid::verify),
     row("web", 2.3, Of(Part::Web),
         "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
-    row("python", 0.5, Of(Part::Python),
+    row("python", 0.38, Of(Part::Python),
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.

@@ -1,10 +1,11 @@
 //! The inertial measurement unit, modelled on the BNO055 in its fusion mode without
 //! magnetometer.
 
+use singletrack_control::GRAVITY;
 use singletrack_settings::section;
 use singletrack_simavr::Motion;
 
-use super::{Truth, motor::GRAVITY};
+use super::Truth;
 use crate::{
     car::Rotation,
     random::{Random, Stream},

@@ -3,6 +3,7 @@
 
 use libm::{cos, sin};
 use serde::{Deserialize, Serialize};
+use singletrack_control::GRAVITY;
 use singletrack_settings::section;
 
 use crate::{
@@ -143,9 +144,6 @@ pub(crate) struct SpeedController {
     learned: u32,
     learned_sum_us: u32,
 }
-
-/// Acceleration of gravity, in m/s².
-pub(super) const GRAVITY: f64 = 9.81;
 
 /// Wheels slower than this count as standing, in m/s.
 const STANDING: f64 = 0.02;

@@ -33,6 +33,7 @@ const STOPS: Saturation = Saturation {
     tyres: Tyres::Saturating,
     max_steering: 0.45,
     max_steering_rate: 5.0,
+    ..Saturation::NONE
 };
 
 #[test]

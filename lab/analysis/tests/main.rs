@@ -11,6 +11,7 @@ mod cycles;
 mod eigenvalues;
 mod hopf;
 mod identification;
+mod losses;
 mod measured_point;
 mod sampled;
 mod servo;

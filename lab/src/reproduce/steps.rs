@@ -83,6 +83,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         let losses = LOSSES.map(|first_tick| MarkerLoss {
             first_tick,
             ticks: LOSS_TICKS,
+            repeat_ticks: 0,
         });
         let experiment = Experiment {
             losses: losses.to_vec(),

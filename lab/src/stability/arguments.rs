@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use singletrack_analysis::stability::{
     Ages, Belief, ClosedLoop, Compensation, Law, SampledLoop, SamplingError, Saturation, Servo,
 };
-use singletrack_control::Tyres;
+use singletrack_control::{SlipAngles, Tyres};
 
 use super::subject::{Format, Grid, Subject};
 use crate::vehicle_file::{self, VehicleFileError};
@@ -117,6 +117,9 @@ pub(super) struct SaturationArgs {
     /// The tyres; those that saturate have the vehicle's friction
     #[arg(long, value_enum, default_value_t = TyresName::Linear)]
     tyres: TyresName,
+    /// Slip angles for small angles, as in the paper, or exact ones
+    #[arg(long, value_enum, default_value_t = SlipAnglesName::Small)]
+    slip_angles: SlipAnglesName,
     /// Steering stop, in rad [default: none]
     #[arg(long, value_name = "RAD", default_value_t = f64::INFINITY, hide_default_value = true)]
     max_steering: f64,
@@ -135,6 +138,14 @@ enum TyresName {
     MagicFormula,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum SlipAnglesName {
+    /// sin x = x and cos x = 1
+    Small,
+    /// The angle between wheels and velocity, and the force across the front wheels
+    Exact,
+}
+
 impl SaturationArgs {
     pub(super) fn saturation(self) -> Saturation {
         Saturation {
@@ -142,6 +153,10 @@ impl SaturationArgs {
                 TyresName::Linear => Tyres::Linear,
                 TyresName::Saturating => Tyres::Saturating,
                 TyresName::MagicFormula => Tyres::MagicFormula,
+            },
+            slip_angles: match self.slip_angles {
+                SlipAnglesName::Small => SlipAngles::Small,
+                SlipAnglesName::Exact => SlipAngles::Exact,
             },
             max_steering: self.max_steering,
             max_steering_rate: self.max_steering_rate,

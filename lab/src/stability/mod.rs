@@ -6,6 +6,8 @@ mod eigenvalues;
 pub mod figures;
 mod hopf;
 mod limits;
+mod losses;
+mod one_length;
 mod region;
 mod subject;
 mod summary;
@@ -46,6 +48,10 @@ enum StabilityCommand {
     Region(arguments::MapArgs),
     /// The sampled loop: spectral radius, delay margin, longest marker interval.
     Sampled(limits::SampledArgs),
+    /// Lost poses: which irregular intervals, and which random bursts, the motion survives, with proofs.
+    Losses(losses::LossesArgs),
+    /// The distances p that make a car stable at every speed, in closed form, and what actuation they bear.
+    OneLength(one_length::OneLengthArgs),
     /// The first unstable speed, with a servo: over p, dl and delay.
     FirstUnstableSpeed(limits::FirstUnstableArgs),
     /// The least p that is stable, with a servo: over speed and delay.
@@ -69,6 +75,8 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
         StabilityCommand::Sampled(args) => limits::run(args),
+        StabilityCommand::Losses(args) => losses::run(args),
+        StabilityCommand::OneLength(args) => one_length::run(args),
         StabilityCommand::FirstUnstableSpeed(args) => limits::run_first_unstable(args),
         StabilityCommand::LeastP(args) => limits::run_least(args),
         StabilityCommand::Figures(args) => figures::run(args),

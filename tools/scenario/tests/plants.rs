@@ -60,6 +60,7 @@ fn losses_of_200_ms_every_2_s_leave_the_car_on_its_circle() {
         .map(|index| LostTicks {
             first_tick: 200 * index,
             ticks: 20,
+            repeat_ticks: 0,
         })
         .collect();
     let tracking = tracking(&simulate(&scenario).unwrap().rows);

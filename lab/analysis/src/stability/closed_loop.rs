@@ -1,6 +1,6 @@
 //! The closed loop: a car under a linearising law that may assume a wrong centre of mass.
 
-use singletrack_control::{Tyres, VehicleParameterError, VehicleParameters};
+use singletrack_control::{SlipAngles, Tyres, VehicleParameterError, VehicleParameters};
 use singletrack_words::words;
 
 words! {
@@ -31,6 +31,9 @@ words! {
 pub struct Saturation {
     /// The tyres, with the friction of the vehicle.
     pub tyres: Tyres,
+    /// Slip angles of the paper, or exact ones. It matters for basins: with small ones both axles may
+    /// saturate in exact balance, and the car spins.
+    pub slip_angles: SlipAngles,
     /// The largest steering angle, in rad. The front-point law's integrator stops there, and
     /// leaves the stop as soon as the law steers back.
     pub max_steering: f64,
@@ -42,6 +45,7 @@ impl Saturation {
     /// None: linear tyres and no limits.
     pub const NONE: Self = Self {
         tyres: Tyres::Linear,
+        slip_angles: SlipAngles::Small,
         max_steering: f64::INFINITY,
         max_steering_rate: f64::INFINITY,
     };

@@ -368,6 +368,7 @@ mod tests {
             tyres: Tyres::Saturating,
             max_steering: 0.45,
             max_steering_rate: 2.0,
+            ..Saturation::NONE
         };
         let at = ClosedLoop::new(vehicle, Law::FrontPoint, 0.35, 2.5, -0.1).unwrap();
         let at = at.saturating(saturation).unwrap();

@@ -108,8 +108,9 @@ pub fn infinite_speed_limit(
 /// The speed in m/s up to which `vehicle` is stable under the [`Law::FrontPoint`] for
 /// every dl of `deviations` (m). None if it is stable at every speed, zero if at no speed.
 ///
-/// Hurwitz' determinant over a₁ is affine in 1/v² with a positive slope, and concave in dl,
-/// so that only the ends of the range need to be examined.
+/// Hurwitz' determinant over a₁ is affine in 1/v² with a positive slope. Over dl it is concave, or it
+/// rises wherever it is not negative (see [`OneLength`](super::OneLength)), so that only the ends of
+/// the range need to be examined.
 ///
 /// # Errors
 ///
@@ -227,7 +228,7 @@ fn largest_other(polynomial: &CharacteristicPolynomial, squared: f64) -> f64 {
 }
 
 /// The real roots of `c₀ + c₁ x + c₂ x²`, ascending, without cancellation.
-fn roots([c0, c1, c2]: [f64; 3]) -> impl Iterator<Item = f64> {
+pub(super) fn roots([c0, c1, c2]: [f64; 3]) -> impl Iterator<Item = f64> {
     // Not a number, and neither are the roots, where they are not real.
     let distance = libm::sqrt(c1 * c1 - 4.0 * c2 * c0);
     let q = -0.5 * (c1 + libm::copysign(distance, c1));

@@ -21,6 +21,7 @@ mod hopf;
 mod limits;
 mod lyapunov;
 mod motion;
+mod one_length;
 mod sampled;
 mod vector_field;
 
@@ -35,6 +36,8 @@ pub use hopf::{
 pub use limits::Eigenvalues;
 pub use limits::{first_unstable_speed, least_point_distance};
 pub use lyapunov::Lyapunov;
+pub use one_length::OneLength;
 pub use sampled::{
-    Ages, Compensation, MarginLimits, Prediction, SampledLoop, SamplingError, Servo,
+    Ages, Compensation, IrregularLimits, LyapunovFunction, MarginLimits, Prediction, RandomLosses,
+    SampledLoop, SamplingError, Servo, Step, Switched, UnstablePattern,
 };

@@ -157,7 +157,8 @@ impl ClosedLoop {
 
     /// The car with its tyres.
     fn lateral<D: Dual>(&self, motion: &LateralMotion<D>) -> LateralRate<D> {
-        let axles = Axles::new(self.vehicle, self.saturation.tyres);
+        let axles = Axles::new(self.vehicle, self.saturation.tyres)
+            .with_slip_angles(self.saturation.slip_angles);
         let forces = axles.forces::<DualFunctions, D>(motion);
         axles.lateral::<DualFunctions, D>(motion, &forces)
     }

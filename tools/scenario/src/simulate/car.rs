@@ -306,12 +306,16 @@ impl ScenarioRun {
         let period_us = self.laboratory.config().control.period_ns() / 1_000;
         for index in 0..self.scenario.marker_loss.len() {
             let loss = self.scenario.marker_loss[index];
-            // A tick is lost when no frame arrives in the period before it.
-            let first_us = self.start_us + (loss.first_tick - 1) * period_us - self.latency_us;
-            self.world().cameras_mut().add_loss_window(LossWindow {
-                start_us: first_us,
-                end_us: first_us + loss.ticks * period_us,
-            });
+            let last_tick = (self.scenario.run.duration_s * 1e6) as u64 / period_us;
+            let beginnings = (0..).map_while(|times| loss.beginning(times));
+            for first_tick in beginnings.take_while(|tick| *tick <= last_tick) {
+                // A tick is lost when no frame arrives in the period before it.
+                let first_us = self.start_us + (first_tick - 1) * period_us - self.latency_us;
+                self.world().cameras_mut().add_loss_window(LossWindow {
+                    start_us: first_us,
+                    end_us: first_us + loss.ticks * period_us,
+                });
+            }
         }
     }
 

@@ -188,6 +188,19 @@ section! {
     first_tick: u64, in TICKS;
     /// The number of ticks.
     ticks: u64, in TICKS;
+    /// It comes again every so many ticks; 0: it comes once.
+    repeat_ticks: u64 = 0, in TICKS;
+}
+
+impl MarkerLoss {
+    /// The tick at which it begins for the `index`-th time, from 0 on.
+    pub(super) fn beginning(&self, index: u64) -> Option<u64> {
+        match (index, self.repeat_ticks) {
+            (0, _) => Some(self.first_tick),
+            (_, 0) => None,
+            (_, repeat) => self.first_tick.checked_add(repeat.checked_mul(index)?),
+        }
+    }
 }
 
 /// An upper bound of the ticks of any simulation.
@@ -451,9 +464,13 @@ impl Scenario {
     }
 
     pub(crate) fn is_lost(&self, tick: u64) -> bool {
-        self.marker_loss
-            .iter()
-            .any(|loss| tick >= loss.first_tick && tick - loss.first_tick < loss.ticks)
+        self.marker_loss.iter().any(|loss| {
+            tick.checked_sub(loss.first_tick)
+                .is_some_and(|since| match loss.repeat_ticks {
+                    0 => since < loss.ticks,
+                    repeat => since % repeat < loss.ticks,
+                })
+        })
     }
 }
 

@@ -17,6 +17,7 @@
 
 mod compensation;
 mod plant;
+mod switched;
 mod tick;
 
 use nalgebra::DMatrix;
@@ -27,6 +28,7 @@ pub use self::{
     compensation::Compensation,
     plant::Ages,
     plant::{Prediction, Servo},
+    switched::{IrregularLimits, LyapunovFunction, RandomLosses, Step, Switched, UnstablePattern},
 };
 
 /// A closed loop that runs in ticks.

@@ -60,53 +60,13 @@ impl SampledLoop {
     /// oldest, the held pose (position, yaw), and what else is remembered. The servo takes the
     /// command of this tick, or keeps the last one.
     pub(super) fn tick(&self, has_pose: bool, takes: bool) -> DMatrix<f64> {
-        let (law, speed) = (self.closed_loop.law, self.closed_loop.speed);
-        let steering = match (self.servo, law) {
-            (Some(servo), _) => Steering::Servo(servo.lag),
-            (None, Law::FrontPoint) => Steering::Rate,
-            (None, Law::VelocityPoint) => Steering::Angle,
-        };
+        let speed = self.closed_loop.speed;
+        let steering = self.steering();
         let plant = Plant::new(&self.closed_loop.vehicle, speed, steering);
-        let dead_time = self.servo.map_or(0.0, |servo| servo.dead_time);
-        let delay = Delay::new(self.delay + dead_time, self.period);
-        let modelled_delay = self
-            .prediction
-            .map(|prediction| prediction.delay)
-            .or(self.compensation.map(|by| by.servo.dead_time))
-            .map(|delay| Delay::new(delay, self.period));
-
+        let delay = self.whole_delay();
+        let modelled_delay = self.modelled_delay();
+        let layout = self.layout(plant.states());
         let states = plant.states();
-        let pending = 1 + modelled_delay.map_or(delay.ticks, |other| other.ticks.max(delay.ticks));
-        let commands = states + usize::from(self.prediction.is_some());
-        let mut layout = Layout {
-            modelled: self.prediction.map(|_| states),
-            commands,
-            pending,
-            taken: commands,
-            held: commands + pending,
-            aged: Vec::new(),
-            model: None,
-            size: commands + pending + 2,
-        };
-        if self.servo_frame > 1 {
-            layout.taken = layout.size;
-            layout.size += pending;
-        }
-        for (state, age) in [
-            (YAW_RATE, self.ages.yaw_rate),
-            (SIDESLIP, self.ages.sideslip),
-        ] {
-            // An exact prediction knows what has happened since.
-            if age > 0.0 && self.prediction.is_none() {
-                let age = Delay::new(age, self.period);
-                layout.aged.push((state, layout.size, age));
-                layout.size += age.ticks + 1;
-            }
-        }
-        if self.compensation.is_some() {
-            layout.model = Some(layout.size);
-            layout.size += 3;
-        }
 
         let command = self.command(&layout, steering, has_pose);
         let taken = match takes {
@@ -170,6 +130,110 @@ impl SampledLoop {
                 .remove_columns_at(&[POSITION, layout.held + POSITION]);
         }
         map
+    }
+
+    fn steering(&self) -> Steering {
+        match (self.servo, self.closed_loop.law) {
+            (Some(servo), _) => Steering::Servo(servo.lag),
+            (None, Law::FrontPoint) => Steering::Rate,
+            (None, Law::VelocityPoint) => Steering::Angle,
+        }
+    }
+
+    /// The delay from a tick to the wheels.
+    fn whole_delay(&self) -> Delay {
+        let dead_time = self.servo.map_or(0.0, |servo| servo.dead_time);
+        Delay::new(self.delay + dead_time, self.period)
+    }
+
+    fn modelled_delay(&self) -> Option<Delay> {
+        self.prediction
+            .map(|prediction| prediction.delay)
+            .or(self.compensation.map(|by| by.servo.dead_time))
+            .map(|delay| Delay::new(delay, self.period))
+    }
+
+    /// The layout of the loop's state, of which the first are those of the plant.
+    fn layout(&self, states: usize) -> Layout {
+        let delay = self.whole_delay();
+        let pending = 1 + self
+            .modelled_delay()
+            .map_or(delay.ticks, |other| other.ticks.max(delay.ticks));
+        let commands = states + usize::from(self.prediction.is_some());
+        let mut layout = Layout {
+            modelled: self.prediction.map(|_| states),
+            commands,
+            pending,
+            taken: commands,
+            held: commands + pending,
+            aged: Vec::new(),
+            model: None,
+            size: commands + pending + 2,
+        };
+        if self.servo_frame > 1 {
+            layout.taken = layout.size;
+            layout.size += pending;
+        }
+        for (state, age) in [
+            (YAW_RATE, self.ages.yaw_rate),
+            (SIDESLIP, self.ages.sideslip),
+        ] {
+            // An exact prediction knows what has happened since.
+            if age > 0.0 && self.prediction.is_none() {
+                let age = Delay::new(age, self.period);
+                layout.aged.push((state, layout.size, age));
+                layout.size += age.ticks + 1;
+            }
+        }
+        if self.compensation.is_some() {
+            layout.model = Some(layout.size);
+            layout.size += 3;
+        }
+        layout
+    }
+
+    /// The name of each state of the loop, in the order of [`SampledLoop::tick`].
+    pub(super) fn names(&self) -> Vec<String> {
+        const PLANT: [&str; 5] = ["y", "yaw", "yaw_rate", "sideslip", "wheels"];
+        let states = if self.steering() == Steering::Angle {
+            4
+        } else {
+            5
+        };
+        let layout = self.layout(states);
+        let mut names = vec![String::new(); layout.size];
+        let mut name = |at: usize, text: String| {
+            if let Some(name) = names.get_mut(at) {
+                *name = text;
+            }
+        };
+        for (at, plant) in PLANT.iter().take(states).enumerate() {
+            name(at, (*plant).to_owned());
+        }
+        if let Some(at) = layout.modelled {
+            name(at, "modelled_wheels".to_owned());
+        }
+        for age in 0..layout.pending {
+            name(layout.taken + age, format!("pulse_{}", age + 1));
+            name(layout.commands + age, format!("command_{}", age + 1));
+        }
+        name(layout.held + POSITION, "held_y".to_owned());
+        name(layout.held + YAW, "held_yaw".to_owned());
+        for (state, first, age) in &layout.aged {
+            for tick in 0..=age.ticks {
+                let state = PLANT.get(*state).unwrap_or(&"");
+                name(first + tick, format!("{state}_{}", tick + 1));
+            }
+        }
+        if let Some(model) = layout.model {
+            for (at, of) in ["wheels", "yaw_rate", "sideslip"].iter().enumerate() {
+                name(model + at, format!("model_{of}"));
+            }
+        }
+        if self.position_gain == 0.0 {
+            names.retain(|name| name != "y" && name != "held_y");
+        }
+        names
     }
 
     /// The new command as a linear combination of the state of the loop.

@@ -1,0 +1,300 @@
+//! The sampled loop when poses are lost: irregular intervals, and random bursts.
+
+use std::{fs, path::PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+use serde_json::{Value, json};
+use singletrack_analysis::stability::{
+    LyapunovFunction, MarginLimits, RandomLosses, SampledLoop, Switched,
+};
+
+use super::{
+    arguments::{LoopArgs, PointArgs, TimingArgs},
+    subject::{Format, Grid, StabilityCommandError, Subject, write},
+};
+use crate::table::Table;
+
+/// Options of `losses`.
+#[derive(Clone, Debug, Args)]
+#[command(
+    mut_arg("speeds", |speeds| speeds.default_value("1:5:1")),
+    mut_arg("dl", |dl| dl.default_value("0").help("Deviations dl of the centre of mass, in m")),
+    mut_arg("marker_interval", |arg| arg.hide(true)),
+)]
+pub(super) struct LossesArgs {
+    #[command(flatten)]
+    subject: LoopArgs,
+    #[command(flatten)]
+    points: PointArgs,
+    #[command(flatten)]
+    timing: TimingArgs,
+    /// The longest interval between poses that is looked at, in ms
+    #[arg(long, value_name = "MS", default_value_t = 2000.0)]
+    longest_ms: f64,
+    /// Losses at random, in bursts of these mean lengths: up to which share of lost poses the motion
+    /// is stable in the mean square
+    #[arg(long, value_name = "A:B:STEP")]
+    bursts_ms: Option<Grid>,
+    /// Write the Lyapunov functions that prove it, as JSON
+    #[arg(long, value_name = "FILE")]
+    certificates: Option<PathBuf>,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+}
+
+pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
+    let subject = args.subject.subject()?;
+    let timing = TimingArgs {
+        marker_interval: 1,
+        ..args.timing
+    };
+    let dl = args.points.deviations_or(|| Grid::spanning([0.0; 2], 1));
+    let mut certificates = Vec::new();
+    let mut certify =
+        |point: &Point<'_>, claim: Value, switched: &Switched, proof: LyapunovFunction| {
+            if args.certificates.is_some() {
+                certificates.push(certificate(point, &claim, switched, &proof));
+            }
+        };
+    let mut points = Vec::new();
+    for (speed_m_s, dl_m) in args.points.speeds.with(&dl) {
+        let at = subject.at(speed_m_s, dl_m)?;
+        points.push(Point {
+            subject: &subject,
+            timing: &timing,
+            speed_m_s,
+            dl_m,
+            sampled: timing.around(at)?,
+        });
+    }
+    match &args.bursts_ms {
+        None => {
+            let limit = (args.longest_ms / timing.period_ms).round().max(1.0) as u32;
+            let rows: Vec<IrregularRow> = points
+                .iter()
+                .map(|point| irregular(point, limit, &mut certify))
+                .collect();
+            write(args.format, &subject, &irregular_table(&rows), &rows)?;
+        }
+        Some(bursts) => {
+            let mut rows = Vec::new();
+            for point in &points {
+                for burst_ms in bursts.values() {
+                    rows.push(random(point, *burst_ms, &mut certify));
+                }
+            }
+            write(args.format, &subject, &random_table(&rows), &rows)?;
+        }
+    }
+    if let Some(path) = &args.certificates {
+        let text = format!("{:#}\n", json!({ "certificates": certificates }));
+        fs::write(path, text).map_err(StabilityCommandError::Write)?;
+    }
+    Ok(())
+}
+
+/// A loop that is looked at.
+struct Point<'a> {
+    subject: &'a Subject,
+    timing: &'a TimingArgs,
+    speed_m_s: f64,
+    dl_m: f64,
+    sampled: SampledLoop,
+}
+
+/// Irregular intervals between poses that a motion survives.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct IrregularRow {
+    speed_m_s: f64,
+    dl_m: f64,
+    /// Every pattern of intervals up to this one is stable.
+    every_pattern_s: f64,
+    /// If poses come in this interval only, up to which it is stable.
+    constant_s: Option<f64>,
+    /// The shortest known pattern that is unstable: so many short intervals, then so many long ones.
+    unstable_short_s: Option<f64>,
+    shorts: Option<u32>,
+    unstable_long_s: Option<f64>,
+    longs: Option<u32>,
+    /// The factor by which the motion grows over that pattern.
+    growth: Option<f64>,
+}
+
+fn irregular(
+    point: &Point<'_>,
+    limit: u32,
+    certify: &mut impl FnMut(&Point<'_>, Value, &Switched, LyapunovFunction),
+) -> IrregularRow {
+    let period = point.timing.period_ms * 1e-3;
+    let seconds = |ticks: u32| (f64::from(ticks) * period * 1e6).round() / 1e6;
+    let limits = point.sampled.irregular_limits(limit);
+    if limits.proved > 0 {
+        let switched = point.sampled.irregular(limits.proved);
+        if let Some(function) = switched.common_function() {
+            let claim = json!({ "every_pattern_up_to_ticks": limits.proved });
+            certify(point, claim, &switched, function);
+        }
+    }
+    let unstable = limits.unstable;
+    IrregularRow {
+        speed_m_s: point.speed_m_s,
+        dl_m: point.dl_m,
+        every_pattern_s: seconds(limits.proved),
+        constant_s: point.sampled.longest_marker_interval(MarginLimits {
+            marker_interval: limit,
+            ..MarginLimits::default()
+        }),
+        unstable_short_s: unstable.map(|pattern| seconds(pattern.short)),
+        shorts: unstable.map(|pattern| pattern.shorts),
+        unstable_long_s: unstable.map(|pattern| seconds(pattern.long)),
+        longs: unstable.map(|pattern| pattern.longs),
+        growth: unstable.map(|pattern| pattern.growth),
+    }
+}
+
+fn irregular_table(rows: &[IrregularRow]) -> Table {
+    let or_none = |value: Option<f64>| value.unwrap_or(f64::NAN);
+    Table {
+        header:
+            "speed_m_s,dl_m,every_pattern_s,constant_s,unstable_short_s,shorts,unstable_long_s,\
+                 longs,growth"
+                .to_owned(),
+        rows: rows
+            .iter()
+            .map(|row| {
+                vec![
+                    row.speed_m_s,
+                    row.dl_m,
+                    row.every_pattern_s,
+                    or_none(row.constant_s),
+                    or_none(row.unstable_short_s),
+                    or_none(row.shorts.map(f64::from)),
+                    or_none(row.unstable_long_s),
+                    or_none(row.longs.map(f64::from)),
+                    or_none(row.growth),
+                ]
+            })
+            .collect(),
+    }
+}
+
+/// Random losses that a motion survives in the mean square.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct RandomRow {
+    speed_m_s: f64,
+    dl_m: f64,
+    /// The mean length of a burst without poses, in s.
+    burst_s: f64,
+    /// The largest share of ticks without a pose up to which it is stable; none if it is with every
+    /// share that bursts of this length can make.
+    largest_share: Option<f64>,
+}
+
+/// The resolution of the share, and how far below its end it is looked at.
+const SHARE_RESOLUTION: f64 = 1e-4;
+
+fn random(
+    point: &Point<'_>,
+    burst_ms: f64,
+    certify: &mut impl FnMut(&Point<'_>, Value, &Switched, LyapunovFunction),
+) -> RandomRow {
+    let mean_ticks = (burst_ms / point.timing.period_ms).max(1.0);
+    let at = |share| {
+        let losses = RandomLosses { share, mean_ticks };
+        point.sampled.with_random_losses(losses)
+    };
+    let is_stable = |share: f64| at(share).mean_square_function().is_some();
+    // A single pose between two bursts is the most that can be lost.
+    let most = mean_ticks / (mean_ticks + 1.0) - SHARE_RESOLUTION;
+    let largest_share = (!is_stable(most)).then(|| {
+        let (mut stable, mut unstable) = (0.0, most);
+        while unstable - stable > SHARE_RESOLUTION {
+            let middle = 0.5 * (stable + unstable);
+            if is_stable(middle) {
+                stable = middle;
+            } else {
+                unstable = middle;
+            }
+        }
+        stable
+    });
+    let proved = largest_share.unwrap_or(most);
+    let switched = at(proved);
+    if let Some(function) = switched.mean_square_function() {
+        let claim = json!({
+            "mean_square": { "share": proved, "mean_ticks": mean_ticks },
+        });
+        certify(point, claim, &switched, function);
+    }
+    RandomRow {
+        speed_m_s: point.speed_m_s,
+        dl_m: point.dl_m,
+        burst_s: mean_ticks * point.timing.period_ms * 1e-3,
+        largest_share,
+    }
+}
+
+fn random_table(rows: &[RandomRow]) -> Table {
+    Table::of(
+        rows,
+        &[
+            ("speed_m_s", |row| row.speed_m_s),
+            ("dl_m", |row| row.dl_m),
+            ("burst_s", |row| row.burst_s),
+            ("largest_share", |row| row.largest_share.unwrap_or(f64::NAN)),
+        ],
+    )
+}
+
+/// All that a program needs which derives the loop for itself, and checks that the functions fall.
+fn certificate(
+    point: &Point<'_>,
+    claim: &Value,
+    switched: &Switched,
+    function: &LyapunovFunction,
+) -> Value {
+    let TimingArgs {
+        period_ms,
+        delay_ms,
+        position_gain,
+        steering_lag_ms,
+        steering_dead_time_ms,
+        predict,
+        yaw_rate_age_ms,
+        sideslip_age_ms,
+        predicted_ticks,
+        servo_frame,
+        compensate,
+        ..
+    } = *point.timing;
+    let rows = |matrix: &nalgebra::DMatrix<f64>| -> Vec<Vec<f64>> {
+        matrix
+            .row_iter()
+            .map(|row| row.iter().copied().collect())
+            .collect()
+    };
+    json!({
+        "claim": claim,
+        "law": point.subject.law.name(),
+        "wrong": point.subject.belief.name(),
+        "vehicle": point.subject.vehicle,
+        "point_distance_m": point.subject.point_distance,
+        "speed_m_s": point.speed_m_s,
+        "dl_m": point.dl_m,
+        "period_ms": period_ms,
+        "delay_ms": delay_ms,
+        "position_gain_per_s": position_gain,
+        "steering_lag_ms": steering_lag_ms,
+        "steering_dead_time_ms": steering_dead_time_ms,
+        "yaw_rate_age_ms": yaw_rate_age_ms,
+        "sideslip_age_ms": sideslip_age_ms,
+        "predicted_ticks": predicted_ticks,
+        "servo_frame": servo_frame,
+        "compensate": compensate,
+        "predict": predict,
+        "coordinates": switched.coordinates,
+        "functions": function.0.iter().map(rows).collect::<Vec<_>>(),
+    })
+}
