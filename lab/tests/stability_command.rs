@@ -221,7 +221,7 @@ fn the_sampled_loop_leaves_a_field_empty_where_no_limit_was_found() {
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(
         lines[0],
-        "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_marker_interval_s"
+        "speed_m_s,dl_m,spectral_radius,delay_margin_s,longest_constant_interval_s"
     );
     assert!(
         lines[1].starts_with("0.1,0,0.99") && lines[1].ends_with(",,"),

@@ -24,7 +24,7 @@ fn irregular_poses_need_shorter_intervals_than_regular_ones() {
         assert_eq!(pattern.long, unstable);
         assert!(pattern.growth > 1.0, "{pattern:?}");
         assert!(sampled.unstable_pattern(proved).is_none());
-        let regular = sampled.longest_marker_interval(MarginLimits::default());
+        let regular = sampled.longest_constant_interval(MarginLimits::default());
         assert!((regular.unwrap() - 0.01 * f64::from(constant)).abs() < 1e-9);
     }
 }

@@ -188,7 +188,7 @@ fn the_delay_margin_separates_stable_from_unstable_delays() {
 }
 
 #[test]
-fn the_longest_marker_interval_is_the_last_stable_one() {
+fn the_longest_constant_interval_is_the_last_stable_one() {
     let limits = MarginLimits::default();
     for (law, gain) in [
         (Law::FrontPoint, 0.0),
@@ -198,7 +198,7 @@ fn the_longest_marker_interval_is_the_last_stable_one() {
         let sampled = sampled(law, 2.0, 0.0, 0.01)
             .with_position_gain(gain)
             .unwrap();
-        let longest = sampled.longest_marker_interval(limits).unwrap();
+        let longest = sampled.longest_constant_interval(limits).unwrap();
         let ticks = (longest / PERIOD).round() as u32;
         assert!(ticks > 10);
         assert!(sampled.with_marker_interval(ticks).spectral_radius() < 1.0);
@@ -232,7 +232,7 @@ fn a_loop_that_is_unstable_without_delay_has_no_margins() {
     let sampled = sampled(Law::VelocityPoint, 1.0, 0.1, 0.0);
     assert_eq!(sampled.delay_margin(MarginLimits::default()), Some(0.0));
     assert_eq!(
-        sampled.longest_marker_interval(MarginLimits::default()),
+        sampled.longest_constant_interval(MarginLimits::default()),
         Some(0.0)
     );
 }
@@ -242,7 +242,7 @@ fn a_slow_car_is_stable_up_to_the_limits_of_the_search() {
     let sampled = sampled(Law::FrontPoint, 0.1, 0.0, 0.01);
     assert_eq!(sampled.delay_margin(MarginLimits::default()), None);
     assert_eq!(
-        sampled.longest_marker_interval(MarginLimits::default()),
+        sampled.longest_constant_interval(MarginLimits::default()),
         None
     );
 }

@@ -94,7 +94,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
                 number(speed),
                 ms(row.delay_margin_s, limits.delay),
                 ms(
-                    row.longest_marker_interval_s,
+                    row.longest_constant_interval_s,
                     f64::from(limits.marker_interval) * timing.period_ms * 1e-3
                 )
             ));
@@ -105,7 +105,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         let labels = [
             "spectral radius",
             "delay margin",
-            "longest survivable marker interval",
+            "longest survivable constant marker interval",
         ];
         let drawn = figures::sampled(&scene, timing, &map);
         let drawn = section.or_note("the sampled loop", drawn);
@@ -117,7 +117,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
         );
     }
     section.plate(
-        "Spectral radius, delay margin and marker interval",
+        "Spectral radius, delay margin and constant marker interval",
         "Nothing: the analysis has neither sampling nor delay.",
         format!(
             "Between {} and {} m/s the sampled loop has a spectral radius of at most {} over the \

@@ -229,8 +229,8 @@ pub fn sampled_table(map: &[SampledRow]) -> Table {
             ("delay_margin_s", |row| {
                 row.delay_margin_s.unwrap_or(f64::NAN)
             }),
-            ("longest_marker_interval_s", |row| {
-                row.longest_marker_interval_s.unwrap_or(f64::NAN)
+            ("longest_constant_interval_s", |row| {
+                row.longest_constant_interval_s.unwrap_or(f64::NAN)
             }),
         ],
     )
@@ -248,7 +248,7 @@ pub struct SampledRow {
     /// The smallest delay that makes it unstable; none if no delay up to 0.5 s does.
     pub delay_margin_s: Option<f64>,
     /// The longest survivable time between poses; none if 200 ticks are survived.
-    pub longest_marker_interval_s: Option<f64>,
+    pub longest_constant_interval_s: Option<f64>,
 }
 
 /// The sampled loop over all `speeds` and, for each, all `deviations`; calls
@@ -272,7 +272,7 @@ pub fn sampled_map(
             dl_m,
             spectral_radius: sampled.spectral_radius(),
             delay_margin_s: sampled.delay_margin(limits),
-            longest_marker_interval_s: sampled.longest_marker_interval(limits),
+            longest_constant_interval_s: sampled.longest_constant_interval(limits),
         };
         progress();
         Ok(row)

@@ -142,7 +142,7 @@ fn irregular(
         speed_m_s: point.speed_m_s,
         dl_m: point.dl_m,
         every_pattern_s: seconds(limits.proved),
-        constant_s: point.sampled.longest_marker_interval(MarginLimits {
+        constant_s: point.sampled.longest_constant_interval(MarginLimits {
             marker_interval: limit,
             ..MarginLimits::default()
         }),

@@ -46,7 +46,7 @@ enum StabilityCommand {
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
     Region(arguments::MapArgs),
-    /// The sampled loop: spectral radius, delay margin, longest marker interval.
+    /// The sampled loop: spectral radius, delay margin, longest constant marker interval.
     Sampled(limits::SampledArgs),
     /// Lost poses: which irregular intervals, and which random bursts, the motion survives, with proofs.
     Losses(losses::LossesArgs),

@@ -138,10 +138,10 @@ fn sampled(
         };
         writeln!(
             out,
-            "  {speed} m/s: spectral radius {radius:.5}; delay margin {}; longest marker interval {}",
+            "  {speed} m/s: spectral radius {radius:.5}; delay margin {}; longest constant marker interval {}",
             or_more(sampled.delay_margin(limits), limits.delay),
             or_more(
-                sampled.longest_marker_interval(limits),
+                sampled.longest_constant_interval(limits),
                 f64::from(limits.marker_interval) * timing.period_ms * 1e-3
             ),
         )?;

@@ -45,7 +45,7 @@ fn hopf_curve(law: Law) -> f64 {
 fn margins() -> Option<f64> {
     let sampled = SampledLoop::new(closed_loop(Law::FrontPoint, 2.0, 0.0)?, 0.01, 0.01).ok()?;
     let limits = MarginLimits::default();
-    Some(sampled.delay_margin(limits)? + sampled.longest_marker_interval(limits)?)
+    Some(sampled.delay_margin(limits)? + sampled.longest_constant_interval(limits)?)
 }
 
 fn stability(criterion: &mut Criterion) {
@@ -61,7 +61,7 @@ fn stability(criterion: &mut Criterion) {
         });
     }
     criterion.bench_function(
-        "delay margin and longest marker interval at 2 m/s",
+        "delay margin and longest constant marker interval at 2 m/s",
         |bencher| {
             bencher.iter(margins);
         },

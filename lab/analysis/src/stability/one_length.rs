@@ -26,9 +26,9 @@ use super::{
 /// The distances p with which a car is stable under the [`Law::FrontPoint`] for all meaningful dl.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OneLength {
-    /// `e_f`, in m/s² times rad per kg: if it is not negative, the front axle (dl = -`l_f`) decides.
+    /// `e_f`, in m²/(s² rad): if it is not negative, the front axle (dl = -`l_f`) decides.
     pub front: f64,
-    /// `e_r`: if it is above zero, every p from some length on will do.
+    /// `e_r`, in m²/(s² rad): if it is above zero, every p from some length on will do.
     pub rear: f64,
     /// The ranges of p, in m, ascending; the last one may be without end.
     pub distances: Vec<[f64; 2]>,

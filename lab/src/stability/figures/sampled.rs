@@ -71,16 +71,16 @@ pub fn sampled(
     let interval = figure(
         scene,
         timing,
-        "Longest survivable marker interval",
+        "Longest survivable constant marker interval",
         &format!(
             "Time from one pose to the next, again and again, up to which the motion is stable, \
              in ms, with commands that act {delay_ms} ms late: the darker, the less."
         ),
         margin_map(
-            grid(|row| in_ms(row.longest_marker_interval_s))?,
+            grid(|row| in_ms(row.longest_constant_interval_s))?,
             period_ms,
             period_ms * f64::from(limits.marker_interval),
-            "longest marker interval (ms)",
+            "longest constant marker interval (ms)",
             "unstable with a pose at every tick",
         ),
     );

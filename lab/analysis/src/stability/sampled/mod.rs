@@ -289,7 +289,7 @@ impl SampledLoop {
     /// A multiple of the period. Zero if the motion is unstable with a pose at every tick, none
     /// if it is stable up to the limit.
     #[must_use]
-    pub fn longest_marker_interval(&self, limits: MarginLimits) -> Option<f64> {
+    pub fn longest_constant_interval(&self, limits: MarginLimits) -> Option<f64> {
         let mut cycle = Cycle::new(self);
         while cycle.interval <= limits.marker_interval {
             if !is_stable(cycle.map()) {
