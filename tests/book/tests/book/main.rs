@@ -221,7 +221,7 @@ impl Stage {
         Ok(Self { scratch, address })
     }
 
-    /// Runs these commands in a shell, for 90 s at most.
+    /// Runs these commands in a shell, for five minutes at most.
     fn run(&self, commands: &str) -> Result<Output, Failed> {
         let folder = self.scratch.path();
         let script = commands
@@ -230,7 +230,7 @@ impl Stage {
         fs::write(folder.join("script"), script)?;
         let path = format!("{}:/usr/bin:/bin", folder.join("bin").display());
         let output = Command::new("timeout")
-            .args(["--kill-after=5", "90", "bash"])
+            .args(["--kill-after=5", "300", "bash"])
             .arg(folder.join("script"))
             .current_dir(folder.join("clone"))
             .env("PATH", path)
