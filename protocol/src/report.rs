@@ -65,7 +65,7 @@ enumeration! {
         /// Remedy: The host should have stopped first: compare `supervisor.hold_ms` and the ramp.
         PoseTooOld = "pose-too-old",
         /// No motor pulse came while the motor was driven above the deadband: for 600 ms, or (not
-        /// jogging) for 150 ms and a commanded way of 15 mm and 2.5 pulse distances.
+        /// jogging) for 150 ms and a commanded travel of 15 mm and 2.5 pulse distances.
         ///
         /// Effect: A car that starts at 0.4 m/s goes 0.06 m with a pulse every 3 mm, 0.18 m with 25
         /// mm.

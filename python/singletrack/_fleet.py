@@ -46,7 +46,7 @@ class Fleet:
             raise ArmError(str(error)) from error
 
     def disarm(self) -> None:
-        """Slows all cars down, whoever drives them."""
+        """Slows all cars down, also those of another program."""
         self._tell(stops=False)
 
     def stop(self) -> None:

@@ -170,7 +170,7 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
             which the default has, at its beginning. With the reward ``"progress"`` it is always
             at the place that P has come to.
         reward: ``"tracking"``: exp(-e/0.1 m) of the distance e between P and the reference at
-            its time; ``"progress"``: way of P along the path, less its distance from it. Both
+            its time; ``"progress"``: travel of P along the path, less its distance from it. Both
             less 0.05 of the squared change of the action; -10 for a car that is lost.
         control_input: The columns of the action, in their order: ``["steering_angle",
             "speed"]`` (rad and m/s; the default, and the order of f1tenth_gym's arrays),

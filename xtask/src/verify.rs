@@ -170,7 +170,7 @@ const STEPS: [Step; 30] = [
     }),
     row("faults", 0.25, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
-    row("tutorial", 0.02, Always, "the commands of the tutorial are accepted and run",
+    row("tutorial", 0.03, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
     row("real-logs", 0.02, Always,
         "the logs of a real car: what would have stopped it, and the errors of the estimate",

@@ -4,6 +4,7 @@ use std::{num::ParseFloatError, path::PathBuf};
 
 use clap::{Parser, ValueEnum};
 use singletrack_core::feasibility::Stand;
+use tracing_subscriber::filter::LevelFilter;
 
 const EXIT_STATUS: &str = "\
 Exit status:
@@ -52,6 +53,24 @@ pub struct Arguments {
     /// The format of the log on stderr. `RUST_LOG` filters it; `NO_COLOR` turns colours off
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "text")]
     pub log_format: LogFormat,
+    /// Log warnings and errors only, without `RUST_LOG`
+    #[arg(short, long, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Log what helps to find an error of the program, too, without `RUST_LOG`
+    #[arg(short, long)]
+    pub verbose: bool,
+}
+
+impl Arguments {
+    /// What is logged without `RUST_LOG`.
+    #[must_use]
+    pub const fn log_level(&self) -> LevelFilter {
+        match (self.quiet, self.verbose) {
+            (true, _) => LevelFilter::WARN,
+            (_, true) => LevelFilter::DEBUG,
+            _ => LevelFilter::INFO,
+        }
+    }
 }
 
 /// A place to stand, as an argument: X,Y,YAW in m and degrees.
@@ -89,6 +108,19 @@ mod tests {
     fn the_command_line_is_consistent() {
         use clap::CommandFactory as _;
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn less_more_and_the_usual_are_logged_as_asked() {
+        for (options, level) in [
+            (&["-q"][..], LevelFilter::WARN),
+            (&["--verbose"], LevelFilter::DEBUG),
+            (&[], LevelFilter::INFO),
+        ] {
+            let all = [&["singletrackd"], options].concat();
+            assert_eq!(Arguments::parse_from(all).log_level(), level);
+        }
+        assert!(Arguments::try_parse_from(["singletrackd", "-q", "-v"]).is_err());
     }
 
     #[test]

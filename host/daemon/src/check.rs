@@ -24,11 +24,7 @@ pub(crate) fn run(path: &Path, config: &Config, stand: Option<Stand>) -> ExitCod
         }
     };
     for finding in judgement.findings.iter().chain(&directories(config)) {
-        let level = match finding.severity {
-            Severity::Warning => "warning",
-            Severity::Impossible => "impossible",
-        };
-        eprintln!("singletrackd: {level}: {finding}");
+        eprintln!("singletrackd: {}: {finding}", finding.severity.name());
     }
     if !judgement.is_possible() {
         return ExitCode::FAILURE;

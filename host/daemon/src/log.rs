@@ -23,12 +23,12 @@ const LOG_LINES: usize = 4_096;
 /// Starts the log on stderr. The guard writes the lines that wait when it is dropped.
 ///
 /// A thread that logs never waits for the reader of the log: lines are dropped instead.
-pub(crate) fn start_log(format: LogFormat) -> WorkerGuard {
+pub(crate) fn start_log(format: LogFormat, level: LevelFilter) -> WorkerGuard {
     let (writer, guard) = NonBlockingBuilder::default()
         .lossy(true)
         .buffered_lines_limit(LOG_LINES)
         .finish(io::stderr());
-    let (filter, error) = log_filter(env::var_os(FILTER));
+    let (filter, error) = log_filter(env::var_os(FILTER), level);
     let colour = wants_colour(io::stderr().is_terminal(), env::var_os("NO_COLOR"));
     let log = tracing_subscriber::fmt()
         .with_max_level(LevelFilter::TRACE)
@@ -74,9 +74,9 @@ fn wants_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
     is_terminal && no_color.is_none_or(|value| value.is_empty())
 }
 
-/// The filter from `RUST_LOG`. If the value is invalid, the default filter and the error.
-fn log_filter(value: Option<OsString>) -> (Targets, Option<String>) {
-    let default = || Targets::new().with_default(LevelFilter::INFO);
+/// The filter from `RUST_LOG`, or this level. If the value is invalid, the level and the error.
+fn log_filter(value: Option<OsString>, level: LevelFilter) -> (Targets, Option<String>) {
+    let default = || Targets::new().with_default(level);
     let Some(value) = value.filter(|value| !value.is_empty()) else {
         return (default(), None);
     };
@@ -86,7 +86,7 @@ fn log_filter(value: Option<OsString>) -> (Targets, Option<String>) {
         None => "it is not UTF-8".to_owned(),
     };
     let error = format!(
-        "RUST_LOG is {value:?}: {error}; \"info\" is used instead. Write a level, or target=level"
+        "RUST_LOG is {value:?}: {error}; \"{level}\" is used instead. Write a level, or target=level"
     );
     (default(), Some(error))
 }
@@ -103,7 +103,7 @@ mod tests {
             (Some("debug"), "debug", false),
             (Some("singletrackd=loud"), "info", true),
         ] {
-            let (used, error) = log_filter(value.map(OsString::from));
+            let (used, error) = log_filter(value.map(OsString::from), LevelFilter::INFO);
             assert_eq!(used.to_string(), filter);
             assert_eq!(error.is_some(), reported, "{error:?}");
             if let Some(error) = error {

@@ -48,7 +48,7 @@ fn main() -> ExitCode {
     if arguments.check {
         return check::run(path, &config, arguments.start);
     }
-    let _log = start_log(arguments.log_format);
+    let _log = start_log(arguments.log_format, arguments.log_level());
     info!(version = env!("CARGO_PKG_VERSION"), config = %path.display(), "singletrackd starts");
     let is_possible = check::log(&config);
     if arguments.arm && !is_possible {

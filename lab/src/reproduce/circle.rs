@@ -222,7 +222,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
              would touch the edges, and a start outside of the circle is in a corner or off the \
              carpet",
         )
-        .of(Scope::PaperCar)
+        .of(Scope::RealCar)
         .number("reference", 2.0 * radius, near(2.0, 1e-9))
         .number("P", 2.0 * reach, below(2.0));
     let claim = section.claim(

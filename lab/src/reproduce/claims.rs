@@ -95,6 +95,8 @@ pub(super) enum Scope {
     AnyCar,
     /// The number holds for the paper's car.
     PaperCar,
+    /// It is about the paper's real car, of which there are no data: the simulated one stands in.
+    RealCar,
     /// The paper is too vague for a comparison of numbers.
     Nobody,
 }
@@ -129,6 +131,8 @@ pub(super) struct Claim {
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Verdict {
     Agrees,
+    /// A claim about the real car agrees on the simulated one.
+    AgreesInSimulation,
     Differs,
     /// The paper's number belongs to another car, or is not defined.
     NotComparable,
@@ -140,6 +144,7 @@ impl Verdict {
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Agrees => "agrees",
+            Self::AgreesInSimulation => "agrees in simulation",
             Self::Differs => "differs",
             Self::NotComparable => "n/a",
             Self::NotMeasured => "not measured",
@@ -188,7 +193,7 @@ impl Claim {
     pub(super) fn judge(&mut self, paper_car: bool) {
         let comparable = match self.scope {
             Scope::AnyCar => true,
-            Scope::PaperCar => paper_car,
+            Scope::PaperCar | Scope::RealCar => paper_car,
             Scope::Nobody => false,
         };
         let mut quantities = self.quantities.iter();
@@ -196,7 +201,10 @@ impl Claim {
         self.verdict = match (comparable, lacking) {
             (false, _) => Verdict::NotComparable,
             (true, Some(_)) => Verdict::NotMeasured,
-            (true, None) if quantities.all(|one| one.meets(one.agrees_if)) => Verdict::Agrees,
+            (true, None) if quantities.all(|one| one.meets(one.agrees_if)) => match self.scope {
+                Scope::RealCar => Verdict::AgreesInSimulation,
+                _ => Verdict::Agrees,
+            },
             (true, None) => Verdict::Differs,
         };
         self.surprise = match lacking {
@@ -246,6 +254,13 @@ mod tests {
         assert_eq!(of(1.011), (Verdict::Differs, true));
         assert_eq!(of(f64::NAN), (Verdict::NotMeasured, true));
         assert_eq!(of(f64::INFINITY), (Verdict::NotMeasured, true));
+    }
+
+    #[test]
+    fn what_is_said_of_the_real_car_agrees_in_simulation_only() {
+        let of = |measured| verdict(measured, None, Scope::RealCar, true);
+        assert_eq!(of(1.0), (Verdict::AgreesInSimulation, false));
+        assert_eq!(of(2.0), (Verdict::Differs, true));
     }
 
     #[test]

@@ -202,9 +202,10 @@ fn counts(reproduction: &Reproduction) -> String {
     let claims = reproduction.claims();
     let count = |verdict| claims.clone().filter(|one| one.verdict == verdict).count();
     let mut text = format!(
-        "{} claims: {} agree, {} differ",
+        "{} claims: {} agree, {} in simulation, {} differ",
         claims.clone().count(),
         count(Verdict::Agrees),
+        count(Verdict::AgreesInSimulation),
         count(Verdict::Differs)
     );
     for (verdict, name) in [
@@ -315,7 +316,7 @@ fn entry(section: &Section) -> String {
 const fn class(claim: &Claim) -> &'static str {
     match (claim.verdict, &claim.surprise) {
         (_, Some(_)) => "surprise",
-        (Verdict::Agrees, None) => "agrees",
+        (Verdict::Agrees | Verdict::AgreesInSimulation, None) => "agrees",
         (Verdict::Differs, None) => "differs",
         (Verdict::NotComparable | Verdict::NotMeasured, None) => "none",
     }

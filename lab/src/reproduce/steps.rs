@@ -72,7 +72,7 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let intro = format!(
         "The law is fed with six constant velocities of P, {STEP_S} s each, without position \
          control: once with the right l<sub>f</sub>, once with one that puts the centre of mass at \
-         the rear axle ({}). The paper's velocities are known from its picture only; ours turn P \
+         the rear axle ({}; the 0.132 m of the paper's captions is a misprint). The paper's velocities are known from its picture only; ours turn P \
          through 225°. On the car the markers are lost four times for 200 ms.",
         names[1]
     );
@@ -157,7 +157,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "steps-close",
             "m",
             "Without position control P stays very close to its nominal path",
-            "\"very close to the nominal one\"; no number: taken as within a wheelbase",
+            "\"very close to the nominal one\"; no number: taken as within a wheelbase, which is lenient",
             format!(
                 "the wheelbase is {}; the largest deviation is 2 dl",
                 metres(wheelbase)
@@ -172,11 +172,11 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "m",
             "So it does on the car, in spite of non-idealities and marker losses",
             "\"very close to the nominal one\", \"robust to this disturbance as well\"; no \
-             number: taken as within a wheelbase",
+             number: taken as within a wheelbase, which is lenient",
             "most of it arises in the first second: the nominal P moves at once, the simulated \
              car has to start; there are no data of the real one to compare with",
         )
-        .of(Scope::PaperCar)
+        .of(Scope::RealCar)
         .number("dl = 0", largest("right", "car"), below(wheelbase))
         .number("dl = l_r", largest("rear", "car"), below(wheelbase));
     section
@@ -187,7 +187,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "\"robust to this disturbance as well\"; no number: taken as below 0.1 m",
             "four losses of 200 ms against the same drive without them",
         )
-        .of(Scope::PaperCar)
+        .of(Scope::RealCar)
         .number("car", apart(drives, "right", SEEN), below(0.1));
     section
         .claim(
@@ -211,17 +211,6 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             "the deviation measured, less the one of theory, at most",
         )
         .number("residual, ideal", residual(setup, drives), near(0.0, 1e-6));
-    section
-        .claim(
-            "steps-caption",
-            "m",
-            "The second test has dl = 0.132 m",
-            "0.132 m in the captions, 0.1232 m in the text",
-            "\"as if the center of mass were located at the rear wheel contact point\" is dl = \
-             l_r = 0.1232 m; 0.132 m would be behind the rear axle, outside the range",
-        )
-        .of(Scope::PaperCar)
-        .slip("l_r", dl, near(0.132, 0.0005), near(0.1232, 1e-9));
     section
         .claim(
             "singularity",
@@ -383,7 +372,7 @@ fn deviation_plate(setup: &Setup, drives: &Drives, section: &mut Section) {
     if let (Some(right), Some(rear)) = (drives.get("right", "car"), drives.get("rear", "car")) {
         let time = rear.column(|row| row.t);
         let apart = rear.differences(right).collect();
-        let name = "car, from that with dl = 0";
+        let name = "car, from dl = 0";
         curves.push(Curve::new(name, Look::Truth, &time, apart));
     }
     section.plate(

@@ -9,7 +9,7 @@ mod printed;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-pub use printed::{Printed, printed};
+pub use printed::{Compared, Printed, printed, quoted};
 
 /// How a block is run, or why it is not: the words after `sh`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,9 +1,13 @@
 //! What pages say that a command prints: the texts and the numbers.
 //!
 //! A block whose fence is ```` ```text printed COMMAND ```` holds a part of what the command prints; a
-//! line of dots stands for what is left out. A comment `<!-- numbers of COMMAND -->` says that the
+//! line of dots stands for what is left out. In ```` ```text like COMMAND ```` the numbers are an
+//! example. A comment `<!-- numbers of COMMAND -->` says that the
 //! numbers of the paragraph, list or table below it are in what the command prints, in the same unit or
-//! in one a thousand times as small.
+//! in one a thousand times as small. The command `the commands above` is the nearest block of shell
+//! commands.
+
+use crate::blocks;
 
 /// A part of a page that a command prints.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -14,25 +18,48 @@ pub struct Printed {
     pub command: String,
     /// The text.
     pub text: String,
-    /// Whether only its numbers are printed.
-    pub numbers: bool,
+    /// What of it is compared.
+    pub compared: Compared,
 }
 
-const BLOCK: &str = "```text printed ";
-const NUMBERS: &str = "<!-- numbers of ";
+/// What of a part of a page is compared with what its command prints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Compared {
+    /// Words and numbers.
+    All,
+    /// Words only.
+    Words,
+    /// Numbers only.
+    Numbers,
+}
+
+/// How a part begins.
+const OPENINGS: [(&str, Compared); 3] = [
+    ("```text printed ", Compared::All),
+    ("```text like ", Compared::Words),
+    ("<!-- numbers of ", Compared::Numbers),
+];
+const ABOVE: &str = "the commands above";
 
 /// What the commands of a page print, in the order of the page.
 #[must_use]
 pub fn printed(page: &str) -> Vec<Printed> {
+    let blocks = blocks(page).unwrap_or_default();
     let mut found = Vec::new();
     let mut lines = page.lines().enumerate();
     while let Some((index, opening)) = lines.next() {
-        let (command, numbers) = match opening.strip_prefix(BLOCK) {
-            Some(command) => (command, false),
-            None => match opening.strip_prefix(NUMBERS) {
-                Some(rest) => (rest.trim_end_matches("-->").trim(), true),
-                None => continue,
-            },
+        let begun = OPENINGS
+            .iter()
+            .find_map(|(sign, compared)| Some((opening.strip_prefix(sign)?, *compared)));
+        let Some((command, compared)) = begun else {
+            continue;
+        };
+        let command = command.trim_end_matches("-->").trim();
+        let numbers = compared == Compared::Numbers;
+        let mut before = blocks.iter().rev().filter(|block| block.line <= index);
+        let command = match before.next() {
+            Some(block) if command == ABOVE => &*block.text,
+            _ => command,
         };
         let is_end = |line: &str| {
             if numbers {
@@ -49,7 +76,7 @@ pub fn printed(page: &str) -> Vec<Printed> {
             line: index + 1,
             command: command.to_owned(),
             text: text.join("\n"),
-            numbers,
+            compared,
         });
     }
     found
@@ -62,16 +89,18 @@ impl Printed {
     ///
     /// What the command does not print.
     pub fn compare(&self, output: &str) -> Result<(), String> {
-        let missing = match self.numbers {
-            true => missing_number(&self.text, output),
-            false => missing_text(&self.text, output),
+        let missing = match self.compared {
+            Compared::All => missing_text(&self.text, output),
+            Compared::Words => missing_text(&without_numbers(&self.text), &without_numbers(output)),
+            Compared::Numbers => missing_number(&self.text, output),
         };
         let Some(missing) = missing else {
             return Ok(());
         };
         Err(format!(
             "line {}: `{}` does not print {missing:?}; it prints:\n{output}",
-            self.line, self.command
+            self.line,
+            self.command.trim_end()
         ))
     }
 }
@@ -88,6 +117,19 @@ fn missing_text(text: &str, output: &str) -> Option<String> {
         }
     }
     None
+}
+
+/// A text with `#` for each number.
+fn without_numbers(text: &str) -> String {
+    let mut without = String::new();
+    let mut rest = text;
+    while let Some(start) = rest.find(|letter: char| letter.is_ascii_digit()) {
+        without += rest[..start].trim_end_matches(['+', '-', '.']);
+        without.push('#');
+        rest = rest[start..]
+            .trim_start_matches(|letter: char| letter.is_ascii_digit() || letter == '.');
+    }
+    without + rest
 }
 
 /// The first number of a text that the output lacks. Whole numbers of one or two digits are left out:
@@ -123,6 +165,31 @@ fn numbers(text: &str) -> impl Iterator<Item = (f64, usize)> {
     })
 }
 
+/// The messages that a line of prose quotes: code spans of three words and more that are neither settings
+/// nor command lines. Each in the parts between what differs: dots, and words in capitals.
+#[must_use]
+pub fn quoted(prose: &str) -> Vec<String> {
+    const COMMANDS: [&str; 4] = ["singletrack", "cargo", "sudo", "ulimit"];
+    let spans = prose.split('`').skip(1).step_by(2);
+    let is_message = |span: &&str| {
+        let is_command = COMMANDS.iter().any(|command| span.starts_with(command));
+        span.split(' ').count() > 2 && !span.contains(" = ") && !is_command
+    };
+    let mut parts = vec![String::new()];
+    for word in spans
+        .filter(is_message)
+        .flat_map(|span| span.split(' ').chain(["..."]))
+    {
+        let is_placeholder = word == "..." || !word.contains(|letter: char| letter.is_lowercase());
+        match (is_placeholder, parts.last_mut()) {
+            (false, Some(part)) => *part = format!("{part} {word}").trim().to_owned(),
+            _ => parts.push(String::new()),
+        }
+    }
+    parts.retain(|part| part.contains(' '));
+    parts
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a test may fail")]
 mod tests {
@@ -145,6 +212,29 @@ mod tests {
         assert_eq!(numbers.text.lines().count(), 2);
         assert_eq!(block.compare(DRIVEN), Ok(()));
         assert_eq!(numbers.compare(STABLE), Ok(()));
+    }
+
+    #[test]
+    fn messages_are_code_spans_of_three_words_without_what_differs() {
+        let prose = "If `singletrack arm --for 20s` says `can't arm: mode MODE: MEANING (REASON). To do: ...`, or \
+                     `is nearly full now`, set `a.b = true`, not `link down`";
+        let parts = ["can't arm: mode", "To do:", "is nearly full now"];
+        assert_eq!(quoted(prose), parts);
+    }
+
+    #[test]
+    fn the_commands_above_are_those_of_the_nearest_block() {
+        let page = "```sh\na\n```\n```sh\nb\nc\n```\n<!-- numbers of the commands above -->\n1.5\n\n```sh\nd\n```\n";
+        assert_eq!(printed(page)[0].command, "b\nc\n");
+    }
+
+    #[test]
+    fn the_numbers_of_an_example_are_not_compared_and_its_words_are() {
+        let page = "```text like drive\nlag 1.5 rad, x -3 m...\n```\n";
+        let [part] = printed(page).try_into().unwrap();
+        assert_eq!(part.compare("a\nlag -0.462 rad, x 3.25 m. b"), Ok(()));
+        let why = part.compare("lag 0.462 m, x 3.25 m").unwrap_err();
+        assert!(why.contains("lag # rad, x # m"), "{why}");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use clap::{
     ArgMatches, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
     error::ErrorKind,
 };
-use singletrack_core::feasibility::{Finding, judge_reference};
+use singletrack_core::feasibility::{Judgement, judge_reference};
 use singletrack_figures::{output, plot};
 use singletrack_scenario::simulate;
 
@@ -154,8 +154,10 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                 digest: *format == SimulateFormat::Digest,
                 ..simulate::RunOptions::default()
             };
-            for finding in doubts(&scenario)? {
-                eprintln!("singletrack: warning: {finding}");
+            let judgement = judged(&scenario)?;
+            for finding in &judgement.findings {
+                let level = finding.severity.name();
+                eprintln!("singletrack: {level}: {finding}");
             }
             let simulation = simulate::simulate_with(&scenario, options)?;
             for note in &simulation.notes {
@@ -175,18 +177,24 @@ fn run(cli: &Cli) -> Result<ExitCode, Box<dyn std::error::Error>> {
                 (None, SimulateFormat::Csv) => simulate::write_csv(&simulation.rows, &mut text)?,
             }
             output::print(&String::from_utf8(text)?)?;
+            // A program that wants a summary judges by it.
+            if summary.is_none() && !judgement.is_possible() {
+                return Ok(ExitCode::FAILURE);
+            }
         }
     }
     Ok(ExitCode::SUCCESS)
 }
 
 /// What `singletrackd --check` would say of the scenario's reference; the ideal plant has no limits.
-fn doubts(scenario: &simulate::Scenario) -> Result<Vec<Finding>, Box<dyn std::error::Error>> {
+fn judged(scenario: &simulate::Scenario) -> Result<Judgement, Box<dyn std::error::Error>> {
     if scenario.plant.kind == simulate::PlantKind::Ideal {
-        return Ok(Vec::new());
+        return Ok(Judgement::default());
     }
-    let (config, _) = simulate::virtual_drive_config(scenario)?;
-    Ok(judge_reference(&config, None, None)?.findings)
+    let (mut config, _) = simulate::virtual_drive_config(scenario)?;
+    // The ends of the bounds are not what is driven.
+    config.tuning.enabled = false;
+    Ok(judge_reference(&config, None, None)?)
 }
 
 #[cfg(test)]

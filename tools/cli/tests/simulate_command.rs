@@ -51,20 +51,27 @@ fn standard_output_holds_only_csv_with_a_row_every_50_ms() {
 }
 
 #[test]
-fn a_circle_that_the_car_can_not_drive_is_warned_of_with_the_least_radius() {
+fn a_circle_that_the_car_can_not_drive_is_a_failure_with_the_least_radius() {
     let text = std::fs::read_to_string(scenario("circle-car.toml")).unwrap();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("small.toml");
     let text = text.replace("radius_m = 1.0", "radius_m = 0.3");
     std::fs::write(&path, text.replace("duration_s = 40.0", "duration_s = 1.0")).unwrap();
-    let error = String::from_utf8(simulate(&path).stderr).unwrap();
-    let warning = "warning: reference.radius_m is 0.3: ";
+    let output = simulate(&path);
+    let error = String::from_utf8(output.stderr).unwrap();
+    let finding = "impossible: reference.radius_m is 0.3: ";
     assert!(
-        error.contains(warning) && error.contains("give at least 0.78"),
+        error.contains(finding) && error.contains("give at least 0.78"),
         "{error}"
     );
-    let good = String::from_utf8(simulate(&scenario("circle-car.toml")).stderr).unwrap();
-    assert!(!good.contains("warning"), "{good}");
+    assert!(output.status.code() == Some(1) && !output.stdout.is_empty());
+    // A program judges by the summary.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_singletrack"));
+    command.arg("simulate").arg(&path);
+    let summary = command.args(["--summary", "json"]).output().unwrap();
+    assert!(summary.status.success());
+    let good = simulate(&scenario("circle-car.toml"));
+    assert!(good.status.success() && good.stderr.is_empty());
 }
 
 /// Changes a scenario, and expects an error that says all of `words`.
@@ -317,7 +324,8 @@ fn without_options_the_result_is_printed_and_no_trajectory() {
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(lines[0], "the car drove to the end of the run", "{text}");
     assert!(lines[1].starts_with("distance of P from its reference: "));
-    assert!(lines[2].starts_with("way 0."), "{text}");
+    assert!(lines[1].ends_with(" mm (rms) in the second half"));
+    assert!(lines[2].starts_with("travelled 0."), "{text}");
     let stopped = "duration_s = 3.0\n[operator]\nemergency_stop_at_s = 2.0";
     let text = printed("circle-car.toml", &[(short.0, stopped)]);
     assert!(

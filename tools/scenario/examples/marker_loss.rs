@@ -72,7 +72,7 @@ struct Worst {
 fn main() -> Result<(), Box<dyn Error>> {
     println!(
         "{:<20} {:>9} {:>9} {:>14} {:>14} {:>9} {:>9}",
-        "budget", "speed m/s", "loss ms", "P off path mm", "way to stop m", "drove on", "by board"
+        "budget", "speed m/s", "loss ms", "P off path mm", "travel to stop", "drove on", "by board"
     );
     for budget in BUDGETS {
         for speed in SPEEDS {

@@ -272,7 +272,7 @@ pub(super) fn room_ahead(bench: &dyn Bench, start: Position, way: Velocity) -> R
     }
     Err(failed(
         format!(
-            "the geofence has no room for a straight way of {:.1} m from where the car stands",
+            "the geofence has no room for a straight line of {:.1} m from where the car stands",
             way.norm()
         ),
         "turn the car towards the middle of the geofence, or put it farther back, and run this step \
@@ -483,7 +483,7 @@ impl Drive {
         match self.reason {
             None => Ok(self),
             Some("astray") => Err(failed(
-                format!("the car was {ASTRAY} m from its way, and was stopped"),
+                format!("the car was {ASTRAY} m from its path, and was stopped"),
                 "check board.servo.gain_us_per_rad, marker_yaw_rad and vehicle.*, or run \
                  `singletrack bring-up` again",
             )),

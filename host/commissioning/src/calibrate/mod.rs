@@ -47,7 +47,7 @@ const COVER: Step = Step::new(
     "Markers covered while it drives: the stop without poses",
     measure_cover,
 )
-.expecting("it stops by itself within the way that the geofence allows for")
+.expecting("it stops by itself within the distance that the geofence allows for")
 .optional();
 
 fn measure_cover(bench: &mut dyn Bench) -> Result<Finding, Trouble> {

@@ -269,7 +269,7 @@ fn measure_roll_out(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
         name: "roll-out",
         title: "Roll-outs",
         x: ("time since neutral was asked for", "s"),
-        y: ("way", "m"),
+        y: ("travel", "m"),
         equal: false,
         lines: vec![PlotLine::new("rear axle", PlotKind::Measured, ways)],
     });

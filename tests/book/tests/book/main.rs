@@ -1,7 +1,7 @@
 //! The commands of the documentation: `cargo verify book`.
 //!
 //! `cargo test -p singletrack-book --test book -- tutorial` runs one page. The programs
-//! are those beside this one, from `cargo build --bins`.
+//! are those beside this one, from `cargo build --bins`, and the examples from `cargo test --no-run`.
 //!
 //! The blocks of a page run in a folder that looks like a clone of the repository. It holds links to
 //! the files, so that nothing is written to the repository. Pages run beside each other: each has its
@@ -10,19 +10,27 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail")]
 
 use std::{
+    collections::BTreeMap,
     env, fs,
     os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
-    process::{Command, ExitCode},
+    process::{Command, ExitCode, Output},
     sync::{PoisonError, RwLock},
 };
 
 use libtest_mimic::{Arguments, Failed, Trial};
-use singletrack_book::{Block, Kind, Line, Printed, blocks, lines, printed, spans};
+use singletrack_book::{Block, Kind, Line, Printed, blocks, lines, printed, quoted, spans};
 use tempfile::TempDir;
 
 /// The pages with commands, and those with kinds of blocks explained.
 const KINDS_PAGE: &str = "docs/contributing.md";
+
+/// The pages whose quotations are messages of the programs.
+const QUOTES: [&str; 3] = [
+    "docs/troubleshooting.md",
+    "docs/first-drive.md",
+    "docs/my-car.md",
+];
 
 /// A page of the documentation.
 #[derive(Clone)]
@@ -128,10 +136,16 @@ fn main() -> ExitCode {
         trials.push(Trial::test(format!("parsed {}", page.name), move || {
             check(&parsed)
         }));
+        if QUOTES.contains(&page.name.as_str()) {
+            let page = page.clone();
+            trials.push(Trial::test(format!("quoted {}", page.name), move || {
+                are_messages(&page)
+            }));
+        }
         if !page.printed.is_empty() {
             let page = page.clone();
             trials.push(Trial::test(format!("printed {}", page.name), move || {
-                compare(&page)
+                compare(&page, number)
             }));
         }
         if page.blocks.iter().any(Block::runs) {
@@ -159,20 +173,21 @@ const STARVED: [&str; 3] = [
     "dropped for want of room",
 ];
 
-/// Runs a page's blocks in order, in one shell.
-fn run(page: &Page, number: usize) -> Result<(), Failed> {
-    let is_real_time = page
-        .blocks
-        .iter()
-        .any(|block| block.kinds.contains(&Kind::Car) || block.kinds.contains(&Kind::Background));
-    if !is_real_time {
+/// Does it beside the others, or, with a simulated car, alone; and again while the machine is too busy
+/// for the car.
+fn on_machine(
+    page: &Page,
+    has_car: bool,
+    mut once: impl FnMut() -> Result<(), Failed>,
+) -> Result<(), Failed> {
+    if !has_car {
         let _others = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
-        return run_once(page, number);
+        return once();
     }
     let _alone = MACHINE.write().unwrap_or_else(PoisonError::into_inner);
     let mut tries = 1;
     loop {
-        let result = run_once(page, number);
+        let result = once();
         let is_starved = result.as_ref().is_err_and(|failed| {
             let said = failed.message().unwrap_or_default();
             STARVED.iter().any(|words| said.contains(words))
@@ -188,13 +203,65 @@ fn run(page: &Page, number: usize) -> Result<(), Failed> {
     }
 }
 
+/// What commands run in: a folder with the clone, the programs and what stands for `/tmp`, and an address
+/// for the cameras.
+struct Stage {
+    scratch: TempDir,
+    address: String,
+}
+
+impl Stage {
+    fn new(number: usize) -> Result<Self, Failed> {
+        let scratch = TempDir::with_prefix("book-")?;
+        let folder = scratch.path();
+        let address = format!("127.34.0.{}", number + 1);
+        clone(&folder.join("clone"))?;
+        wrap_programs(&folder.join("bin"), &address)?;
+        fs::create_dir(folder.join("tmp"))?;
+        Ok(Self { scratch, address })
+    }
+
+    /// Runs these commands in a shell, for five minutes at most.
+    fn run(&self, commands: &str) -> Result<Output, Failed> {
+        let folder = self.scratch.path();
+        let script = commands
+            .replace("/tmp/", &format!("{}/tmp/", folder.display()))
+            .replace("127.0.0.1", &self.address);
+        fs::write(folder.join("script"), script)?;
+        let path = format!("{}:/usr/bin:/bin", folder.join("bin").display());
+        let output = Command::new("timeout")
+            .args(["--kill-after=5", "300", "bash"])
+            .arg(folder.join("script"))
+            .current_dir(folder.join("clone"))
+            .env("PATH", path)
+            .env("SCRATCH", folder)
+            .env("EXAMPLES", programs().join("examples"))
+            .env_remove("SINGLETRACK_SOCKET")
+            .env("TERM", "dumb")
+            .output()?;
+        Ok(output)
+    }
+
+    /// Its text, with the names that it has on a page.
+    fn text(&self, bytes: &[u8]) -> String {
+        let folder = format!("{}/tmp/", self.scratch.path().display());
+        let text = String::from_utf8_lossy(bytes);
+        text.replace(&folder, "/tmp/")
+            .replace(&self.address, "127.0.0.1")
+    }
+}
+
+/// Runs a page's blocks in order, in one shell.
+fn run(page: &Page, number: usize) -> Result<(), Failed> {
+    let is_real_time = page
+        .blocks
+        .iter()
+        .any(|block| block.kinds.contains(&Kind::Car) || block.kinds.contains(&Kind::Background));
+    on_machine(page, is_real_time, || run_once(page, number))
+}
+
 fn run_once(page: &Page, number: usize) -> Result<(), Failed> {
-    let scratch = TempDir::with_prefix("book-")?;
-    let folder = scratch.path();
-    let address = format!("127.34.0.{}", number + 1);
-    clone(&folder.join("clone"))?;
-    wrap_programs(&folder.join("bin"), &address)?;
-    fs::create_dir(folder.join("tmp"))?;
+    let stage = Stage::new(number)?;
     let mut script = PRELUDE.to_owned();
     let starts_daemon = page.blocks.iter().any(|block| {
         block.runs()
@@ -205,27 +272,12 @@ fn run_once(page: &Page, number: usize) -> Result<(), Failed> {
         script.push_str(&commands(page, block, starts_daemon)?);
     }
     script.push_str("finish\n");
-    let script = script
-        .replace("/tmp/", &format!("{}/tmp/", folder.display()))
-        .replace("127.0.0.1", &address);
-    fs::write(folder.join("script"), &script)?;
-    let output = Command::new("timeout")
-        .args(["--kill-after=5", "90", "bash"])
-        .arg(folder.join("script"))
-        .current_dir(folder.join("clone"))
-        .env(
-            "PATH",
-            format!("{}:/usr/bin:/bin", folder.join("bin").display()),
-        )
-        .env("SCRATCH", folder)
-        .env_remove("SINGLETRACK_SOCKET")
-        .env("TERM", "dumb")
-        .output()?;
+    let output = stage.run(&script)?;
     if output.status.success() {
         return Ok(());
     }
     let tail = |bytes: &[u8]| {
-        let text = String::from_utf8_lossy(bytes).into_owned();
+        let text = stage.text(bytes);
         let lines: Vec<&str> = text.lines().collect();
         lines[lines.len().saturating_sub(30)..].join("\n")
     };
@@ -237,28 +289,60 @@ fn run_once(page: &Page, number: usize) -> Result<(), Failed> {
     .into())
 }
 
-/// Compares what a page says that commands print with what they print. Each runs in a folder that looks
-/// like a clone of the repository.
-fn compare(page: &Page) -> Result<(), Failed> {
-    let _others = MACHINE.read().unwrap_or_else(PoisonError::into_inner);
-    let scratch = TempDir::with_prefix("book-")?;
-    let folder = scratch.path();
-    clone(&folder.join("clone"))?;
-    let path = format!("{}:/usr/bin:/bin", programs().display());
-    let mut wrong = Vec::new();
-    for part in &page.printed {
-        // A refusal is printed, too.
-        let output = Command::new("timeout")
-            .args(["60", "bash", "-c", &format!("{} 2>&1", part.command)])
-            .current_dir(folder.join("clone"))
-            .env("PATH", &path)
-            .env_remove("SINGLETRACK_SOCKET")
-            .output()?;
-        wrong.extend(part.compare(&String::from_utf8_lossy(&output.stdout)).err());
+/// Compares what a page says that commands print with what they print. The functions of the prelude are
+/// commands, too: `car; singletrack status`.
+fn compare(page: &Page, number: usize) -> Result<(), Failed> {
+    let has_car = |part: &Printed| {
+        ["car;", " & "]
+            .iter()
+            .any(|sign| part.command.contains(sign))
+    };
+    let has_car = page.printed.iter().any(has_car);
+    on_machine(page, has_car, || compare_once(page, number))
+}
+
+fn compare_once(page: &Page, number: usize) -> Result<(), Failed> {
+    let mut outputs = BTreeMap::new();
+    for Printed { command, .. } in &page.printed {
+        if !outputs.contains_key(command) {
+            let stage = Stage::new(number)?;
+            // A refusal is printed, too.
+            let script = format!("exec 2>&1\n{PRELUDE}trap - ERR\nset +e\n{command}\n");
+            outputs.insert(command, stage.text(&stage.run(&script)?.stdout));
+        }
     }
+    let wrong = |part: &Printed| part.compare(&outputs[&part.command]).err();
+    let wrong: Vec<_> = page.printed.iter().filter_map(wrong).collect();
     match wrong.is_empty() {
         true => Ok(()),
         false => Err(format!("{}: {}", page.name, wrong.join("\n")).into()),
+    }
+}
+
+/// The messages that a page quotes are in the code of a program.
+fn are_messages(page: &Page) -> Result<(), Failed> {
+    let mut code = String::new();
+    let mut folders: Vec<_> = ["host", "tools", "lab", "firmware"]
+        .map(|name| root().join(name))
+        .into();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|ending| ending == "rs") {
+                code += &fs::read_to_string(&path)?;
+            }
+        }
+    }
+    let line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let code = line(&code.replace("\\\n", " "));
+    let prose: Vec<_> = prose(&page.text).collect();
+    let mut wrong = quoted(&line(&prose.join(" ")));
+    wrong.retain(|message| !code.contains(message));
+    match wrong.is_empty() {
+        true => Ok(()),
+        false => Err(format!("{}: no program has {wrong:?}", page.name).into()),
     }
 }
 

@@ -33,13 +33,22 @@ car() {
             -e 's|^#directory = .*|directory = "/tmp/records"|' \
             -e 's|^#path = .*|path = "/tmp/singletrackd.sock"|' \
             -e '/^\[tuning\]/,/^\[/ s|^#enabled = .*|enabled = true|' \
-            -e '/^\[tuning\]/,/^\[/ s|^# gain_per_s = .*|gain_per_s = [1.0, 2.0]|' \
+            -e '/^\[tuning\]/,/^\[/ s|^# gain_per_s = .*|gain_per_s = [1.0, 8.0]|' \
             -e '/^\[tuning\]/,/^\[/ s|^# point_distance_m = .*|point_distance_m = [0.35, 0.36]|' \
             -e 's|^#require_calibration = .*|require_calibration = false|' \
             host/daemon/singletrackd.example.toml > /tmp/the-car.toml
         singletrackd --config /tmp/the-car.toml &
     fi
     await_ready
+}
+
+# `cargo run ... --example NAME`: the one that `cargo test --no-run` has built.
+cargo() {
+    while test "$1" != --example; do shift; done
+    local example=$2
+    shift 2
+    if test "${1:-}" = --; then shift; fi
+    "$EXAMPLES/$example" "$@"
 }
 
 finish() {

@@ -105,9 +105,12 @@ impl fmt::Display for Summary {
         if let Some(error) = self.tracking_error {
             write!(formatter, "\n{error}")?;
         }
+        if let Some(rms) = self.tracking_rms_m {
+            write!(formatter, "; {:.2} mm (rms) in the second half", 1e3 * rms)?;
+        }
         write!(
             formatter,
-            "\nway {:.2} m, speed {:.2} to {:.2} m/s, least distance from the geofence {:.2} m",
+            "\ntravelled {:.2} m, speed {:.2} to {:.2} m/s, least distance from the geofence {:.2} m",
             self.way_m, self.speed_min_m_s, self.speed_max_m_s, self.clearance_min_m
         )
     }

@@ -377,8 +377,9 @@ impl SteadyCircle {
         let wheelbase = config.vehicle.wheelbase_m();
         let lags = if self.factor < 1.0 {
             format!(
-                ", and without outer_loop.feed_forward P settles on {:.2} m",
-                self.point
+                ", and without outer_loop.feed_forward P settles on {:.2} m at \
+                 reference.angular_velocity_rad_s = {}",
+                self.point, self.rate
             )
         } else {
             String::new()

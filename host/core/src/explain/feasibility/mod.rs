@@ -50,6 +50,17 @@ pub enum Severity {
     Impossible,
 }
 
+impl Severity {
+    /// The word before a finding.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Warning => "warning",
+            Self::Impossible => "impossible",
+        }
+    }
+}
+
 /// A value of the configuration that should be changed: key, value and fix.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
