@@ -80,6 +80,13 @@ pub fn read(
             drive.duration()
         ));
     }
+    if !collector.has_accelerometer() {
+        notes.push(
+            "it has no accelerometer: the forward acceleration is that of the cameras, and nothing is compared \
+             with an acceleration to the left"
+                .to_owned(),
+        );
+    }
     let frames = collector.frames();
     if frames.is_some() {
         notes.push(
@@ -216,7 +223,16 @@ impl Collector {
 
     /// Takes a sample that the car can have made.
     fn take_inertial(&mut self, sample: &InertialSample, of_tick: bool) {
-        if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(sample) {
+        // A car of another program's log may have a gyro alone.
+        let judged = match sample.forward_acceleration.is_nan() && of_tick {
+            true => InertialSample {
+                forward_acceleration: 0.0,
+                left_acceleration: 0.0,
+                ..*sample
+            },
+            false => *sample,
+        };
+        if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(&judged) {
             return;
         }
         let time_s = self.seconds(sample.time.0);
@@ -244,10 +260,18 @@ impl Collector {
         self.board.is_none().then_some(ServoFrames::Every)
     }
 
+    /// Whether the record has samples of an accelerometer.
+    #[must_use]
+    pub fn has_accelerometer(&self) -> bool {
+        let mut samples = self.data.inertial.iter().chain(&self.of_ticks.inertial);
+        samples.any(|sample| !sample.forward_m_s2.is_nan())
+    }
+
     /// The data collected until `end_ns` of the host's monotonic clock.
     #[must_use]
     pub fn until(mut self, end_ns: u64) -> DriveData {
         let end_s = self.seconds(end_ns);
+        let has_accelerometer = self.has_accelerometer();
         if self.board.is_none() {
             self.data.inertial = self.of_ticks.inertial;
             self.data.servo = self.of_ticks.servo;
@@ -255,6 +279,9 @@ impl Collector {
         self.data.poses.retain(|pose| pose.time_s <= end_s);
         self.data.inertial.retain(|sample| sample.time_s <= end_s);
         self.data.servo.retain(|target| target.time_s <= end_s);
+        if !has_accelerometer {
+            self.data.take_acceleration_of_poses();
+        }
         self.data
     }
 }

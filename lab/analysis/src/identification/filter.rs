@@ -138,6 +138,10 @@ impl Filter<'_> {
     /// Corrects the state with a measurement. `expected` is its prediction with derivatives by
     /// the state, and `difference` the innovation.
     fn correct(&mut self, channel: Channel, expected: Dual, difference: f64) -> Gain {
+        // Not measured.
+        if difference.is_nan() {
+            return Gain::default();
+        }
         let row = gradient(&expected);
         let column = self.covariance * row.transpose();
         let deviation = self.noise.of(channel);

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use singletrack_control::VehicleParameters;
 
 use super::{
-    data::{DriveData, ServoFrames, Span},
+    data::{Channel, DriveData, ServoFrames, Span},
     error::IdentificationError,
     estimate::{self, Estimate},
     filter::TrackPoint,
@@ -100,6 +100,17 @@ fn identified(
     if settings.parameters.is_empty() {
         return Err(IdentificationError::NoParameter);
     }
+    // What belongs to a sensor that the car does not have is no parameter of the drive.
+    let [gyro, accelerometer] =
+        [Channel::YawRate, Channel::Left].map(|channel| data.measures(channel));
+    let mut settings = settings.clone();
+    settings.parameters.retain(|parameter| match parameter {
+        Parameter::GyroScale => gyro,
+        Parameter::LateralBias => accelerometer,
+        Parameter::InertialDelay => gyro || accelerometer,
+        _ => true,
+    });
+    let settings = &settings;
     let stretches = usable(data, settings)?;
     let task = Task {
         data,
