@@ -92,6 +92,23 @@ fn the_simulations_parameters_are_those_of_the_car_where_the_model_is_right() {
 }
 
 #[test]
+fn a_steering_that_is_known_roughly_is_found_beyond_what_a_servo_usually_takes() {
+    let course = Course {
+        steering_delay: 0.26,
+        ..Course::weaving(21, 20.0)
+    };
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        steering: Some([0.24, 0.06]),
+        ..Settings::default()
+    };
+    let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+    let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
+    assert_eq!(estimate.start, 0.24);
+    assert!((estimate.value - 0.26).abs() < 0.003, "{estimate:?}");
+}
+
+#[test]
 fn a_car_without_an_imu_is_identified_by_cameras_and_steering() {
     let course = Course::weaving(23, 30.0);
     let mut data = course.drive();

@@ -8,7 +8,10 @@ use singletrack_analysis::identification::{
     ServoTarget, Span,
 };
 use singletrack_control::{InertialSample, SteeringMap, Time, VehicleParameters, direction};
-use singletrack_core::{Config, ConfigError, config::WatchSection};
+use singletrack_core::{
+    Config, ConfigError,
+    config::{ActuatorsSection, WatchSection},
+};
 use singletrack_figures::plot;
 use singletrack_pilot::{BoardSample, Event};
 use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seconds_since};
@@ -24,6 +27,8 @@ pub struct RecordedDrive {
     pub number: usize,
     /// The car of the configuration that it was driven with.
     pub vehicle: VehicleParameters,
+    /// Dead time and lag of the steering, in s, of a configuration that says them.
+    pub steering: Option<[f64; 2]>,
     /// What was measured, in s since the drive began.
     pub data: DriveData,
     /// The periods that begin a servo pulse, if they are known.
@@ -97,6 +102,10 @@ pub fn read(
         path: record.path.clone(),
         number,
         vehicle: config.vehicle,
+        steering: (config.actuators != ActuatorsSection::default()).then(|| {
+            let model = config.actuators.model();
+            [model.steering_dead_time, model.steering_lag]
+        }),
         data: collector.until(end_ns),
         frames,
         notes,
@@ -301,6 +310,8 @@ fn push_later<T>(samples: &mut Vec<T>, sample: T, time_s: fn(&T) -> f64) {
 pub(super) struct Drives {
     /// The car of the first.
     pub(super) vehicle: VehicleParameters,
+    /// Its steering, see [`RecordedDrive::steering`].
+    pub(super) steering: Option<[f64; 2]>,
     pub(super) data: DriveData,
     /// The periods that begin a servo pulse, if they are known of every drive.
     pub(super) frames: Option<ServoFrames>,
@@ -321,6 +332,7 @@ impl Drives {
     pub(super) fn of(first: RecordedDrive, others: Vec<RecordedDrive>) -> Self {
         let mut all = Self {
             vehicle: first.vehicle,
+            steering: first.steering,
             data: DriveData::default(),
             frames: first.frames,
             parts: Vec::new(),

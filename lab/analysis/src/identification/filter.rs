@@ -3,13 +3,14 @@
 
 use nalgebra::{SMatrix, SVector};
 use num_dual::DualSVec64;
-use singletrack_control::{Tyres, wrap};
+use singletrack_control::wrap;
 
 use super::{
     data::{Channel, DriveData, ServoTarget, Span},
     model::Model,
     noise::{LEAST_FORCE, NoiseLevels},
     parameter::{Parameter, Values},
+    problem::Structure,
     timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 
@@ -81,15 +82,15 @@ pub(super) fn run_filter(
     servo: &[ServoTarget],
     spans: &[Span],
     values: &Values,
-    tyres: Tyres,
+    structure: Structure,
     noise: &NoiseLevels,
 ) -> Option<FilterRun> {
-    let model = Model::new(values, *values.all(), tyres);
+    let model = Model::new(values, *values.all(), structure);
     let mut filter = Filter {
         data,
         values,
         noise,
-        model: Model::new(values, values.all().map(Dual::from), tyres),
+        model: Model::new(values, values.all().map(Dual::from), structure),
         state: SVector::zeros(),
         steering: 0.0,
         covariance: SMatrix::zeros(),

@@ -87,7 +87,13 @@ pub fn identify(
     vehicle: &VehicleParameters,
     settings: &Settings,
 ) -> Result<Identification, IdentificationError> {
-    identified(data, &Values::of(vehicle), settings, check)
+    let mut start = Values::of(vehicle);
+    if let Some([delay, lag]) = settings.steering {
+        start = start
+            .with(Parameter::SteeringDelay, delay)
+            .with(Parameter::ServoLag, lag);
+    }
+    identified(data, &start, settings, check)
 }
 
 /// Identifies, and refuses what `check` refuses.
@@ -179,7 +185,7 @@ impl Chosen {
             spans: task.spans,
             run: &fit.run,
         };
-        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.tyres);
+        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.structure());
         let simulation = simulation.ok_or_else(|| task.diverged(&fit.u))?;
         Ok(Self {
             fit,

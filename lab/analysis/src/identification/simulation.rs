@@ -1,13 +1,12 @@
 //! The model without corrections, with the inputs of the drive, and the measurements beside
 //! it: the paper's validation figures.
 
-use singletrack_control::Tyres;
-
 use super::{
     data::{DriveData, ServoTarget, Span, seen},
     filter::{FilterRun, TrackPoint},
     model::{Model, Motion},
     parameter::{Parameter, Values},
+    problem::Structure,
     timeline::{EventHandler, StateEstimate, replay},
 };
 use crate::dual::Dual;
@@ -108,9 +107,9 @@ impl Inputs<'_> {
 pub(super) fn simulate(
     inputs: &Inputs<'_>,
     values: &Values,
-    tyres: Tyres,
+    structure: Structure,
 ) -> Option<Vec<SimulationPoint>> {
-    let model = Model::new(values, *values.all(), tyres);
+    let model = Model::new(values, *values.all(), structure);
     let points = inputs.simulate(&model)?.into_iter();
     let points = points.filter_map(|simulated| {
         let Simulated { motion, left, .. } = simulated;

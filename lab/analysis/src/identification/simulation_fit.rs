@@ -69,7 +69,11 @@ impl Simulated<'_> {
     /// The errors over their sizes, each with its place.
     fn placed<D: Dual>(&self, u: &[D]) -> Option<Vec<(Place, D)>> {
         let Task { start, active, .. } = self.task;
-        let model = Model::new(start, start.moved(active, u), self.task.settings.tyres);
+        let model = Model::new(
+            start,
+            start.moved(active, u),
+            self.task.settings.structure(),
+        );
         let mut errors = Vec::with_capacity(3 * self.inputs.data.poses.len());
         let mut push = |output: usize, time: f64, error: D| {
             let size = self.sizes.get(output).copied().unwrap_or(1.0);
