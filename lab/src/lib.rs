@@ -6,6 +6,7 @@
     reason = "figures and tables; the modules that plan simulated drives forbid it"
 )]
 
+pub mod benchmark;
 pub mod compare;
 pub mod identify;
 pub mod install_files;

@@ -405,6 +405,23 @@ mod thorough {
         );
     }
 
+    /// With small ones, two of the three are 2.9 and 4.9 % off.
+    #[test]
+    fn exact_slip_angles_identify_a_car_that_has_them() {
+        let plan = StudyPlan {
+            first_seed: 101,
+            count: 1,
+            slip_angles: SlipAngles::Exact,
+            fitted_slip_angles: SlipAngles::Exact,
+            ..StudyPlan::default()
+        };
+        let study = run_study(&plan, |_| {}).unwrap();
+        for (summary, within) in study.summaries().iter().zip([0.01, 0.01, 0.01]) {
+            println!("{summary:?}");
+            assert!(summary.worst_relative_error < within, "{summary:?}");
+        }
+    }
+
     #[test]
     fn the_estimates_are_within_the_targets_and_near_what_is_possible() {
         let study = run_study(

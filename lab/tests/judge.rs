@@ -8,7 +8,7 @@ use rand_chacha::{
     rand_core::{Rng as _, SeedableRng as _},
 };
 use singletrack_core::Config;
-use singletrack_lab::judge::{JudgeError, Verdict, WHOLE, judge};
+use singletrack_lab::judge::{JudgeError, Part, Verdict, WHOLE, judge};
 use singletrack_logs::import::import;
 
 /// A file of the repository.
@@ -148,6 +148,47 @@ fn a_clean_drive_has_no_stop_and_an_honest_estimate() {
 }
 
 #[test]
+fn a_log_without_an_imu_or_with_a_gyro_alone_is_judged_and_says_what_is_not() {
+    let log = log(7, &|_, _| {});
+    let map = dart_map();
+    let (before, imu) = map.split_once("[imu]").unwrap();
+    let (imu, after) = imu.split_once("[motor]").unwrap();
+    let gyro: Vec<&str> = imu
+        .lines()
+        .filter(|line| !line.contains("_acceleration"))
+        .collect();
+    let gyro = gyro.join("\n");
+    for (map, unjudged) in [
+        (
+            format!("{before}[motor]{after}"),
+            &["the gyro", "the accelerometer"][..],
+        ),
+        (
+            format!("{before}[imu]{gyro}\n[motor]{after}"),
+            &["the accelerometer"],
+        ),
+    ] {
+        let verdict = judged_with(&log, &map);
+        assert_eq!(reasons(&verdict), [""; 0], "{unjudged:?}");
+        assert_eq!(verdict.rejected, 0);
+        let [speed, yaw_rate, sideslip] = [
+            verdict.speed_rms_m_s,
+            verdict.yaw_rate_rms_rad_s,
+            verdict.sideslip_rms_rad,
+        ]
+        .map(Option::unwrap);
+        assert!(speed < 0.03, "{speed}");
+        assert!(yaw_rate < 0.08, "{yaw_rate}");
+        assert!(sideslip < 0.025, "{sideslip}");
+        let said = |what: &str| verdict.not_judged.iter().any(|one| one == what);
+        assert_eq!(said("the gyro"), unjudged.contains(&"the gyro"));
+        assert!(said("the accelerometer"));
+        assert_eq!(verdict.gyro_scale.is_none(), said("the gyro"));
+        assert_eq!(verdict.findings, [""; 0]);
+    }
+}
+
+#[test]
 fn the_watches_begin_when_every_sensor_has_been_heard() {
     // The board is silent for 0.93 s: its first record stays.
     let mut rows: Vec<String> = log(7, &|_, _| {}).lines().map(str::to_owned).collect();
@@ -201,6 +242,32 @@ fn cameras_of_20_hz_are_judged() {
     let verdict = judged_with(&slow.join("\n"), &map);
     let speed = verdict.speed_rms_m_s.unwrap();
     assert!(speed < 0.06, "{speed}");
+}
+
+#[test]
+fn slower_cameras_give_fewer_poses_and_are_judged_against_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str| folder.path().join(name);
+    fs::write(file("log.csv"), log(7, &|_, _| {})).unwrap();
+    fs::write(file("map.toml"), dart_map()).unwrap();
+    let record = file("log.mcap");
+    import(&file("log.csv"), &file("map.toml"), &record, |_, _| {}).unwrap();
+    let judged = |cameras_hz| {
+        let part = Part {
+            cameras_hz,
+            ..WHOLE
+        };
+        judge(&record, &dart(), part, |_, _| {}).unwrap().0
+    };
+    let all = judged(None);
+    let slow = judged(Some(33.0));
+    let share = slow.poses as f64 / all.poses as f64;
+    assert!((share - 0.33).abs() < 0.01, "{share}");
+    assert_eq!(reasons(&slow), [""; 0]);
+    // The truth is the same.
+    let truth = |verdict: &Verdict| verdict.true_sideslip_rms_rad.unwrap();
+    assert!((truth(&slow) - truth(&all)).abs() < 1e-3);
+    assert!(slow.speed_rms_m_s.unwrap() < 0.06);
 }
 
 #[test]

@@ -11,6 +11,7 @@
     reason = "a test may fail"
 )]
 
+mod benchmark;
 mod compare;
 mod cycles;
 mod identify_command;

@@ -49,7 +49,8 @@ pub struct PoseSample {
     pub yaw: f64,
 }
 
-/// A sample of the IMU, in the car's axes.
+/// A sample of the IMU, in the car's axes. What the car of another program's log does not measure is
+/// NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InertialSample {
     /// When it was measured, on the host's clock.

@@ -39,7 +39,7 @@ pub use event::{
 pub use fence::{Fence, FenceError, MAX_FENCE_CORNERS};
 pub use learned::Learned;
 pub use pilot::{
-    Commanded, Compensation, DriveCommand, Filtering, Observed, Output, Pilot, PilotConfig,
+    Commanded, Compensation, DriveCommand, Filtering, Imu, Observed, Output, Pilot, PilotConfig,
     SetpointRefusal, Underway,
 };
 pub use supervisor::{

@@ -92,6 +92,50 @@ fn the_simulations_parameters_are_those_of_the_car_where_the_model_is_right() {
 }
 
 #[test]
+fn a_steering_that_is_known_roughly_is_found_beyond_what_a_servo_usually_takes() {
+    let course = Course {
+        steering_delay: 0.26,
+        ..Course::weaving(21, 20.0)
+    };
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        steering: Some([0.24, 0.06]),
+        ..Settings::default()
+    };
+    let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+    let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
+    assert_eq!(estimate.start, 0.24);
+    assert!((estimate.value - 0.26).abs() < 0.003, "{estimate:?}");
+}
+
+#[test]
+fn a_car_without_an_imu_is_identified_by_cameras_and_steering() {
+    let course = Course::weaving(23, 30.0);
+    let mut data = course.drive();
+    data.inertial.clear();
+    data.take_acceleration_of_poses();
+    let settings = Settings {
+        frames: Some(ServoFrames::Even),
+        ..Settings::default()
+    };
+    let found = identify(&data, &wrong(), &settings).unwrap();
+    for parameter in Parameter::VEHICLE {
+        let error = relative_error(&found, &course, parameter);
+        assert!(error < 0.05, "{parameter}: {error}");
+    }
+    for sensor in [
+        Parameter::GyroScale,
+        Parameter::LateralBias,
+        Parameter::InertialDelay,
+    ] {
+        assert!(found.estimate(sensor).is_none(), "{sensor}");
+    }
+    let measured = found.score.outputs.map(|output| !output.rms.is_nan());
+    // Yaw rate and sideslip by the cameras, and no acceleration to the left.
+    assert_eq!(measured, [true, true, false]);
+}
+
+#[test]
 fn a_servo_that_answers_after_20_to_150_ms_is_identified() {
     // The longest is pulled by its prior, which the yaw inertia makes good.
     for (delay, within) in [(0.02, 0.1), (0.08, 0.1), (0.15, 0.25)] {

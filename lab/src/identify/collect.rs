@@ -8,7 +8,10 @@ use singletrack_analysis::identification::{
     ServoTarget, Span,
 };
 use singletrack_control::{InertialSample, SteeringMap, Time, VehicleParameters, direction};
-use singletrack_core::{Config, ConfigError, config::WatchSection};
+use singletrack_core::{
+    Config, ConfigError,
+    config::{ActuatorsSection, WatchSection},
+};
 use singletrack_figures::plot;
 use singletrack_pilot::{BoardSample, Event};
 use singletrack_record::{Entry, Reader, TelemetryRecord, TickRecord, Topic, seconds_since};
@@ -24,6 +27,8 @@ pub struct RecordedDrive {
     pub number: usize,
     /// The car of the configuration that it was driven with.
     pub vehicle: VehicleParameters,
+    /// Dead time and lag of the steering, in s, of a configuration that says them.
+    pub steering: Option<[f64; 2]>,
     /// What was measured, in s since the drive began.
     pub data: DriveData,
     /// The periods that begin a servo pulse, if they are known.
@@ -80,6 +85,13 @@ pub fn read(
             drive.duration()
         ));
     }
+    if !collector.has_accelerometer() {
+        notes.push(
+            "it has no accelerometer: the forward acceleration is that of the cameras, and nothing is compared \
+             with an acceleration to the left"
+                .to_owned(),
+        );
+    }
     let frames = collector.frames();
     if frames.is_some() {
         notes.push(
@@ -90,6 +102,10 @@ pub fn read(
         path: record.path.clone(),
         number,
         vehicle: config.vehicle,
+        steering: (config.actuators != ActuatorsSection::default()).then(|| {
+            let model = config.actuators.model();
+            [model.steering_dead_time, model.steering_lag]
+        }),
         data: collector.until(end_ns),
         frames,
         notes,
@@ -216,7 +232,16 @@ impl Collector {
 
     /// Takes a sample that the car can have made.
     fn take_inertial(&mut self, sample: &InertialSample, of_tick: bool) {
-        if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(sample) {
+        // A car of another program's log may have a gyro alone.
+        let judged = match sample.forward_acceleration.is_nan() && of_tick {
+            true => InertialSample {
+                forward_acceleration: 0.0,
+                left_acceleration: 0.0,
+                ..*sample
+            },
+            false => *sample,
+        };
+        if sample.time.0 + LEAD_NS < self.start_ns || !self.watch.is_possible(&judged) {
             return;
         }
         let time_s = self.seconds(sample.time.0);
@@ -244,10 +269,18 @@ impl Collector {
         self.board.is_none().then_some(ServoFrames::Every)
     }
 
+    /// Whether the record has samples of an accelerometer.
+    #[must_use]
+    pub fn has_accelerometer(&self) -> bool {
+        let mut samples = self.data.inertial.iter().chain(&self.of_ticks.inertial);
+        samples.any(|sample| !sample.forward_m_s2.is_nan())
+    }
+
     /// The data collected until `end_ns` of the host's monotonic clock.
     #[must_use]
     pub fn until(mut self, end_ns: u64) -> DriveData {
         let end_s = self.seconds(end_ns);
+        let has_accelerometer = self.has_accelerometer();
         if self.board.is_none() {
             self.data.inertial = self.of_ticks.inertial;
             self.data.servo = self.of_ticks.servo;
@@ -255,6 +288,9 @@ impl Collector {
         self.data.poses.retain(|pose| pose.time_s <= end_s);
         self.data.inertial.retain(|sample| sample.time_s <= end_s);
         self.data.servo.retain(|target| target.time_s <= end_s);
+        if !has_accelerometer {
+            self.data.take_acceleration_of_poses();
+        }
         self.data
     }
 }
@@ -274,6 +310,8 @@ fn push_later<T>(samples: &mut Vec<T>, sample: T, time_s: fn(&T) -> f64) {
 pub(super) struct Drives {
     /// The car of the first.
     pub(super) vehicle: VehicleParameters,
+    /// Its steering, see [`RecordedDrive::steering`].
+    pub(super) steering: Option<[f64; 2]>,
     pub(super) data: DriveData,
     /// The periods that begin a servo pulse, if they are known of every drive.
     pub(super) frames: Option<ServoFrames>,
@@ -294,6 +332,7 @@ impl Drives {
     pub(super) fn of(first: RecordedDrive, others: Vec<RecordedDrive>) -> Self {
         let mut all = Self {
             vehicle: first.vehicle,
+            steering: first.steering,
             data: DriveData::default(),
             frames: first.frames,
             parts: Vec::new(),

@@ -16,6 +16,7 @@ use std::{
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
 use singletrack_analysis::identification::{self, IdentificationError, Parameter, Settings, Tyres};
+use singletrack_control::SlipAngles;
 use singletrack_core::{Config, ConfigError};
 use singletrack_figures::{
     output::{WriteError, make_folder, print, write as write_file},
@@ -46,7 +47,7 @@ pub struct IdentifyArgs {
         long,
         value_name = "SCENARIO",
         conflicts_with_all = [
-            "record", "validate", "config", "vehicle", "parameters", "tyres", "drive",
+            "record", "validate", "config", "vehicle", "parameters", "tyres", "slip_angles", "drive",
             "least_speed", "out",
         ]
     )]
@@ -83,6 +84,10 @@ pub struct IdentifyArgs {
     #[arg(long, value_enum, default_value_t = TyreKind::Saturating)]
     pub tyres: TyreKind,
 
+    /// The slip angles of the model: the paper's small ones, or exact ones, which a real car has.
+    #[arg(long, value_enum, default_value_t = SlipAngleKind::Small)]
+    pub slip_angles: SlipAngleKind,
+
     /// Which drive of each record, from 1 [default: the longest].
     #[arg(long, value_name = "N")]
     pub drive: Option<usize>,
@@ -118,6 +123,25 @@ impl TyreKind {
             Self::Saturating => Tyres::Saturating,
             Self::Linear => Tyres::Linear,
             Self::MagicFormula => Tyres::MagicFormula,
+        }
+    }
+}
+
+/// The slip angles of the model.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SlipAngleKind {
+    /// sin x = x and cos x = 1, as in the paper.
+    #[default]
+    Small,
+    /// Angles between the wheels and the velocities of the axles.
+    Exact,
+}
+
+impl SlipAngleKind {
+    const fn angles(self) -> SlipAngles {
+        match self {
+            Self::Small => SlipAngles::Small,
+            Self::Exact => SlipAngles::Exact,
         }
     }
 }
@@ -305,6 +329,8 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
     let vehicle = given.unwrap_or(drives.vehicle);
     let settings = Settings {
         tyres: args.tyres.tyres(),
+        slip_angles: args.slip_angles.angles(),
+        steering: drives.steering,
         least_speed: args.least_speed,
         frames: drives.frames,
         ..Settings::of(&args.parameters)

@@ -369,7 +369,7 @@ fn row(text: &mut String, estimate: &Estimate) -> std::fmt::Result {
 
 fn score_line(text: &mut String, what: &str, score: &Score) -> std::fmt::Result {
     writeln!(text, "{what:15} NMPE {:.4}", score.nmpe)?;
-    for output in &score.outputs {
+    for output in score.outputs.iter().filter(|output| !output.rms.is_nan()) {
         writeln!(
             text,
             "  {:18} NMPE {:.4}  fit {:5.1} %  rms {:.5}",

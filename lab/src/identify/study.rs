@@ -47,6 +47,9 @@ pub struct StudyPlan {
     /// The tyres of the model that is fitted.
     #[serde(default)]
     pub fitted_tyres: Tyres,
+    /// The slip angles of the model that is fitted.
+    #[serde(default)]
+    pub fitted_slip_angles: SlipAngles,
 }
 
 /// The results of the study.
@@ -171,6 +174,7 @@ fn one(plan: &StudyPlan, seed: u64) -> Result<SeedResult, StudyError> {
     let start = start(truth);
     let settings = Settings {
         tyres: plan.fitted_tyres,
+        slip_angles: plan.fitted_slip_angles,
         ..Settings::default()
     };
     let failed = |source| StudyError::under(seed, source);

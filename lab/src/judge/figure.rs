@@ -153,6 +153,7 @@ fn spectra(run: &Run) -> Panel {
         let moving = rows.iter().filter(|row| row.2.forward > SLOWEST);
         let samples: Vec<(Time, f64)> = moving
             .filter_map(|(time, _, _, differences)| Some((*time, *differences.get(axis)?)))
+            .filter(|(_, difference)| difference.is_finite())
             .collect();
         let (frequency, density): (Vec<f64>, Vec<f64>) = density(&samples).into_iter().unzip();
         Curve::new(name, look, &frequency.into(), density.into())

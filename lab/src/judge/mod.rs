@@ -29,8 +29,23 @@ pub use sensors::Sensor;
 
 use run::Log;
 
-/// All of a record, for [`judge`].
-pub const WHOLE: [f64; 2] = [0.0, f64::INFINITY];
+/// What of a record [`judge`] gives the pilot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// From this time on, in s from the first tick.
+    pub from_s: f64,
+    /// Up to this time, in s from the first tick.
+    pub to_s: f64,
+    /// So many poses a second; all poses without it.
+    pub cameras_hz: Option<f64>,
+}
+
+/// All of a record.
+pub const WHOLE: Part = Part {
+    from_s: 0.0,
+    to_s: f64::INFINITY,
+    cameras_hz: None,
+};
 
 /// Options of `singletrack judge`.
 #[derive(Clone, Debug, Args)]
@@ -50,6 +65,11 @@ pub struct JudgeArgs {
     /// Judges up to this time, in s from the first tick [default: to the end].
     #[arg(long, value_name = "SECONDS")]
     pub to: Option<f64>,
+
+    /// Gives the pilot so many poses a second, as slower cameras would; its errors are still those
+    /// against all poses.
+    #[arg(long, value_name = "HZ")]
+    pub cameras_hz: Option<f64>,
 
     /// How to print the verdict.
     #[arg(long, value_enum, default_value_t = Format::Text)]
@@ -114,36 +134,35 @@ pub enum JudgeError {
     Output(#[from] io::Error),
 }
 
-/// Judges a record with the configuration of a car, between two times in s from its first tick.
-/// `progress` is told the tick, and how many there
-/// are.
+/// Judges a part of a record with the configuration of a car. `progress` is told the tick, and how many
+/// there are.
 ///
 /// # Errors
 ///
-/// What can't be read, and a record without poses, ticks or inertial samples.
+/// What can't be read, and a record without poses, ticks or samples of the board.
 pub fn judge(
     record: &Path,
     config: &Config,
-    [from, to]: [f64; 2],
+    part: Part,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<(Verdict, Figure), JudgeError> {
-    let log = Log::read(record, from, to)?;
+    let log = Log::read(record, part)?;
     let empty = |what| JudgeError::Empty {
         path: record.to_owned(),
         what,
     };
     if log.ticks.is_empty() {
-        let is_cut = [from, to] != WHOLE;
+        let is_cut = [part.from_s, part.to_s] != [WHOLE.from_s, WHOLE.to_s];
         return Err(empty(match is_cut {
             true => "ticks between --from and --to",
             false => "ticks",
         }));
     }
+    if log.ticks.iter().all(|tick| !tick.has_board()) {
+        return Err(empty("samples of the board"));
+    }
     if log.frames.is_empty() {
         return Err(empty("frames of the cameras"));
-    }
-    if !log.has_inertial {
-        return Err(empty("inertial samples"));
     }
     let pilot = config.pilot()?;
     let estimator = pilot.estimator;
@@ -163,13 +182,17 @@ pub fn run(args: &JudgeArgs) -> Result<(), JudgeError> {
         Some(path) => Config::read(path)?,
         None => recorded(&args.record)?,
     };
-    let times = [args.from, args.to.unwrap_or(f64::INFINITY)];
+    let part = Part {
+        from_s: args.from,
+        to_s: args.to.unwrap_or(f64::INFINITY),
+        cameras_hz: args.cameras_hz,
+    };
     // Hidden when standard error is no terminal.
     let bar = ProgressBar::new(0);
     if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %  {pos} ticks judged") {
         bar.set_style(style);
     }
-    let result = judge(&args.record, &config, times, |tick, ticks| {
+    let result = judge(&args.record, &config, part, |tick, ticks| {
         if tick.is_multiple_of(500) {
             bar.set_length(ticks as u64);
             bar.set_position(tick as u64);
@@ -260,7 +283,7 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
         "innovations: NIS mean {} (3 is right; 2 to 6 is good)\n\
          against the smoothed cameras, above 0.5 m/s (root mean square):\n  \
          speed    {} m/s\n  yaw rate {} rad/s\n  sideslip {} rad (of {} rad), {} inside the stated 95 %\n\
-         largest speed {:.2} m/s, gyro scale {:.3}\n\
+         largest speed {:.2} m/s, gyro scale {}\n\
          noise                         measured  configured",
         number(verdict.nis_mean),
         number(verdict.speed_rms_m_s),
@@ -272,7 +295,7 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
             100.0 * share
         )),
         verdict.speed_max_m_s,
-        verdict.gyro_scale,
+        or_dash(verdict.gyro_scale, |scale| format!("{scale:.3}")),
     );
     for noise in &verdict.noise {
         let _ = writeln!(

@@ -5,10 +5,13 @@ use std::{collections::VecDeque, path::Path};
 use singletrack_control::{CarPose, InertialSample, PoseVerdict, Time, wrap};
 use singletrack_core::pose_event;
 use singletrack_mocap::{Observation, PoseLimits, PoseState, planar::PoseGate};
-use singletrack_pilot::{Commanded, Event, Mode, Pilot, PilotConfig};
+use singletrack_pilot::{Commanded, Event, Imu, Mode, Pilot, PilotConfig};
 use singletrack_record::{Entry, Reader, RecordError, TickRecord, Topic};
 
-use super::truth::{self, Kind, Motion, Seen, Track};
+use super::{
+    Part,
+    truth::{self, Kind, Motion, Seen, Track},
+};
 
 /// The time after a stop until the next drive is watched, s.
 const PAUSE: f64 = 1.0;
@@ -75,13 +78,14 @@ pub(super) struct Run {
     /// the estimate has settled, as before a drive of ours. None if that never was.
     pub(super) watched_from: Option<f64>,
     pub(super) compared: Vec<Compared>,
+    /// The samples of the board, NaN where they have nothing of an IMU, and the motor's speed.
     pub(super) samples: Vec<(InertialSample, f64)>,
     /// When a person would have been asked whether the body is the car, s.
     pub(super) asked: Vec<f64>,
     /// The largest estimated speed, m/s.
     pub(super) speed_max: f64,
-    /// The gyro's scale in the end.
-    pub(super) gyro_scale: f64,
+    /// The gyro's scale in the end; none without a gyro.
+    pub(super) gyro_scale: Option<f64>,
 }
 
 /// The poses of the log as those of the car.
@@ -97,6 +101,16 @@ pub(super) fn seen(log: &Log, pilot: &Pilot) -> Track {
     truth::tell(&poses)
 }
 
+/// The sample of a car without an IMU.
+const fn unmeasured(time: Time) -> InertialSample {
+    InertialSample {
+        time,
+        yaw_rate: f64::NAN,
+        forward_acceleration: f64::NAN,
+        left_acceleration: f64::NAN,
+    }
+}
+
 /// Runs a pilot over the log. `progress` is told the number of the tick.
 pub(super) fn run(
     log: &Log,
@@ -108,9 +122,12 @@ pub(super) fn run(
     let mut pilot = Pilot::new(config);
     let seen = seen(log, &pilot);
     let mut kinds = seen.seen.iter().copied();
+    let share = log.cameras_hz.map_or(1.0, |hz| hz / seen.rate().max(hz));
+    let is_given = |number: f64| (number * share).floor() != ((number - 1.0) * share).floor();
+    let mut number = 0.0;
     let mut gate = PoseGate::new(limits);
     let mut run = Run::default();
-    let mut waits_for_imu = true;
+    let mut waits_for_imu = log.imu != Imu::Missing;
     let mut frames: VecDeque<_> = log.frames.iter().collect();
     let mut paused: Option<Time> = None;
     let mut lost: u32 = 0;
@@ -122,6 +139,14 @@ pub(super) fn run(
         while let Some(frame) = frames.front()
             && frame.receive_time_ns <= tick.time.0
         {
+            number += 1.0;
+            if !is_given(number) {
+                if matches!(frame.state, PoseState::Valid(_)) {
+                    kinds.next();
+                }
+                frames.pop_front();
+                continue;
+            }
             let state = match frame.state {
                 PoseState::Valid(pose) => {
                     let state = gate.judge(pose);
@@ -146,14 +171,19 @@ pub(super) fn run(
             frames.pop_front();
         }
         for event in &events {
-            if let Event::Board(board) = event
-                && let Some(inertial) = board.inertial
-            {
-                waits_for_imu = false;
-                run.samples.push((inertial, board.motor_speed));
-            }
+            let Event::Board(board) = event else { continue };
+            let inertial = match (board.inertial, log.imu) {
+                (Some(inertial), _) => inertial,
+                (None, Imu::Missing) => unmeasured(board.time),
+                (None, _) => continue,
+            };
+            waits_for_imu = false;
+            run.samples.push((inertial, board.motor_speed));
         }
-        let mut commanded = tick.commanded;
+        let mut commanded = Commanded {
+            imu: log.imu,
+            ..tick.commanded
+        };
         let seen_now = accepted.is_some_and(|last| tick.time.seconds_since(last) <= FRESH);
         if paused.is_some_and(|since| tick.time.seconds_since(since) < PAUSE || !seen_now) {
             commanded.drives = false;
@@ -215,7 +245,7 @@ pub(super) fn run(
             });
         }
     }
-    run.gyro_scale = pilot.estimator().gyro_scale();
+    run.gyro_scale = (log.imu != Imu::Missing).then(|| pilot.estimator().gyro_scale());
     run.track = seen;
     run
 }
@@ -226,10 +256,12 @@ pub(super) struct Log {
     pub(super) ticks: Vec<Tick>,
     /// What the cameras saw, in the order of its arrival.
     pub(super) frames: Vec<Observation>,
+    /// The poses a second that the pilot is given; all without it.
+    pub(super) cameras_hz: Option<f64>,
     /// The first tick of the record.
     pub(super) begin: Time,
-    /// Whether the record has inertial samples.
-    pub(super) has_inertial: bool,
+    /// What the record has of an IMU.
+    pub(super) imu: Imu,
     /// Whether a speed was commanded in any tick.
     pub(super) has_speed: bool,
     /// Whether the board ever told its status.
@@ -247,10 +279,22 @@ pub(super) struct Tick {
     pub(super) commanded: Commanded,
 }
 
+impl Tick {
+    pub(super) fn has_board(&self) -> bool {
+        let is_board = |event: &Event| matches!(event, Event::Board(_));
+        self.events.iter().any(is_board)
+    }
+}
+
 impl Log {
-    /// Reads what lies between two times from the first tick on, in s.
-    pub(super) fn read(path: &Path, from: f64, to: f64) -> Result<Self, RecordError> {
-        let mut log = Self::default();
+    /// Reads a part of a record.
+    pub(super) fn read(path: &Path, part: Part) -> Result<Self, RecordError> {
+        let Part { from_s, to_s, .. } = part;
+        let mut log = Self {
+            imu: Imu::Missing,
+            cameras_hz: part.cameras_hz,
+            ..Self::default()
+        };
         for entry in Reader::open(path)?.only(&[Topic::Tick, Topic::Pose]) {
             match entry? {
                 Entry::Tick(tick) => log.tick(&tick),
@@ -268,16 +312,11 @@ impl Log {
         }
         if !log.has_health {
             // An import takes the delays of the sensors away: its last samples are older than its end.
-            let from_board = |tick: &Tick| {
-                tick.events
-                    .iter()
-                    .any(|event| matches!(event, Event::Board(_)))
-            };
-            let last = log.ticks.iter().rposition(from_board);
+            let last = log.ticks.iter().rposition(Tick::has_board);
             log.ticks.truncate(last.map_or(0, |last| last + 1));
         }
         log.begin = log.ticks.first().map_or(Time(0), |tick| tick.time);
-        let lies = |time: Time| (from..=to).contains(&time.seconds_since(log.begin));
+        let lies = |time: Time| (from_s..=to_s).contains(&time.seconds_since(log.begin));
         log.ticks.retain(|tick| lies(tick.time));
         log.frames.retain(|frame| lies(Time(frame.receive_time_ns)));
         Ok(log)
@@ -290,7 +329,15 @@ impl Log {
         for event in &tick.events {
             self.has_health |= matches!(event, Event::Health(_));
             self.has_attitude |= matches!(event, Event::Attitude(_));
-            self.has_inertial |= matches!(event, Event::Board(board) if board.inertial.is_some());
+            if let Event::Board(board) = event
+                && let Some(inertial) = board.inertial
+            {
+                if inertial.forward_acceleration.is_finite() {
+                    self.imu = Imu::Whole;
+                } else if self.imu == Imu::Missing {
+                    self.imu = Imu::Gyro;
+                }
+            }
         }
         self.ticks.push(Tick {
             time: tick.pilot_time,
@@ -299,6 +346,8 @@ impl Log {
                 steering: command.map_or(output.actuation.steering, |command| command.steering),
                 speed: command.map(|command| command.rear_speed),
                 drives: matches!(output.mode, Mode::Driving | Mode::Slowing),
+                // Known when all of the record is read.
+                imu: Imu::Missing,
             },
         });
     }

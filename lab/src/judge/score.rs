@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 use singletrack_control::{EstimatorConfig, InertialSample, PoseVerdict, Time};
+use singletrack_pilot::Imu;
 use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::{
@@ -84,10 +85,10 @@ pub(super) fn noise(
     let moving = moving.unwrap_or(config.acceleration_noise_density);
     let motor = inertial.motor_configured.value();
     let motor = motor.unwrap_or(config.motor_speed_noise);
-    let number = |sensor, unit, measured, configured| Noise {
+    let number = |sensor, unit, measured: Option<f64>, configured| Noise {
         sensor,
         unit,
-        measured,
+        measured: measured.filter(|value| value.is_finite()),
         configured,
     };
     vec![
@@ -276,8 +277,8 @@ pub struct Verdict {
     pub true_sideslip_rms_rad: Option<f64>,
     /// The share of sideslips inside their stated 95 %.
     pub sideslip_within_95: Option<f64>,
-    /// The gyro's scale in the end.
-    pub gyro_scale: f64,
+    /// The gyro's scale in the end; none without a gyro.
+    pub gyro_scale: Option<f64>,
     /// Of every sensor.
     pub noise: Vec<Noise>,
     /// Every sensor beside the cameras.
@@ -350,6 +351,8 @@ fn not_judged(log: &Log, run: &Run) -> Vec<String> {
         (true, "the proving run"),
         (true, "the end of a stop"),
         (true, "the law"),
+        (log.imu == Imu::Missing, "the gyro"),
+        (log.imu != Imu::Whole, "the accelerometer"),
         (!log.has_speed, "the commanded speed"),
         (!log.has_health, "battery, stop switch and real time"),
         (!log.has_attitude, "tilt, height and the cameras' clock"),

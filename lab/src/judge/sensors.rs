@@ -66,7 +66,10 @@ pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec
     let inertial = |value: fn(&InertialSample) -> f64, power| {
         let samples = run.samples.iter();
         let values = samples.map(|(sample, _)| (sample.time, value(sample)));
-        grid.smoothed(values.collect(), power)
+        grid.smoothed(
+            values.filter(|(_, value)| value.is_finite()).collect(),
+            power,
+        )
     };
     let truth = |value: fn(&Motion) -> f64| grid.truth(value);
     let yaw_rate = truth(|motion| motion.yaw_rate);

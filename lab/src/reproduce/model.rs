@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     identify::{
-        self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, TyreKind,
+        self, IdentifyArgs, IdentifyError, IdentifyFormat, Report, SlipAngleKind, TyreKind,
         study::{self, SCENARIO, Study, StudyPlan, VALIDATION, run_study},
     },
     table::Table,
@@ -57,6 +57,7 @@ fn identified(setup: &Setup) -> Result<Report, Box<dyn Error>> {
         vehicle: Some(start),
         parameters: Parameter::VEHICLE.to_vec(),
         tyres: TyreKind::Saturating,
+        slip_angles: SlipAngleKind::Small,
         drive: None,
         least_speed: 0.5,
         out: None,

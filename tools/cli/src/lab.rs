@@ -8,7 +8,11 @@ use clap::{Arg, Command};
 const PROGRAM: &str = "singletrack-lab";
 
 /// Names and purposes, for the list of all commands.
-pub const COMMANDS: [(&str, &str); 7] = [
+pub const COMMANDS: [(&str, &str); 8] = [
+    (
+        "benchmark",
+        "Judge and identify the public logs of real cars, and predict those that are held out",
+    ),
     (
         "compare",
         "Compare controllers on the simulated car: errors, intervals and stops",

@@ -3,6 +3,7 @@
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use singletrack_control::InertialSample;
 use singletrack_mocap::PoseState;
 
 use crate::bench::{MAP, imported, rounded, since_ms};
@@ -328,4 +329,17 @@ fn an_empty_command_is_that_of_the_row_before() {
         imported(log, MAP).steering(),
         [(0.0, 0.0), (10.0, 0.5), (20.0, 0.5)]
     );
+}
+
+#[test]
+fn a_gyro_alone_has_no_accelerations() {
+    let log = "t,x,y,yaw,v,s,w\n0,0,0,0,1,0,0.1\n0.01,0,0,0,1,0,0.2\n";
+    let imported = imported(log, &format!("{MAP}[imu]\nyaw_rate = \"w\"\n"));
+    let inertial = imported.inertial();
+    let rates: Vec<f64> = inertial.iter().map(|sample| sample.yaw_rate).collect();
+    assert_eq!(rates, [0.1, 0.2]);
+    let are_nan = |sample: &InertialSample| {
+        sample.forward_acceleration.is_nan() && sample.left_acceleration.is_nan()
+    };
+    assert!(inertial.iter().all(are_nan));
 }

@@ -184,17 +184,19 @@ impl Bank {
         let speed = self.filters[FREE].speed();
         let regime = usize::from(fabs(speed) > MOVES_FROM);
         let variances = self.noise[regime];
-        let reading = |value: f64, variance: f64| Reading {
-            value,
-            variance,
-            age,
-            tangent,
+        let reading = |value: f64, variance: f64| {
+            (!value.is_nan()).then_some(Reading {
+                value,
+                variance,
+                age,
+                tangent,
+            })
         };
         let gyro = reading(inertial.yaw_rate, variances[0]);
         let acceleration = reading(inertial.forward_acceleration, variances[1]);
         let excesses = self.filters.each_mut().map(|filter| {
-            let acceleration = filter.correct_acceleration(&acceleration, config);
-            let gyro = filter.correct_gyro(&gyro, config);
+            let acceleration = acceleration.map(|it| filter.correct_acceleration(&it, config));
+            let gyro = gyro.map(|it| filter.correct_gyro(&it, config));
             if let Some(motor_speed) = sample.motor_speed {
                 filter.correct_motor(motor_speed, age, config);
             }
@@ -209,7 +211,10 @@ impl Bank {
             square(QUIETEST_ACCELEROMETER) * accelerometer,
         ];
         for (sensor, known) in self.noise[regime].iter_mut().enumerate() {
-            let excess = excesses[LOOSE][sensor].clamp(0.0, OUTLYING * *known);
+            let Some(excess) = excesses[LOOSE][sensor] else {
+                continue;
+            };
+            let excess = excess.clamp(0.0, OUTLYING * *known);
             *known = (*known + share * (excess - *known)).max(least[sensor]);
         }
         self.take_likelihoods();
@@ -235,6 +240,9 @@ impl Bank {
         tangent: f64,
         config: &EstimatorConfig,
     ) {
+        if inertial.left_acceleration.is_nan() {
+            return;
+        }
         let left = self.best().left_acceleration(tangent, config);
         self.accelerations = self.accelerations.saturating_add(1);
         let share = (SAMPLE_PERIOD / BIAS_TIME).max(1.0 / f64::from(self.accelerations));

@@ -372,15 +372,23 @@ impl Estimator {
     /// (m/s) of the same telemetry; `None` if that does not measure it. A sample out of order or
     /// not finite is ignored.
     pub fn handle_inertial(&mut self, inertial: InertialSample, motor_speed: Option<f64>) {
+        let finite = inertial.yaw_rate.is_finite()
+            && inertial.forward_acceleration.is_finite()
+            && inertial.left_acceleration.is_finite();
+        if finite {
+            self.handle_partial(inertial, motor_speed);
+        }
+    }
+
+    /// Handles a sample of a car without an accelerometer, or without an IMU: as
+    /// [`handle_inertial`](Self::handle_inertial), but NaN is what the car does not measure.
+    pub fn handle_partial(&mut self, inertial: InertialSample, motor_speed: Option<f64>) {
         let newest = self
             .samples
             .back()
             .or(self.current.as_ref())
             .map_or(Time(0), |last| last.inertial.time);
-        let finite = inertial.yaw_rate.is_finite()
-            && inertial.forward_acceleration.is_finite()
-            && inertial.left_acceleration.is_finite()
-            && motor_speed.is_none_or(f64::is_finite);
+        let finite = motor_speed.is_none_or(f64::is_finite);
         if inertial.time <= newest || !finite {
             return;
         }

@@ -3,10 +3,10 @@
 use libm::{copysign, fabs, tan};
 use singletrack_control::{Estimate, Reference, Stop, Time, Velocity, along_bend, direction};
 
-use super::{Begins, Pilot, sense::Sensed};
+use super::{Begins, Imu, Pilot, sense::Sensed};
 use crate::{
     supervisor::{BoardRequest, Conditions, Mode, Reason},
-    watch::StopLimits,
+    watch::{ImuVerdict, StopLimits},
 };
 
 /// The time from the decision to stop until the car decelerates, s: a tick, the board
@@ -124,10 +124,18 @@ impl Pilot {
             blind_distance: watches.blind.distance(),
             poses: self.estimator.poses(),
             implausible: self.estimator.implausible_in_a_row(),
-            imu_time: self.imu_heard,
-            imu: watches
+            imu_time: match self.imu {
+                Imu::Missing => Some(now),
+                Imu::Whole | Imu::Gyro => self.imu_heard,
+            },
+            imu: match watches
                 .imu
-                .verdict(self.estimator.gyro_bias(), &config.watch),
+                .verdict(self.estimator.gyro_bias(), &config.watch)
+            {
+                // A gyro alone that is rounded repeats while the car stands.
+                ImuVerdict::Stuck if self.imu == Imu::Gyro => ImuVerdict::Good,
+                verdict => verdict,
+            },
             imu_still: watches.imu.is_still(),
             speed: estimate.map_or(0.0, |estimate| estimate.speed),
             motor_speed: self.motor_speed,

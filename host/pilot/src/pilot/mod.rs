@@ -25,7 +25,7 @@ use watches::Watches;
 pub use compensation::Compensation;
 pub use interface::{DriveCommand, Output, PilotConfig, SetpointRefusal, Underway};
 pub use safety::Filtering;
-pub use sense::{Commanded, Observed};
+pub use sense::{Commanded, Imu, Observed};
 
 /// Estimator, supervisor, outer loop, law and limits as one deterministic value.
 ///
@@ -66,6 +66,8 @@ pub struct Pilot {
     proved: bool,
     /// When the board last measured the motor, if its last record says it.
     motor_time: Option<Time>,
+    /// What the car has of an IMU: all of it, unless it is only observed.
+    imu: Imu,
     /// When the IMU last gave a sample, and one that is possible.
     imu_heard: Option<Time>,
     imu_time: Option<Time>,
@@ -111,6 +113,7 @@ impl Pilot {
             commanded_steering: 0.0,
             proved: false,
             motor_time: None,
+            imu: Imu::Whole,
             imu_heard: None,
             imu_time: None,
             gyro: 0.0,

@@ -3,7 +3,8 @@
 
 use libm::{copysign, fabs};
 use singletrack_control::{
-    Estimate, Estimator, External, PoseSample, PoseVerdict, Reference, SetpointError, Time,
+    Estimate, Estimator, External, InertialSample, PoseSample, PoseVerdict, Reference,
+    SetpointError, Time,
 };
 
 use super::interface::SetpointRefusal;
@@ -106,11 +107,26 @@ impl Pilot {
         if let Some(inertial) = sample.inertial {
             self.imu_heard = Some(inertial.time);
         }
-        if let Some(inertial) = self.watches.observe_board(sample, mode, &self.config) {
+        if let Some(inertial) = self
+            .watches
+            .observe_board(sample, self.imu, mode, &self.config)
+        {
             self.imu_time = Some(inertial.time);
             self.gyro = inertial.yaw_rate;
             let motor_speed = measures.then_some(sample.motor_speed);
-            self.estimator.handle_inertial(inertial, motor_speed);
+            match self.imu {
+                Imu::Whole => self.estimator.handle_inertial(inertial, motor_speed),
+                Imu::Gyro | Imu::Missing => self.estimator.handle_partial(inertial, motor_speed),
+            }
+        } else if self.imu == Imu::Missing {
+            let nothing = InertialSample {
+                time: sample.time,
+                yaw_rate: f64::NAN,
+                forward_acceleration: f64::NAN,
+                left_acceleration: f64::NAN,
+            };
+            let motor_speed = measures.then_some(sample.motor_speed);
+            self.estimator.handle_partial(nothing, motor_speed);
         }
     }
 }
@@ -312,6 +328,20 @@ pub struct Commanded {
     pub speed: Option<f64>,
     /// Whether the car is driven. Where that begins, a drive begins.
     pub drives: bool,
+    /// What the car has of an IMU.
+    pub imu: Imu,
+}
+
+/// What a car that something else drives has of an IMU. A car of ours has all of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Imu {
+    /// Gyro and accelerometer.
+    #[default]
+    Whole,
+    /// A gyro alone: the accelerations of its samples are NaN.
+    Gyro,
+    /// Neither: the board's samples have the motor's speed alone.
+    Missing,
 }
 
 /// What the pilot has seen of a car in a tick.
@@ -338,6 +368,7 @@ impl Pilot {
         mut judged: impl FnMut(&PoseSample, PoseVerdict, f64),
     ) -> Observed {
         self.commanded_steering = commanded.steering;
+        self.imu = commanded.imu;
         let foreign = (commanded.steering, commanded.speed.unwrap_or(0.0));
         let sensed = self.sense(now, events, Some(foreign), |pilot, event, verdict| {
             if let Event::Pose(pose) = event {
@@ -348,8 +379,9 @@ impl Pilot {
             self.watches.begin(false);
             // A drive of ours is armed only where they are not too rare.
             self.watches.steps.begin(now);
-            // Not so a drive of ours, which begins with a car at rest.
-            if self.motor_speed.abs() >= self.config.supervisor.standing_speed {
+            // Not so a drive of ours, which begins with a car at rest, and has an accelerometer.
+            let moves = self.motor_speed.abs() >= self.config.supervisor.standing_speed;
+            if moves || self.imu != Imu::Whole {
                 self.watches.drive.start.skip();
             }
         }

@@ -3,7 +3,7 @@
 use libm::fabs;
 use singletrack_control::{Estimate, Estimator, InertialSample, PoseSample, Time};
 
-use super::PilotConfig;
+use super::{Imu, PilotConfig};
 use crate::{
     event::BoardSample,
     supervisor::{Mode, Reason},
@@ -103,6 +103,7 @@ impl Watches {
     pub(super) fn observe_board(
         &mut self,
         sample: &BoardSample,
+        imu: Imu,
         mode: Mode,
         config: &PilotConfig,
     ) -> Option<InertialSample> {
@@ -111,12 +112,20 @@ impl Watches {
         let inertial = sample.inertial?;
         let supervisor = &config.supervisor;
         let still = (supervisor.still_yaw_rate, supervisor.still_acceleration);
-        self.imu.handle(&inertial, &config.watch, still);
-        if !config.watch.is_possible(&inertial) {
+        let watched = match imu {
+            Imu::Gyro => InertialSample {
+                forward_acceleration: 0.0,
+                left_acceleration: 0.0,
+                ..inertial
+            },
+            Imu::Whole | Imu::Missing => inertial,
+        };
+        self.imu.handle(&watched, &config.watch, still);
+        if !config.watch.is_possible(&watched) {
             return None;
         }
         let rests = self.imu.is_still() && sample.motor_speed == 0.0 && !mode.commands();
-        self.steps.inertial(&inertial, rests);
+        self.steps.inertial(&watched, rests);
         Some(inertial)
     }
 

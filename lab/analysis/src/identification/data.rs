@@ -1,6 +1,7 @@
 //! The data of a drive: measured quantities, poses, inertial samples and servo targets, and the
 //! stretches of it that can be used.
 
+use nalgebra::{Matrix3, Vector3};
 use singletrack_control::wrap;
 use singletrack_statistics::Line;
 use singletrack_words::words;
@@ -51,7 +52,8 @@ impl Pose {
     }
 }
 
-/// A sample of the inertial measurement unit at G, axes forward, left, up.
+/// A sample of the inertial measurement unit at G, axes forward, left, up. Yaw rate and acceleration to
+/// the left are NaN in all samples of a car that does not measure them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertial {
     /// Estimated time of the measurement, in s.
@@ -142,6 +144,34 @@ pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
     })
 }
 
+/// The forward acceleration is that of a parabola through the poses up to this time before and after,
+/// in s...
+const BENT_AROUND: f64 = 0.055;
+/// ...or up to as many of the poses' median distances.
+const BENT_PERIODS: f64 = 2.6;
+/// The smallest number of poses of a parabola.
+const LEAST_BENT: usize = 5;
+
+/// Acceleration of G along the car's axis in the middle of poses, in m/s².
+fn forward_acceleration(poses: &[Pose], time: f64) -> Option<f64> {
+    let first = poses.first().filter(|_| poses.len() >= LEAST_BENT)?;
+    let mut normal = Matrix3::zeros();
+    let mut sums = [Vector3::zeros(); 3];
+    for pose in poses {
+        let t = pose.time_s - time;
+        let row = Vector3::new(1.0, t, t * t);
+        normal += row * row.transpose();
+        let turned = wrap(pose.yaw_rad - first.yaw_rad);
+        for (sum, value) in sums.iter_mut().zip([pose.x_m, pose.y_m, turned]) {
+            *sum += row * value;
+        }
+    }
+    let inverse = normal.try_inverse()?;
+    let [x, y, turned] = sums.map(|sum| inverse * sum);
+    let (sin, cos) = (first.yaw_rad + turned.x).sin_cos();
+    Some(2.0 * (x.z * cos + y.z * sin))
+}
+
 words! {
     /// Which of the board's control periods begin a pulse of the servo.
     ///
@@ -207,11 +237,15 @@ impl DriveData {
                 .iter()
                 .map(|p| (p.time_s, [p.x_m, p.y_m, p.yaw_rad])),
         )?;
+        let unmeasured = [Channel::YawRate, Channel::Left].map(|channel| !self.measures(channel));
         check(
             "samples of the IMU",
-            self.inertial
-                .iter()
-                .map(|i| (i.time_s, [i.yaw_rate_rad_s, i.forward_m_s2, i.left_m_s2])),
+            self.inertial.iter().map(|i| {
+                let [no_yaw_rate, no_left] = unmeasured;
+                let yaw_rate = if no_yaw_rate { 0.0 } else { i.yaw_rate_rad_s };
+                let left = if no_left { 0.0 } else { i.left_m_s2 };
+                (i.time_s, [yaw_rate, i.forward_m_s2, left])
+            }),
         )?;
         check(
             "servo pulses",
@@ -219,6 +253,16 @@ impl DriveData {
                 .iter()
                 .map(|s| (s.time_s, [s.angle_rad, 0.0, 0.0])),
         )
+    }
+
+    /// Whether any sample of the IMU measures a channel of it; the cameras measure the others.
+    pub(super) fn measures(&self, channel: Channel) -> bool {
+        let mut inertial = self.inertial.iter();
+        match channel {
+            Channel::YawRate => inertial.any(|sample| !sample.yaw_rate_rad_s.is_nan()),
+            Channel::Left => inertial.any(|sample| !sample.left_m_s2.is_nan()),
+            Channel::X | Channel::Y | Channel::Yaw => true,
+        }
     }
 
     /// The stretches at this speed (m/s) or faster, without gaps in poses and inertial
@@ -282,10 +326,35 @@ impl DriveData {
 
     /// The median distance of the inertial samples, in s.
     fn inertial_period(&self) -> f64 {
-        let pairs = self.inertial.windows(2);
-        let mut periods: Vec<f64> = pairs.map(|pair| pair[1].time_s - pair[0].time_s).collect();
-        periods.sort_by(f64::total_cmp);
-        periods.get(periods.len() / 2).copied().unwrap_or_default()
+        median_period(self.inertial.iter().map(|sample| sample.time_s))
+    }
+
+    /// Puts the forward acceleration that the poses show in place of that of the samples; without a
+    /// sample, into one at each pose. A car without an accelerometer is identified so.
+    pub fn take_acceleration_of_poses(&mut self) {
+        let period = median_period(self.poses.iter().map(|pose| pose.time_s));
+        let reach = BENT_AROUND.max(BENT_PERIODS * period);
+        let unmeasured = |pose: &Pose| Inertial {
+            time_s: pose.time_s,
+            yaw_rate_rad_s: f64::NAN,
+            forward_m_s2: f64::NAN,
+            left_m_s2: f64::NAN,
+        };
+        if self.inertial.is_empty() {
+            self.inertial = self.poses.iter().map(unmeasured).collect();
+        }
+        let poses = &self.poses;
+        self.inertial.retain_mut(|sample| {
+            let time = sample.time_s;
+            let from = poses.partition_point(|pose| pose.time_s < time - reach);
+            let to = poses.partition_point(|pose| pose.time_s <= time + reach);
+            let around = poses.get(from..to).unwrap_or(&[]);
+            let ends = [around.first(), around.last()]
+                .map(|pose| pose.is_some_and(|pose| (pose.time_s - time).abs() > 0.6 * reach));
+            let forward = forward_acceleration(around, time).filter(|_| ends == [true; 2]);
+            sample.forward_m_s2 = forward.unwrap_or(f64::NAN);
+            forward.is_some()
+        });
     }
 
     /// Speed at the pose with this index from its neighbours, in m/s.
@@ -304,6 +373,14 @@ impl DriveData {
             .filter_map(|index| self.speed_at(index))
             .fold(0.0, f64::max)
     }
+}
+
+/// The median distance of times, in s.
+fn median_period(times: impl Iterator<Item = f64>) -> f64 {
+    let times: Vec<f64> = times.collect();
+    let mut periods: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    periods.sort_by(f64::total_cmp);
+    periods.get(periods.len() / 2).copied().unwrap_or_default()
 }
 
 fn check(
@@ -344,6 +421,9 @@ pub(super) struct GyroScale {
 impl GyroScale {
     /// The regression of the gyro on the yaw rate of the cameras. None without enough turning.
     pub(super) fn of(data: &DriveData, spans: &[Span]) -> Option<Self> {
+        if !data.measures(Channel::YawRate) {
+            return None;
+        }
         let samples = data.inertial.iter();
         let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
         let pairs: Vec<[f64; 2]> = samples

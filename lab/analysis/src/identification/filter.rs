@@ -3,13 +3,14 @@
 
 use nalgebra::{SMatrix, SVector};
 use num_dual::DualSVec64;
-use singletrack_control::{Tyres, wrap};
+use singletrack_control::wrap;
 
 use super::{
     data::{Channel, DriveData, ServoTarget, Span},
     model::Model,
     noise::{LEAST_FORCE, NoiseLevels},
     parameter::{Parameter, Values},
+    problem::Structure,
     timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 
@@ -81,15 +82,15 @@ pub(super) fn run_filter(
     servo: &[ServoTarget],
     spans: &[Span],
     values: &Values,
-    tyres: Tyres,
+    structure: Structure,
     noise: &NoiseLevels,
 ) -> Option<FilterRun> {
-    let model = Model::new(values, *values.all(), tyres);
+    let model = Model::new(values, *values.all(), structure);
     let mut filter = Filter {
         data,
         values,
         noise,
-        model: Model::new(values, values.all().map(Dual::from), tyres),
+        model: Model::new(values, values.all().map(Dual::from), structure),
         state: SVector::zeros(),
         steering: 0.0,
         covariance: SMatrix::zeros(),
@@ -138,6 +139,10 @@ impl Filter<'_> {
     /// Corrects the state with a measurement. `expected` is its prediction with derivatives by
     /// the state, and `difference` the innovation.
     fn correct(&mut self, channel: Channel, expected: Dual, difference: f64) -> Gain {
+        // Not measured.
+        if difference.is_nan() {
+            return Gain::default();
+        }
         let row = gradient(&expected);
         let column = self.covariance * row.transpose();
         let deviation = self.noise.of(channel);

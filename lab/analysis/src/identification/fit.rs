@@ -152,10 +152,10 @@ impl Task<'_> {
             return Ok(noise);
         }
         let values = self.values(u);
-        let tyres = self.settings.tyres;
+        let structure = self.settings.structure();
         noise
             .most_likely(sampled, rounds, |levels| {
-                run_filter(self.data, servo, self.spans, &values, tyres, levels)
+                run_filter(self.data, servo, self.spans, &values, structure, levels)
             })
             .ok_or_else(|| self.diverged(u))
     }
@@ -186,7 +186,7 @@ impl Task<'_> {
             gains: &run.gains,
             start: &self.start,
             active: self.active,
-            tyres: self.settings.tyres,
+            structure: self.settings.structure(),
         }
     }
 
@@ -211,7 +211,7 @@ impl Task<'_> {
             servo,
             self.spans,
             &self.values(u),
-            self.settings.tyres,
+            self.settings.structure(),
             noise,
         )
         .ok_or_else(|| self.diverged(u))

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use singletrack_control::VehicleParameters;
 
 use super::{
-    data::{DriveData, ServoFrames, Span},
+    data::{Channel, DriveData, ServoFrames, Span},
     error::IdentificationError,
     estimate::{self, Estimate},
     filter::TrackPoint,
@@ -87,7 +87,13 @@ pub fn identify(
     vehicle: &VehicleParameters,
     settings: &Settings,
 ) -> Result<Identification, IdentificationError> {
-    identified(data, &Values::of(vehicle), settings, check)
+    let mut start = Values::of(vehicle);
+    if let Some([delay, lag]) = settings.steering {
+        start = start
+            .with(Parameter::SteeringDelay, delay)
+            .with(Parameter::ServoLag, lag);
+    }
+    identified(data, &start, settings, check)
 }
 
 /// Identifies, and refuses what `check` refuses.
@@ -100,6 +106,17 @@ fn identified(
     if settings.parameters.is_empty() {
         return Err(IdentificationError::NoParameter);
     }
+    // What belongs to a sensor that the car does not have is no parameter of the drive.
+    let [gyro, accelerometer] =
+        [Channel::YawRate, Channel::Left].map(|channel| data.measures(channel));
+    let mut settings = settings.clone();
+    settings.parameters.retain(|parameter| match parameter {
+        Parameter::GyroScale => gyro,
+        Parameter::LateralBias => accelerometer,
+        Parameter::InertialDelay => gyro || accelerometer,
+        _ => true,
+    });
+    let settings = &settings;
     let stretches = usable(data, settings)?;
     let task = Task {
         data,
@@ -168,7 +185,7 @@ impl Chosen {
             spans: task.spans,
             run: &fit.run,
         };
-        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.tyres);
+        let simulation = simulation::simulate(&inputs, &fit.values, task.settings.structure());
         let simulation = simulation.ok_or_else(|| task.diverged(&fit.u))?;
         Ok(Self {
             fit,

@@ -1,9 +1,12 @@
 //! The model of the identification: equations 1 and 2 with axle forces that may saturate,
 //! and a servo with a lag. Its inputs are the servo's target and the forward acceleration.
 
-use singletrack_control::{Axles, LateralMotion, SingleTrackState, Tyres, VehicleParameters};
+use singletrack_control::{Axles, LateralMotion, SingleTrackState, SlipAngles, VehicleParameters};
 
-use super::parameter::{COUNT, Parameter, Values};
+use super::{
+    parameter::{COUNT, Parameter, Values},
+    problem::Structure,
+};
 use crate::dual::{Dual, DualFunctions};
 
 /// The largest rate of a hobby servo, in rad/s. The exact value matters only in steering
@@ -53,12 +56,13 @@ impl<D: Dual> Motion<D> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Model<D> {
     axles: Axles<D>,
+    slip_angles: SlipAngles,
     parameters: [D; COUNT],
 }
 
 impl<D: Dual> Model<D> {
     /// The model of `parameters`, with mass and wheelbase of `values`.
-    pub(super) fn new(values: &Values, parameters: [D; COUNT], tyres: Tyres) -> Self {
+    pub(super) fn new(values: &Values, parameters: [D; COUNT], structure: Structure) -> Self {
         let (mass, wheelbase) = values.known();
         let get = |parameter: Parameter| parameters[parameter as usize];
         let front_axle_distance = get(Parameter::FrontAxleDistance);
@@ -72,7 +76,8 @@ impl<D: Dual> Model<D> {
             rear_cornering_stiffness_n_rad: get(Parameter::RearStiffness),
         };
         Self {
-            axles: Axles::new(vehicle, tyres),
+            axles: Axles::new(vehicle, structure.tyres).with_slip_angles(structure.slip_angles),
+            slip_angles: structure.slip_angles,
             parameters,
         }
     }
@@ -116,7 +121,10 @@ impl<D: Dual> Model<D> {
         let lateral = self.axles.lateral::<DualFunctions, D>(&motion, &forces);
         let rate = state.derivative::<DualFunctions>(s.speed, lateral);
         // Perpendicular to the course, positive to the left.
-        let centripetal = (forces.front + forces.rear) / self.axles.vehicle().mass_kg;
+        let centripetal = match self.slip_angles {
+            SlipAngles::Small => (forces.front + forces.rear) / self.axles.vehicle().mass_kg,
+            SlipAngles::Exact => (rate.sideslip + s.yaw_rate) * s.speed,
+        };
         let (sin, cos) = s.sideslip.sin_cos();
         Motion {
             x: rate.x,

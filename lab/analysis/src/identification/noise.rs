@@ -122,6 +122,9 @@ impl NoiseLevels {
                 left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
             }
         }
+        // What is not measured.
+        yaw_rate.retain(|difference: &f64| !difference.is_nan());
+        left.retain(|difference: &f64| !difference.is_nan());
         let level = |differences, usual: f64, least: f64| {
             deviation(differences).map_or(usual, |measured| measured.max(least))
         };

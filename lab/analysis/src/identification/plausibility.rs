@@ -40,6 +40,7 @@ pub(super) fn check_sensors(data: &DriveData, spans: &[Span]) -> Result<(), Iden
         let inertial = data.inertial.iter();
         let mut values = inertial.filter(|sample| within(sample.time_s)).map(value);
         if let Some(first) = values.next()
+            && !first.is_nan()
             && values.all(|value| value.to_bits() == first.to_bits())
         {
             return Err(IdentificationError::Dead { what, value: first });

@@ -5,14 +5,12 @@
 //! parameters multiply innovations, whose mean is zero; without them the minimum is at the
 //! same place, and its curvature the same up to noise.
 
-use singletrack_control::Tyres;
-
 use super::{
     data::{DriveData, ServoTarget, Span},
     filter::{Gain, Gains},
     model::Model,
     parameter::{Parameter, Values},
-    problem::Problem,
+    problem::{Problem, Structure},
     timeline::{EventHandler, STATES, StateEstimate, replay},
 };
 use crate::dual::Dual;
@@ -26,7 +24,7 @@ pub(super) struct Prediction<'a> {
     pub(super) gains: &'a Gains,
     pub(super) start: &'a Values,
     pub(super) active: &'a [Parameter],
-    pub(super) tyres: Tyres,
+    pub(super) structure: Structure,
 }
 
 impl Prediction<'_> {
@@ -50,7 +48,7 @@ impl Problem for Prediction<'_> {
         let zero = D::from(0.0);
         let mut predictor = Predictor {
             prediction: self,
-            model: Model::new(self.start, parameters, self.tyres),
+            model: Model::new(self.start, parameters, self.structure),
             estimate: StateEstimate::of([zero; STATES], zero),
             errors: vec![zero; self.rows()],
         };
@@ -139,7 +137,7 @@ impl<D: Dual> EventHandler<D> for Predictor<'_, D> {
 #[cfg(test)]
 mod tests {
     use super::super::parameter::COUNT;
-    use singletrack_control::VehicleParameters;
+    use singletrack_control::{Tyres, VehicleParameters};
 
     use super::{
         super::{
@@ -187,7 +185,7 @@ mod tests {
         }];
         for tyres in [Tyres::Saturating, Tyres::Linear] {
             let noise = NoiseLevels::usual();
-            let run = run_filter(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+            let run = run_filter(&data, &data.servo, &spans, &start, tyres.into(), &noise).unwrap();
             let prediction = Prediction {
                 data: &data,
                 servo: &data.servo,
@@ -195,7 +193,7 @@ mod tests {
                 gains: &run.gains,
                 start: &start,
                 active: &Parameter::ALL,
-                tyres,
+                structure: tyres.into(),
             };
             let u: Vec<f64> = (0..COUNT).map(|index| 0.01 * index as f64).collect();
             let jacobian = prediction.jacobian(&u).unwrap();
@@ -223,7 +221,7 @@ mod tests {
             end_s: 2.8,
         }];
         let (tyres, noise) = (Tyres::Saturating, NoiseLevels::usual());
-        let run = run_filter(&data, &data.servo, &spans, &start, tyres, &noise).unwrap();
+        let run = run_filter(&data, &data.servo, &spans, &start, tyres.into(), &noise).unwrap();
         let prediction = Prediction {
             data: &data,
             servo: &data.servo,
@@ -231,7 +229,7 @@ mod tests {
             gains: &run.gains,
             start: &start,
             active: &[Parameter::FrontStiffness],
-            tyres,
+            structure: tyres.into(),
         };
         let sum = prediction.residuals(&[0.0]).unwrap().norm_squared();
         let innovations = run.innovations.iter();

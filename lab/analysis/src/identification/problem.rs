@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use num_dual::DualSVec64;
-use singletrack_control::Tyres;
+use singletrack_control::{SlipAngles, Tyres};
 use singletrack_words::words;
 
 use super::{
@@ -90,6 +90,11 @@ pub struct Settings {
     pub parameters: Vec<Parameter>,
     /// The force curve of the tyres.
     pub tyres: Tyres,
+    /// The slip angles of the model.
+    pub slip_angles: SlipAngles,
+    /// Dead time and lag of the steering (s) where the fit starts, and about which their priors are; none
+    /// for those of [`Values::of`](super::Values::of).
+    pub steering: Option<[f64; 2]>,
     /// The board's periods that begin a servo pulse; none to estimate them.
     pub frames: Option<ServoFrames>,
     /// Noise levels, or their start values if they are estimated.
@@ -103,6 +108,22 @@ pub struct Settings {
     pub least_speed: f64,
 }
 
+/// What the forces of the model follow from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Structure {
+    pub(super) tyres: Tyres,
+    pub(super) slip_angles: SlipAngles,
+}
+
+impl From<Tyres> for Structure {
+    fn from(tyres: Tyres) -> Self {
+        Self {
+            tyres,
+            slip_angles: SlipAngles::Small,
+        }
+    }
+}
+
 impl Default for Settings {
     /// The paper's three parameters and those that must be estimated jointly with them.
     fn default() -> Self {
@@ -111,6 +132,13 @@ impl Default for Settings {
 }
 
 impl Settings {
+    pub(super) const fn structure(&self) -> Structure {
+        Structure {
+            tyres: self.tyres,
+            slip_angles: self.slip_angles,
+        }
+    }
+
     /// These parameters and [`Parameter::NUISANCE`], which must be estimated jointly.
     #[must_use]
     pub fn of(parameters: &[Parameter]) -> Self {
@@ -123,6 +151,8 @@ impl Settings {
         Self {
             parameters: all,
             tyres: Tyres::default(),
+            slip_angles: SlipAngles::default(),
+            steering: None,
             frames: None,
             noise: NoiseLevels::usual(),
             estimate_noise: true,

@@ -49,9 +49,9 @@ pub struct OutputScore {
 /// How well the model fits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// The normalised mean prediction error: the mean over the outputs.
+    /// The normalised mean prediction error: the mean over the outputs that are measured.
     pub nmpe: f64,
-    /// The score of each output.
+    /// The score of each output; NaN of one that is not measured.
     pub outputs: [OutputScore; 3],
 }
 
@@ -79,6 +79,14 @@ impl Score {
             let spread: f64 = pairs.iter().map(|[y, _]| (y - mean) * (y - mean)).sum();
             let errors = pairs.iter().map(|[y, model]| model - y);
             let squares: f64 = errors.map(|error| error * error).sum();
+            if pairs.is_empty() {
+                return OutputScore {
+                    output,
+                    nmpe: f64::NAN,
+                    fit_percent: f64::NAN,
+                    rms: f64::NAN,
+                };
+            }
             let absolute: f64 = pairs.iter().map(|[y, model]| (model - y).abs()).sum();
             OutputScore {
                 output,
@@ -87,8 +95,10 @@ impl Score {
                 rms: (squares / count).sqrt(),
             }
         });
+        let measured = outputs.iter().filter(|output| !output.rms.is_nan());
+        let nmpe: f64 = measured.clone().map(|output| output.nmpe).sum();
         Self {
-            nmpe: outputs.iter().map(|output| output.nmpe).sum::<f64>() / outputs.len() as f64,
+            nmpe: nmpe / measured.count() as f64,
             outputs,
         }
     }

@@ -1,13 +1,12 @@
 //! The model without corrections, with the inputs of the drive, and the measurements beside
 //! it: the paper's validation figures.
 
-use singletrack_control::Tyres;
-
 use super::{
-    data::{DriveData, Pose, ServoTarget, Span, seen},
+    data::{DriveData, ServoTarget, Span, seen},
     filter::{FilterRun, TrackPoint},
     model::{Model, Motion},
     parameter::{Parameter, Values},
+    problem::Structure,
     timeline::{EventHandler, StateEstimate, replay},
 };
 use crate::dual::Dual;
@@ -24,7 +23,7 @@ pub struct SimulationPoint {
     pub steering_rad: f64,
     /// Speed of G, an input of the model, in m/s.
     pub speed_m_s: f64,
-    /// Yaw rate from the gyro without its bias, in rad/s.
+    /// Yaw rate from the gyro without its bias, in rad/s; of a car without one, from the cameras.
     pub measured_yaw_rate_rad_s: f64,
     /// Yaw rate of the model, in rad/s.
     pub yaw_rate_rad_s: f64,
@@ -32,7 +31,7 @@ pub struct SimulationPoint {
     pub measured_sideslip_rad: f64,
     /// Sideslip of the model, in rad.
     pub sideslip_rad: f64,
-    /// Acceleration to the left without its bias, in m/s².
+    /// Acceleration to the left without its bias, in m/s²; NaN without an accelerometer.
     pub measured_left_m_s2: f64,
     /// Acceleration to the left of the model, in m/s².
     pub left_m_s2: f64,
@@ -108,9 +107,9 @@ impl Inputs<'_> {
 pub(super) fn simulate(
     inputs: &Inputs<'_>,
     values: &Values,
-    tyres: Tyres,
+    structure: Structure,
 ) -> Option<Vec<SimulationPoint>> {
-    let model = Model::new(values, *values.all(), tyres);
+    let model = Model::new(values, *values.all(), structure);
     let points = inputs.simulate(&model)?.into_iter();
     let points = points.filter_map(|simulated| {
         let Simulated { motion, left, .. } = simulated;
@@ -120,13 +119,18 @@ pub(super) fn simulate(
         let sample = inputs.data.inertial.get(track.inertial)?;
         let estimate = track.estimate;
         let unbiased = sample.yaw_rate_rad_s - estimate.gyro_bias;
+        let seen = seen(&inputs.data.poses, simulated.time_s);
+        let yaw_rate = match sample.yaw_rate_rad_s.is_nan() {
+            false => unbiased / values.get(Parameter::GyroScale),
+            true => seen.map_or(f64::NAN, |seen| seen.yaw_rate),
+        };
         Some(SimulationPoint {
             time_s: simulated.time_s,
             steering_rad: motion.steering,
             speed_m_s: motion.speed,
-            measured_yaw_rate_rad_s: unbiased / values.get(Parameter::GyroScale),
+            measured_yaw_rate_rad_s: yaw_rate,
             yaw_rate_rad_s: motion.yaw_rate,
-            measured_sideslip_rad: sideslip(&inputs.data.poses, simulated.time_s),
+            measured_sideslip_rad: seen.map_or(f64::NAN, |seen| seen.sideslip),
             sideslip_rad: motion.sideslip,
             measured_left_m_s2: sample.left_m_s2 - values.get(Parameter::LateralBias),
             left_m_s2: left,
@@ -203,9 +207,4 @@ impl<D: Dual> EventHandler<D> for Simulator<'_, D> {
             });
         }
     }
-}
-
-/// The course of the poses around `time` minus their yaw, in rad; not a number without enough poses.
-pub(super) fn sideslip(poses: &[Pose], time: f64) -> f64 {
-    seen(poses, time).map_or(f64::NAN, |seen| seen.sideslip)
 }

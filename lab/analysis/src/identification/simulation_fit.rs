@@ -8,7 +8,7 @@
 //! within [`BLOCK`] count as one beside the prior.
 
 use super::{
-    data::{GyroScale, ServoFrames, ServoTarget, Span},
+    data::{self, Channel, GyroScale, ServoFrames, ServoTarget, Span},
     error::IdentificationError,
     fit::{Fit, Task},
     least_squares::minimise,
@@ -16,7 +16,7 @@ use super::{
     noise::NoiseLevels,
     parameter::Parameter,
     problem::Problem,
-    simulation::{Inputs, Sample, sideslip},
+    simulation::{Inputs, Sample},
     uncertainty::spread,
 };
 use crate::dual::Dual;
@@ -46,8 +46,10 @@ struct Simulated<'a> {
     /// What the errors of yaw rate, sideslip and acceleration are divided by, see
     /// [`Self::measured_sizes`].
     sizes: [f64; 3],
-    /// The sideslip of the cameras at each pose, in rad.
-    sideslips: &'a [f64],
+    /// Yaw rate (rad/s) and sideslip (rad) of the cameras at each pose; NaN without enough poses.
+    seen: &'a [[f64; 2]],
+    /// Whether a gyro measures the yaw rate, and an accelerometer the acceleration to the left.
+    measures: [bool; 2],
 }
 
 /// The number of an output, and the time, in s.
@@ -67,7 +69,11 @@ impl Simulated<'_> {
     /// The errors over their sizes, each with its place.
     fn placed<D: Dual>(&self, u: &[D]) -> Option<Vec<(Place, D)>> {
         let Task { start, active, .. } = self.task;
-        let model = Model::new(start, start.moved(active, u), self.task.settings.tyres);
+        let model = Model::new(
+            start,
+            start.moved(active, u),
+            self.task.settings.structure(),
+        );
         let mut errors = Vec::with_capacity(3 * self.inputs.data.poses.len());
         let mut push = |output: usize, time: f64, error: D| {
             let size = self.sizes.get(output).copied().unwrap_or(1.0);
@@ -78,16 +84,24 @@ impl Simulated<'_> {
             match simulated.sample {
                 Sample::Inertial(track) => {
                     let sample = self.inputs.data.inertial.get(track.inertial)?;
-                    let gyro = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
-                    let expected = gyro + track.estimate.gyro_bias;
-                    push(0, time, expected - sample.yaw_rate_rad_s);
-                    let left = simulated.left + model.get(Parameter::LateralBias);
-                    push(2, time, left - sample.left_m_s2);
+                    let [gyro, accelerometer] = self.measures;
+                    if gyro {
+                        let gyro = simulated.motion.yaw_rate * model.get(Parameter::GyroScale);
+                        let expected = gyro + track.estimate.gyro_bias;
+                        push(0, time, expected - sample.yaw_rate_rad_s);
+                    }
+                    if accelerometer {
+                        let left = simulated.left + model.get(Parameter::LateralBias);
+                        push(2, time, left - sample.left_m_s2);
+                    }
                 }
                 Sample::Pose(index) => {
-                    let measured = self.sideslips.get(index)?;
-                    if measured.is_finite() {
-                        push(1, time, simulated.motion.sideslip - *measured);
+                    let [yaw_rate, sideslip] = *self.seen.get(index)?;
+                    if sideslip.is_finite() {
+                        push(1, time, simulated.motion.sideslip - sideslip);
+                    }
+                    if yaw_rate.is_finite() && !self.measures[0] {
+                        push(0, time, simulated.motion.yaw_rate - yaw_rate);
                     }
                 }
             }
@@ -111,7 +125,10 @@ impl Simulated<'_> {
         let blocks = self.task.blocks();
         let mut sizes = self.sizes;
         for (size, sum) in sizes.iter_mut().zip(sums) {
-            *size *= f64::sqrt(sum / blocks);
+            // An output that is not measured has no errors.
+            if sum > 0.0 {
+                *size *= f64::sqrt(sum / blocks);
+            }
         }
         let normal = sizes.iter().all(|size: &f64| size.is_normal());
         normal.then_some(sizes)
@@ -129,8 +146,11 @@ impl Task<'_> {
         let loose = NoiseLevels::loose(&self.vehicle());
         let servo = frames.of(&self.data.servo);
         let poses = &self.data.poses;
-        let sideslips = poses.iter().map(|pose| sideslip(poses, pose.time_s));
-        let sideslips: Vec<f64> = sideslips.collect();
+        let seen = poses.iter().map(|pose| {
+            let seen = data::seen(poses, pose.time_s);
+            seen.map_or([f64::NAN; 2], |seen| [seen.yaw_rate, seen.sideslip])
+        });
+        let seen: Vec<[f64; 2]> = seen.collect();
         let scale = self.active.contains(&Parameter::GyroScale);
         let scale = scale
             .then(|| GyroScale::of(self.data, self.spans))
@@ -145,7 +165,7 @@ impl Task<'_> {
         }
         let mut last = self.diverged(&vec![0.0; self.active.len()]);
         for start in starts {
-            match self.descend(start, &servo, &sideslips, scale, &loose) {
+            match self.descend(start, &servo, &seen, scale, &loose) {
                 Ok((cost, fit)) => {
                     let better = best.as_ref().is_none_or(|(least, _)| cost < *least);
                     if better {
@@ -190,7 +210,7 @@ impl Task<'_> {
         &self,
         mut u: Vec<f64>,
         servo: &[ServoTarget],
-        sideslips: &[f64],
+        seen: &[[f64; 2]],
         scale: Option<GyroScale>,
         noise: &NoiseLevels,
     ) -> Result<(f64, Fit), IdentificationError> {
@@ -212,7 +232,8 @@ impl Task<'_> {
                 },
                 scale,
                 sizes: sizes.unwrap_or([1.0; 3]),
-                sideslips,
+                seen,
+                measures: [Channel::YawRate, Channel::Left].map(|one| self.data.measures(one)),
             };
             problem.sizes = problem
                 .measured_sizes(&u)

@@ -172,6 +172,7 @@ pub(super) fn of_score(score: &Score) -> Vec<Warning> {
     let unfitted = score
         .outputs
         .iter()
+        .filter(|one| !one.rms.is_nan())
         .filter(|one| one.fit_percent.is_nan() || one.fit_percent <= 0.0);
     unfitted
         .map(|one| Warning::Unfitted {

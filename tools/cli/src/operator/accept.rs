@@ -11,11 +11,11 @@ use jiff::Timestamp;
 use serde_json::Value as Json;
 use singletrack_api::{Calibration, Request, ask};
 use singletrack_commissioning::edit::Edit;
-use singletrack_control::CalibrationParameter;
+use singletrack_control::{CalibrationEstimate, CalibrationParameter};
 use singletrack_core::{
     Config,
     feasibility::judge,
-    online_calibration::{OnlineCalibration, advice, corrected, deviation},
+    online_calibration::{OnlineCalibration, advice, corrected, deviation, units},
 };
 use singletrack_pilot::DriveCommand;
 use singletrack_record::{Entry, Reader, Topic};
@@ -155,10 +155,34 @@ fn check(path: &Path, config: &Config) -> Result<String, Box<dyn Error>> {
         ["", "whole", "first half", "second half"].map(str::to_owned)
     )];
     for (index, parameter) in CalibrationParameter::ALL.iter().enumerate() {
-        let [whole, first, second] = columns.each_ref().map(|column| deviation(&column[index]));
+        let [whole, first, second] = columns.each_ref().map(|column| said(&column[index]));
         lines.push(row([parameter.to_string(), whole, first, second]));
     }
     Ok(lines.join("\n"))
+}
+
+/// A gross error is this many half widths.
+const SURE: f64 = 3.0;
+
+/// As [`deviation`], but an error so large that it shows although no interval can be relied on is said
+/// without one.
+fn said(estimate: &CalibrationEstimate) -> String {
+    let off = estimate.value.abs();
+    // The others are confounded in steady turns.
+    let gross = match estimate.parameter {
+        CalibrationParameter::PivotForward => 0.06,
+        CalibrationParameter::SteeringGain => 0.15,
+        _ => f64::INFINITY,
+    };
+    if estimate.observable || off < gross || off < SURE * estimate.half_width {
+        return deviation(estimate);
+    }
+    let (_, unit, scale, digits) = units(estimate.parameter);
+    format!(
+        "about {:+.*} {unit}",
+        digits.saturating_sub(1),
+        scale * estimate.value
+    )
 }
 
 /// The change of the file, if it passes what `singletrackd --check` judges.
@@ -199,4 +223,33 @@ fn agrees() -> bool {
     eprint!("Write it? [y/N] ");
     let mut line = String::new();
     io::stdin().read_line(&mut line).is_ok() && matches!(line.trim(), "y" | "yes")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gross_error_is_said_where_no_interval_can_be_given() {
+        let estimate = |parameter, value, half_width| CalibrationEstimate {
+            parameter,
+            value,
+            half_width,
+            observable: false,
+        };
+        let pivot = |value, half_width| {
+            said(&estimate(
+                CalibrationParameter::PivotForward,
+                value,
+                half_width,
+            ))
+        };
+        assert_eq!(pivot(-0.12, 0.01), "about -120 mm");
+        assert_eq!(pivot(-0.12, 0.05), "not observable");
+        assert_eq!(pivot(0.03, 0.005), "not observable");
+        let gain = estimate(CalibrationParameter::SteeringGain, 0.22, 0.04);
+        assert_eq!(said(&gain), "about +22 %");
+        let yaw = estimate(CalibrationParameter::BodyYaw, 0.2, 0.01);
+        assert_eq!(said(&yaw), "not observable");
+    }
 }

@@ -3,7 +3,7 @@
 use super::{
     log::ImportError,
     log::Log,
-    map::{ImuSection, Map, MotorSection, nanoseconds},
+    map::{Acceleration, ImuSection, Map, MotorSection, Quantity, nanoseconds},
     row::{Header, Place, Row},
     samples::Series,
     sensor::{Column, Poses, Sensor},
@@ -101,12 +101,15 @@ impl<'a> Columns<'a> {
 
 fn inertial(header: &mut impl Header, section: &ImuSection) -> Result<Sensor<3>, ImportError> {
     let messages = section.messages();
-    let forward = &section.forward_acceleration;
-    let left = &section.left_acceleration;
+    let yaw_rate = Column::find(header, "imu.yaw_rate", messages, &section.yaw_rate)?;
+    let mut acceleration = |key, quantity: &Option<Quantity<Acceleration>>| match quantity {
+        Some(quantity) => Column::find(header, key, messages, quantity),
+        None => Ok(yaw_rate.unmeasured()),
+    };
     let columns = [
-        Column::find(header, "imu.forward_acceleration", messages, forward)?,
-        Column::find(header, "imu.left_acceleration", messages, left)?,
-        Column::find(header, "imu.yaw_rate", messages, &section.yaw_rate)?,
+        acceleration("imu.forward_acceleration", &section.forward_acceleration)?,
+        acceleration("imu.left_acceleration", &section.left_acceleration)?,
+        yaw_rate,
     ];
     let changes = header.find_if("imu.new_when_changes", messages, &section.new_when_changes)?;
     Ok(Sensor::new(columns, changes, nanoseconds(section.delay_s)))

@@ -60,6 +60,14 @@ impl Column {
         })
     }
 
+    /// What is not measured where this column is: NaN.
+    pub(super) const fn unmeasured(&self) -> Self {
+        Self {
+            place: self.place,
+            conversion: Conversion::UNMEASURED,
+        }
+    }
+
     /// A column whose numbers are taken as they are.
     pub(super) const fn plain(place: Place) -> Self {
         Self {

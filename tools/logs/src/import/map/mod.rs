@@ -102,10 +102,10 @@ pub struct ImuSection {
     pub topic: Option<String>,
     /// The time of such a message: a field, `header.stamp` if left out, or `receive`.
     pub stamp: Option<String>,
-    /// Acceleration forward, without gravity, in m/s².
-    pub forward_acceleration: Quantity<Acceleration>,
+    /// Acceleration forward, without gravity, in m/s². A gyro alone has neither.
+    pub forward_acceleration: Option<Quantity<Acceleration>>,
     /// Acceleration to the left, without gravity, in m/s².
-    pub left_acceleration: Quantity<Acceleration>,
+    pub left_acceleration: Option<Quantity<Acceleration>>,
     /// Angular velocity about the vertical, counter-clockwise from above, in rad/s.
     pub yaw_rate: Quantity<AngularVelocity>,
     /// From the measurement to the time of the row, in s.
@@ -245,6 +245,15 @@ impl Map {
         self.pose.check()?;
         if let Some(imu) = &self.imu {
             check_sensor("imu", imu.delay_s, imu.interpolate_hz, imu.longest_gap_s)?;
+            let accelerations = [&imu.forward_acceleration, &imu.left_acceleration];
+            let [forward, left] = accelerations.map(Option::is_some);
+            let fix = "give both accelerations, or for a gyro alone none";
+            for (key, given, other) in [
+                ("imu.forward_acceleration", forward, left),
+                ("imu.left_acceleration", left, forward),
+            ] {
+                require(given || !other, key, "missing", fix)?;
+            }
         }
         let (rate_hz, gap_s) = (self.motor.interpolate_hz, self.motor.longest_gap_s);
         check_sensor("motor", self.motor.delay_s, rate_hz, gap_s)?;

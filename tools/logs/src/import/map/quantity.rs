@@ -33,6 +33,12 @@ impl Conversion {
         offset: 0.0,
     };
 
+    /// To NaN.
+    pub(in crate::import) const UNMEASURED: Self = Self {
+        factor: f64::NAN,
+        offset: 0.0,
+    };
+
     pub(in crate::import) fn si(self, number: f64) -> f64 {
         number * self.factor + self.offset
     }
