@@ -185,7 +185,6 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult, Box
         }
     }
     let report = identify::identify(&IdentifyArgs {
-        plan: None,
         record,
         validate,
         config: Some(config_path),

@@ -20,7 +20,6 @@ mod judge;
 mod limit_cycles;
 #[path = "../../tools/figures/tests/picture/mod.rs"]
 mod picture;
-mod plan;
 #[path = "../../tools/cli/tests/recorded/mod.rs"]
 mod recorded;
 mod reproduce_command;

@@ -3,7 +3,6 @@
 mod collect;
 mod figures;
 mod output;
-pub mod plan;
 pub mod study;
 
 use std::{
@@ -23,7 +22,6 @@ use singletrack_figures::{
     plot::PlotError,
 };
 use singletrack_record::RecordError;
-use singletrack_scenario::simulate::CarError;
 
 use crate::vehicle_file::{self, VehicleFileError};
 
@@ -36,22 +34,8 @@ pub use output::{Identified, LogScore, Report};
 #[derive(Clone, Debug, Args)]
 pub struct IdentifyArgs {
     /// The records of drives (*.mcap), a minute of weaving at 1.5 m/s or more; of several, one fit.
-    #[arg(required_unless_present = "plan")]
+    #[arg(required = true)]
     pub record: Vec<PathBuf>,
-
-    /// Drive paths in the geofence of a scenario, simulated, and print the least standard deviation
-    /// of each parameter of the online calibration after them.
-    ///
-    /// The noise is that of the scenario. No record is read.
-    #[arg(
-        long,
-        value_name = "SCENARIO",
-        conflicts_with_all = [
-            "record", "validate", "config", "vehicle", "parameters", "tyres", "slip_angles", "drive",
-            "least_speed", "out",
-        ]
-    )]
-    pub plan: Option<PathBuf>,
 
     /// Another drive, to validate the identified parameters. May be given several times.
     #[arg(long, value_name = "RECORD")]
@@ -153,8 +137,6 @@ pub enum IdentifyFormat {
     Table,
     /// For a program, every digit.
     Json,
-    /// A row for each parameter; of `--plan` only.
-    Csv,
 }
 
 /// Why the identification failed.
@@ -215,12 +197,6 @@ pub enum IdentifyError {
         /// Why.
         source: IdentificationError,
     },
-    /// A path can't be planned.
-    #[error(transparent)]
-    Plan(#[from] CarError),
-    /// The result has no such format.
-    #[error("--format {0}: {1}")]
-    Format(&'static str, &'static str),
     /// A file can't be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -245,22 +221,6 @@ pub enum IdentifyError {
 ///
 /// When a record can't be used, or a file can't be written.
 pub fn run(args: &IdentifyArgs) -> Result<(), IdentifyError> {
-    if let Some(scenario) = &args.plan {
-        if args.format == IdentifyFormat::Json {
-            return Err(IdentifyError::Format("json", "--plan prints table or csv"));
-        }
-        let wait = wait(format!("driving paths in {}", scenario.display()));
-        let paths = plan::plan(scenario)?;
-        wait.finish_and_clear();
-        let is_csv = args.format == IdentifyFormat::Csv;
-        return Ok(print(&plan::table(&paths, is_csv))?);
-    }
-    if args.format == IdentifyFormat::Csv {
-        return Err(IdentifyError::Format(
-            "csv",
-            "use table or json; csv is of --plan",
-        ));
-    }
     if let Some(folder) = &args.out {
         prepare(folder)?;
     }

@@ -50,7 +50,6 @@ fn identified(setup: &Setup) -> Result<Report, Box<dyn Error>> {
     let vehicle = vehicle_file::text(study::start(setup.vehicle)).map_err(IdentifyError::from)?;
     std::fs::write(&start, vehicle).map_err(temporary)?;
     Ok(identify::identify(&IdentifyArgs {
-        plan: None,
         record: vec![record],
         validate: vec![other],
         config: None,
