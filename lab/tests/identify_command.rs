@@ -305,7 +305,9 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
     }
     recorder.finish().unwrap();
     let text = refused(&numb, &[]);
-    assert!(text.contains("there are 0 samples of the IMU"), "{text}");
+    for words in ["it has no accelerometer", "no telemetry of a board", "drive longer"] {
+        assert!(text.contains(words), "{text}");
+    }
 }
 
 #[test]
