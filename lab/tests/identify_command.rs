@@ -305,7 +305,11 @@ fn records_that_tell_nothing_are_refused_with_what_to_do() {
     }
     recorder.finish().unwrap();
     let text = refused(&numb, &[]);
-    for words in ["it has no accelerometer", "no telemetry of a board", "drive longer"] {
+    for words in [
+        "it has no accelerometer",
+        "no telemetry of a board",
+        "drive longer",
+    ] {
         assert!(text.contains(words), "{text}");
     }
 }

@@ -51,13 +51,7 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
         ..args.timing
     };
     let dl = args.points.deviations_or(|| Grid::spanning([0.0; 2], 1));
-    let mut certificates = Vec::new();
-    let mut certify =
-        |point: &Point<'_>, claim: Value, switched: &Switched, proof: LyapunovFunction| {
-            if args.certificates.is_some() {
-                certificates.push(certificate(point, &claim, switched, &proof));
-            }
-        };
+    let mut proofs = args.certificates.as_ref().map(|_| Vec::new());
     let mut points = Vec::new();
     for (speed_m_s, dl_m) in args.points.speeds.with(&dl) {
         let at = subject.at(speed_m_s, dl_m)?;
@@ -74,7 +68,7 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
             let limit = (args.longest_ms / timing.period_ms).round().max(1.0) as u32;
             let rows: Vec<IrregularRow> = points
                 .iter()
-                .map(|point| irregular(point, limit, &mut certify))
+                .map(|point| irregular(point, limit, proofs.as_mut()))
                 .collect();
             write(args.format, &subject, &irregular_table(&rows), &rows)?;
         }
@@ -82,14 +76,14 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
             let mut rows = Vec::new();
             for point in &points {
                 for burst_ms in bursts.values() {
-                    rows.push(random(point, *burst_ms, &mut certify));
+                    rows.push(random(point, *burst_ms, proofs.as_mut()));
                 }
             }
             write(args.format, &subject, &random_table(&rows), &rows)?;
         }
     }
-    if let Some(path) = &args.certificates {
-        let text = format!("{:#}\n", json!({ "certificates": certificates }));
+    if let (Some(path), Some(proofs)) = (&args.certificates, proofs) {
+        let text = format!("{:#}\n", json!({ "certificates": proofs }));
         fs::write(path, text).map_err(StabilityCommandError::Write)?;
     }
     Ok(())
@@ -122,20 +116,15 @@ struct IrregularRow {
     growth: Option<f64>,
 }
 
-fn irregular(
-    point: &Point<'_>,
-    limit: u32,
-    certify: &mut impl FnMut(&Point<'_>, Value, &Switched, LyapunovFunction),
-) -> IrregularRow {
+fn irregular(point: &Point<'_>, limit: u32, proofs: Option<&mut Vec<Value>>) -> IrregularRow {
     let period = point.timing.period_ms * 1e-3;
     let seconds = |ticks: u32| (f64::from(ticks) * period * 1e6).round() / 1e6;
     let limits = point.sampled.irregular_limits(limit);
-    if limits.proved > 0 {
+    if let Some(proofs) = proofs.filter(|_| limits.proved > 0) {
+        let claim = json!({ "every_pattern_up_to_ticks": limits.proved });
         let switched = point.sampled.irregular(limits.proved);
-        if let Some(function) = switched.common_function() {
-            let claim = json!({ "every_pattern_up_to_ticks": limits.proved });
-            certify(point, claim, &switched, function);
-        }
+        let function = switched.common_function();
+        proofs.extend(function.map(|function| certificate(point, &claim, &switched, &function)));
     }
     let unstable = limits.unstable;
     IrregularRow {
@@ -195,11 +184,7 @@ struct RandomRow {
 /// The resolution of the share, and how far below its end it is looked at.
 const SHARE_RESOLUTION: f64 = 1e-4;
 
-fn random(
-    point: &Point<'_>,
-    burst_ms: f64,
-    certify: &mut impl FnMut(&Point<'_>, Value, &Switched, LyapunovFunction),
-) -> RandomRow {
+fn random(point: &Point<'_>, burst_ms: f64, proofs: Option<&mut Vec<Value>>) -> RandomRow {
     let mean_ticks = (burst_ms / point.timing.period_ms).max(1.0);
     let at = |share| {
         let losses = RandomLosses { share, mean_ticks };
@@ -220,13 +205,12 @@ fn random(
         }
         stable
     });
-    let proved = largest_share.unwrap_or(most);
-    let switched = at(proved);
-    if let Some(function) = switched.mean_square_function() {
-        let claim = json!({
-            "mean_square": { "share": proved, "mean_ticks": mean_ticks },
-        });
-        certify(point, claim, &switched, function);
+    if let Some(proofs) = proofs {
+        let share = largest_share.unwrap_or(most);
+        let claim = json!({ "mean_square": { "share": share, "mean_ticks": mean_ticks } });
+        let switched = at(share);
+        let function = switched.mean_square_function();
+        proofs.extend(function.map(|function| certificate(point, &claim, &switched, &function)));
     }
     RandomRow {
         speed_m_s: point.speed_m_s,

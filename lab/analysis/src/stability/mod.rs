@@ -39,5 +39,5 @@ pub use lyapunov::Lyapunov;
 pub use one_length::OneLength;
 pub use sampled::{
     Ages, Compensation, IrregularLimits, LyapunovFunction, MarginLimits, Prediction, RandomLosses,
-    SampledLoop, SamplingError, Servo, Step, Switched, UnstablePattern,
+    SampledLoop, SamplingError, Servo, Switched, UnstablePattern,
 };

@@ -28,7 +28,7 @@ pub use self::{
     compensation::Compensation,
     plant::Ages,
     plant::{Prediction, Servo},
-    switched::{IrregularLimits, LyapunovFunction, RandomLosses, Step, Switched, UnstablePattern},
+    switched::{IrregularLimits, LyapunovFunction, RandomLosses, Switched, UnstablePattern},
 };
 
 /// A closed loop that runs in ticks.

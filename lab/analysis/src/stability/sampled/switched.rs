@@ -7,27 +7,22 @@
 //! repeats itself and whose product grows.
 //!
 //! If poses are lost at random, in bursts, the tick is a Markov chain: the motion is stable in the mean
-//! square if and only if a function falls on average over the steps from each node (Costa, Fragoso, Marques: Discrete-Time Markov Jump
-//! Linear Systems, 2005).
+//! square if and only if a function falls on average over the steps from each node (Costa, Fragoso,
+//! Marques: Discrete-Time Markov Jump Linear Systems, 2005).
 
 use nalgebra::{DMatrix, DVector};
 
 use super::{SampledLoop, spectral_radius};
 
-/// A step of a switched system: a part of a run of ticks.
+/// A step of a switched system, from a node to another: some ticks, of which the first has a pose; or
+/// a tick with or without one, if steps are random.
 #[derive(Clone, Debug)]
-pub struct Step {
-    /// The node that it leaves.
-    pub from: usize,
-    /// The node that it reaches.
-    pub to: usize,
-    /// Its probability, for steps that are random.
-    pub probability: f64,
-    /// How many ticks it takes.
-    pub ticks: u32,
-    /// For how many of them, from the first on, the pose is known: measured, then predicted. For the
-    /// others it is held.
-    pub known: u32,
+struct Step {
+    from: usize,
+    to: usize,
+    /// One, unless steps are random.
+    probability: f64,
+    ticks: u32,
     map: DMatrix<f64>,
 }
 
@@ -36,10 +31,8 @@ pub struct Step {
 pub struct Switched {
     /// The names of the coordinates of the state.
     pub coordinates: Vec<String>,
-    /// The number of ticks since the last servo pulse, of each node.
-    pub phases: Vec<u32>,
-    /// The steps.
-    pub steps: Vec<Step>,
+    nodes: usize,
+    steps: Vec<Step>,
 }
 
 /// A positive definite matrix `P` for each node of a [`Switched`] system: xᵀ P x falls with every step,
@@ -131,14 +124,13 @@ impl SampledLoop {
                     to: ((phase + ticks) % frame) as usize,
                     probability: 1.0,
                     ticks,
-                    known: ticks.min(1 + self.predicted_pose),
                     map: map.clone(),
                 });
             }
         }
         Switched {
             coordinates: self.names(),
-            phases: (0..frame).collect(),
+            nodes: frame as usize,
             steps,
         }
         .reduced()
@@ -169,7 +161,6 @@ impl SampledLoop {
                         to: node(next, (phase + 1) % frame),
                         probability,
                         ticks: 1,
-                        known: u32::from(is_known),
                         map: if phase == 0 { taken } else { kept }.clone(),
                     });
                 }
@@ -177,7 +168,7 @@ impl SampledLoop {
         }
         Switched {
             coordinates: self.names(),
-            phases: (0..=last).flat_map(|_| 0..frame).collect(),
+            nodes: node(last + 1, 0),
             steps,
         }
         .reduced()
@@ -280,7 +271,7 @@ impl Switched {
     pub fn mean_square_function(&self) -> Option<LyapunovFunction> {
         let size = self.coordinates.len();
         let count = size * (size + 1) / 2;
-        let unknowns = count * self.phases.len();
+        let unknowns = count * self.nodes;
         let mut equations = DMatrix::<f64>::identity(unknowns, unknowns);
         for step in &self.steps {
             for (unknown, (row, column)) in pairs(size).enumerate() {
@@ -303,7 +294,7 @@ impl Switched {
         let solution = equations
             .lu()
             .solve(&DVector::from_iterator(unknowns, ones))?;
-        let functions = (0..self.phases.len()).map(|node| {
+        let functions = (0..self.nodes).map(|node| {
             let mut function = DMatrix::zeros(size, size);
             for (index, (row, column)) in pairs(size).enumerate() {
                 function[(row, column)] = solution[node * count + index];
@@ -328,7 +319,7 @@ impl Switched {
         for step in &mut steps {
             step.map = &root * &step.map * &inverse;
         }
-        let mut centre = Centre::new(&steps, self.phases.len(), self.coordinates.len());
+        let mut centre = Centre::new(&steps, self.nodes, self.coordinates.len());
         while centre.weight < HEAVIEST {
             centre.approach()?;
             if worst(&steps, &centre.functions)? < 1.0 - MARGIN {
