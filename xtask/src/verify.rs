@@ -153,14 +153,14 @@ const STEPS: [Step; 30] = [
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
     row("compile", 3.8, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
-    row("lints-uno", 0.35, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
+    row("lints-uno", 0.25, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
     row("packages", 0.8, All, "packages build alone, and those for others can be packed",
         |_| check_alone().and_then(|()| check_published())),
     row("units", 0.02, Of(Part::Units),
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 2.8, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 3.0, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -168,7 +168,7 @@ const STEPS: [Step; 30] = [
         }
         packages.check_with_image(&mut tests)
     }),
-    row("faults", 0.25, Always, "random faults in virtual time violate no invariant",
+    row("faults", 0.28, Always, "random faults in virtual time violate no invariant",
         |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
     row("tutorial", 0.03, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
@@ -180,18 +180,18 @@ const STEPS: [Step; 30] = [
         let mut figures = packages.program("uno-figures")?;
         uno::check_image(&packages.image()?, 0, &mut figures)
     }),
-    row("tests-uno", 0.35, Of(Part::Uno),
+    row("tests-uno", 0.2, Of(Part::Uno),
         "the tests and random faults of the Arduino's image, in its simulator", |packages| {
         packages.check_with_image(&mut packages.tests(Some("uno"))?)?;
         let mut faults = packages.program("singletrack-faults")?;
         packages.check_with_image(faults.args(["--count", "8", "--board", "uno"]))
     }),
-    row("exploration", 0.2, All, "no interleaving of board, link and supervisor violates a claim",
+    row("exploration", 0.1, All, "no interleaving of board, link and supervisor violates a claim",
         |packages| check(packages.program("singletrack-exploration")?.args(["--states", "9000"]))),
-    row("onboard", 0.25, All,
+    row("onboard", 0.2, All,
         "cars of all kinds come from the parts to the circle, led by the three procedures",
         |packages| check(packages.program("singletrack-onboard")?.args(["--count", "3"]))),
-    row("readers", 0.2, Of(Part::Readers),
+    row("readers", 0.12, Of(Part::Readers),
         "independent readers agree on the contents of a record and of a repaired one",
         python::check_readers),
     row("slurm", 0.1, Of(Part::Slurm), "campaigns as job arrays of Slurm give what one process gives",
@@ -205,7 +205,7 @@ const STEPS: [Step; 30] = [
         |packages| check(script("lab/certificates/check.sh")
             .arg(packages.path("singletrack-lab")?)
             .arg(target::folder()?.join("certificates")))),
-    row("book", 0.5, All, "the commands of all pages are accepted by their programs, and most are run",
+    row("book", 0.65, All, "the commands of all pages are accepted by their programs, and most are run",
         |packages| check(&mut packages.tests(Some("book"))?)),
     row("release", 0.6, All, "what computes gives the same bits in a release build as in the tested one",
         odroid::compare_release),
@@ -220,7 +220,7 @@ const STEPS: [Step; 30] = [
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 0.85, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.75, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
     row("hil-uno", 0.6, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
