@@ -105,7 +105,7 @@ struct LogResult {
     /// Root mean square of the yaw rate that the identified car predicts, alone with steering and speed,
     /// less the measured one; of a log that is held out.
     identified_rms_rad_s: Option<f64>,
-    /// The same of the plain fit.
+    /// Root mean square of the error of the yaw rate that the plain fit predicts.
     plain_rms_rad_s: Option<f64>,
 }
 

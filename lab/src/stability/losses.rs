@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{
-    LyapunovFunction, MarginLimits, RandomLosses, SampledLoop, Switched,
+    LyapunovFunction, MarginLimits, RandomLosses, SampledLoop, SamplingError, Switched,
 };
 
 use super::{
@@ -65,7 +65,16 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
     }
     match &args.bursts_ms {
         None => {
-            let limit = (args.longest_ms / timing.period_ms).round().max(1.0) as u32;
+            let ticks = (args.longest_ms / timing.period_ms).round();
+            if !(1.0..=1_000.0).contains(&ticks) {
+                return Err(SamplingError {
+                    name: "--longest-ms in control periods",
+                    value: ticks,
+                    rule: "between 1 and 1000",
+                }
+                .into());
+            }
+            let limit = ticks as u32;
             let rows: Vec<IrregularRow> = points
                 .iter()
                 .map(|point| irregular(point, limit, proofs.as_mut()))
@@ -107,7 +116,8 @@ struct IrregularRow {
     every_pattern_s: f64,
     /// If poses come in this interval only, up to which it is stable.
     constant_s: Option<f64>,
-    /// The shortest known pattern that is unstable: so many short intervals, then so many long ones.
+    /// The known unstable pattern with the shortest long interval: `shorts` short intervals, then `longs`
+    /// long ones.
     unstable_short_s: Option<f64>,
     shorts: Option<u32>,
     unstable_long_s: Option<f64>,

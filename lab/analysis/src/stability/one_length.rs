@@ -134,7 +134,7 @@ impl ClosedLoop {
         let [m, inertia, l_f, _, c_f, _] = symbols(&self.vehicle);
         let (p, x) = (self.point_distance, l_f + self.deviation);
         let n2 = c_f / (m * p) + c_f * l_f * (x + p) / (inertia * p);
-        // Of the squared frequency y.
+        // The square of the bound at the squared frequency y.
         let squared = |y: f64| {
             let (even, odd) = (y * (y - a2) + a0, a1 - a3 * y);
             let own = a0 - n2 * y;

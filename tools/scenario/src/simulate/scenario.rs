@@ -188,7 +188,7 @@ section! {
     first_tick: u64, in TICKS;
     /// The number of ticks.
     ticks: u64, in TICKS;
-    /// It comes again every so many ticks; 0: it comes once.
+    /// Ticks from one beginning of this loss to the next; 0: it comes once.
     repeat_ticks: u64 = 0, in TICKS;
 }
 

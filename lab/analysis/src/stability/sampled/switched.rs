@@ -300,7 +300,7 @@ impl Switched {
                 function[(row, column)] = solution[node * count + index];
                 function[(column, row)] = solution[node * count + index];
             }
-            // Of a motion that is not stable it is not positive definite.
+            // A motion that is not stable has a function that is not positive definite.
             function.clone().cholesky().map(|_| function)
         });
         functions.collect::<Option<_>>().map(LyapunovFunction)
