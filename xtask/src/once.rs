@@ -141,12 +141,14 @@ fn kept(arguments: &[String]) -> Vec<String> {
     kept
 }
 
-/// Whether `cargo doc` would document the crate: not a test, and no build script.
+/// Whether `cargo doc` would document the crate: not a test, no example, and no build script.
 fn is_documented(arguments: &[String]) -> bool {
-    !is_test(arguments)
-        && !arguments
-            .iter()
-            .any(|argument| argument == "build_script_build")
+    let is_left_out = |argument: &String| {
+        argument == "build_script_build"
+            || argument.starts_with("examples/")
+            || argument.contains("/examples/")
+    };
+    !is_test(arguments) && !arguments.iter().any(is_left_out)
 }
 
 /// Whether a crate keeps the optimisation of its profile: all but tests and benchmarks, and tests that
@@ -221,6 +223,7 @@ mod tests {
         assert!(!is_documented(&words(
             "--crate-name build_script_build build.rs"
         )));
+        assert!(!is_documented(&words("--crate-name a b/examples/a.rs")));
     }
 
     #[test]

@@ -169,7 +169,10 @@ const STEPS: [Step; 30] = [
         packages.check_with_image(&mut tests)
     }),
     row("faults", 0.28, Always, "random faults in virtual time violate no invariant",
-        |packages| check(packages.program("singletrack-faults")?.args(["--count", "200"]))),
+        |packages| {
+        let count = if *packages == Packages::Default { "100" } else { "200" };
+        check(packages.program("singletrack-faults")?.args(["--count", count]))
+    }),
     row("tutorial", 0.03, Always, "the commands of the tutorial are accepted and run",
         |packages| check(packages.tests(Some("book"))?.arg("tutorial"))),
     row("real-logs", 0.02, Always,
