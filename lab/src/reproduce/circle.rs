@@ -233,7 +233,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .claim(
             "circle-losses",
             "m",
-            "So it does on the circle",
+            "Holding the last pose does little harm on the circle, too",
             "\"robust to this disturbance as well\", said of the steps; the position traces of the \
              circle stand still now and then, too: taken as below 0.1 m",
             "a loss of 200 ms every 5 s, against the same drive without them",
