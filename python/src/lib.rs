@@ -10,6 +10,7 @@
 
 use pyo3::prelude::*;
 
+mod cameras;
 mod environment;
 mod model;
 mod recording;
@@ -23,6 +24,7 @@ mod vehicle;
 mod _native {
     #[pymodule_export]
     use crate::{
+        cameras::{CameraSession, PoseWriter, camera_questions},
         environment::Batch,
         model::{
             front_point, model_derivative, model_simulate, paper_vehicle, point_p, velocity_point,

@@ -12,12 +12,12 @@ from typing import Any
 import gymnasium
 
 import singletrack
-from singletrack import gym, law, model, stability
+from singletrack import cameras, gym, law, model, stability
 
 PAGE = Path(__file__).parents[2] / "docs/python-api.md"
-MODULES = (singletrack, gym, law, model, stability)
+MODULES = (singletrack, cameras, gym, law, model, stability)
 #: Classes that a program makes itself.
-CALLED = ("Car", "Fleet", "Simulator", "SingletrackEnv", "SingletrackVectorEnv", "Vehicle")
+CALLED = ("Cameras", "Car", "Fleet", "Simulator", "SingletrackEnv", "SingletrackVectorEnv", "Vehicle")
 HEAD = """# Python API
 
 The public names of the package `singletrack`. How to use them: [Python](python.md).

@@ -12,6 +12,7 @@ use singletrack_figures::figure::{Axis, Curve, Figure, Look, Panel, Width};
 use super::{
     Setup, assumptions,
     claims::{Scope, above, below, near},
+    diagrams,
     drive::{Drives, Experiment, Run},
     largest, pictures,
     section::{Picture, Section},
@@ -357,6 +358,12 @@ fn plates(setup: &Setup, drives: &Drives, section: &mut Section) {
         }
         pictures
     };
+    section.plate(
+        "Position of P for the alternative law",
+        "A drawing of the point P of the appendix's law.",
+        "The same, of this car, to scale, beside that of the proposed law.",
+        vec![diagrams::points(setup)],
+    );
     let mut steps = pictures("right", "right", "dl = 0", Run::trajectory);
     steps.extend(pictures("deviation", "deviation", &wrong, Run::trajectory));
     let ended = drives.get("deviation", "velocity-point");

@@ -22,6 +22,8 @@ pub(super) struct Experiment {
     pub(super) deviation_m: f64,
     /// The car parameters that the appendix's law uses; `None` for the true ones.
     pub(super) believed: Option<VehicleParameters>,
+    /// The distance p of P from the front axle, in m.
+    pub(super) point_distance_m: f64,
     /// The position loop.
     pub(super) outer_loop: OuterLoopSection,
     /// The reference of P.
@@ -117,7 +119,7 @@ impl Experiment {
         Scenario {
             law: LawSection {
                 kind: self.law,
-                point_distance_m: setup.point_distance_m(),
+                point_distance_m: self.point_distance_m,
                 front_axle_distance_m: setup.vehicle.front_axle_distance_m + self.deviation_m,
             },
             outer_loop: self.outer_loop,
@@ -219,7 +221,7 @@ impl Experiment {
                 estimate.yaw,
                 output.actuation.steering,
                 setup.vehicle.front_axle_distance_m,
-                setup.point_distance_m(),
+                self.point_distance_m,
             );
             seen.push(Seen {
                 time,

@@ -5,6 +5,7 @@ mod assumptions;
 mod circle;
 mod claims;
 mod comparison;
+mod diagrams;
 mod drive;
 mod model;
 mod output;

@@ -6,7 +6,7 @@ use singletrack_analysis::stability::{
     smallest_point_distance,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_figures::figure::Figure;
+use singletrack_figures::figure::{Axis, Column, Curve, Figure, Look, Panel, Scale, Symbol, Width};
 
 use super::{
     Setup, assumptions,
@@ -93,6 +93,32 @@ fn region_picture(setup: &Setup, law: Law, name: &str, section: &mut Section) ->
 /// The first Lyapunov coefficient, in Kuznetsov's normalisation.
 const fn l1(point: &HopfPoint) -> f64 {
     point.lyapunov.kuznetsov
+}
+
+/// The first Lyapunov coefficient of every bifurcation point of a curve.
+fn lyapunov_picture(name: &str, curve: &[HopfPoint]) -> Picture {
+    let speed: Column = curve.iter().map(|point| point.speed).collect();
+    let coefficient = curve.iter().map(|point| point.lyapunov.matcont).collect();
+    let y = Axis {
+        scale: Scale::Log,
+        ..Axis::new(
+            "first Lyapunov coefficient",
+            Some(Symbol::new("l", "1")),
+            "",
+        )
+    };
+    let figure = Figure {
+        title: "First Lyapunov coefficient of all bifurcation points".to_owned(),
+        caption: "Along the curve of Hopf points, as MatCont counts it; above zero they are \
+                  subcritical."
+            .to_owned(),
+        width: Width::Column,
+        panels: vec![Panel {
+            curves: vec![Curve::new("Hopf points", Look::Actual, &speed, coefficient)],
+            ..Panel::new(Axis::new("speed", Some(Symbol::new("v", "")), "m/s"), y)
+        }],
+    };
+    Picture::new(name, "l₁ of all bifurcation points", figure)
 }
 
 /// The first Lyapunov coefficients along a curve, in a sentence.
@@ -266,7 +292,8 @@ pub(super) fn proposed(setup: &Setup, progress: &ProgressBar) -> Section {
             near(0.35, 0.01),
         );
     section.table("hopf-front-point", hopf_table(&curve));
-    let pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
+    let mut pictures = region_picture(setup, Law::FrontPoint, "region-front-point", &mut section);
+    pictures.push(lyapunov_picture("lyapunov-front-point", &curve));
     section.plate(
         "Stability over speed and deviation",
         "Light and dark regions over speed and dl; the Hopf curve lies at negative dl, outside the \
@@ -506,12 +533,13 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         .of(Scope::PaperCar)
         .number("least l₁", least(curve.iter().map(l1)), above(0.0));
     section.table("hopf-velocity-point", hopf_table(&curve));
-    let pictures = region_picture(
+    let mut pictures = region_picture(
         setup,
         Law::VelocityPoint,
         "region-velocity-point",
         &mut section,
     );
+    pictures.push(lyapunov_picture("lyapunov-velocity-point", &curve));
     section.plate(
         "Stability over speed and deviation",
         "Light and dark regions over speed and dl; the Hopf curve lies at positive dl, at small \

@@ -9,8 +9,9 @@ use singletrack_statistics::RootMeanSquare;
 use super::{
     Setup, assumptions,
     claims::{Scope, above, below, near},
+    diagrams,
     drive::{Drives, Experiment, PLANTS, Run},
-    largest, pictures,
+    largest, least, pictures,
     section::{Picture, Section},
     text::{self, metres, mm, number, with_digits},
 };
@@ -31,6 +32,16 @@ const STEP_S: f64 = 3.0;
 const LOSSES: [u64; 4] = [200, 650, 1100, 1550];
 const LOSS_TICKS: u64 = 20;
 
+/// Losses of the markers that begin at these ticks.
+pub(super) fn losses(ticks: impl IntoIterator<Item = u64>) -> Vec<MarkerLoss> {
+    let loss = |first_tick| MarkerLoss {
+        first_tick,
+        ticks: LOSS_TICKS,
+        repeat_ticks: 0,
+    };
+    ticks.into_iter().map(loss).collect()
+}
+
 /// The open-loop test with the law's centre of mass too far to the rear.
 pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Experiment {
     let mut steps: Vec<StepSection> = VELOCITIES
@@ -49,6 +60,7 @@ pub(super) fn experiment(setup: &Setup, law: LawKind, deviation_m: f64) -> Exper
         law,
         deviation_m,
         believed: None,
+        point_distance_m: setup.point_distance_m(),
         outer_loop: OuterLoopSection::OpenLoop {},
         reference: ReferenceSection::VelocitySteps { steps },
         start_m: [0.0, 0.0],
@@ -80,13 +92,8 @@ pub(super) fn section(setup: &Setup, progress: &ProgressBar) -> Section {
     let mut drives = Drives::default();
     for (((case, _), name), deviation) in CASES.into_iter().zip(&names).zip(deviations) {
         let seen = experiment(setup, LawKind::FrontPoint, deviation);
-        let losses = LOSSES.map(|first_tick| MarkerLoss {
-            first_tick,
-            ticks: LOSS_TICKS,
-            repeat_ticks: 0,
-        });
         let experiment = Experiment {
-            losses: losses.to_vec(),
+            losses: losses(LOSSES),
             ..seen.clone()
         };
         progress.set_message(format!("open-loop steps, {name}"));
@@ -128,6 +135,36 @@ fn residual(setup: &Setup, drives: &Drives) -> Option<f64> {
     Some(largest(
         both.map(|(measured, theory)| (measured - theory).abs()),
     ))
+}
+
+/// How far the front wheel is from the path of P at most, with P at fractions of the paper's
+/// distance, in m. The drive begins with P, and the wheel behind it.
+fn wheel_from_path(setup: &Setup, fraction: f64) -> Option<f64> {
+    let experiment = Experiment {
+        point_distance_m: fraction * setup.point_distance_m(),
+        ..experiment(setup, LawKind::FrontPoint, 0.0)
+    };
+    let rows = experiment.ideal(setup).ok()?.rows;
+    let p = experiment.point_distance_m;
+    let wheels = rows.iter().filter(|row| row.t >= 1.0).map(|row| {
+        let (sin, cos) = (row.yaw + row.steering).sin_cos();
+        [row.x_p - p * cos, row.y_p - p * sin]
+    });
+    let distance = |[x, y]: [f64; 2]| {
+        let path = rows.windows(2).filter_map(|pair| match pair {
+            [one, next] => {
+                let along = [next.x_ref - one.x_ref, next.y_ref - one.y_ref];
+                let from = [x - one.x_ref, y - one.y_ref];
+                let length = along[0].powi(2) + along[1].powi(2);
+                let share = (from[0] * along[0] + from[1] * along[1]) / length;
+                let share = share.clamp(0.0, 1.0);
+                Some((from[0] - share * along[0]).hypot(from[1] - share * along[1]))
+            }
+            _ => None,
+        });
+        least(path)
+    };
+    Some(largest(wheels.map(distance)))
 }
 
 /// The largest distance between the P of two drives of the car, in m. Both start from standstill:
@@ -240,6 +277,22 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
             assumptions::error_of_any_p(setup),
             near(0.0, 1e-9),
         );
+    let [whole, half, quarter] = [1.0, 0.5, 0.25].map(|part| wheel_from_path(setup, part));
+    let nearer_than = |value: Option<f64>| below(value.unwrap_or(f64::NAN));
+    section
+        .claim(
+            "point-near-wheel",
+            "m",
+            "The closer P is to the front wheel, the better it describes the motion",
+            "\"the closer point P is to the front wheel contact point, the more accurately it \
+             describes the motion of the vehicle\": the wheel stays nearer to the path of P",
+            "the steps without position control: how far the wheel is from the path at most, with \
+             p = 0.35, 0.175 and 0.0875 m",
+        )
+        .of(Scope::PaperCar)
+        .number("p/4", quarter, nearer_than(half))
+        .number("p/2", half, nearer_than(whole))
+        .number("p", whole, above(0.0));
 }
 
 /// A picture of each drive, with right and wrong parameters, on either plant.
@@ -262,6 +315,12 @@ fn pictures_of(
 }
 
 fn plates(setup: &Setup, names: &[String; 2], drives: &Drives, section: &mut Section) {
+    section.plate(
+        "Uncertainty of the centre of mass",
+        "A drawing of the true and the estimated centre of mass.",
+        "The same, of this car, to scale, and the point that the law steers then.",
+        vec![diagrams::uncertainty(setup)],
+    );
     let right = |plant| drives.get("right", plant);
     let told = |case, plant, value: fn(&Run) -> f64, unit| {
         text::told(drives.get(case, plant).map(value), unit)
