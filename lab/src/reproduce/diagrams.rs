@@ -54,7 +54,7 @@ impl Drawing {
         for (axle, angle) in [(rear, YAW), (front, YAW + STEERING)] {
             let half = WHEEL / 2.0 * drawing.wheelbase;
             let wheel = [along(axle, angle, -half), along(axle, angle, half)];
-            drawing.line("wheels", Look::Boundary, &wheel);
+            drawing.line("", Look::Boundary, &wheel);
         }
         drawing
     }
@@ -81,9 +81,10 @@ impl Drawing {
     /// An arrow, in wheelbases.
     fn arrow(&mut self, name: &'static str, from: [f64; 2], angle: f64, length: f64) -> [f64; 2] {
         let tip = along(from, angle, length * self.wheelbase);
-        let barb = |turn| along(tip, angle + turn, -0.06 * self.wheelbase);
+        let length = -0.06 * self.wheelbase;
+        let barb = |turn| along(tip, angle + turn, length);
         self.line(name, Look::Other, &[from, tip]);
-        self.line(name, Look::Actual, &[barb(0.4), tip, barb(-0.4)]);
+        self.line("", Look::Actual, &[barb(0.4), tip, barb(-0.4)]);
         tip
     }
 

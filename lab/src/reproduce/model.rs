@@ -76,7 +76,11 @@ fn identified(
         ["drive.mcap", "validation.mcap", "start.toml"].map(|name| folder.path().join(name));
     drive(setup, SCENARIO, 1, structure, &record)?;
     drive(setup, VALIDATION, 2, structure, &other)?;
-    let vehicle = vehicle_file::text(study::start(setup.vehicle)).map_err(IdentifyError::from)?;
+    let mut first = study::start(setup.vehicle);
+    if parameters.contains(&Parameter::Friction) {
+        first.friction *= 1.4;
+    }
+    let vehicle = vehicle_file::text(first).map_err(IdentifyError::from)?;
     std::fs::write(&start, vehicle).map_err(temporary)?;
     Ok(identify::identify(&IdentifyArgs {
         record: vec![record],
