@@ -53,7 +53,7 @@ pub(super) fn turned(
 }
 
 /// Where a text around `x` begins, and how it is anchored. One with symbols begins where its estimated
-/// width says: CairoSVG would centre each of its parts by itself.
+/// width says: some renderers centre each of its parts by itself.
 fn centred(x: f64, text: &str, size: f64) -> (f64, &'static str) {
     if typeset::content(text, size).contains('<') {
         (x - 0.46 * typeset::width(text) * size / TEXT_SIZE, "start")
