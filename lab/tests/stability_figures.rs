@@ -70,7 +70,7 @@ fn the_regions_are_those_of_the_table() {
         let ends: Vec<f64> = range.split(':').map(|part| part.parse().unwrap()).collect();
         let frame = Frame::of(&svg, 0, [0.5, 8.0], [ends[0], ends[1]]);
         let dark = titled(&svg, "shade dark", "unstable");
-        let light = titled(&svg, "shade light", "asymptotically stable");
+        let light = titled(&svg, "shade light", "stable");
         let mut unstable = 0;
         for row in rows(&[&["region"][..], &grid].concat()) {
             let [speed, dl, largest, stable] = row[..] else {
@@ -145,7 +145,7 @@ fn the_papers_range_and_limit_are_drawn_at_their_values() {
     for (class, title, dl) in [
         ("range-end", "physically meaningful range: -0.1368", -0.1368),
         ("range-end", "physically meaningful range: 0.1232", 0.1232),
-        ("asymptote", "limit for v → ∞: -0.14272", -0.142_728),
+        ("asymptote", "v → ∞: -0.14272", -0.142_728),
     ] {
         let [_, y] = frame.at([1.0, dl]);
         let line = &pieces(titled(&svg, class, title))[0];

@@ -85,9 +85,10 @@ enumeration! {
         ///
         /// Remedy: Reset the board.
         EmergencyStop = "emergency-stop",
-        /// Another session greeted the armed board.
+        /// A new session greeted the armed board.
         ///
-        /// Remedy: The daemon restarted, or a second program uses the port.
+        /// Remedy: Look in the log of `singletrackd`: after `board lost: silence` the computer was busy
+        /// or the cable is bad; otherwise the daemon restarted, or a second program uses the port.
         HostRestarted = "host-restarted",
         /// The wheels turn undriven: for 3 s and over 0.5 m (unconfigured: 50 pulses), or over 1 m;
         /// after a drive, for longer than the longest roll-out or without slowing down.

@@ -139,22 +139,38 @@ def _picture(native: _native.Batch, mode: str | None, known: Sequence[str]) -> P
     return Picture(native.path(), native.geometry) if mode else None
 
 
-def _observation_space(native: _native.Batch, chosen: dict[str, Any]) -> spaces.Space[Any]:
+def _observation_space(native: _native.Batch, chosen: dict[str, Any]) -> Any:
+    given = chosen["native"]
+    _, reverse, speed = native.limits
+    # A car may be faster than it should, and slide.
+    fast = 2.0 * max(speed, reverse) + 1.0
     if chosen["observation"] == "tracking":
-        given = chosen["native"]
-        _, reverse, speed = native.limits
-        # A car may be faster than it should, and slide.
-        fast = 2.0 * max(speed, reverse) + 1.0
         action = np.abs(_action_space(native, given["control"]).high).tolist()
         head = [fast, np.pi, MAX_YAW_RATE, np.pi / 2, *action]
         reaches = [given["lost_m"] + fast * (ahead + 1.0) for ahead in given["preview"]]
         high = np.array(head + [each for far in reaches for each in (far, far, fast, fast)])
         return spaces.Box(-high.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-    return spaces.Dict({name: spaces.Box(-np.inf, np.inf, (), np.float32) for name in STATE})
+    # A car that is farther from the path of its reference is lost.
+    away = given["lost_m"] + sum(native.geometry) + fast
+    low, high = native.path().min(axis=0) - away, native.path().max(axis=0) + away
+    most = [np.pi / 2, fast, np.pi, MAX_YAW_RATE, np.pi]
+    bounds = zip(STATE, [*low, *np.negative(most)], [*high, *most], strict=True)
+    return spaces.Dict(
+        {name: spaces.Box(np.float32(low), np.float32(high), ()) for name, low, high in bounds}
+    )
 
 
-def _clipped(rows: NDArray[np.float32], space: Any) -> NDArray[np.float32]:
-    return np.clip(rows, space.low, space.high)
+def _clipped(rows: NDArray[Any], space: Any) -> Observation:
+    """An observation, or one of each row, within its bounds."""
+    if isinstance(space, spaces.Box):
+        return np.clip(rows, space.low, space.high)
+    values = rows.astype(np.float32)
+    yaw = STATE.index("pose_theta")
+    values[..., yaw] = np.remainder(rows[..., yaw] + np.pi, 2 * np.pi) - np.pi
+    return {
+        name: np.asarray(np.clip(values[..., column], space[name].low, space[name].high))
+        for column, name in enumerate(STATE)
+    }
 
 
 class SingletrackEnv(gymnasium.Env[Any, Any]):
@@ -181,7 +197,8 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
             rate, steering and the last action; then, for each of the ``k`` times of
             ``preview``, distance from P to the reference and velocity of the reference, forward
             and left of the car. ``"kinematic_state"``: f1tenth_gym's dictionary ``pose_x,
-            pose_y, delta, linear_vel_x, pose_theta, ang_vel_z, beta``.
+            pose_y, delta, linear_vel_x, pose_theta, ang_vel_z, beta``, bounded too, with
+            ``pose_theta`` from -pi to pi.
         randomise: Ranges by the names of the table ``[truth]``, drawn at each reset, or
             ``"other-cars"`` for :data:`RANDOMISE`.
         configuration: Keys of the daemon's configuration, such as ``limits.max_speed_m_s``.
@@ -280,7 +297,7 @@ class SingletrackEnv(gymnasium.Env[Any, Any]):
         return self._native.reference().reshape(4)
 
     def _observation(self, state: NDArray[np.float64], row: NDArray[np.float32]) -> Observation:
-        return _clipped(row, self.observation_space) if self._kind == "tracking" else _named(state)
+        return _clipped(row if self._kind == "tracking" else state, self.observation_space)
 
 
 class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
@@ -393,11 +410,7 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
             final = np.full(self.num_envs, None, dtype=object)
             ended = np.zeros(self.num_envs, dtype=np.bool_)
             for index, last, row in self._native.last():
-                final[index] = (
-                    _clipped(row, self.single_observation_space)
-                    if self._kind == "tracking"
-                    else _named(last)
-                )
+                final[index] = self._observation(last, row)
                 ended[index] = True
             information.update(final_obs=final, _final_obs=ended)
         self._follow()
@@ -438,18 +451,10 @@ class SingletrackVectorEnv(VectorEnv[Any, Any, Any]):
         return self._native.reference()
 
     def _observation(self, state: NDArray[np.float64], rows: NDArray[np.float32]) -> Observation:
-        if self._kind == "tracking":
-            return _clipped(rows, self.single_observation_space)
-        values = state.astype(np.float32)
-        return {name: values[:, column] for column, name in enumerate(STATE)}
+        return _clipped(rows if self._kind == "tracking" else state, self.single_observation_space)
 
 
 def _seed(seed: int) -> int:
     """The native seed of an environment with this seed."""
     generator, _ = gymnasium.utils.seeding.np_random(seed)
     return int(generator.integers(2**63))
-
-
-def _named(state: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
-    values = state.astype(np.float32)
-    return {name: np.asarray(value) for name, value in zip(STATE, values, strict=True)}

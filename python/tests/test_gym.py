@@ -33,15 +33,16 @@ def test_gymnasiums_checker_passes(name: str, options: dict[str, Any]) -> None:
     words = [str(one.message).lower() for one in warned]
     # Another advises symmetric actions: the wrapper RescaleAction.
     assert not [text for text in words if "render" in text]
-    is_bounded = options.get("observation") != "kinematic_state"
-    assert not is_bounded or not [text for text in words if "infinity" in text]
+    assert not [text for text in words if "infinity" in text]
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_an_observation_is_within_its_bounds_also_of_a_car_that_is_lost(name: str) -> None:
-    env = gymnasium.make(name, randomise="other-cars", lost=0.3)
+@pytest.mark.parametrize("kind", ["tracking", "kinematic_state"])
+def test_an_observation_is_within_its_bounds_also_of_a_car_that_is_lost(
+    name: str, kind: str
+) -> None:
+    env = gymnasium.make(name, randomise="other-cars", lost=0.3, observation=kind)
     space: Any = env.observation_space
-    assert np.isfinite(space.low).all() and np.isfinite(space.high).all()
     observation, _ = env.reset(seed=3)
     for _ in range(300):
         assert observation in space
@@ -49,6 +50,26 @@ def test_an_observation_is_within_its_bounds_also_of_a_car_that_is_lost(name: st
         if terminated or truncated:
             break
     assert observation in space
+
+
+def test_the_state_of_a_car_that_drives_round_is_not_clipped_and_its_yaw_is_wrapped() -> None:
+    env = gymnasium.make("Singletrack-v0", observation="kinematic_state")
+    env.reset(seed=3)
+    car: Any = env.unwrapped
+    beyond = False
+    for _ in range(1600):
+        x, y, vx, vy = car.reference
+        px, py = car.point
+        yaw, speed = car.truth["pose_theta"], np.hypot(vx, vy)
+        wanted = np.arctan2(vy + y - py, vx + x - px) - yaw
+        angle = np.clip(np.remainder(wanted + np.pi, 2 * np.pi) - np.pi, -0.45, 0.45)
+        observation, *_ = env.step(np.array([angle, speed], np.float32))
+        beyond = beyond or abs(yaw) > np.pi
+        for key, value in car.truth.items():
+            apart = float(observation[key]) - value
+            turns = round(apart / (2 * np.pi)) if key == "pose_theta" else 0
+            assert abs(apart - 2 * np.pi * turns) < 1e-4, key
+    assert beyond and -np.pi <= observation["pose_theta"] <= np.pi
 
 
 def test_modes_that_need_a_package_are_declared_if_it_is_there() -> None:

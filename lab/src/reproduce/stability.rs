@@ -491,7 +491,7 @@ pub(super) fn appendix(setup: &Setup, progress: &ProgressBar) -> Section {
         .claim(
             "appendix-threshold-front-only",
             "mm",
-            "That is with l_f alone estimated",
+            "The threshold of dl is with l_f alone estimated",
             "of the two only an estimate of l_f is spoken of: 0.136 mm",
             format!(
                 "the law needs C_r l_r − C_f l_f: with l_f alone wrong dl counts (C_f + \

@@ -207,7 +207,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .claim(
             "steps-close-car",
             "m",
-            "So it does on the car, in spite of non-idealities and marker losses",
+            "On the car P stays close to its nominal path, in spite of non-idealities and marker losses",
             "\"very close to the nominal one\", \"robust to this disturbance as well\"; no \
              number: taken as within a wheelbase, which is lenient",
             "most of it arises in the first second: the nominal P moves at once, the simulated \
@@ -230,7 +230,7 @@ fn claims(setup: &Setup, drives: &Drives, section: &mut Section) {
         .claim(
             "steps-uncertain-integrators",
             "m",
-            format!("They stay integrators with dl = {}", metres(dl)),
+            format!("P stays two integrators with dl = {}", metres(dl)),
             "\"as two independent integrators, even in the presence of uncertainty\": deviation 0",
             format!(
                 "the law linearises the P it believes in; the true one deviates by 2 |dl \

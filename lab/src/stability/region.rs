@@ -110,18 +110,22 @@ pub(super) fn run_basin(args: &BasinArgs) -> Result<(), StabilityCommandError> {
         dead_time: args.steering_dead_time_ms * 1e-3,
     };
     let servo = (servo.lag != 0.0 || servo.dead_time != 0.0).then_some(servo);
-    let mut rows = Vec::new();
-    let distances = args.distances.as_ref().unwrap_or(&own);
-    for (speed_m_s, point_distance) in args.speeds.with(distances) {
+    let saturation = args.saturation.saturation();
+    let dl = args.dl;
+    let at = move |speed: f64, point_distance: f64| {
         let subject = Subject {
             point_distance,
             ..subject
         };
-        let at = subject.at(speed_m_s, args.dl)?;
-        let basin = at.saturating(args.saturation.saturation())?.basin(servo)?;
+        subject.at(speed, dl)?.saturating(saturation)
+    };
+    let mut rows = Vec::new();
+    let distances = args.distances.as_ref().unwrap_or(&own);
+    for (speed_m_s, point_distance_m) in args.speeds.with(distances) {
+        let basin = at(speed_m_s, point_distance_m)?.basin(servo)?;
         rows.push(BasinRow {
             speed_m_s,
-            point_distance_m: point_distance,
+            point_distance_m,
             yaw_rad: basin.yaw,
             beyond_amplitude_rad: basin.beyond,
         });
@@ -129,7 +133,12 @@ pub(super) fn run_basin(args: &BasinArgs) -> Result<(), StabilityCommandError> {
     match args.format {
         DrawnFormat::Csv => print(&basin_table(&rows).to_csv())?,
         DrawnFormat::Json => write_json(&subject, &rows)?,
-        DrawnFormat::Svg => print(&figures::basin(&rows)?.to_svg())?,
+        DrawnFormat::Svg => {
+            let regains = move |[speed, distance]: [f64; 2], degrees: f64| {
+                at(speed, distance).is_ok_and(|at| at.regains(servo, degrees.to_radians()))
+            };
+            print(&figures::basin(&rows, regains)?.to_svg())?;
+        }
     }
     Ok(())
 }

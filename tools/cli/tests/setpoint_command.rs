@@ -87,6 +87,27 @@ fn a_reference_comes_into_force_with_waypoints_beside_its_file() {
 }
 
 #[test]
+fn a_reference_that_the_car_cannot_drive_comes_into_force_and_is_a_failure() {
+    let fixture = start(None);
+    let file = fixture.folder.path().join("far.toml");
+    let far = "[reference]\nkind = \"circle\"\nradius_m = 0.8\nangular_velocity_rad_s = 0.4\n\
+               centre_m = [9.0, 0.0]\n";
+    fs::write(&file, far).unwrap();
+    let output = singletrack(
+        &["set-reference", file.to_str().unwrap()],
+        &fixture.socket,
+        "",
+    );
+    assert_eq!(output.status.code(), Some(1));
+    let error = text(&output.stderr);
+    assert!(
+        error.starts_with("singletrack: impossible: fence.corners_m is"),
+        "{error}"
+    );
+    assert_eq!(fixture.daemon.configuration().number, 2);
+}
+
+#[test]
 fn a_file_that_is_not_a_reference_is_reported_with_the_reason() {
     let fixture = start(None);
     let file = fixture.folder.path().join("reference.toml");

@@ -416,7 +416,7 @@ impl<'a> Car<'a> {
     }
 }
 
-/// Runs an armed jog, and repeats it if the operator let go.
+/// Runs an armed jog, and repeats it if the operator let go or the daemon lost the board for a moment.
 pub(super) fn armed<T>(
     bench: &mut dyn Bench,
     mut jog: impl FnMut(&mut Car<'_>) -> Result<T, Trouble>,
@@ -428,7 +428,11 @@ pub(super) fn armed<T>(
         let result = result.and_then(|value| car.end().map(|()| value));
         match result {
             Err(Trouble::Ended {
-                cause: StopCause::CommandTimeout | StopCause::JogTimeout | StopCause::Disarmed,
+                cause:
+                    StopCause::CommandTimeout
+                    | StopCause::JogTimeout
+                    | StopCause::Disarmed
+                    | StopCause::HostRestarted,
                 ..
             }) if attempt < ATTEMPTS => attempt += 1,
             result => return result,

@@ -31,6 +31,8 @@ pub(crate) struct MockCar {
     /// Gives up at this question.
     pub(crate) interrupt_at: Option<&'static str>,
     pub(crate) emergency_stops: u32,
+    /// How often the daemon still loses the board while it jogs.
+    pub(crate) losses: u32,
     /// The way of the car, and the fastest wheels, ever.
     pub(crate) way_m: f64,
     pub(crate) fastest_m_s: f64,
@@ -98,6 +100,7 @@ impl MockCar {
             asked: Vec::new(),
             interrupt_at: None,
             emergency_stops: 0,
+            losses: 0,
             way_m: 0.0,
             fastest_m_s: 0.0,
             now_us: 1_000_000,
@@ -610,6 +613,10 @@ impl Bench for MockCar {
     }
 
     fn jog(&mut self, jog: Jog) -> Result<(), Refused> {
+        if self.mode == BoardMode::Jogging && self.losses > 0 {
+            self.losses -= 1;
+            self.fail(StopCause::HostRestarted);
+        }
         if !matches!(self.mode, BoardMode::Armed | BoardMode::Jogging) {
             return Err(Refused("not-armed".into()));
         }

@@ -247,6 +247,19 @@ fn a_stop_switch_without_effect_fails() {
 }
 
 #[test]
+fn a_daemon_that_loses_the_board_for_a_moment_jogs_again_and_one_that_loses_it_always_says_so() {
+    for (losses, passes) in [(2, true), (u32::MAX, false)] {
+        let mut car = MockCar::new(usual(), 1);
+        car.losses = losses;
+        let findings = bring_up_car(&mut car);
+        let text = explain(&findings);
+        let passed = findings.iter().all(|found| found.verdict < Verdict::Failed);
+        assert_eq!(passed, passes, "{text}");
+        assert_eq!(text.contains("board lost: silence"), !passes, "{text}");
+    }
+}
+
+#[test]
 fn an_interrupted_bring_up_goes_on_where_it_was_and_leaves_a_disarmed_car() {
     let mut car = MockCar::new(usual(), 1);
     let mut journal = Memory::default();

@@ -52,6 +52,17 @@ impl ClosedLoop {
             (_, Some(_)) => Err(StabilityError::Servo),
         }
     }
+
+    /// Whether the straight motion is regained from a yaw error, in rad, with the servo of [`basin`](Self::basin).
+    #[must_use]
+    pub fn regains(&self, servo: Option<Servo>, yaw: f64) -> bool {
+        let outcome = match (self.law, servo) {
+            (Law::VelocityPoint, _) => outcome(&VelocityPointField(self), yaw),
+            (Law::FrontPoint, None) => outcome(&FrontPointField(self), yaw),
+            (Law::FrontPoint, Some(servo)) => outcome(&ServoField(self, servo), yaw),
+        };
+        matches!(outcome, Outcome::Regained)
+    }
 }
 
 fn search<const N: usize>(field: &impl VectorField<N>) -> Basin {

@@ -33,7 +33,7 @@ pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
     let limits = limits.filter(|limit| frame.holds_deviation(*limit));
     let mut levels = scene.range_ends();
     levels.extend(limits.map(|value| Level {
-        name: "limit for $v$ → ∞".to_owned(),
+        name: "$v$ → ∞".to_owned(),
         value,
         label: String::new(),
         look: Look::Asymptote,
@@ -42,12 +42,7 @@ pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
         height_mm: 62.0,
         map: Some(Map {
             bands: vec![
-                band(
-                    f64::NEG_INFINITY,
-                    0.0,
-                    Shade::Light,
-                    "asymptotically stable",
-                ),
+                band(f64::NEG_INFINITY, 0.0, Shade::Light, "stable"),
                 band(0.0, f64::INFINITY, Shade::Dark, "unstable"),
             ],
             ..Map::new(largest)
@@ -58,7 +53,7 @@ pub fn region(scene: &Scene, rows: &[RegionRow]) -> Result<Figure, GridError> {
             .branches
             .iter()
             .map(|branch| Callouts {
-                name: "first Lyapunov coefficient $l_1$".to_owned(),
+                name: "$l_1$".to_owned(),
                 points: lyapunov_labels(branch, &frame),
             })
             .collect(),
@@ -264,17 +259,21 @@ pub fn cycles(cycles: &[LimitCycle], hopf: &[HopfPoint], speed: f64) -> Figure {
     }
 }
 
-/// The basin over speed and p.
+/// The basin over speed and p; `regains` says whether a yaw error, in degrees, decays there.
 ///
 /// # Errors
 ///
 /// Fewer than two speeds or distances.
-pub(in super::super) fn basin(rows: &[BasinRow]) -> Result<Figure, GridError> {
+pub(in super::super) fn basin(
+    rows: &[BasinRow],
+    regains: impl Fn([f64; 2], f64) -> bool + 'static,
+) -> Result<Figure, GridError> {
     let grid = grid_of(
         rows,
         |row| [row.speed_m_s, row.point_distance_m],
         |row| row.yaw_rad.to_degrees(),
-    )?;
+    )?
+    .bisected(regains);
     Ok(Figure {
         title: "Basin of the straight motion".to_owned(),
         caption: "Yaw error from which on the car does not regain the straight motion, in \
@@ -286,9 +285,9 @@ pub(in super::super) fn basin(rows: &[BasinRow]) -> Result<Figure, GridError> {
             map: Some(Map {
                 bands: vec![
                     band(f64::NEG_INFINITY, 0.1, Shade::Hatched, "unstable"),
-                    band(0.1, 10.0, Shade::Dark, "below 10°"),
-                    band(10.0, 50.0, Shade::Light, "10 to 50°"),
-                    band(50.0, f64::INFINITY, Shade::Palest, "from 50° on"),
+                    band(0.1, 10.0, Shade::Dark, ""),
+                    band(10.0, 50.0, Shade::Light, ""),
+                    band(50.0, f64::INFINITY, Shade::Palest, ""),
                 ],
                 isolines: margins(&grid, [5.0, 180.0]),
                 isoline_name: "yaw error (°)".to_owned(),

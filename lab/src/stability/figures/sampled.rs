@@ -59,13 +59,12 @@ pub fn sampled(
         timing,
         "Delay margin",
         "Delay from measurement to command from which on the motion is unstable, in ms, with a \
-         pose at every tick: the darker, the less.",
+         pose at every tick: the darker, the less, and hatched where it is unstable without delay.",
         margin_map(
             grid(|row| in_ms(row.delay_margin_s))?,
             0.0,
             1000.0 * limits.delay,
             "delay margin (ms)",
-            "unstable without delay",
         ),
     );
     let interval = figure(
@@ -74,14 +73,14 @@ pub fn sampled(
         "Longest survivable constant marker interval",
         &format!(
             "Time from one pose to the next, again and again, up to which the motion is stable, \
-             in ms, with commands that act {delay_ms} ms late: the darker, the less."
+             in ms, with commands that act {delay_ms} ms late: the darker, the less, and hatched where \
+             it is unstable with a pose at every tick."
         ),
         margin_map(
             grid(|row| in_ms(row.longest_constant_interval_s))?,
             period_ms,
             period_ms * f64::from(limits.marker_interval),
-            "longest constant marker interval (ms)",
-            "unstable with a pose at every tick",
+            "constant marker interval (ms)",
         ),
     );
     Ok([
@@ -139,33 +138,21 @@ const LEAST_MARGIN: f64 = 2.0;
 
 /// A map of a margin in ms: zero is none at all. `step` is that from one margin to the next, zero
 /// for a continuous scale; `limit` is the end of the searched range.
-fn margin_map(margin: Grid, step: f64, limit: f64, name: &str, none: &str) -> Map {
+fn margin_map(margin: Grid, step: f64, limit: f64, name: &str) -> Map {
     let mut isolines = margins(&margin, [LEAST_MARGIN.max(step), limit]);
     for isoline in &mut isolines {
         // Halfway between a step and the one before.
         isoline.value -= 0.5 * step;
     }
-    let third = |part: usize| {
-        let isoline = isolines.get(part * isolines.len() / 3)?;
-        Some((isoline.value, isoline.label.clone()))
-    };
+    let third = |part: usize| Some(isolines.get(part * isolines.len() / 3)?.value);
     let least = f64::MIN_POSITIVE.max(0.5 * step);
-    let mut bands = vec![band(f64::NEG_INFINITY, least, Shade::Hatched, none)];
+    let mut bands = vec![band(f64::NEG_INFINITY, least, Shade::Hatched, "unstable")];
     match (third(1), third(2)) {
-        (Some((low, low_text)), Some((high, high_text))) if low < high => bands.extend([
-            band(least, low, Shade::Dark, &format!("below {low_text} ms")),
-            band(
-                low,
-                high,
-                Shade::Light,
-                &format!("{low_text} to {high_text} ms"),
-            ),
-            band(
-                high,
-                f64::INFINITY,
-                Shade::Palest,
-                &format!("from {high_text} ms on"),
-            ),
+        // The numbers in the lines say where one shade ends.
+        (Some(low), Some(high)) if low < high => bands.extend([
+            band(least, low, Shade::Dark, ""),
+            band(low, high, Shade::Light, ""),
+            band(high, f64::INFINITY, Shade::Palest, ""),
         ]),
         _ => bands.push(band(least, f64::INFINITY, Shade::Light, "stable")),
     }

@@ -35,18 +35,25 @@ struct File {
 ///
 /// # Errors
 ///
-/// The file is not a reference, or the daemon refuses it.
+/// The file is not a reference, the daemon refuses it, or the car can't drive it from where it stands.
 pub fn run(args: &SetReferenceArgs) -> Result<(), Box<dyn Error>> {
     let reference = read_reference(&args.file)?;
     let request = Request::SetReference { reference };
     let answer = ask(&request, &args.control.socket)?;
-    for warning in answer.warnings {
+    let is_impossible = |finding: &String| finding.starts_with("impossible: ");
+    let (impossible, warnings): (Vec<_>, Vec<_>) =
+        answer.warnings.into_iter().partition(is_impossible);
+    for warning in warnings {
         eprintln!("singletrack: warning: {warning}");
     }
     let number = answer.configuration.unwrap_or_default();
-    Ok(control::print(&format!(
+    control::print(&format!(
         "reference replaced: configuration {number} is in force"
-    ))?)
+    ))?;
+    if impossible.is_empty() {
+        return Ok(());
+    }
+    Err(impossible.join("; ").into())
 }
 
 /// The longest reference that is sent in a line of 16,384 bytes.

@@ -9,8 +9,12 @@ const BLANK: f64 = -1e300;
 /// Stands for infinity, since between two infinities there is no place.
 const FAR: f64 = 1e290;
 
+/// Halvings of the way between two neighbours: to less than can be seen.
+const HALVINGS: u32 = 6;
+
 /// A grid on the page.
 pub(super) struct Sheet {
+    grid: Grid,
     /// Where its columns and rows are, in mm.
     x: Vec<f64>,
     y: Vec<f64>,
@@ -39,6 +43,7 @@ impl Sheet {
             x: grid.x().iter().map(|value| x.at(*value)).collect(),
             y: grid.y().iter().map(|value| y.at(*value)).collect(),
             values: grid.values().iter().map(finite).collect(),
+            grid: grid.clone(),
         }
     }
 
@@ -101,30 +106,53 @@ impl Sheet {
         };
         match ends {
             [Some((from, low)), Some((to, high))] => {
-                let part = (threshold - low) / (high - low);
+                let ends = [from, to].map(|node| self.place(node));
+                let part = match &self.grid.is_reached {
+                    None => (threshold - low) / (high - low),
+                    Some(is_reached) => {
+                        let ends = [from, to].map(|[x, y]| [self.grid.x()[x], self.grid.y()[y]]);
+                        let reached = |part| is_reached(between(ends, part), threshold);
+                        halved(|part| reached(part) == (high < threshold))
+                    }
+                };
+                let place = between(ends, part);
                 Some(Crossing {
-                    place: between([from, to], part),
+                    place,
                     reached: true,
                 })
             }
-            [Some((place, _)), None] | [None, Some((place, _))] => Some(Crossing {
-                place,
+            [Some((node, _)), None] | [None, Some((node, _))] => Some(Crossing {
+                place: self.place(node),
                 reached: false,
             }),
             [None, None] => None,
         }
     }
 
-    /// Place and value at a column and a row, if there are any.
-    fn node(&self, column: f64, row: f64) -> Option<([f64; 2], f64)> {
-        if column < 0.0 || row < 0.0 {
+    /// Where a node is on the page.
+    fn place(&self, [column, row]: [usize; 2]) -> [f64; 2] {
+        [self.x[column], self.y[row]]
+    }
+
+    /// Column, row and value of a node, if there is one.
+    fn node(&self, column: f64, row: f64) -> Option<([usize; 2], f64)> {
+        if column < 0.0 || row < 0.0 || column >= self.x.len() as f64 {
             return None;
         }
         let (column, row) = (column as usize, row as usize);
-        let place = [*self.x.get(column)?, *self.y.get(row)?];
         let value = *self.values.get(row * self.x.len() + column)?;
-        (value > BLANK).then_some((place, value))
+        (value > BLANK).then_some(([column, row], value))
     }
+}
+
+/// Where, from 0 to 1, something ends that begins at 0.
+fn halved(goes_on: impl Fn(f64) -> bool) -> f64 {
+    let mut ends = [0.0, 1.0];
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (ends[0] + ends[1]);
+        ends[usize::from(!goes_on(middle))] = middle;
+    }
+    0.5 * (ends[0] + ends[1])
 }
 
 /// Distance from line to line, in mm.
@@ -252,6 +280,20 @@ mod tests {
         assert!(sheet.lines(1.0).is_empty());
         let line = &sheet.lines(3.25)[0];
         assert!(line.iter().all(|[x, _]| (x - 3.25).abs() < 1e-12));
+    }
+
+    #[test]
+    fn a_jump_is_where_it_is_and_not_where_its_neighbours_make_it() {
+        let hill = |x: f64, y: f64| if x + y < 2.6 { 60.0 } else { 0.0 };
+        let mut sheet = sheet(hill);
+        sheet.grid = sheet
+            .grid
+            .bisected(move |[x, y], value| hill(x, y) >= value);
+        for value in [0.1, 10.0] {
+            for [x, y] in &sheet.lines(value)[0] {
+                assert!((x + y - 2.6).abs() < 0.005, "{x} {y}");
+            }
+        }
     }
 
     #[test]

@@ -1,15 +1,28 @@
 //! A quantity over two others: shaded by bands of its values, with lines of equal value.
 
+use std::{fmt, sync::Arc};
+
 use singletrack_words::words;
 
 use super::page::Column;
 
 /// A quantity at the crossings of a rectangular grid.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Grid {
     x: Column,
     y: Column,
     values: Column,
+    pub(super) is_reached: Option<IsReached>,
+}
+
+/// Whether a place has a value or more.
+pub(super) type IsReached = Arc<dyn Fn([f64; 2], f64) -> bool>;
+
+impl fmt::Debug for Grid {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { x, y, values, .. } = self;
+        (x, y, values).fmt(formatter)
+    }
 }
 
 /// Why numbers are not a grid.
@@ -65,7 +78,22 @@ impl Grid {
                 count: values.len(),
             });
         }
-        Ok(Self { x, y, values })
+        Ok(Self {
+            x,
+            y,
+            values,
+            is_reached: None,
+        })
+    }
+
+    /// Has lines and shades end between neighbours where the place, by this, no longer has the value or more,
+    /// for a quantity that jumps.
+    #[must_use]
+    pub fn bisected(self, is_reached: impl Fn([f64; 2], f64) -> bool + 'static) -> Self {
+        Self {
+            is_reached: Some(Arc::new(is_reached)),
+            ..self
+        }
     }
 
     /// The values of a function of `x` and `y`.

@@ -29,11 +29,11 @@ pub(super) const INK: &str = "#1a1a1a";
 /// A value of the vertical axis that matters, drawn across the panel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Level {
-    /// What it is, for the legend. Both ends of a range have the same name.
+    /// What it is. Both ends of a range have the same name.
     pub name: String,
     /// Where.
     pub value: f64,
-    /// What is written beside it; may be empty.
+    /// What is written beside it. Without it the name is in the legend.
     pub label: String,
     /// How it looks.
     pub look: Look,
@@ -165,7 +165,7 @@ pub(super) fn entries(figure: &Figure) -> Vec<Entry> {
         }
     }
     for panel in &figure.panels {
-        for level in &panel.levels {
+        for level in panel.levels.iter().filter(|level| level.label.is_empty()) {
             add(Key::Line(level.look), &level.name);
         }
         for callouts in panel.callouts.iter().filter(|all| !all.points.is_empty()) {
@@ -195,27 +195,49 @@ pub(super) fn entries(figure: &Figure) -> Vec<Entry> {
 
 /// Width of a key and of the gaps around it, in mm.
 pub(super) const KEY_WIDTH: f64 = 4.6;
+const MARK_WIDTH: f64 = 2.6;
 const KEY_GAP: f64 = 1.0;
 const ENTRY_GAP: f64 = 2.4;
+/// The least gap between entries that all fit in one row. Texts are narrower than they are taken for.
+const LEAST_ENTRY_GAP: f64 = 0.5;
 /// Height of a row, in mm.
 pub(super) const ROW_HEIGHT: f64 = 3.8;
 
+impl Key {
+    /// How wide it is, in mm.
+    pub(super) const fn width(self) -> f64 {
+        match self {
+            Self::Mark(_) => MARK_WIDTH,
+            _ => KEY_WIDTH,
+        }
+    }
+
+    /// Where the text of an entry begins, from its left edge.
+    pub(super) const fn text_offset(self) -> f64 {
+        self.width() + KEY_GAP
+    }
+}
+
 /// Where the entries go within `width`: left edge and row of each.
 pub(super) fn places(entries: &[Entry], width: f64) -> Vec<(f64, usize)> {
+    let own = |entry: &Entry| entry.key.text_offset() + typeset::width(&entry.name);
+    let rest = width - entries.iter().map(own).sum::<f64>();
+    let in_a_row = rest / entries.len().saturating_sub(1).max(1) as f64;
+    let gap = match in_a_row {
+        LEAST_ENTRY_GAP..ENTRY_GAP => in_a_row,
+        _ => ENTRY_GAP,
+    };
     let (mut left, mut row) = (0.0, 0);
     entries
         .iter()
         .map(|entry| {
-            let own = KEY_WIDTH + KEY_GAP + typeset::width(&entry.name);
-            if left > 0.0 && left + own > width {
+            let own = own(entry);
+            if left > 0.0 && left + own > width + 1e-9 {
                 (left, row) = (0.0, row + 1);
             }
             let place = (left, row);
-            left += own + ENTRY_GAP;
+            left += own + gap;
             place
         })
         .collect()
 }
-
-/// Where the text of an entry begins, from its left edge.
-pub(super) const TEXT_OFFSET: f64 = KEY_WIDTH + KEY_GAP;

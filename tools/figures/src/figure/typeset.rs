@@ -74,17 +74,17 @@ pub(super) fn broken(name: &str, room: f64) -> Vec<String> {
     lines
 }
 
-/// The text as the content of an SVG text element.
-pub(super) fn content(text: &str) -> String {
+/// The text as the content of an SVG text element of this size, in mm.
+pub(super) fn content(text: &str, size: f64) -> String {
     let parts = parts(text).into_iter().map(|part| match part {
         Part::Plain(text) => escaped(text),
-        Part::Symbol { letter, below } => symbol(letter, below, TEXT_SIZE),
+        Part::Symbol { letter, below } => symbol(letter, below, size),
     });
     parts.collect()
 }
 
 /// A letter in italics and what stands below it, upright; `size` is that of the text around it, in mm.
-pub(super) fn symbol(letter: &str, below: &str, size: f64) -> String {
+fn symbol(letter: &str, below: &str, size: f64) -> String {
     let letter = format!(r#"<tspan font-style="italic">{}</tspan>"#, escaped(letter));
     if below.is_empty() {
         return letter;
@@ -135,8 +135,8 @@ mod tests {
 
     #[test]
     fn symbols_are_set_and_the_rest_is_as_it_was() {
-        assert_eq!(content("markers lost"), "markers lost");
-        let set = content("−$l_f$ & more");
+        assert_eq!(content("markers lost", TEXT_SIZE), "markers lost");
+        let set = content("−$l_f$ & more", TEXT_SIZE);
         let letter = r#"−<tspan font-style="italic">l</tspan><tspan font-size="1.73" dy="0.7">f<"#;
         assert!(set.starts_with(letter), "{set}");
         assert!(set.ends_with("</tspan> &amp; more"), "{set}");
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_single_dollar_is_a_dollar() {
-        assert_eq!(content("5 $"), "5 $");
+        assert_eq!(content("5 $", TEXT_SIZE), "5 $");
         assert_eq!(plain("$a$ costs 5 $"), "a costs 5 $");
     }
 

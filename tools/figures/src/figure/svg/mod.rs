@@ -12,7 +12,7 @@ use std::fmt::{self, Write as _};
 
 use self::{
     area::{Area, areas, widest},
-    write::{line, number, pen, rectangle, text, through, title},
+    write::{line, number, pen, rectangle, text, through, title, turned},
 };
 use super::{
     Axis, Curve, Figure, Mark, Panel, Rule, Symbol,
@@ -160,13 +160,11 @@ fn draw_panel(svg: &mut String, panel: &Panel, area: &Area) -> fmt::Result {
         text(svg, [left - TICK_GAP, y + 0.85], "end", label)?;
     }
     if panel.names.is_empty() {
-        let [x, y] = [0.5 * (left + right), bottom + 7.8].map(number);
-        axis_name(svg, &panel.x, &format!(r#"x="{x}" y="{y}""#))?;
+        axis_name(svg, &panel.x, [0.5 * (left + right), bottom + 7.8], 0.0)?;
     }
     let widest = widest(&area.y_ticks);
-    let [x, y] = [left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom)].map(number);
-    let place = format!(r#"transform="translate({x} {y}) rotate(-90)""#);
-    axis_name(svg, &panel.y, &place)?;
+    let place = [left - TICK_GAP - widest - 1.4, 0.5 * (top + bottom)];
+    axis_name(svg, &panel.y, place, -90.0)?;
     annotate::draw_labels(svg, &labels)?;
     writeln!(svg, "</g>")
 }
@@ -258,10 +256,11 @@ fn draw_rule(svg: &mut String, rule: &Rule, index: usize, area: &Area) -> fmt::R
     } else {
         (x + 0.8, "start")
     };
-    // Over the bars it has a rim in the colour of the paper.
-    svg.push_str(r##"<g class="rim" stroke="#ffffff" stroke-width="0.8" paint-order="stroke">"##);
+    // Over the bars it has a rim in the colour of the paper, beneath it in every renderer.
+    svg.push_str(r##"<g class="rim" stroke="#ffffff" stroke-width="0.8">"##);
     text(svg, [x, y], anchor, &rule.name)?;
-    writeln!(svg, "</g>")
+    svg.push_str("</g>\n");
+    text(svg, [x, y], anchor, &rule.name)
 }
 
 fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
@@ -276,7 +275,7 @@ fn draw_mark(svg: &mut String, mark: &Mark, area: &Area) -> fmt::Result {
 }
 
 fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::Result {
-    let right = left + page::KEY_WIDTH;
+    let right = left + entry.key.width();
     let centre = [0.5 * (left + right), middle];
     match entry.key {
         Key::Line(look) => {
@@ -296,24 +295,28 @@ fn draw_entry(svg: &mut String, entry: &Entry, left: f64, middle: f64) -> fmt::R
             write::mark(svg, kind, centre, "")?;
         }
     }
-    let place = [left + page::TEXT_OFFSET, middle + 0.85];
+    let place = [left + entry.key.text_offset(), middle + 0.85];
     text(svg, place, "start", &entry.name)
 }
 
-/// Name, symbol and unit of an axis, at `place`.
-fn axis_name(svg: &mut String, axis: &Axis, place: &str) -> fmt::Result {
-    let mut name = escaped(axis.quantity);
-    if let Some(Symbol { letter, below }) = axis.symbol {
-        if !name.is_empty() {
-            name.push(' ');
-        }
-        name += &typeset::symbol(letter, below, NAME_SIZE);
-    }
-    if !axis.unit.is_empty() {
-        name += &format!(" ({})", escaped(axis.unit));
-    }
-    writeln!(
+/// Name, symbol and unit of an axis, around a place.
+fn axis_name(svg: &mut String, axis: &Axis, place: [f64; 2], degrees: f64) -> fmt::Result {
+    let symbol = axis.symbol.map(|Symbol { letter, below }| match below {
+        "" => format!("${letter}$"),
+        below => format!("${letter}_{below}$"),
+    });
+    let unit = (!axis.unit.is_empty()).then(|| format!("({})", axis.unit));
+    let parts = [Some(axis.quantity.to_owned()), symbol, unit];
+    let parts: Vec<String> = parts
+        .into_iter()
+        .flatten()
+        .filter(|part| !part.is_empty())
+        .collect();
+    turned(
         svg,
-        r#"<text class="ink" fill="{INK}" font-size="{NAME_SIZE}" text-anchor="middle" {place}>{name}</text>"#
+        "ink",
+        (place, degrees),
+        0.0,
+        (&parts.join(" "), NAME_SIZE),
     )
 }

@@ -13,8 +13,12 @@ const PAPER: &str = "#ffffff";
 const ROUND: &str = r#"linecap="round""#;
 
 /// A text in the small size, from, around or up to a place on its base line.
-pub(super) fn text(svg: &mut String, place: [f64; 2], anchor: &str, content: &str) -> fmt::Result {
-    let ([x, y], content) = (place.map(number), typeset::content(content));
+pub(super) fn text(svg: &mut String, place: [f64; 2], anchor: &str, text: &str) -> fmt::Result {
+    let (x, anchor) = match anchor {
+        "middle" => centred(place[0], text, TEXT_SIZE),
+        other => (place[0], other),
+    };
+    let ([x, y], content) = ([x, place[1]].map(number), typeset::content(text, TEXT_SIZE));
     writeln!(
         svg,
         r#"<text class="ink" fill="{INK}" text-anchor="{anchor}" x="{x}" y="{y}">{content}</text>"#
@@ -22,17 +26,40 @@ pub(super) fn text(svg: &mut String, place: [f64; 2], anchor: &str, content: &st
 }
 
 /// A text in the middle of its slot.
-pub(super) fn label(svg: &mut String, slot: &Slot, content: &str) -> fmt::Result {
-    let ([x, y], content) = (slot.centre.map(number), typeset::content(content));
+pub(super) fn label(svg: &mut String, slot: &Slot, text: &str) -> fmt::Result {
+    let turn = (slot.centre, slot.angle.to_degrees());
+    turned(svg, "ink label", turn, 0.35 * TEXT_SIZE, (text, TEXT_SIZE))
+}
+
+/// A text with its size, around a place and turned there by an angle in degrees; its base line is `below`.
+pub(super) fn turned(
+    svg: &mut String,
+    class: &str,
+    ([x, y], degrees): ([f64; 2], f64),
+    below: f64,
+    (text, size): (&str, f64),
+) -> fmt::Result {
+    let ([x, y], below) = ([x, y].map(number), number(below));
     let mut transform = format!("translate({x} {y})");
-    if slot.angle != 0.0 {
-        transform += &format!(" rotate({})", number(slot.angle.to_degrees()));
+    if degrees != 0.0 {
+        transform += &format!(" rotate({})", number(degrees));
     }
-    let y = number(0.35 * TEXT_SIZE);
+    let (start, anchor) = centred(0.0, text, size);
+    let (start, content) = (number(start), typeset::content(text, size));
     writeln!(
         svg,
-        r#"<text class="ink label" fill="{INK}" text-anchor="middle" transform="{transform}" y="{y}">{content}</text>"#
+        r#"<text class="{class}" fill="{INK}" font-size="{size}" text-anchor="{anchor}" transform="{transform}" x="{start}" y="{below}">{content}</text>"#
     )
+}
+
+/// Where a text around `x` begins, and how it is anchored. One with symbols begins where its estimated
+/// width says: some renderers centre each of its parts by itself.
+fn centred(x: f64, text: &str, size: f64) -> (f64, &'static str) {
+    if typeset::content(text, size).contains('<') {
+        (x - 0.46 * typeset::width(text) * size / TEXT_SIZE, "start")
+    } else {
+        (x, "middle")
+    }
 }
 
 pub(super) fn line(

@@ -35,9 +35,11 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
     let frames = Frames::of(drive).ok_or("no tick knows where the car was")?;
     let view = View::around(&frames.all_places(), &scene);
     let seconds = number(frames.duration);
+    // Opens a group. What does not move it shows it where the drive ended.
     let animate = |kind: &str, values: Vec<String>| {
         format!(
-            r#"<animateTransform attributeName="transform" type="{kind}" dur="{seconds}s" repeatCount="indefinite" values="{}"/>"#,
+            r#"<g transform="{kind}({})"><animateTransform attributeName="transform" type="{kind}" dur="{seconds}s" repeatCount="indefinite" values="{}"/>"#,
+            values.last().map_or("0", String::as_str),
             values.join(";")
         )
     };
@@ -53,7 +55,7 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
         Some(places) => (
             format!(r#"<path class="reference-path" d="{}"/>"#, through(places)),
             format!(
-                r#"<g>{}<circle class="reference" r="{}"/></g>"#,
+                r#"{}<circle class="reference" r="{}"/></g>"#,
                 translation(places),
                 number(0.11 * scene.length)
             ),
@@ -100,7 +102,7 @@ pub(super) fn animation(drive: &Drive, configuration: &str) -> Result<String, &'
             (
                 "car",
                 format!(
-                    "<g>{}<g>{}{}</g></g>",
+                    "{}{}{}</g></g>",
                     translation(&frames.car),
                     rotation(&frames.yaw),
                     scene.car(&rotation(&frames.steering))

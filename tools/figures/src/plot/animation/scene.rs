@@ -51,8 +51,8 @@ impl Scene {
         )
     }
 
-    /// The car with its centre of mass at the origin, its front to the right; `steering` turns
-    /// what turns with the front wheels.
+    /// The car with its centre of mass at the origin, its front to the right; `steering` opens a group that
+    /// turns with the front wheels.
     pub(super) fn car(&self, steering: &str) -> String {
         let Self {
             length,
@@ -86,7 +86,7 @@ impl Scene {
             car.push_str(&tyre_at(-rear_axle, y));
             let _ = write!(
                 car,
-                r#"<g transform="translate({} {})"><g>{steering}{}</g></g>"#,
+                r#"<g transform="translate({} {})">{steering}{}</g></g>"#,
                 number(front_axle),
                 number(y),
                 tyre_at(0.0, 0.0)
@@ -94,7 +94,7 @@ impl Scene {
         }
         let _ = write!(
             car,
-            r#"<g transform="translate({} 0)"><g>{steering}<path class="arm" d="M0 0h{}"/><circle class="point" cx="{}" r="{}"/></g></g>"#,
+            r#"<g transform="translate({} 0)">{steering}<path class="arm" d="M0 0h{}"/><circle class="point" cx="{}" r="{}"/></g></g>"#,
             number(front_axle),
             number(point),
             number(point),

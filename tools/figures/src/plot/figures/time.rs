@@ -46,7 +46,7 @@ fn truth(drive: &Drive, value: impl Fn(&TruthSample) -> f64) -> Curve {
 
 fn true_curve(drive: &Drive, values: Column) -> Curve {
     let time = drive.truth_column(|sample| sample.time);
-    Curve::new("true (simulation)", Look::Truth, &time, values)
+    Curve::new("true", Look::Truth, &time, values)
 }
 
 pub(super) fn commanded_velocity(drive: &Drive) -> Figure {
@@ -243,7 +243,7 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         lost(drive),
         over(&time, "nominal", Look::Nominal, &nominal),
         over(&time, "actual", Look::Actual, &actual),
-        over(&true_time, "true (simulation)", Look::Truth, &truth),
+        over(&true_time, "true", Look::Truth, &truth),
     ];
     let seen = || {
         drive
