@@ -109,7 +109,7 @@ fn judged_with(log: &str, map: &str) -> Verdict {
     let file = folder.path().join("map.toml");
     fs::write(&csv, log).unwrap();
     fs::write(&file, map).unwrap();
-    import(&csv, &file, &record, |_, _| {}).unwrap();
+    import(&[&csv], &file, &record, |_, _| {}).unwrap();
     let (verdict, figure) = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap();
     assert!(figure.to_svg().ends_with("</svg>\n"));
     verdict
@@ -251,7 +251,7 @@ fn slower_cameras_give_fewer_poses_and_are_judged_against_all() {
     fs::write(file("log.csv"), log(7, &|_, _| {})).unwrap();
     fs::write(file("map.toml"), dart_map()).unwrap();
     let record = file("log.mcap");
-    import(&file("log.csv"), &file("map.toml"), &record, |_, _| {}).unwrap();
+    import(&[file("log.csv")], &file("map.toml"), &record, |_, _| {}).unwrap();
     let judged = |cameras_hz| {
         let part = Part {
             cameras_hz,
@@ -316,7 +316,7 @@ fn a_record_without_frames_says_what_is_missing() {
                 [motor]\nspeed = \"v\"\n[steering]\ncolumn = \"s\"\nradians_per_unit = 0.5\n";
     fs::write(&map, text).unwrap();
     let record = folder.path().join("log.mcap");
-    import(&csv, &map, &record, |_, _| {}).unwrap();
+    import(&[&csv], &map, &record, |_, _| {}).unwrap();
     let error = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap_err();
     assert!(matches!(error, JudgeError::Empty { .. }), "{error}");
     assert!(
