@@ -231,6 +231,24 @@ fn a_wrong_sign_or_scale_of_a_sensor_is_named_with_its_fix() {
 }
 
 #[test]
+fn how_far_a_path_bends_otherwise_than_steered_is_measured() {
+    let log = log(7, &|_, _| {});
+    let map = dart_map();
+    let (before, _) = map.split_once("[steering]").unwrap();
+    // The circle has a radius of 1.3 m; the wheels of this command would bend by 0.3 1/m more.
+    let radians = (dart().vehicle.wheelbase_m() * (1.0 / 1.3 + 0.3)).atan() / 0.28;
+    let map = format!("{before}[steering]\ncolumn = \"steering\"\nradians_per_unit = {radians}\n");
+    let bends = judged_with(&log, &map).bends.unwrap();
+    assert!(
+        (0.25..0.4).contains(&bends.curvature_error_per_m),
+        "{bends:?}"
+    );
+    // It is a gentle bend.
+    assert_eq!(bends.curvature_error_per_m_per_m_s2, None);
+    assert!((1.3..1.8).contains(&bends.lateral_m_s2), "{bends:?}");
+}
+
+#[test]
 fn cameras_of_20_hz_are_judged() {
     let log = log(7, &|_, _| {});
     let rows = log.lines().enumerate();
