@@ -163,7 +163,7 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult, Box
         // Standard error may be closed.
         let _ = writeln!(io::stderr().lock(), "singletrack: {}, {name}", car.name);
         let made = records.path().join(format!("{name}.mcap"));
-        import(file, &map, &made, |_, _| {})?;
+        import(&[file], &map, &made, |_, _| {})?;
         let (verdict, _) = judge(&made, &config, WHOLE, |_, _| {})?;
         logs.push(LogResult {
             log: name.clone(),

@@ -483,7 +483,7 @@ mod thorough {
         let record = |name: &str, log: &str| {
             let csv = write(&format!("{name}.csv"), log);
             let path = folder.path().join(format!("{name}.mcap"));
-            import(&csv, &map, &path, |_, _| {}).unwrap();
+            import(&[&csv], &map, &path, |_, _| {}).unwrap();
             path
         };
         let [first, second, other] = [("first", 0.0), ("second", 1.0), ("other", 2.0)]

@@ -109,7 +109,7 @@ fn judged_with(log: &str, map: &str) -> Verdict {
     let file = folder.path().join("map.toml");
     fs::write(&csv, log).unwrap();
     fs::write(&file, map).unwrap();
-    import(&csv, &file, &record, |_, _| {}).unwrap();
+    import(&[&csv], &file, &record, |_, _| {}).unwrap();
     let (verdict, figure) = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap();
     assert!(figure.to_svg().ends_with("</svg>\n"));
     verdict
@@ -231,6 +231,24 @@ fn a_wrong_sign_or_scale_of_a_sensor_is_named_with_its_fix() {
 }
 
 #[test]
+fn how_far_a_path_bends_otherwise_than_steered_is_measured() {
+    let log = log(7, &|_, _| {});
+    let map = dart_map();
+    let (before, _) = map.split_once("[steering]").unwrap();
+    // The circle has a radius of 1.3 m; the wheels of this command would bend by 0.3 1/m more.
+    let radians = (dart().vehicle.wheelbase_m() * (1.0 / 1.3 + 0.3)).atan() / 0.28;
+    let map = format!("{before}[steering]\ncolumn = \"steering\"\nradians_per_unit = {radians}\n");
+    let bends = judged_with(&log, &map).bends.unwrap();
+    assert!(
+        (0.25..0.4).contains(&bends.curvature_error_per_m),
+        "{bends:?}"
+    );
+    // It is a gentle bend.
+    assert_eq!(bends.curvature_error_per_m_per_m_s2, None);
+    assert!((1.3..1.8).contains(&bends.lateral_m_s2), "{bends:?}");
+}
+
+#[test]
 fn cameras_of_20_hz_are_judged() {
     let log = log(7, &|_, _| {});
     let rows = log.lines().enumerate();
@@ -251,7 +269,7 @@ fn slower_cameras_give_fewer_poses_and_are_judged_against_all() {
     fs::write(file("log.csv"), log(7, &|_, _| {})).unwrap();
     fs::write(file("map.toml"), dart_map()).unwrap();
     let record = file("log.mcap");
-    import(&file("log.csv"), &file("map.toml"), &record, |_, _| {}).unwrap();
+    import(&[file("log.csv")], &file("map.toml"), &record, |_, _| {}).unwrap();
     let judged = |cameras_hz| {
         let part = Part {
             cameras_hz,
@@ -316,7 +334,7 @@ fn a_record_without_frames_says_what_is_missing() {
                 [motor]\nspeed = \"v\"\n[steering]\ncolumn = \"s\"\nradians_per_unit = 0.5\n";
     fs::write(&map, text).unwrap();
     let record = folder.path().join("log.mcap");
-    import(&csv, &map, &record, |_, _| {}).unwrap();
+    import(&[&csv], &map, &record, |_, _| {}).unwrap();
     let error = judge(&record, &dart(), WHOLE, |_, _| {}).unwrap_err();
     assert!(matches!(error, JudgeError::Empty { .. }), "{error}");
     assert!(

@@ -83,7 +83,7 @@ fn nothing_stops_the_clean_logs_of_a_real_car_and_their_estimates_are_honest() {
         let file = path.file_name().unwrap().to_string_lossy().into_owned();
         let record = records.path().join(format!("{file}.mcap"));
         import(
-            &path,
+            &[&path],
             &in_repository("tools/real/dart-map.toml"),
             &record,
             |_, _| {},

@@ -57,6 +57,7 @@ fn config(area: ConvexArea) -> SafetyConfig {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        curvature_error_growth: 0.0,
         speed_error: 0.02,
         max_speed: 1.4,
         max_lateral_acceleration: 1.2,

@@ -6,9 +6,9 @@ use std::{collections::VecDeque, f64::consts::TAU};
 
 use proptest::prelude::*;
 use singletrack_control::{
-    Circle, ConvexArea, Estimate, Filtered, FrontPointLaw, LimitedLaw, Limits, Position,
-    ProportionalLoop, Reference, RelaxedSingleTrack, SafetyConfig, SafetyFilter, SafetyInput,
-    SingleTrackState, Time, VehicleParameters, Velocity, direction,
+    Circle, ConvexArea, Estimate, Filtered, FrontPointLaw, GENTLE_BEND, GRAVITY, LimitedLaw,
+    Limits, Position, ProportionalLoop, Reference, RelaxedSingleTrack, SafetyConfig, SafetyFilter,
+    SafetyInput, SingleTrackState, Time, VehicleParameters, Velocity, direction,
 };
 
 pub(crate) const PERIOD: f64 = 0.01;
@@ -34,6 +34,7 @@ pub(crate) fn config(area: ConvexArea) -> SafetyConfig {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        curvature_error_growth: 0.0,
         speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,
@@ -145,7 +146,11 @@ fn drive(
 ) -> Drive {
     let mut law = LimitedLaw::new(
         FrontPointLaw::new(WHEELBASE - L_R, 0.35, WHEELBASE).unwrap(),
-        limits(),
+        Limits {
+            max_speed: config.max_speed,
+            max_lateral_acceleration: config.max_lateral_acceleration,
+            ..limits()
+        },
     );
     let mut filter = SafetyFilter::new(config.clone()).unwrap();
     filter.reset(0.0);
@@ -511,6 +516,35 @@ proptest! {
         prop_assert_eq!(drive.bent, 0, "{:?}", drive);
     }
 
+    /// Tyres that hold more slip more: what is right up to a gentle bend is not beyond.
+    #[test]
+    fn no_outer_loop_drives_a_car_with_grip_out_of_its_area(
+        attack in attacks(),
+        (x, y, yaw) in (-0.6..0.6, -0.6..0.6, -3.2..3.2),
+        (width, height) in (1.8..3.6, 1.8..3.6),
+    ) {
+        let area = rectangle(width, height);
+        let vehicle = VehicleParameters {
+            friction: 0.6,
+            ..VehicleParameters::paper()
+        };
+        let config = SafetyConfig {
+            curvature_error: 0.4,
+            curvature_error_growth: 0.3,
+            max_speed: 2.2,
+            max_lateral_acceleration: vehicle.friction * GRAVITY,
+            ..config(area.clone())
+        };
+        let mut car = Car {
+            tyres: Some(RelaxedSingleTrack::new(vehicle)),
+            ..Car::standing(Position::new(x, y), yaw)
+        };
+        let drive = drive(&mut car, &config, 1500, attack.on(area));
+        prop_assert!(drive.clearance >= 0.0, "{drive:?}");
+        // The pilot ends a drive after 20.
+        prop_assert!(drive.bent <= 10, "{drive:?}");
+    }
+
     /// Tyres slip: the curvature is another one than the steering's, by what the filter allows.
     #[test]
     fn no_outer_loop_drives_a_car_with_tyres_out_of_its_area(
@@ -563,6 +597,42 @@ fn a_path_bends_as_assumed_within_the_error_beyond_the_angles_on_their_way() {
     // A wave of 0.05 rad adds 0.19 1/m at the right end.
     assert!(bends(-0.28, 0.5, 0.05));
     assert!(!bends(-0.30, 0.5, 0.05));
+}
+
+#[test]
+fn the_error_of_the_curvature_grows_beyond_a_gentle_bend_and_up_to_the_grip() {
+    let config = SafetyConfig {
+        curvature_error_growth: 0.2,
+        max_lateral_acceleration: 6.0,
+        ..config(rectangle(9.0, 9.0))
+    };
+    let mut filter = SafetyFilter::new(config).unwrap();
+    filter.reset(0.2);
+    for _ in 0..30 {
+        filter.observe(1.0, 0.2, BRAKING, PERIOD);
+    }
+    let curvature = 0.2_f64.tan() / WHEELBASE;
+    let bends = |beyond: f64, speed: f64| {
+        let estimate = Estimate {
+            yaw_rate: (curvature + beyond) * speed,
+            speed,
+            ..Car::standing(Position::origin(), 0.0).estimate(Time(0), Velocity::zeros())
+        };
+        filter.bends_as_assumed(&estimate, 0.0)
+    };
+    for (lateral, error) in [
+        (1.0, 0.1),
+        (GENTLE_BEND, 0.1),
+        (GENTLE_BEND + 2.0, 0.5),
+        (6.0, 0.1 + 0.2 * (6.0 - GENTLE_BEND)),
+        (9.0, 0.1 + 0.2 * (6.0 - GENTLE_BEND)),
+    ] {
+        let speed = (lateral / curvature).sqrt();
+        for sign in [1.0, -1.0] {
+            assert!(bends(sign * (error - 1e-6), speed), "{lateral}");
+            assert!(!bends(sign * (error + 1e-6), speed), "{lateral}");
+        }
+    }
 }
 
 #[test]

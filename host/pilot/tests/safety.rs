@@ -36,6 +36,7 @@ fn safety() -> SafetyConfig {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        curvature_error_growth: 0.0,
         speed_error: 0.05,
         max_speed: config().limits.max_speed,
         max_lateral_acceleration: 2.45,

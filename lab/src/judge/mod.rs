@@ -4,6 +4,7 @@
 //! supervisor see what they would have seen. Its estimate is held against the cameras, smoothed
 //! with what came after.
 
+mod bends;
 mod figure;
 mod run;
 mod score;
@@ -22,6 +23,7 @@ use singletrack_core::{Config, ConfigError};
 use singletrack_figures::{figure::Figure, output::print};
 use singletrack_record::{Reader, RecordError};
 
+pub use bends::Bends;
 pub use run::Stop;
 pub use score::Noise;
 pub use score::Verdict;
@@ -169,7 +171,8 @@ pub fn judge(
     let limits = config.motion_capture.session()?.limits;
     let ticks = log.ticks.len();
     let run = run::run(&log, pilot, limits, |tick| progress(tick, ticks));
-    Ok((Verdict::of(&log, &run, &estimator), figure::of(&run)))
+    let bends = Bends::of(&log, &run, config);
+    Ok((Verdict::of(&log, &run, &estimator, bends), figure::of(&run)))
 }
 
 /// Judges a record, prints the verdict, and writes the figures.
@@ -319,6 +322,19 @@ fn text(verdict: &Verdict, record: &Path, figure: &Path) -> String {
             sensor.slope,
             1e3 * sensor.lag_s,
             sensor.correlation
+        );
+    }
+    if let Some(bends) = &verdict.bends {
+        let _ = writeln!(
+            text,
+            "bends otherwise than steered by {:.2} 1/m up to 2.45 m/s2 aside, and by {} 1/m more with each m/s2 \
+             beyond (up to {:.1} m/s2):\n  safety_filter.curvature_error_per_m and \
+             curvature_error_per_m_per_m_s2 have to be at least that",
+            bends.curvature_error_per_m,
+            or_dash(bends.curvature_error_per_m_per_m_s2, |growth| format!(
+                "{growth:.2}"
+            )),
+            bends.lateral_m_s2
         );
     }
     for finding in &verdict.findings {

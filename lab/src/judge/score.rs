@@ -6,6 +6,7 @@ use singletrack_pilot::Imu;
 use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::{
+    bends::Bends,
     run::{Compared, Log, Run, Stop},
     sensors::{self, Sensor},
     truth::{self, Kind, Motion, SLOWEST_CAMERAS, Seen, Track},
@@ -285,12 +286,14 @@ pub struct Verdict {
     pub sensors: Vec<Sensor>,
     /// What is wrong with them, and the fix.
     pub findings: Vec<String>,
+    /// How far the path bends otherwise than it is steered.
+    pub bends: Option<Bends>,
     /// What could not be judged, for want of an input.
     pub not_judged: Vec<String>,
 }
 
 impl Verdict {
-    pub(super) fn of(log: &Log, run: &Run, config: &EstimatorConfig) -> Self {
+    pub(super) fn of(log: &Log, run: &Run, config: &EstimatorConfig, bends: Option<Bends>) -> Self {
         let begin = log.begin;
         let at = |seen: &Seen| seen.time.seconds_since(begin);
         let poses = run.poses.iter();
@@ -340,6 +343,7 @@ impl Verdict {
             noise: noise(&run.track, &run.samples, config),
             sensors,
             findings,
+            bends,
             not_judged: not_judged(log, run),
         }
     }

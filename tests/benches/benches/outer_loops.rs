@@ -96,6 +96,7 @@ fn hostile() -> Option<impl FnMut() -> Velocity> {
         position_error: 0.01,
         course_error: 0.02,
         curvature_error: 0.1,
+        curvature_error_growth: 0.0,
         speed_error: 0.0,
         max_speed: 1.5,
         max_lateral_acceleration: 2.0,

@@ -48,7 +48,7 @@ impl Bench {
     /// Imports to the file `name`.
     pub(crate) fn import(&self, name: &str) -> Result<Summary, ImportError> {
         let (log, map) = (self.path("log.csv"), self.path("map.toml"));
-        import(&log, &map, &self.path(name), |_, _| {})
+        import(&[log], &map, &self.path(name), |_, _| {})
     }
 
     /// The message of an import that fails and leaves nothing, without the folder's name.

@@ -2,9 +2,10 @@
 
 use std::fs;
 
+use singletrack_logs::import::import;
 use singletrack_mocap::{Observation, PoseState};
 
-use crate::bench::{Bench, MAP, error, imported};
+use crate::bench::{Bench, Imported, MAP, error, imported, read};
 
 const LOG: &str = "t,x,y,yaw,v,s\n0,0,0,0,1,0\n0.01,0,0,0,1,0\n";
 
@@ -372,4 +373,56 @@ fn a_steering_that_is_no_function_is_refused() {
     ] {
         assert_map_error("radians_per_unit = 0.5", to, expected);
     }
+}
+
+/// Imports the files `a.csv` and `b.csv` with these contents.
+fn of_two(a: &str, b: &str) -> Result<Imported, String> {
+    let bench = Bench::new("", MAP);
+    let files = ["a.csv", "b.csv"].map(|name| bench.path(name));
+    for (file, contents) in files.iter().zip([a, b]) {
+        fs::write(file, contents).unwrap();
+    }
+    let out = bench.path("out.mcap");
+    let result = import(&files, &bench.path("map.toml"), &out, |_, _| {});
+    let folder = format!("{}/", bench.path("").display()).replace("//", "/");
+    result
+        .map(|summary| read(&out, summary))
+        .map_err(|error| error.to_string().replace(&folder, ""))
+}
+
+const POSES: &str = "t,x,y,yaw\n0,0,0,0\n0.01,0.1,0,0\n0.02,0.2,0,0\n";
+
+#[test]
+fn several_files_of_a_drive_give_the_record_of_one() {
+    let together = "t,x,y,yaw,v,s\n0,0,0,0,,\n0.005,,,,1,0.1\n0.01,0.1,0,0,,\n0.015,,,,2,0.2\n0.02,0.2,0,0,,\n";
+    let map = MAP.replace("yaw = \"yaw\"", "yaw = \"yaw\"\nempty_rows = \"no-sample\"");
+    let expected = imported(together, &map);
+    let found = of_two(POSES, "t,v,s\n0.005,1,0.1\n0.015,2,0.2\n").unwrap();
+    assert_eq!(found.entries, expected.entries);
+    assert_eq!(found.summary, expected.summary);
+}
+
+#[test]
+fn several_files_that_are_no_log_are_refused_by_name() {
+    for (other, expected) in [
+        (
+            "t,x,v,s\n0,0,1,0\n",
+            "b.csv has a column \"x\", as a.csv has, and pose.x in the map names one: rename it in one of the files",
+        ),
+        (
+            "t,v,s\n100,1,0\n",
+            "b.csv is 99.98 s apart from the files before it: the files of a drive need one clock in time.column",
+        ),
+        (
+            "t,v\n0,1\n",
+            "a.csv has no column \"s\", which steering.column in the map names; its columns are \"t\", \"x\", \
+             \"y\", \"yaw\"",
+        ),
+    ] {
+        assert_eq!(of_two(POSES, other).err().as_deref(), Some(expected));
+    }
+    let split = of_two("t,x,y\n0,0,0\n", "t,yaw,v,s\n0,0,1,0\n");
+    let expected = "b.csv has the column of pose.yaw, and a.csv that of pose.x: put all columns of [pose] into \
+                    one file";
+    assert_eq!(split.err().as_deref(), Some(expected));
 }

@@ -16,8 +16,8 @@ use libm::{atan, cos, fabs, sin, sqrt, tan};
 
 use self::projection::{HalfPlane, MOST, nearest};
 use crate::{
-    Actuation, ConvexArea, Estimate, LimitedLaw, Position, Side, Singularity, Stop, Velocity,
-    direction,
+    Actuation, ConvexArea, Estimate, GRAVITY, LimitedLaw, Position, Side, Singularity, Stop,
+    Velocity, direction,
     stop::{ROUNDED, Range, StopWay, Wheels},
 };
 
@@ -27,6 +27,8 @@ pub const MAX_STEERING_TICKS: usize = 64;
 const BENDS_FROM: f64 = 0.2;
 /// What a steering angle may exceed its bound by through rounding, rad.
 const ROUNDING: f64 = 1e-9;
+/// The lateral acceleration (m/s²) beyond which the curvature's error grows: a quarter of gravity.
+pub const GENTLE_BEND: f64 = 0.25 * GRAVITY;
 /// How much slower the velocities are that are tried one after the other.
 const SLOWER: [f64; 5] = [1.0, 0.75, 0.5, 0.25, 0.0];
 /// How much earlier steering and speed from outside are scaled than a stop must begin, s: they
@@ -48,8 +50,12 @@ pub struct SafetyConfig {
     pub position_error: f64,
     /// The largest error of the estimated course, rad.
     pub course_error: f64,
-    /// The largest deviation of the path's curvature from tan(δ)/L, 1/m: slip, play and trim.
+    /// The largest deviation of the path's curvature from tan(δ)/L, 1/m, up to [`GENTLE_BEND`]: slip,
+    /// play and trim.
     pub curvature_error: f64,
+    /// What each m/s² of lateral acceleration beyond [`GENTLE_BEND`] adds, s²/m²: tyres slip more than
+    /// in proportion.
+    pub curvature_error_growth: f64,
     /// The most by which a moving car may become faster than it was measured and commanded, m/s.
     pub speed_error: f64,
     /// The largest speed of P, m/s.
@@ -131,6 +137,17 @@ pub struct SafetyFilter {
     on_their_way: Range,
 }
 
+impl SafetyConfig {
+    /// The largest deviation of the path's curvature, 1/m, at a speed (m/s) or slower, with the wheels
+    /// between the angles of these curvatures. Tyres that hold bend no path more than they can.
+    fn curvature_error_at(&self, speed: f64, curvatures: &Range) -> f64 {
+        let sharpest = fabs(curvatures.least).max(fabs(curvatures.most));
+        let lateral = (speed * speed * sharpest).min(self.max_lateral_acceleration);
+        let growth = self.curvature_error_growth * (1.0 + ROUNDED);
+        self.curvature_error + growth * (lateral - GENTLE_BEND).max(0.0)
+    }
+}
+
 impl SafetyFilter {
     /// A filter for a standing car with straight wheels.
     ///
@@ -143,6 +160,7 @@ impl SafetyFilter {
             ("position_error", config.position_error),
             ("course_error", config.course_error),
             ("curvature_error", config.curvature_error),
+            ("curvature_error_growth", config.curvature_error_growth),
             ("speed_error", config.speed_error),
             ("max_speed", config.max_speed),
             ("max_lateral_acceleration", config.max_lateral_acceleration),
@@ -368,11 +386,14 @@ impl SafetyFilter {
     #[must_use]
     pub fn bends_as_assumed(&self, estimate: &Estimate, wave: f64) -> bool {
         let Range { least, most } = self.on_their_way.widened(wave);
-        let (least, most) = (self.curvature(least), self.curvature(most));
-        let error = self.config.curvature_error;
+        let range = Range {
+            least: self.curvature(least),
+            most: self.curvature(most),
+        };
+        let error = self.config.curvature_error_at(estimate.speed, &range);
+        let Range { least, most } = range.widened(error);
         // A NaN does not.
-        measured_curvature(estimate)
-            .is_none_or(|measured| measured >= least - error && measured <= most + error)
+        measured_curvature(estimate).is_none_or(|measured| measured >= least && measured <= most)
     }
 
     fn curvature(&self, steering: f64) -> f64 {
@@ -391,11 +412,12 @@ impl SafetyFilter {
         if fabs(next.steering) > fabs(now).max(self.widest_steering() + ROUNDING) {
             return false;
         }
-        let (of_curvature, of_course) = (self.config.curvature_error, self.config.course_error);
+        let of_course = self.config.course_error;
         // By more than a tangent or its inverse is rounded.
         let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
         let wheels = |curvatures: Range| Wheels {
-            curvatures: curvatures.widened(of_curvature + rounded(&curvatures)),
+            curvatures: curvatures
+                .widened(self.config.curvature_error_at(pace, &curvatures) + rounded(&curvatures)),
             sideslips: Range::only(self.sideslip(input, curvatures.least))
                 .with(self.sideslip(input, curvatures.most))
                 .with(estimate.sideslip)

@@ -171,15 +171,26 @@ section! {
     /// Largest error of the direction of motion, beyond the sideslip of the rolling car and of
     /// the estimate.
     course_error_rad: f64 = 0.05, in 0.0..=0.5;
-    /// Largest deviation of the path's curvature from that of the steering angle: trim, play and
-    /// gain of the servo, slip of the tyres.
+    /// Largest deviation of the path's curvature from that of the steering angle, up to a lateral
+    /// acceleration of 2.45 m/s²: trim, play and gain of the servo, slip of the tyres.
     curvature_error_per_m: f64 = 0.5, in 0.0..=5.0;
+    /// What each m/s² of lateral acceleration beyond adds to it. `singletrack judge` measures both.
+    curvature_error_per_m_per_m_s2: f64 = 0.25, in 0.0..=5.0;
 }
 
 /// Line, board and the frame of a servo or an ESC, ms.
 const LINE_MS: f64 = 40.0;
 /// The lags of a servo after which it is where it was sent, but for a twentieth of the change.
 const SETTLED: f64 = 3.0;
+
+impl Config {
+    /// Time after which the wheels are where they were sent, ms.
+    #[must_use]
+    pub fn steering_settles_ms(&self) -> f64 {
+        let actuators = &self.actuators;
+        actuators.steering_dead_time_ms + SETTLED * actuators.steering_lag_ms + LINE_MS
+    }
+}
 
 impl SafetyFilterSection {
     /// Time from a tick to when this car slows down at the latest, ms.
@@ -201,8 +212,7 @@ impl SafetyFilterSection {
         }
         let area = config.fence.convex(&config.vehicle, "safety_filter")?;
         let actuators = &config.actuators;
-        let settled_ms =
-            actuators.steering_dead_time_ms + SETTLED * actuators.steering_lag_ms + LINE_MS;
+        let settled_ms = config.steering_settles_ms();
         let period_ms = f64::from(config.control.period_ms);
         let ticks = (settled_ms / period_ms).ceil();
         let most = MAX_STEERING_TICKS - 1;
@@ -228,6 +238,7 @@ impl SafetyFilterSection {
             position_error: self.position_error_m,
             course_error: self.course_error_rad,
             curvature_error: self.curvature_error_per_m,
+            curvature_error_growth: self.curvature_error_per_m_per_m_s2,
             speed_error: self.speed_error_m_s,
             max_speed: config.limits.max_speed_m_s,
             // The law keeps to the configured limit. Beyond that of the tyres they slide.

@@ -247,8 +247,8 @@ words! {
         ///
         /// Effect: Needs a disarm.
         ///
-        /// Remedy: Measure `board.servo.gain_us_per_rad`, `centre_us` and the axles in `[vehicle]`; check
-        /// servo and linkage.
+        /// Remedy: If it turns to the other side, change the sign of `board.servo.gain_us_per_rad`; else measure
+        /// it, `centre_us` and the axles in `[vehicle]`, and check servo and linkage.
         SteeringDiffers = 39 "steering-differs",
         /// Gyro and cameras measured different rotations.
         ///

@@ -77,6 +77,8 @@ pub(super) enum Car {
     Paper,
     /// DART, about 1:18: its tyres, play in the steering, and an IMU that vibrates.
     Dart,
+    /// An F1TENTH of Poznan University of Technology, 1:10: twice as heavy, and with grip.
+    Put,
 }
 
 fn parse_cars(text: &str) -> Result<usize, String> {

@@ -32,17 +32,25 @@ const GAIN: f64 = 1.0;
 const START_POINT: [f64; 2] = [1.5, -0.5];
 const START_YAW_DEG: f64 = 135.0;
 
-/// What is believed of DART, and what is true of it.
-const DART: &str = include_str!("../../../real/dart.toml");
-const DART_TRUTH: &str = include_str!("../../../vehicles/dart-truth.toml");
-
 impl Car {
-    /// The configuration of a car that is not the paper's.
-    fn config(self) -> Result<Option<Config>, DemoError> {
+    /// What is believed of a car that is not the paper's, and what is true of it.
+    const fn files(self) -> Option<[&'static str; 2]> {
         match self {
-            Self::Paper => Ok(None),
-            Self::Dart => Ok(Some(Config::from_toml(DART)?)),
+            Self::Paper => None,
+            Self::Dart => Some([
+                include_str!("../../../real/dart.toml"),
+                include_str!("../../../vehicles/dart-truth.toml"),
+            ]),
+            Self::Put => Some([
+                include_str!("../../../real/put.toml"),
+                include_str!("../../../vehicles/put-truth.toml"),
+            ]),
         }
+    }
+
+    fn config(self) -> Result<Option<Config>, DemoError> {
+        let config = self.files().map(|[belief, _]| Config::from_toml(belief));
+        Ok(config.transpose()?)
     }
 
     /// The car that is believed.
@@ -52,10 +60,8 @@ impl Car {
     }
 
     fn truth(self) -> Result<CarTruth, DemoError> {
-        match self {
-            Self::Paper => Ok(CarTruth::default()),
-            Self::Dart => Ok(toml::from_str(DART_TRUTH)?),
-        }
+        let truth = self.files().map(|[_, truth]| toml::from_str(truth));
+        Ok(truth.transpose()?.unwrap_or_default())
     }
 }
 
@@ -137,7 +143,9 @@ pub(super) fn daemon(args: &DemoArgs) -> Result<Config, DemoError> {
     if let Some(car) = args.car.config()? {
         config.estimator = car.estimator;
         config.actuators = car.actuators;
-        config.limits.max_steering_rad = car.limits.max_steering_rad;
+        // The demo's servo reaches no farther.
+        let most = &mut config.limits.max_steering_rad;
+        *most = most.min(car.limits.max_steering_rad);
     }
     config.record.directory.clone_from(&args.out);
     Ok(config)

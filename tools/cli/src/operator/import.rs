@@ -10,9 +10,10 @@ use crate::{operator::control::print, progress::progress_bar};
 /// Options of `singletrack import`.
 #[derive(Args)]
 pub struct ImportArgs {
-    /// The log: a CSV file with the names of the columns in its first line; or a bag of ROS 2, as its
-    /// folder or as one MCAP or sqlite file (.mcap, .db3).
-    log: PathBuf,
+    /// The log: CSV files on one clock, each with the names of its columns in its first line; or a bag of
+    /// ROS 2, as its folder or as one MCAP or sqlite file (.mcap, .db3).
+    #[arg(required = true)]
+    log: Vec<PathBuf>,
     /// What the columns or topics are, such as tools/real/dart-map.toml (CSV) or
     /// tools/real/f1tenth-vicon.toml (bag).
     #[arg(long, value_name = "MAP.toml")]

@@ -153,13 +153,18 @@ impl Drive {
             estimate.as_ref().map_or(f64::NAN, value)
         };
         let seconds = |ns: i64| ns as f64 * 1e-9;
+        // What another program has driven has no estimate: the body stands for P.
+        let point = match (output.point, estimate) {
+            (None, None) => self.body(tick),
+            (point, _) => pair(point),
+        };
         self.ticks.push(TickSample {
             time: self.time(tick.pilot_time),
             mode: output.mode,
             held: output.held,
             place: pair(estimate.map(|estimate| estimate.position)),
             yaw: of_estimate(|estimate| estimate.yaw),
-            point: pair(output.point),
+            point,
             reference: pair(reference.and_then(|reference| reference.position)),
             point_velocity: pair(output.point_velocity),
             commanded_speed: output.actuation.speed,
@@ -185,6 +190,23 @@ impl Drive {
                 });
             }
         }
+    }
+
+    /// Where the cameras saw the body last.
+    fn body(&self, tick: &TickRecord) -> [f64; 2] {
+        let mut newest = tick.events.iter().rev();
+        let seen = newest.find_map(|event| match event {
+            Event::Pose(pose) => Some(pose.position.into()),
+            _ => None,
+        });
+        let before = || self.ticks.last().map_or([f64::NAN; 2], |tick| tick.point);
+        seen.unwrap_or_else(before)
+    }
+
+    /// Whether any tick has an estimate; a record of another program's log has none.
+    #[must_use]
+    pub fn is_estimated(&self) -> bool {
+        self.ticks.iter().any(|tick| tick.place[0].is_finite())
     }
 
     fn time(&self, time: Time) -> f64 {
@@ -252,10 +274,11 @@ impl Drive {
         }
         let mut nominal = [f64::NAN; 2];
         let mut before: Option<&TickSample> = None;
+        let is_estimated = self.is_estimated();
         self.ticks
             .iter()
             .map(|tick| {
-                if tick.mode != Mode::Driving && tick.mode != Mode::Slowing {
+                if !is_estimated || !matches!(tick.mode, Mode::Driving | Mode::Slowing) {
                     return [f64::NAN; 2];
                 }
                 match before {

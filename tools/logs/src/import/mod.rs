@@ -1,6 +1,6 @@
 //! Import of a log of another program as a record.
 //!
-//! The log is a CSV file, or a bag of ROS 2. A [map](Map) says which columns it has, or topics and
+//! The log is a bag of ROS 2, or one or several CSV files on one clock. A [map](Map) says which columns it has, or topics and
 //! fields, and what they mean. The result has the poses as the motion capture saw them, and a tick every
 //! `tick_ms` with the events that a pilot would have been given: poses when they arrived, and samples of
 //! the board.
@@ -52,8 +52,8 @@ pub const FIRST_ROW_NS: u64 = 1_000_000_000;
 /// The name of the software in the metadata of a record.
 pub const SOFTWARE: &str = "singletrack-import";
 
-/// Makes the record `out` of `log`, as the map in the file `map` says. A folder is a bag, and so is a file
-/// that ends in `.mcap` or `.db3`; any other file is a CSV file.
+/// Makes the record `out` of `logs`, as the map in the file `map` says. A folder is a bag, and so is a file
+/// that ends in `.mcap` or `.db3`; any other file is a CSV file. Only of these there can be several.
 ///
 /// The same log and the same map give the same bytes. `progress` gets the number of ticks that
 /// are written, and that of all.
@@ -63,17 +63,19 @@ pub const SOFTWARE: &str = "singletrack-import";
 /// The map or the log can't be read or contradict each other; `out` exists or can't be written.
 /// No file is left then.
 pub fn import(
-    log: &Path,
+    logs: &[impl AsRef<Path>],
     map: &Path,
     out: &Path,
     progress: impl FnMut(u64, u64),
 ) -> Result<Summary, ImportError> {
-    let contents = read(log, map)?;
+    let logs: Vec<&Path> = logs.iter().map(AsRef::as_ref).collect();
+    let contents = read(&logs, map)?;
+    let names: Vec<String> = logs.iter().map(|log| name(log)).collect();
     let meta = Meta {
         configuration: format!(
             "# Imported by singletrack import {} from {} with {}: no configuration\n",
             env!("CARGO_PKG_VERSION"),
-            name(log),
+            names.join(" and "),
             name(map)
         ),
         software: BTreeMap::from([(SOFTWARE.to_owned(), env!("CARGO_PKG_VERSION").to_owned())]),
@@ -85,7 +87,8 @@ pub fn import(
         },
     };
     let recorder = Recorder::create(out, &meta)?.without_timed_flushes();
-    let result = write(recorder, &contents, log, progress);
+    let first = logs.first().copied().unwrap_or(out);
+    let result = write(recorder, &contents, first, progress);
     if result.is_err() {
         // The error that matters is the first one.
         let _ = fs::remove_file(part_path(out));
@@ -93,13 +96,21 @@ pub fn import(
     result
 }
 
-fn read(log: &Path, map: &Path) -> Result<Log, ImportError> {
-    let is_bag = bag::is_bag(log);
+fn read(logs: &[&Path], map: &Path) -> Result<Log, ImportError> {
+    let bag = logs.iter().find(|log| bag::is_bag(log));
+    if let Some(bag) = bag {
+        bag::check(bag)?;
+        if logs.len() > 1 {
+            let why = " is a bag, and only CSV files can be several: import it alone; the folder of a bag is \
+                       all of its files";
+            return Err(ImportError::file(bag, why));
+        }
+    }
     let contents = Map::read(map)?;
-    contents.check_kind(is_bag, map)?;
-    match is_bag {
-        true => bag::read(log, &contents),
-        false => csv_log::read(log, &contents),
+    contents.check_kind(bag.is_some(), map)?;
+    match bag {
+        Some(bag) => bag::read(bag, &contents),
+        None => csv_log::read(logs, &contents),
     }
 }
 

@@ -7,7 +7,8 @@ use super::{log::ImportError, map::Messages};
 /// The place of a column in the rows of a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
-    /// Which rows have the column: in a bag, those of one section of the map; in a CSV file, all.
+    /// Which rows have the column: of a bag, those of one section of the map; of CSV files, those of one
+    /// file.
     pub(super) source: usize,
     /// The column in these rows.
     pub(super) index: usize,

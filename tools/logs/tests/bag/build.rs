@@ -265,7 +265,7 @@ impl Folder {
 
     pub(super) fn import(&self, log: &Path) -> Result<Imported, ImportError> {
         let out = self.path("out.mcap");
-        let summary = import(log, &self.path("map.toml"), &out, |_, _| {})?;
+        let summary = import(&[log], &self.path("map.toml"), &out, |_, _| {})?;
         Ok(read(&out, summary))
     }
 

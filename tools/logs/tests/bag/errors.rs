@@ -312,6 +312,11 @@ fn a_file_that_is_no_bag_says_what_it_is() {
              file that it makes",
         ),
         (
+            "log.zip",
+            "can't read log.zip as a bag: it is an archive: unpack it with `unzip`, and import the bag's folder \
+             in it",
+        ),
+        (
             "log.bag",
             "can't read log.bag as a bag: it is a bag of ROS 1: convert it with `rosbags-convert`",
         ),

@@ -238,6 +238,33 @@ fn the_other_byte_order_is_read() {
     assert_moments(&imported(&bag, &f1tenth_map(), Storage::Mcap), moment);
 }
 
+#[test]
+fn the_imu_of_a_vesc_is_read_without_definitions() {
+    let mut bag = f1tenth_bag(500, moment);
+    bag.messages.retain(|sent| sent.topic != "/sensors/imu/raw");
+    bag.topics
+        .push(("/sensors/imu", "vesc_msgs/msg/VescImuStamped"));
+    for ms in (0..500).step_by(20) {
+        let time_s = f64::from(ms) * 1e-3;
+        let [forward, left, rate] = moment(time_s).inertial;
+        let acceleration = [forward / 9.80665, left / 9.80665, 1.0];
+        let turned = [0.0, 0.0, rate.to_degrees()];
+        let imu = (
+            header(at(time_s)),
+            [0.0; 3],
+            acceleration,
+            turned,
+            [0.0; 3],
+            [0.0; 4],
+        );
+        bag.send("/sensors/imu", time_s, &imu);
+    }
+    let map = f1tenth_map().replace("/sensors/imu/raw", "/sensors/imu");
+    let map = map.replace("\"linear_acc", "\"imu.linear_acc");
+    let map = map.replace("\"angular_vel", "\"imu.angular_vel");
+    assert_moments(&imported(&bag, &map, Storage::OldSqlite), moment);
+}
+
 /// The map of f1tenth with the section `[pose]` that the documentation has for other cameras.
 fn map_with_pose(of: &str) -> String {
     let documentation = fs::read_to_string(in_repository("docs/import.md")).unwrap();

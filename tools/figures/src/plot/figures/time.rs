@@ -239,6 +239,10 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ..Curve::new(name, look, &coordinate(0), coordinate(1))
     };
     let true_time = drive.truth_column(|sample| sample.time);
+    let what = match drive.is_estimated() {
+        true => "P",
+        false => "the rigid body",
+    };
     let curves = vec![
         lost(drive),
         over(&time, "nominal", Look::Nominal, &nominal),
@@ -257,9 +261,9 @@ pub(super) fn trajectory(drive: &Drive) -> Figure {
         ("end", MarkKind::End, seen().next_back()),
     ];
     Figure {
-        title: "Trajectory of P".to_owned(),
+        title: format!("Trajectory of {what}"),
         caption: format!(
-            "Where P should be and where it was on the floor, from the triangle to the circle, \
+            "Where {what} should be and where it was on the floor, from the triangle to the circle, \
              where the {}.",
             if drive.ended.is_some() {
                 "drive ended"

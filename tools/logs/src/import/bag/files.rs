@@ -20,10 +20,18 @@ pub(super) enum Storage {
 
 /// Whether a path is that of a bag, by its name: a folder, or a file of one.
 pub(in crate::import) fn is_bag(path: &Path) -> bool {
-    let is_file = ["mcap", "db3", "bag", "zstd"]
+    let is_file = ["mcap", "db3", "bag", "zstd", "zip"]
         .iter()
         .any(|extension| path.extension().is_some_and(|own| own == *extension));
     is_file || path.is_dir()
+}
+
+/// Refuses a file that is none of a bag, whatever the map.
+pub(in crate::import) fn check(path: &Path) -> Result<(), ImportError> {
+    match path.is_dir() {
+        true => Ok(()),
+        false => storage(path).map(drop),
+    }
 }
 
 /// The files of a bag, in their order.
@@ -92,6 +100,9 @@ fn storage(file: &Path) -> Result<Storage, ImportError> {
         Some("zstd") => {
             "it is compressed: decompress it with `zstd -d`, and import the file that it makes"
         }
+        Some("zip") => {
+            "it is an archive: unpack it with `unzip`, and import the bag's folder in it"
+        }
         Some("bag") => "it is a bag of ROS 1: convert it with `rosbags-convert`",
         _ => "its name ends neither in .mcap nor in .db3",
     };
@@ -123,6 +134,11 @@ mod tests {
         let compressed = text.replace("compression_mode: \"\"", "compression_mode: FILE");
         let error = names(&compressed).unwrap_err();
         assert!(error.contains("compressed (FILE mode)"), "{error}");
+        // As `rosbags-convert` writes it.
+        let text = "rosbag2_bagfile_information:\n  compression_mode: ''\n  files:\n  - duration:\n      \
+                    nanoseconds: 2\n    path: log.db3\n  relative_file_paths:\n  - log.db3\n  ros_distro: \
+                    rosbags\n";
+        assert_eq!(names(text), Ok(vec!["log.db3".to_owned()]));
         assert!(names("rosbag2_bagfile_information:\n").is_err());
     }
 }

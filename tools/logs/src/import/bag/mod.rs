@@ -13,7 +13,7 @@ mod wanted;
 
 use std::{fmt, path::Path};
 
-pub(super) use files::is_bag;
+pub(super) use files::{check, is_bag};
 
 use super::{
     FIRST_ROW_NS,

@@ -1,4 +1,4 @@
-//! A log in a CSV file.
+//! A log in CSV files.
 
 mod row;
 
@@ -14,44 +14,85 @@ use super::{
     map::{Map, TimeSection, TimeUnit, nanoseconds},
     row::Place,
 };
-use row::{Header, Row};
+use row::{Row, Table, Tables};
 
-/// Reads the file `path` as `map` says.
-pub(super) fn read(path: &Path, map: &Map) -> Result<Log, ImportError> {
-    let failure = |error| failure(path, error);
-    let mut reader = ReaderBuilder::new()
-        .delimiter(u8::try_from(map.delimiter).unwrap_or(b','))
-        .trim(Trim::All)
-        .from_path(path)
-        .map_err(failure)?;
-    let names = &reader.headers().map_err(failure)?.clone();
-    if names.is_empty() {
-        let why = " is empty: it needs a line with the names of the columns, and a line for each \
-                   sample";
-        return Err(ImportError::file(path, why));
+/// Reads the files `paths`, which are one log, as `map` says.
+pub(super) fn read(paths: &[&Path], map: &Map) -> Result<Log, ImportError> {
+    let mut tables = Vec::new();
+    let mut rows: Vec<(i64, usize, StringRecord)> = Vec::new();
+    let mut sorted = 0;
+    for (source, path) in paths.iter().copied().enumerate() {
+        let failure = |error| failure(path, error);
+        let mut reader = ReaderBuilder::new()
+            .delimiter(u8::try_from(map.delimiter).unwrap_or(b','))
+            .trim(Trim::All)
+            .from_path(path)
+            .map_err(failure)?;
+        let names = reader.headers().map_err(failure)?.clone();
+        if names.is_empty() {
+            let why = " is empty: it needs a line with the names of the columns, and a line for each \
+                       sample";
+            return Err(ImportError::file(path, why));
+        }
+        let table = Table {
+            path,
+            names,
+            source,
+        };
+        let mut clock = Clock::find(&table, &map.time)?;
+        let first = rows.len();
+        let mut cells = StringRecord::new();
+        while reader.read_record(&mut cells).map_err(failure)? {
+            rows.push((clock.time(&table.row(&cells))?, source, cells.clone()));
+        }
+        if rows.len() == first {
+            let why = " has the names of the columns, but no rows: there is nothing to import";
+            return Err(ImportError::file(path, why));
+        }
+        check_overlap(&rows, first, path)?;
+        sorted += clock.sorted;
+        tables.push(table);
     }
-    let mut header = Header { path, names };
-    let mut columns = Columns::find(&mut header, map)?;
-    let mut clock = Clock::find(&header, &map.time)?;
-    let mut rows: Vec<(i64, StringRecord)> = Vec::new();
-    let mut cells = StringRecord::new();
-    while reader.read_record(&mut cells).map_err(failure)? {
-        rows.push((clock.time(&header.row(&cells))?, cells.clone()));
+    let mut columns = Columns::find(&mut Tables::new(&tables), map)?;
+    rows.sort_by_key(|(time, ..)| *time);
+    let times = rows.first().zip(rows.last());
+    let (first, last) = times.map_or((0, 0), |(first, last)| (first.0, last.0));
+    let since_first = |time: i64| FIRST_ROW_NS.saturating_add(time.abs_diff(first));
+    for (time, source, cells) in &rows {
+        if let Some(table) = tables.get(*source) {
+            columns.take(&table.row(cells), since_first(*time))?;
+        }
     }
-    rows.sort_by_key(|(time, _)| *time);
-    let (Some((first, _)), Some((last, _))) = (rows.first(), rows.last()) else {
-        let why = " has the names of the columns, but no rows: there is nothing to import";
-        return Err(ImportError::file(path, why));
+    let start_wall_ns = match map.time.unix {
+        Some(true) => first.unsigned_abs(),
+        _ => 0,
     };
-    let since_first = |time: i64| FIRST_ROW_NS.saturating_add(time.abs_diff(*first));
-    for (time, cells) in &rows {
-        columns.take(&header.row(cells), since_first(*time))?;
-    }
-    let start_wall_ns = match clock.unix {
-        true => first.unsigned_abs(),
-        false => 0,
+    Ok(columns.log(map, start_wall_ns, since_first(last), sorted))
+}
+
+/// Refuses a file with the rows from `first` on that has no time in common with those before.
+fn check_overlap(
+    rows: &[(i64, usize, StringRecord)],
+    first: usize,
+    path: &Path,
+) -> Result<(), ImportError> {
+    let (before, own) = rows.split_at_checked(first).unwrap_or((rows, &[]));
+    let span = |rows: &[(i64, usize, StringRecord)]| {
+        let times = rows.iter().map(|(time, ..)| *time);
+        times.clone().min().zip(times.max())
     };
-    Ok(columns.log(map, start_wall_ns, since_first(*last), clock.sorted))
+    let (Some((begin, end)), Some((from, to))) = (span(before), span(own)) else {
+        return Ok(());
+    };
+    if from <= end && begin <= to {
+        return Ok(());
+    }
+    let apart = from.saturating_sub(end).max(begin.saturating_sub(to));
+    let why = format!(
+        " is {} apart from the files before it: the files of a drive need one clock in time.column",
+        duration(apart.unsigned_abs())
+    );
+    Err(ImportError::file(path, why))
 }
 
 /// An error of the CSV reader, with file, line and fix.
@@ -91,10 +132,10 @@ struct Clock {
 
 impl Clock {
     /// Of a section that [is one for rows](TimeSection::check_rows).
-    fn find(header: &Header<'_>, time: &TimeSection) -> Result<Self, ImportError> {
+    fn find(table: &Table<'_>, time: &TimeSection) -> Result<Self, ImportError> {
         let column = time.column.as_deref().unwrap_or_default();
         Ok(Self {
-            place: header.place("time.column", column)?,
+            place: table.place("time.column", column)?,
             unit: time.unit.unwrap_or_default(),
             unix: time.unix.unwrap_or_default(),
             longest_gap_ns: nanoseconds(time.longest_gap_s),

@@ -38,18 +38,24 @@ pub(super) fn line(path: &Path, position: Option<&Position>) -> u64 {
     position.line() + blank().unwrap_or_default()
 }
 
-/// The columns of a file.
-pub(super) struct Header<'a> {
+/// A file of the log, with the names of its columns.
+pub(super) struct Table<'a> {
     pub(super) path: &'a Path,
-    pub(super) names: &'a StringRecord,
+    pub(super) names: StringRecord,
+    /// Its number among the files, from 0.
+    pub(super) source: usize,
 }
 
-impl<'a> Header<'a> {
+impl<'a> Table<'a> {
+    fn has(&self, column: &str) -> bool {
+        self.names.iter().any(|name| name == column)
+    }
+
     /// The place of the column that `key` in the map names.
     pub(super) fn place(&self, key: &'static str, column: &str) -> Result<Place, ImportError> {
         let names = self.names.iter().enumerate();
         let mut places = names.filter(|(_, name)| *name == column);
-        let Some((place, _)) = places.next() else {
+        let Some((index, _)) = places.next() else {
             let columns: Vec<_> = self.names.iter().map(|name| format!("{name:?}")).collect();
             let columns = columns.join(", ");
             let why = format!(
@@ -59,8 +65,8 @@ impl<'a> Header<'a> {
         };
         match places.count() {
             0 => Ok(Place {
-                source: 0,
-                index: place,
+                source: self.source,
+                index,
             }),
             others => {
                 let count = others + 1;
@@ -74,29 +80,72 @@ impl<'a> Header<'a> {
     }
 
     /// A row of the file.
-    pub(super) fn row(&self, cells: &'a StringRecord) -> Row<'_> {
-        Row {
-            header: self,
-            cells,
+    pub(super) const fn row(&'a self, cells: &'a StringRecord) -> Row<'a> {
+        Row { table: self, cells }
+    }
+}
+
+/// The files of a log, of which each section of the map has one.
+pub(super) struct Tables<'a> {
+    tables: &'a [Table<'a>],
+    /// The sections so far, each with a key and the file of its column.
+    sections: Vec<(&'static str, &'static str, &'a Table<'a>)>,
+}
+
+impl<'a> Tables<'a> {
+    pub(super) const fn new(tables: &'a [Table<'a>]) -> Self {
+        Self {
+            tables,
+            sections: Vec::new(),
         }
     }
 }
 
-impl row::Header for Header<'_> {
+impl row::Header for Tables<'_> {
     fn find(
         &mut self,
         key: &'static str,
-        _messages: Messages<'_>,
+        messages: Messages<'_>,
         column: &str,
     ) -> Result<Place, ImportError> {
-        self.place(key, column)
+        let mut having = self.tables.iter().filter(|table| table.has(column));
+        let found = having.next();
+        if let Some((one, other)) = found.zip(having.next()) {
+            let why = format!(
+                " has a column {column:?}, as {} has, and {key} in the map names one: rename it in one of \
+                 the files",
+                one.path.display()
+            );
+            return Err(ImportError::file(other.path, why));
+        }
+        // Without the column, the error is that of the first file.
+        let Some(table) = found.or(self.tables.first()) else {
+            return Err(ImportError::Invalid(
+                "there is no file to import".to_owned(),
+            ));
+        };
+        let section = messages.section;
+        let known = self.sections.iter().find(|(name, ..)| *name == section);
+        match known {
+            Some((_, first, other)) if found.is_some() && other.source != table.source => {
+                let why = format!(
+                    " has the column of {key}, and {} that of {first}: put all columns of [{section}] into \
+                     one file",
+                    other.path.display()
+                );
+                return Err(ImportError::file(table.path, why));
+            }
+            Some(_) => {}
+            None => self.sections.push((section, key, table)),
+        }
+        table.place(key, column)
     }
 }
 
 /// A row of a file.
 #[derive(Clone, Copy)]
 pub(super) struct Row<'a> {
-    header: &'a Header<'a>,
+    table: &'a Table<'a>,
     cells: &'a StringRecord,
 }
 
@@ -108,7 +157,7 @@ impl<'a> Row<'a> {
 
     /// An error in a cell.
     pub(super) fn error(&self, place: Place, why: &str) -> ImportError {
-        let Header { path, names } = self.header;
+        let Table { path, names, .. } = self.table;
         let line = line(path, self.cells.position());
         let column = names.get(place.index).unwrap_or_default();
         let value = self.cell(place);
@@ -118,8 +167,8 @@ impl<'a> Row<'a> {
 }
 
 impl row::Row for Row<'_> {
-    fn has(&self, _place: Place) -> bool {
-        true
+    fn has(&self, place: Place) -> bool {
+        place.source == self.table.source
     }
 
     fn is_empty(&self, place: Place) -> bool {
