@@ -350,31 +350,31 @@ fn options_that_make_no_sense_are_refused_by_name() {
     assert!(text.contains("nothing.toml"), "{text}");
 }
 
-#[test]
-fn a_damaged_record_is_used_as_far_as_it_goes() {
-    let folder = tempfile::tempdir().unwrap();
-    let record = weaving(folder.path(), 18.0);
-    let mut bytes = fs::read(&record).unwrap();
-    let at = bytes.len() / 2;
-    for byte in &mut bytes[at..at + 2_000] {
-        *byte ^= 0x5a;
-    }
-    let damaged = folder.path().join("damaged.mcap");
-    fs::write(&damaged, bytes).unwrap();
-    let output = identify(&damaged, &["--format", "json"]);
-    let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
-    let seconds = found["identification"]["seconds"].as_f64().unwrap();
-    assert!((5.0..8.0).contains(&seconds), "{seconds}");
-    assert!(
-        said(&output).contains("is damaged after"),
-        "{}",
-        said(&output)
-    );
-}
-
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_damaged_record_is_used_as_far_as_it_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let record = weaving(folder.path(), 18.0);
+        let mut bytes = fs::read(&record).unwrap();
+        let at = bytes.len() / 2;
+        for byte in &mut bytes[at..at + 2_000] {
+            *byte ^= 0x5a;
+        }
+        let damaged = folder.path().join("damaged.mcap");
+        fs::write(&damaged, bytes).unwrap();
+        let output = identify(&damaged, &["--format", "json"]);
+        let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
+        let seconds = found["identification"]["seconds"].as_f64().unwrap();
+        assert!((5.0..8.0).contains(&seconds), "{seconds}");
+        assert!(
+            said(&output).contains("is damaged after"),
+            "{}",
+            said(&output)
+        );
+    }
 
     /// Pacejka's tyres and exact slip angles, fitted with a hyperbolic tangent and small angles: the
     /// estimates are a few per cent off, far more than their intervals say, and the fit warns.

@@ -205,32 +205,6 @@ fn the_watches_begin_when_every_sensor_has_been_heard() {
 }
 
 #[test]
-fn a_wrong_sign_or_scale_of_a_sensor_is_named_with_its_fix() {
-    let log = log(7, &|_, _| {});
-    for (right, scale, finding) in [
-        (
-            "left_acceleration = \"acc y (IMU)\"",
-            -1.0,
-            "accelerometer: its left axis points to the right: negate imu.left_acceleration",
-        ),
-        (
-            "yaw_rate = \"W (IMU)\"",
-            -1.0,
-            "gyro: it reads the other sign than the cameras (-1.0",
-        ),
-        ("speed = \"vel encoder\"", 0.8, "motor: reads 0.8"),
-    ] {
-        let map = dart_map();
-        let (key, column) = right.split_once(" = ").unwrap();
-        let wrong = format!("{key} = {{ column = {column}, scale = {scale} }}");
-        assert!(map.contains(right), "{right}");
-        let found = judged_with(&log, &map.replace(right, &wrong)).findings;
-        let is_named = found.iter().any(|one| one.starts_with(finding));
-        assert!(is_named, "{finding}: {found:?}");
-    }
-}
-
-#[test]
 fn how_far_a_path_bends_otherwise_than_steered_is_measured() {
     let log = log(7, &|_, _| {});
     let map = dart_map();
@@ -260,32 +234,6 @@ fn cameras_of_20_hz_are_judged() {
     let verdict = judged_with(&slow.join("\n"), &map);
     let speed = verdict.speed_rms_m_s.unwrap();
     assert!(speed < 0.06, "{speed}");
-}
-
-#[test]
-fn slower_cameras_give_fewer_poses_and_are_judged_against_all() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str| folder.path().join(name);
-    fs::write(file("log.csv"), log(7, &|_, _| {})).unwrap();
-    fs::write(file("map.toml"), dart_map()).unwrap();
-    let record = file("log.mcap");
-    import(&[file("log.csv")], &file("map.toml"), &record, |_, _| {}).unwrap();
-    let judged = |cameras_hz| {
-        let part = Part {
-            cameras_hz,
-            ..WHOLE
-        };
-        judge(&record, &dart(), part, |_, _| {}).unwrap().0
-    };
-    let all = judged(None);
-    let slow = judged(Some(33.0));
-    let share = slow.poses as f64 / all.poses as f64;
-    assert!((share - 0.33).abs() < 0.01, "{share}");
-    assert_eq!(reasons(&slow), [""; 0]);
-    // The truth is the same.
-    let truth = |verdict: &Verdict| verdict.true_sideslip_rms_rad.unwrap();
-    assert!((truth(&slow) - truth(&all)).abs() < 1e-3);
-    assert!(slow.speed_rms_m_s.unwrap() < 0.06);
 }
 
 #[test]
@@ -346,6 +294,58 @@ fn a_record_without_frames_says_what_is_missing() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_wrong_sign_or_scale_of_a_sensor_is_named_with_its_fix() {
+        let log = log(7, &|_, _| {});
+        for (right, scale, finding) in [
+            (
+                "left_acceleration = \"acc y (IMU)\"",
+                -1.0,
+                "accelerometer: its left axis points to the right: negate imu.left_acceleration",
+            ),
+            (
+                "yaw_rate = \"W (IMU)\"",
+                -1.0,
+                "gyro: it reads the other sign than the cameras (-1.0",
+            ),
+            ("speed = \"vel encoder\"", 0.8, "motor: reads 0.8"),
+        ] {
+            let map = dart_map();
+            let (key, column) = right.split_once(" = ").unwrap();
+            let wrong = format!("{key} = {{ column = {column}, scale = {scale} }}");
+            assert!(map.contains(right), "{right}");
+            let found = judged_with(&log, &map.replace(right, &wrong)).findings;
+            let is_named = found.iter().any(|one| one.starts_with(finding));
+            assert!(is_named, "{finding}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn slower_cameras_give_fewer_poses_and_are_judged_against_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        fs::write(file("log.csv"), log(7, &|_, _| {})).unwrap();
+        fs::write(file("map.toml"), dart_map()).unwrap();
+        let record = file("log.mcap");
+        import(&[file("log.csv")], &file("map.toml"), &record, |_, _| {}).unwrap();
+        let judged = |cameras_hz| {
+            let part = Part {
+                cameras_hz,
+                ..WHOLE
+            };
+            judge(&record, &dart(), part, |_, _| {}).unwrap().0
+        };
+        let all = judged(None);
+        let slow = judged(Some(33.0));
+        let share = slow.poses as f64 / all.poses as f64;
+        assert!((share - 0.33).abs() < 0.01, "{share}");
+        assert_eq!(reasons(&slow), [""; 0]);
+        // The truth is the same.
+        let truth = |verdict: &Verdict| verdict.true_sideslip_rms_rad.unwrap();
+        assert!((truth(&slow) - truth(&all)).abs() < 1e-3);
+        assert!(slow.speed_rms_m_s.unwrap() < 0.06);
+    }
 
     #[test]
     fn a_jump_of_the_cameras_ends_no_drive_and_one_of_three_frames_does_not_move_the_speed() {

@@ -92,23 +92,6 @@ fn the_simulations_parameters_are_those_of_the_car_where_the_model_is_right() {
 }
 
 #[test]
-fn a_steering_that_is_known_roughly_is_found_beyond_what_a_servo_usually_takes() {
-    let course = Course {
-        steering_delay: 0.26,
-        ..Course::weaving(21, 20.0)
-    };
-    let settings = Settings {
-        frames: Some(ServoFrames::Even),
-        steering: Some([0.24, 0.06]),
-        ..Settings::default()
-    };
-    let found = identify(&course.drive(), &wrong(), &settings).unwrap();
-    let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
-    assert_eq!(estimate.start, 0.24);
-    assert!((estimate.value - 0.26).abs() < 0.003, "{estimate:?}");
-}
-
-#[test]
 fn a_car_without_an_imu_is_identified_by_cameras_and_steering() {
     let course = Course::weaving(23, 30.0);
     let mut data = course.drive();
@@ -133,31 +116,6 @@ fn a_car_without_an_imu_is_identified_by_cameras_and_steering() {
     let measured = found.score.outputs.map(|output| !output.rms.is_nan());
     // Yaw rate and sideslip by the cameras, and no acceleration to the left.
     assert_eq!(measured, [true, true, false]);
-}
-
-#[test]
-fn a_servo_that_answers_after_20_to_150_ms_is_identified() {
-    // The longest is pulled by its prior, which the yaw inertia makes good.
-    for (delay, within) in [(0.02, 0.1), (0.08, 0.1), (0.15, 0.25)] {
-        let course = Course {
-            steering_delay: delay,
-            ..Course::weaving(21, 20.0)
-        };
-        let settings = Settings {
-            frames: Some(ServoFrames::Even),
-            ..Settings::default()
-        };
-        let found = identify(&course.drive(), &wrong(), &settings).unwrap();
-        let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
-        assert!(
-            (estimate.value - delay).abs() < 0.003,
-            "{delay}: {estimate:?}"
-        );
-        for parameter in Parameter::VEHICLE {
-            let error = relative_error(&found, &course, parameter);
-            assert!(error < within, "{delay}, {parameter}: {error}");
-        }
-    }
 }
 
 #[test]
@@ -189,77 +147,6 @@ fn no_standard_deviation_is_below_the_cramer_rao_bound() {
             estimate.parameter
         );
     }
-}
-
-#[test]
-fn the_centre_of_mass_and_the_steering_gain_can_be_identified() {
-    let course = Course {
-        vehicle: VehicleParameters::paper().with_centre_of_mass_at(0.13),
-        steering_gain: 1.04,
-        speed: [1.5, 0.4],
-        ..Course::weaving(3, 20.0)
-    };
-    let asked = [
-        Parameter::FrontStiffness,
-        Parameter::RearStiffness,
-        Parameter::YawInertia,
-        Parameter::FrontAxleDistance,
-        Parameter::SteeringGain,
-    ];
-    let found = identify(
-        &course.drive(),
-        &VehicleParameters::paper(),
-        &Settings::of(&asked),
-    )
-    .unwrap();
-    for parameter in asked {
-        let estimate = found.estimate(parameter).unwrap();
-        let error = (estimate.value - truth(&course, parameter)).abs();
-        assert!(
-            error < 3.5 * estimate.standard_deviation,
-            "{parameter}: {estimate:?}"
-        );
-    }
-    let front_axle = found.estimate(Parameter::FrontAxleDistance).unwrap();
-    assert!((front_axle.value - 0.13).abs() < 1e-3, "{front_axle:?}");
-    // The wheelbase keeps its value.
-    assert!((found.vehicle().wheelbase_m() - 0.26).abs() < 1e-12);
-}
-
-#[test]
-fn linear_tyres_underestimate_the_stiffness_of_a_sliding_car() {
-    let course = Course::weaving(4, 15.0);
-    let data = course.drive();
-    let settings = |tyres| Settings {
-        tyres,
-        frames: Some(ServoFrames::Even),
-        ..Settings::default()
-    };
-    let right = identify(&data, &course.vehicle, &settings(Tyres::Saturating)).unwrap();
-    let linear = identify(&data, &course.vehicle, &settings(Tyres::Linear)).unwrap();
-    for parameter in [Parameter::FrontStiffness, Parameter::RearStiffness] {
-        let [right, linear] = [&right, &linear].map(|found| found.estimate(parameter).unwrap());
-        assert!(
-            linear.value < 0.95 * right.value,
-            "{parameter}: {} {}",
-            linear.value,
-            right.value
-        );
-    }
-    // The errors and the noise levels show it.
-    assert!(linear.score.nmpe > 1.2 * right.score.nmpe);
-    assert!(linear.noise.force_density > 10.0 * right.noise.force_density);
-    assert!(
-        linear
-            .warnings
-            .iter()
-            .any(|warning| matches!(warning, Warning::LinearTyres { share } if *share > 0.5)),
-        "{:?}",
-        linear.warnings
-    );
-    // The sensors do not become perfect.
-    assert!(linear.noise.left_m_s2 > 0.5 * course.noise.left_m_s2);
-    assert!(linear.noise.yaw_rate_rad_s > 0.5 * course.noise.yaw_rate_rad_s);
 }
 
 #[test]
@@ -425,6 +312,119 @@ fn the_same_drive_gives_the_same_bits() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_servo_that_answers_after_20_to_150_ms_is_identified() {
+        // The longest is pulled by its prior, which the yaw inertia makes good.
+        for (delay, within) in [(0.02, 0.1), (0.08, 0.1), (0.15, 0.25)] {
+            let course = Course {
+                steering_delay: delay,
+                ..Course::weaving(21, 20.0)
+            };
+            let settings = Settings {
+                frames: Some(ServoFrames::Even),
+                ..Settings::default()
+            };
+            let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+            let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
+            assert!(
+                (estimate.value - delay).abs() < 0.003,
+                "{delay}: {estimate:?}"
+            );
+            for parameter in Parameter::VEHICLE {
+                let error = relative_error(&found, &course, parameter);
+                assert!(error < within, "{delay}, {parameter}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn linear_tyres_underestimate_the_stiffness_of_a_sliding_car() {
+        let course = Course::weaving(4, 15.0);
+        let data = course.drive();
+        let settings = |tyres| Settings {
+            tyres,
+            frames: Some(ServoFrames::Even),
+            ..Settings::default()
+        };
+        let right = identify(&data, &course.vehicle, &settings(Tyres::Saturating)).unwrap();
+        let linear = identify(&data, &course.vehicle, &settings(Tyres::Linear)).unwrap();
+        for parameter in [Parameter::FrontStiffness, Parameter::RearStiffness] {
+            let [right, linear] = [&right, &linear].map(|found| found.estimate(parameter).unwrap());
+            assert!(
+                linear.value < 0.95 * right.value,
+                "{parameter}: {} {}",
+                linear.value,
+                right.value
+            );
+        }
+        // The errors and the noise levels show it.
+        assert!(linear.score.nmpe > 1.2 * right.score.nmpe);
+        assert!(linear.noise.force_density > 10.0 * right.noise.force_density);
+        assert!(
+            linear
+                .warnings
+                .iter()
+                .any(|warning| matches!(warning, Warning::LinearTyres { share } if *share > 0.5)),
+            "{:?}",
+            linear.warnings
+        );
+        // The sensors do not become perfect.
+        assert!(linear.noise.left_m_s2 > 0.5 * course.noise.left_m_s2);
+        assert!(linear.noise.yaw_rate_rad_s > 0.5 * course.noise.yaw_rate_rad_s);
+    }
+
+    #[test]
+    fn a_steering_that_is_known_roughly_is_found_beyond_what_a_servo_usually_takes() {
+        let course = Course {
+            steering_delay: 0.26,
+            ..Course::weaving(21, 20.0)
+        };
+        let settings = Settings {
+            frames: Some(ServoFrames::Even),
+            steering: Some([0.24, 0.06]),
+            ..Settings::default()
+        };
+        let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+        let estimate = found.estimate(Parameter::SteeringDelay).unwrap();
+        assert_eq!(estimate.start, 0.24);
+        assert!((estimate.value - 0.26).abs() < 0.003, "{estimate:?}");
+    }
+
+    #[test]
+    fn the_centre_of_mass_and_the_steering_gain_can_be_identified() {
+        let course = Course {
+            vehicle: VehicleParameters::paper().with_centre_of_mass_at(0.13),
+            steering_gain: 1.04,
+            speed: [1.5, 0.4],
+            ..Course::weaving(3, 20.0)
+        };
+        let asked = [
+            Parameter::FrontStiffness,
+            Parameter::RearStiffness,
+            Parameter::YawInertia,
+            Parameter::FrontAxleDistance,
+            Parameter::SteeringGain,
+        ];
+        let found = identify(
+            &course.drive(),
+            &VehicleParameters::paper(),
+            &Settings::of(&asked),
+        )
+        .unwrap();
+        for parameter in asked {
+            let estimate = found.estimate(parameter).unwrap();
+            let error = (estimate.value - truth(&course, parameter)).abs();
+            assert!(
+                error < 3.5 * estimate.standard_deviation,
+                "{parameter}: {estimate:?}"
+            );
+        }
+        let front_axle = found.estimate(Parameter::FrontAxleDistance).unwrap();
+        assert!((front_axle.value - 0.13).abs() < 1e-3, "{front_axle:?}");
+        // The wheelbase keeps its value.
+        assert!((found.vehicle().wheelbase_m() - 0.26).abs() < 1e-12);
+    }
 
     #[test]
     fn a_wrong_centre_of_mass_causes_a_warning_of_unexplained_forces() {

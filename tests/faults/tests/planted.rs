@@ -37,17 +37,6 @@ fn every_planted_bug_is_found_by_its_invariant() {
 }
 
 #[test]
-fn nothing_is_found_without_the_bugs() {
-    let examples: BTreeSet<_> = BUGS.iter().map(|bug| bug.example).collect();
-    for example in examples {
-        let outcome = drive(&schedule(example), &mut Untampered, Until::End).unwrap();
-        assert_eq!(outcome.violation, None, "{example}");
-        let runs = outcome.reasons.contains("runs-at-neutral");
-        assert!(outcome.driven_ms > 500 || runs, "{example}");
-    }
-}
-
-#[test]
 fn every_invariant_has_a_planted_bug() {
     let planted: BTreeSet<_> = BUGS.iter().map(|bug| bug.invariant).collect();
     for name in names().unwrap() {
@@ -105,6 +94,17 @@ fn a_panic_is_a_violation_with_its_message() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn nothing_is_found_without_the_bugs() {
+        let examples: BTreeSet<_> = BUGS.iter().map(|bug| bug.example).collect();
+        for example in examples {
+            let outcome = drive(&schedule(example), &mut Untampered, Until::End).unwrap();
+            assert_eq!(outcome.violation, None, "{example}");
+            let runs = outcome.reasons.contains("runs-at-neutral");
+            assert!(outcome.driven_ms > 500 || runs, "{example}");
+        }
+    }
 
     #[test]
     fn hostile_outer_loops_get_past_a_filter_that_passes_everything() {

@@ -194,33 +194,6 @@ fn the_wall_clock_has_no_effect() {
     );
 }
 
-#[test]
-fn threads_and_shards_have_no_effect_and_nothing_is_violated() {
-    let campaign = Campaign {
-        first_seed: 500,
-        count: 6,
-        board: BoardKind::Native,
-        until: Until::Violation,
-    };
-    let run = |shard: &str, threads| {
-        let arguments = CampaignArgs {
-            shard: Some(shard.parse().unwrap()),
-            threads: Some(threads),
-            ..CampaignArgs::default()
-        };
-        let campaign = singletrack_campaign::Campaign::obtain(campaign, &arguments).unwrap();
-        campaign.results
-    };
-    let one = run("1/1", 1);
-    let mut parts: Vec<_> = (1..=3).flat_map(|k| run(&format!("{k}/3"), 2)).collect();
-    parts.sort_by_key(|(unit, _)| *unit);
-    assert_eq!(one, parts);
-    let outcome = CampaignOutcome::of(one.iter().map(|(_, outcome)| outcome)).unwrap();
-    assert_eq!(outcome.failures, []);
-    assert_eq!(outcome.count, 6);
-    assert!(outcome.driven_s > 15.0, "{}", outcome.driven_s);
-}
-
 /// The first violation of a schedule without a planted bug.
 fn violation(text: &str) -> Option<Violation> {
     let schedule: Schedule = text.parse().unwrap();
@@ -327,6 +300,33 @@ fn wrong_bits_of_the_imu_neither_alarm_nor_end_a_drive() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn threads_and_shards_have_no_effect_and_nothing_is_violated() {
+        let campaign = Campaign {
+            first_seed: 500,
+            count: 6,
+            board: BoardKind::Native,
+            until: Until::Violation,
+        };
+        let run = |shard: &str, threads| {
+            let arguments = CampaignArgs {
+                shard: Some(shard.parse().unwrap()),
+                threads: Some(threads),
+                ..CampaignArgs::default()
+            };
+            let campaign = singletrack_campaign::Campaign::obtain(campaign, &arguments).unwrap();
+            campaign.results
+        };
+        let one = run("1/1", 1);
+        let mut parts: Vec<_> = (1..=3).flat_map(|k| run(&format!("{k}/3"), 2)).collect();
+        parts.sort_by_key(|(unit, _)| *unit);
+        assert_eq!(one, parts);
+        let outcome = CampaignOutcome::of(one.iter().map(|(_, outcome)| outcome)).unwrap();
+        assert_eq!(outcome.failures, []);
+        assert_eq!(outcome.count, 6);
+        assert!(outcome.driven_s > 15.0, "{}", outcome.driven_s);
+    }
 
     #[test]
     fn some_cars_run_at_neutral() {
