@@ -257,7 +257,7 @@ fn claims(setup: &Setup, [report, friction, other]: [Option<&Report>; 3], sectio
         .claim(
             "friction-identified",
             "%",
-            "So can the tyre-ground friction coefficient",
+            "The friction coefficient of the tyres can be identified, too",
             "0.25 in the table of identified data; no interval: taken as within 10 %",
             "with C_f, C_r and I_z from the same drive, whose tyres saturate",
         )
