@@ -20,7 +20,7 @@ struct Drawing {
     panel: Panel,
     front: [f64; 2],
     rear: [f64; 2],
-    /// Wheelbase, l_f and p, in m.
+    /// Wheelbase, `l_f` and p, in m.
     wheelbase: f64,
     front_axle: f64,
     p: f64,

@@ -192,7 +192,8 @@ fn fit(report: &Report, output: Output) -> Option<f64> {
 /// The normalised mean prediction error over all outputs, by the definitions in use: mean and root
 /// mean square of the error, over what the measured output varies by.
 fn normalised_errors(report: &Report) -> Option<[f64; 4]> {
-    let outputs: [[fn(&SimulationPoint) -> f64; 2]; 3] = [
+    type Value = fn(&SimulationPoint) -> f64;
+    let outputs: [[Value; 2]; 3] = [
         [
             |point| point.measured_yaw_rate_rad_s,
             |point| point.yaw_rate_rad_s,
