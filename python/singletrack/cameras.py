@@ -249,7 +249,8 @@ class Cameras:
             self._poll(0.1)
         self._listed.clear()
         self._poses.clear()
-        begin, taken = time.monotonic(), []
+        begin = time.monotonic()
+        taken: list[Pose] = []
         while time.monotonic() < begin + seconds:
             self._poll(0.02)
             taken.extend(self._take(None))

@@ -125,7 +125,7 @@ def test_a_server_that_does_not_answer_is_named_with_what_to_look_at() -> None:
 def test_an_argument_that_can_not_be_used_is_named(options: dict[str, str], text: str) -> None:
     arguments = {"server": "127.0.0.1", **options}
     with pytest.raises(ValueError, match=text):
-        Cameras(**arguments)
+        Cameras(**arguments)  # type: ignore[arg-type]
 
 
 def test_servers_of_this_computer_are_found(tmp_path: Path) -> None:
