@@ -72,11 +72,11 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     let newest = notes::newest()?;
     let git = plan.tag.as_ref().map(|_| "git");
     let podman = plan.has("image").then_some("podman");
-    let book = plan.has("book").then_some(["wasm", "node"]);
+    let wasm = plan.has("book").then_some("wasm");
     prerequisites::ensure(
         &git.into_iter()
             .chain(podman)
-            .chain(book.into_iter().flatten())
+            .chain(wasm)
             .collect::<Vec<_>>(),
     )?;
     if let Some(tag) = &plan.tag {
@@ -167,7 +167,7 @@ fn crates(_: &Packages) -> Result {
     Ok(())
 }
 
-fn book(packages: &Packages) -> Result {
+fn book(_: &Packages) -> Result {
     let target = target::folder()?;
     let tools = target.join("tools");
     let mut install = cargo("install --quiet --locked --no-default-features --features search");
@@ -177,7 +177,7 @@ fn book(packages: &Packages) -> Result {
     let mut mdbook = Command::new(tools.join("bin/mdbook"));
     mdbook.args(["build", "docs", "--dest-dir"]).arg(&site);
     check(mdbook.current_dir(root()))?;
-    web::copy(&web::release(packages)?, &site.join("laboratory"))?;
+    web::copy(&web::build()?, &site.join("laboratory"))?;
     let archive = folder()?.join(format!("singletrack-book-{VERSION}.tar.gz"));
     let mut tar = command("tar --create --gzip --file");
     silent(tar.arg(archive).arg("--directory").arg(&site).arg("."))

@@ -63,7 +63,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     match arguments {
         [] => {
             prerequisites::ensure(&["wasm"])?;
-            println!("{}", small()?.display());
+            println!("{}", build()?.display());
             Ok(())
         }
         [help] if help == "--help" || help == "-h" => {
@@ -74,15 +74,8 @@ pub(crate) fn main(arguments: &[String]) -> Result {
     }
 }
 
-/// Makes the folder of static files as it is served, and returns it.
-fn small() -> Result<PathBuf> {
-    let site = build("web", &[])?;
-    check_size(&site)?;
-    Ok(site)
-}
-
-/// Makes the folder of static files in a profile, built with further options, and returns it.
-fn build(profile: &str, options: &[&str]) -> Result<PathBuf> {
+/// Makes the folder of static files, and returns it.
+pub(crate) fn build() -> Result<PathBuf> {
     let tools = prerequisites::find("wasm_tools")?;
     let [linker, clang, archiver] = tools.lines().collect::<Vec<_>>()[..] else {
         return Err(failure!("wasm_tools found {tools:?}"));
@@ -100,9 +93,8 @@ fn build(profile: &str, options: &[&str]) -> Result<PathBuf> {
             "--package",
             "singletrack-web",
             "--profile",
-            profile,
+            "web",
         ])
-        .args(options)
         .args([
             "-Zbuild-std=std,panic_abort",
             "--target",
@@ -119,9 +111,7 @@ fn build(profile: &str, options: &[&str]) -> Result<PathBuf> {
     for (from, to) in SHARED {
         target::put(&root().join(from), &site.join(to))?;
     }
-    let name = if profile == "dev" { "debug" } else { profile };
-    let module = folder.join("wasm32-unknown-unknown").join(name);
-    let module = module.join("singletrack_web.wasm");
+    let module = folder.join("wasm32-unknown-unknown/web/singletrack_web.wasm");
     target::put(&module, &site.join("singletrack.wasm"))?;
     Ok(site)
 }
@@ -138,26 +128,20 @@ pub(crate) fn copy(from: &Path, to: &Path) -> Result {
     Ok(())
 }
 
-/// Makes the folder of static files as it is served, whose laboratory has the bits of the tested build.
-pub(crate) fn release(packages: &Packages) -> Result<PathBuf> {
-    let site = small()?;
-    compare(packages, &site)?;
-    Ok(site)
-}
-
-/// A check in Node.
-fn node(check: &str, site: &Path) -> Command {
-    let mut node = command("node");
-    node.current_dir(root())
-        .arg(format!("web/check/{check}.mjs"));
-    node.arg(site);
-    node
-}
-
-/// Checks that the laboratory has the bits of the tested build, in Node.
-fn compare(packages: &Packages, site: &Path) -> Result {
+/// Checks that the laboratory has the bits of the tested build, in Node and in Chromium, and its
+/// bounds of size and speed.
+pub(crate) fn verify(packages: &Packages) -> Result {
+    let site = build()?;
+    check_size(&site)?;
+    let node = |check: &str| {
+        let mut node = command("node");
+        node.current_dir(root())
+            .arg(format!("web/check/{check}.mjs"));
+        node.arg(&site);
+        node
+    };
     let trajectory = || {
-        let mut node = node("node", site);
+        let mut node = node("node");
         node.arg("trajectory");
         node
     };
@@ -165,15 +149,6 @@ fn compare(packages: &Packages, site: &Path) -> Result {
         let builds = ("this machine", "Node");
         odroid::compare(packages, scenarios, builds, &trajectory)?;
     }
-    Ok(())
-}
-
-/// Checks that the laboratory in the tested profile has the bits of the tested build, in Node and in
-/// Chromium, and at least half of its speed. As it is served, it is built and compared by `cargo release`.
-pub(crate) fn verify(packages: &Packages) -> Result {
-    // Node and the browser read no table of lines.
-    let site = build("dev", &["--config", "profile.dev.debug=false"])?;
-    compare(packages, &site)?;
     let folder = target::folder()?.join("web/checked");
     target::empty(&folder)?;
     let (scenario, record) = ("tools/scenarios/circle-car.toml", folder.join("drive.mcap"));
@@ -186,18 +161,13 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     };
     silent(simulate("--record")?.arg(&record))?;
     let digest = text(simulate("--format")?.arg("digest"))?;
-    let replayed = text(node("node", &site).arg("replay").arg(&record))?;
+    let replayed = text(node("node").arg("replay").arg(&record))?;
     require!(
         replayed == digest,
         "the record has the digest {digest}, replayed in Node {replayed}"
     );
-    check_speed(packages, scenario, &mut node("node", &site))?;
-    check(
-        node("browser", &site)
-            .arg(&record)
-            .arg(digest.trim())
-            .arg(&folder),
-    )
+    check_speed(packages, scenario, &mut node("node"))?;
+    check(node("browser").arg(&record).arg(digest.trim()).arg(&folder))
 }
 
 fn check_size(site: &Path) -> Result {
