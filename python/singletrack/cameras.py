@@ -27,9 +27,9 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 
 from . import _native
+from ._closing import Closing
 from ._errors import SingletrackError
 
 __all__ = ["Body", "Cameras", "CamerasError", "Pose", "Server", "discover"]
@@ -105,7 +105,7 @@ class Body:
     pose: Pose | None
 
 
-class Cameras:
+class Cameras(Closing):
     """A client of one server.
 
     Args:
@@ -162,17 +162,6 @@ class Cameras:
                 self._command.close()
                 raise
 
-    def __enter__(self) -> Cameras:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Leaves the server."""
         if self._command.fileno() < 0:
@@ -203,14 +192,11 @@ class Cameras:
         Raises:
             CamerasError: None came for that long; the text says what the server does.
         """
-        self._poses.clear()
-        since = time.monotonic()
-        while True:
-            for pose in self._take(body):
-                since = time.monotonic()
+        for pose in self._next(body, timeout_s):
+            if pose is None:
+                self._poll(0.1)
+            else:
                 yield pose
-            self._check(body, since, timeout_s)
-            self._poll(0.1)
 
     async def poses_async(
         self, body: str | None = None, *, timeout_s: float = 5.0
@@ -224,14 +210,11 @@ class Cameras:
         Raises:
             CamerasError: None came for that long; the text says what the server does.
         """
-        self._poses.clear()
-        since = time.monotonic()
-        while True:
-            for pose in self._take(body):
-                since = time.monotonic()
+        for pose in self._next(body, timeout_s):
+            if pose is None:
+                await asyncio.to_thread(self._poll, 0.1)
+            else:
                 yield pose
-            self._check(body, since, timeout_s)
-            await asyncio.to_thread(self._poll, 0.1)
 
     def bodies(self, seconds: float = 1.0, *, timeout_s: float = 5.0) -> list[Body]:
         """What the server lists, watched for some seconds after the first frame.
@@ -243,6 +226,7 @@ class Cameras:
         Raises:
             CamerasError: No frame came; the text says what the server does.
         """
+        self._listed.clear()
         begin = time.monotonic()
         while not self._listed:
             self._check(None, begin, timeout_s)
@@ -293,6 +277,17 @@ class Cameras:
         finally:
             writer.close()
         return count
+
+    def _next(self, body: str | None, timeout_s: float) -> Iterator[Pose | None]:
+        """The poses from now on, and ``None`` whenever the next must be waited for."""
+        self._poses.clear()
+        since = time.monotonic()
+        while True:
+            for pose in self._take(body):
+                since = time.monotonic()
+                yield pose
+            self._check(body, since, timeout_s)
+            yield None
 
     def _take(self, body: str | None) -> Iterator[Pose]:
         while self._poses:

@@ -2,7 +2,7 @@
 //! sockets and the clock.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, btree_map::Entry},
     fs::File,
     io::BufWriter,
     net::{IpAddr, Ipv4Addr, SocketAddr},
@@ -49,9 +49,12 @@ pub(crate) struct CameraSession {
     names: BTreeMap<i32, String>,
 }
 
-fn address(text: &str) -> PyResult<Ipv4Addr> {
-    let parsed = text.parse();
-    parsed.map_err(|_| refuse(format!("{text:?} is no IPv4 address, such as 192.168.1.10")))
+fn address(key: &str, text: &str) -> PyResult<Ipv4Addr> {
+    text.parse().map_err(|_| {
+        refuse(format!(
+            "{key} is {text:?}: write an IPv4 address, such as 192.168.1.10"
+        ))
+    })
 }
 
 fn word<T>(key: &str, word: &str, named: Option<T>, known: &[&str]) -> PyResult<T> {
@@ -172,11 +175,11 @@ impl CameraSession {
             kind,
             command_port: port,
             transport: word("transport", transport, named, &transports)?,
-            interface: address(interface)?,
-            ..MotionCaptureSection::new(address(server)?, "body", up_axis)
+            interface: address("interface", interface)?,
+            ..MotionCaptureSection::new(address("server", server)?, "body", up_axis)
         };
         if let Some(group) = group {
-            section.group = address(group)?;
+            section.group = address("group", group)?;
         }
         section.data_port = data_port.unwrap_or(section.data_port);
         section.validate().map_err(refuse)?;
@@ -195,7 +198,7 @@ impl CameraSession {
         source: (String, u16),
         bytes: &[u8],
     ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
-        let source = SocketAddr::new(IpAddr::V4(address(&source.0)?), source.1);
+        let source = SocketAddr::new(IpAddr::V4(address("source", &source.0)?), source.1);
         let input = Input::Datagram { source, bytes };
         self.act(py, |session, on| session.handle_input(now_ns, input, on))
     }
@@ -209,7 +212,7 @@ impl CameraSession {
         datagram_port: u16,
     ) -> PyResult<(usize, Bound<'py, PyList>, Vec<String>)> {
         let input = Input::Opened(LocalEnd {
-            address: IpAddr::V4(address(local)?),
+            address: IpAddr::V4(address("local", local)?),
             datagram_port,
         });
         self.act(py, |session, on| session.handle_input(now_ns, input, on))
@@ -360,14 +363,13 @@ impl PoseWriter {
         let Some(writer) = &mut self.writer else {
             return Err(fail("the file is closed"));
         };
-        if !self.channels.contains_key(body) {
-            let topic = format!("/poses/{body}");
-            let channel = writer.add_channel(self.schema, &topic, "json", &BTreeMap::new());
-            let channel = channel.map_err(unwritten)?;
-            self.channels.insert(body.to_owned(), (channel, 0));
-        }
-        let Some((channel_id, sequence)) = self.channels.get_mut(body) else {
-            return Ok(());
+        let (channel_id, sequence) = match self.channels.entry(body.to_owned()) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(new) => {
+                let topic = format!("/poses/{body}");
+                let channel = writer.add_channel(self.schema, &topic, "json", &BTreeMap::new());
+                new.insert((channel.map_err(unwritten)?, 0))
+            }
         };
         *sequence += 1;
         let header = MessageHeader {

@@ -115,7 +115,7 @@ def test_a_server_that_does_not_answer_is_named_with_what_to_look_at() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"server": "motive"}, "'?\"?motive\"?'? is no IPv4 address"),
+        ({"server": "motive"}, "server is \"motive\": write an IPv4 address"),
         ({"kind": "vicon"}, "kind is \"vicon\": it is one of natnet, vrpn, qualisys"),
         ({"transport": "tcp"}, "NatNet sends frames on UDP"),
         ({"up_axis": "x"}, "up_axis is \"x\": it is one of y, z"),

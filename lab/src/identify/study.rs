@@ -228,16 +228,20 @@ fn scenario(text: &str, seed: u64) -> Result<Scenario, ScenarioError> {
     Ok(scenario)
 }
 
+/// Lets a scenario drive a car with these equations, which has proved its configuration all the same.
+pub(crate) fn differ(scenario: &mut Scenario, tyres: Tyres, slip_angles: SlipAngles) {
+    let mut truth = CarTruth::default();
+    truth.vehicle.tyre_curve = Some(tyres);
+    truth.vehicle.slip_angles = Some(slip_angles);
+    scenario.truth = Some(truth);
+    let proved = [("prove_first_metre".to_owned(), false.into())];
+    scenario.supervisor.get_or_insert_default().extend(proved);
+}
+
 /// The data that a record of the drive would have, without a file.
 fn simulated(plan: &StudyPlan, text: &str, seed: u64) -> Result<DriveData, StudyError> {
     let mut scenario = scenario(text, seed)?;
-    let mut truth = CarTruth::default();
-    truth.vehicle.tyre_curve = Some(plan.tyre_curve);
-    truth.vehicle.slip_angles = Some(plan.slip_angles);
-    scenario.truth = Some(truth);
-    // The car differs, and yet it has proved its configuration.
-    let proved = [("prove_first_metre".to_owned(), false.into())];
-    scenario.supervisor.get_or_insert_default().extend(proved);
+    differ(&mut scenario, plan.tyre_curve, plan.slip_angles);
     let mut entries = Vec::new();
     let config = drive_entries(&scenario, &mut |entry| entries.push(entry.clone()))
         .map_err(|source| StudyError::under(seed, source))?;

@@ -3,11 +3,10 @@
 use std::{error::Error, path::Path};
 
 use indicatif::ProgressBar;
-use singletrack_analysis::identification::{Identification, Output, Parameter, SimulationPoint};
+use singletrack_analysis::identification::{Identification, Output, Parameter};
 use singletrack_control::{SlipAngles, Tyres, VehicleParameters};
 use singletrack_figures::figure::{Axis, Estimate, Figure, Level, Look, MarkKind, Panel, Width};
 use singletrack_scenario::simulate::{self, Scenario};
-use singletrack_sim::CarTruth;
 
 use super::{
     Setup, assumptions,
@@ -39,13 +38,7 @@ fn drive(
     scenario.law.front_axle_distance_m = setup.vehicle.front_axle_distance_m;
     scenario.run.seed = seed;
     if structure == Structure::Other {
-        let mut truth = CarTruth::default();
-        truth.vehicle.tyre_curve = Some(Tyres::MagicFormula);
-        truth.vehicle.slip_angles = Some(SlipAngles::Exact);
-        scenario.truth = Some(truth);
-        // The car differs, and yet it has proved its configuration.
-        let proved = [("prove_first_metre".to_owned(), false.into())];
-        scenario.supervisor.get_or_insert_default().extend(proved);
+        study::differ(&mut scenario, Tyres::MagicFormula, SlipAngles::Exact);
     }
     if setup.quick {
         scenario.run.duration_s = scenario.run.duration_s.min(QUICK_S);
@@ -192,22 +185,10 @@ fn fit(report: &Report, output: Output) -> Option<f64> {
 /// The normalised mean prediction error over all outputs, by the definitions in use: mean and root
 /// mean square of the error, over what the measured output varies by.
 fn normalised_errors(report: &Report) -> Option<[f64; 4]> {
-    type Value = fn(&SimulationPoint) -> f64;
-    let outputs: [[Value; 2]; 3] = [
-        [
-            |point| point.measured_yaw_rate_rad_s,
-            |point| point.yaw_rate_rad_s,
-        ],
-        [
-            |point| point.measured_sideslip_rad,
-            |point| point.sideslip_rad,
-        ],
-        [|point| point.measured_left_m_s2, |point| point.left_m_s2],
-    ];
     let points = &validation(report)?.simulation;
     let mut sums = [0.0; 4];
-    for [measured, model] in outputs {
-        let pairs = points.iter().map(|point| [measured(point), model(point)]);
+    for output in Output::ALL {
+        let pairs = points.iter().map(|point| output.of(point));
         let pairs: Vec<_> = pairs
             .filter(|pair| pair.iter().all(|one| one.is_finite()))
             .collect();
@@ -227,7 +208,7 @@ fn normalised_errors(report: &Report) -> Option<[f64; 4]> {
             squares / ends,
         ];
         for (sum, error) in sums.iter_mut().zip(errors) {
-            *sum += error / outputs.len() as f64;
+            *sum += error / Output::ALL.len() as f64;
         }
     }
     Some(sums)

@@ -239,7 +239,7 @@ fn infeasibility(
 pub(super) fn warnings(config: &Config, stand: Option<Stand>) -> Vec<String> {
     let text = |finding: &Finding| match finding.severity {
         Severity::Warning => finding.to_string(),
-        Severity::Impossible => format!("impossible: {finding}"),
+        Severity::Impossible => format!("{}: {finding}", finding.severity.name()),
     };
     match judge_reference(config, stand, None) {
         Ok(judgement) => judgement.findings.iter().map(text).collect(),

@@ -10,7 +10,7 @@ use clap::Args;
 use serde::Deserialize;
 use serde_json::Value;
 use singletrack_api::{Request, ask};
-use singletrack_core::config::ReferenceSection;
+use singletrack_core::{config::ReferenceSection, feasibility::Severity};
 use singletrack_settings::explain;
 
 use crate::operator::control::{self, ControlArgs};
@@ -40,7 +40,8 @@ pub fn run(args: &SetReferenceArgs) -> Result<(), Box<dyn Error>> {
     let reference = read_reference(&args.file)?;
     let request = Request::SetReference { reference };
     let answer = ask(&request, &args.control.socket)?;
-    let is_impossible = |finding: &String| finding.starts_with("impossible: ");
+    let word = format!("{}: ", Severity::Impossible.name());
+    let is_impossible = |finding: &String| finding.starts_with(&word);
     let (impossible, warnings): (Vec<_>, Vec<_>) =
         answer.warnings.into_iter().partition(is_impossible);
     for warning in warnings {

@@ -134,7 +134,7 @@ mod tests {
         let compressed = text.replace("compression_mode: \"\"", "compression_mode: FILE");
         let error = names(&compressed).unwrap_err();
         assert!(error.contains("compressed (FILE mode)"), "{error}");
-        // As `rosbags-convert` writes it.
+        // The file that `rosbags-convert` writes.
         let text = "rosbag2_bagfile_information:\n  compression_mode: ''\n  files:\n  - duration:\n      \
                     nanoseconds: 2\n    path: log.db3\n  relative_file_paths:\n  - log.db3\n  ros_distro: \
                     rosbags\n";
