@@ -19,7 +19,7 @@ use singletrack_logs::import::import;
 use singletrack_statistics::RootMeanSquare;
 
 use crate::{
-    identify::{self, IdentifyArgs, IdentifyFormat, SlipAngleKind, TyreKind},
+    identify::{self, Identified, IdentifyArgs, IdentifyFormat, SlipAngleKind, TyreKind},
     judge::{WHOLE, judge},
 };
 
@@ -105,6 +105,9 @@ struct LogResult {
     /// Root mean square of the yaw rate that the identified car predicts, alone with steering and speed,
     /// less the measured one; of a log that is held out.
     identified_rms_rad_s: Option<f64>,
+    /// The same of the car of the configuration, with the identified steering: of DART, the parameters
+    /// that its authors give.
+    configured_rms_rad_s: Option<f64>,
     /// Root mean square of the error of the yaw rate that the plain fit predicts.
     plain_rms_rad_s: Option<f64>,
 }
@@ -176,6 +179,7 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult, Box
             sideslip_within_95: verdict.sideslip_within_95,
             stops: verdict.stops.iter().map(|stop| stop.reason).collect(),
             identified_rms_rad_s: None,
+            configured_rms_rad_s: None,
             plain_rms_rad_s: None,
         });
         if held_out {
@@ -196,20 +200,30 @@ fn measured(car: Car, beside: &Path, files: &[PathBuf]) -> Result<CarResult, Box
         least_speed: 0.5,
         out: None,
         format: IdentifyFormat::Table,
+        validate_nominal: true,
     })?;
     let identification = &report.identified.identification;
     let plain = Plain::fit(&identification.simulation, config.vehicle.wheelbase_m());
-    for validated in &report.validated {
-        let record = validated.logs.first().and_then(|log| log.path.file_stem());
-        let is_it = |log: &&mut LogResult| record == Some(log.log.as_ref());
-        if let Some(log) = logs.iter_mut().find(is_it) {
-            let points = &validated.identification.simulation;
-            let errors = points
-                .iter()
-                .map(|point| point.yaw_rate_rad_s - point.measured_yaw_rate_rad_s);
-            log.identified_rms_rad_s = RootMeanSquare::of(errors).value();
-            log.plain_rms_rad_s = plain.and_then(|plain| plain.rms(points));
+    let error = |points: &[SimulationPoint]| {
+        let errors = points.iter();
+        let errors = errors.map(|point| point.yaw_rate_rad_s - point.measured_yaw_rate_rad_s);
+        RootMeanSquare::of(errors).value()
+    };
+    let on = |validated: &[Identified], log: &str| {
+        let is_it = |one: &&Identified| {
+            let record = one.logs.first().and_then(|log| log.path.file_stem());
+            record == Some(log.as_ref())
+        };
+        let found = validated.iter().find(is_it)?;
+        Some(found.identification.simulation.clone())
+    };
+    for log in &mut logs {
+        if let Some(points) = on(&report.validated, &log.log) {
+            log.identified_rms_rad_s = error(&points);
+            log.plain_rms_rad_s = plain.and_then(|plain| plain.rms(&points));
         }
+        log.configured_rms_rad_s =
+            on(&report.nominal_validated, &log.log).and_then(|points| error(&points));
     }
     let estimates = identification.estimates.iter();
     let parameters = estimates.map(|estimate| ParameterResult {
@@ -276,7 +290,7 @@ fn table(result: &CarResult) -> String {
         value.map_or_else(|| "-".to_owned(), |value| format!("{value:.digits$}"))
     };
     let mut text = format!(
-        "{}, {} at {}\n{:<64} {:>6} {:>6} {:>7} {:>7} {:>8} {:>6} {:>10} {:>6}  stops\n",
+        "{}, {} at {}\n{:<64} {:>6} {:>6} {:>7} {:>7} {:>8} {:>6} {:>10} {:>10} {:>6}  stops\n",
         result.car,
         result.source,
         result.commit,
@@ -288,6 +302,7 @@ fn table(result: &CarResult) -> String {
         "sideslip",
         "in 95",
         "identified",
+        "configured",
         "plain",
     );
     for log in &result.logs {
@@ -295,7 +310,7 @@ fn table(result: &CarResult) -> String {
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "{:<64} {:>6.1} {:>6} {:>7} {:>7} {:>8} {:>6} {:>10} {:>6}  {}",
+            "{:<64} {:>6.1} {:>6} {:>7} {:>7} {:>8} {:>6} {:>10} {:>10} {:>6}  {}",
             format!("{}{mark}", log.log),
             log.seconds,
             number(log.nis_median, 2),
@@ -304,6 +319,7 @@ fn table(result: &CarResult) -> String {
             number(log.sideslip_rms_rad, 4),
             number(log.sideslip_within_95, 2),
             number(log.identified_rms_rad_s, 3),
+            number(log.configured_rms_rad_s, 3),
             number(log.plain_rms_rad_s, 3),
             log.stops.join(" "),
         );

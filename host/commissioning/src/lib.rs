@@ -25,6 +25,8 @@ mod imu_noise;
 mod observed;
 mod procedure;
 pub mod report;
+pub mod seen;
+pub mod sensors;
 
 pub use bench::{
     Answer, Answers, Attendance, Bench, BoardReading, Health, Inertial, Interrupted, Jog, Live,

@@ -113,6 +113,11 @@ fn driven(config: &Config, stand: Stand, seconds: u64) -> (Vec<Mode>, f64) {
         let mode = output.mode;
         if mode == Mode::Driving || !modes.is_empty() {
             if modes.last() != Some(&mode) {
+                println!(
+                    "{mode:?} {:?} at {index} {:?}",
+                    output.reason,
+                    output.estimate.map(|e| (e.position, e.yaw, e.speed))
+                );
                 modes.push(mode);
             }
             ticks += 1.0;
@@ -152,6 +157,46 @@ fn the_simulator_starts_the_car_where_the_example_can_drive() {
     config.fence.braking_m_s2 = BRAKING_M_S2;
     let (modes, _) = driven(&config, stand, 30);
     assert_eq!(modes, [Mode::Driving]);
+}
+
+/// There the geofence relies on less braking, and the steering follows a wave.
+#[test]
+fn what_may_begin_is_not_stopped_at_the_fence_in_its_first_metre() {
+    let mut config = own();
+    config.fence.corners_m = square(1.28);
+    let stand = Stand {
+        x_m: 0.0,
+        y_m: 0.0,
+        yaw_rad: 0.0,
+    };
+    let mut allowed = [0; 2];
+    for shift in 0..8 {
+        config.reference = ReferenceSection::Circle {
+            radius_m: 0.9,
+            angular_velocity_rad_s: 0.5,
+            centre_m: [0.05 * f64::from(shift), 0.0],
+            start: Start::Nearest,
+        };
+        let [unproved, proved] = [true, false].map(|prove| {
+            let mut config = config.clone();
+            config.supervisor.prove_first_metre = prove;
+            let judgement = judge_reference(&config, Some(stand), Some(8.0)).unwrap();
+            judgement.is_possible()
+        });
+        allowed[0] += u32::from(unproved);
+        allowed[1] += u32::from(proved);
+        let mut simulation = SimulationConfig::default();
+        simulation.car.start = StartPose::default();
+        let mut drive = SimulatedDrive::with(config.clone(), simulation);
+        let ends = (1..1_000).find_map(|index| {
+            drive.run_until_tick(index);
+            drive.tick(index);
+            let output = drive.output()?;
+            (output.proved || output.mode == Mode::Stopping).then_some(output.proved)
+        });
+        assert!(!unproved || ends == Some(true), "{shift}: {ends:?}");
+    }
+    assert!(0 < allowed[0] && allowed[0] < allowed[1], "{allowed:?}");
 }
 
 #[test]
@@ -576,7 +621,9 @@ fn a_drive_that_leaves_the_fence_later_is_possible_for_a_shorter_time() {
         y_m: 0.0,
         yaw_rad: 0.0,
     });
-    let config = straight(10.0);
+    let mut config = straight(10.0);
+    // Its first metre would be slower.
+    config.supervisor.prove_first_metre = false;
     let judged = |longest_s| judge_reference(&config, stand, longest_s).unwrap();
     assert_eq!(judged(Some(1.0)).findings, []);
     for longest_s in [Some(2.0), Some(100.0), None] {

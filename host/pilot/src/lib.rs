@@ -46,4 +46,4 @@ pub use supervisor::{
     BoardRequest, Conditions, JOG_TIMEOUT, Mode, REST, Reason, Supervisor, SupervisorConfig,
 };
 pub use tuning::{POINT_DISTANCE_RATE, Tuned, Tuning, TuningBounds};
-pub use watch::{ImuVerdict, WatchConfig};
+pub use watch::{FIRST_METRE, FirstMetre, ImuVerdict, WatchConfig};

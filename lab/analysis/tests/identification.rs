@@ -688,6 +688,48 @@ mod thorough {
         assert!(validated.score.nmpe > 1.5 * found.score.nmpe);
     }
 
+    /// The accelerometer of a car that drives measures 2.1 m/s² of vibration. As an input of the model alone
+    /// it biased C_f, C_r and I_z by 0.9, 0.8 and 0.7 stated deviations.
+    #[test]
+    fn vibration_biases_no_estimate_by_a_third_of_its_deviation() {
+        let settings = Settings {
+            frames: Some(ServoFrames::Even),
+            ..Settings::default()
+        };
+        let drives = 20;
+        let mut errors = [[0.0; 3]; 3];
+        for seed in 100..100 + drives {
+            let weaving = Course::weaving(seed, 20.0);
+            let course = Course {
+                noise: NoiseLevels {
+                    yaw_rate_rad_s: 0.076,
+                    left_m_s2: 2.1,
+                    forward_density: 0.21,
+                    ..weaving.noise
+                },
+                ..weaving
+            };
+            let found = identify(&course.drive(), &wrong(), &settings).unwrap();
+            assert_eq!(found.criterion, Criterion::Prediction, "{seed}");
+            for (sums, parameter) in errors.iter_mut().zip(Parameter::VEHICLE) {
+                let estimate = found.estimate(parameter).unwrap();
+                let truth = truth(&course, parameter);
+                let [low, high] = estimate.interval;
+                sums[0] += (estimate.value - truth) / drives as f64;
+                sums[1] += estimate.standard_deviation / drives as f64;
+                sums[2] += f64::from(u8::from((low..=high).contains(&truth)));
+            }
+        }
+        for ([bias, stated, covered], parameter) in errors.into_iter().zip(Parameter::VEHICLE) {
+            println!(
+                "{parameter}: {:.2} deviations, {covered} of {drives}",
+                bias / stated
+            );
+            assert!(bias.abs() < stated / 3.0, "{parameter}: {bias} {stated}");
+            assert!(covered >= 0.9 * drives as f64, "{parameter}: {covered}");
+        }
+    }
+
     #[test]
     fn the_intervals_hold_with_the_sensors_of_a_real_car() {
         let drives = 30;

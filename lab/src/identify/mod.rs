@@ -87,6 +87,10 @@ pub struct IdentifyArgs {
     /// How to print the result.
     #[arg(long, value_enum, default_value_t = IdentifyFormat::Table)]
     pub format: IdentifyFormat,
+
+    /// Whether the nominal car is validated on the same drives.
+    #[arg(skip)]
+    pub validate_nominal: bool,
 }
 
 /// The tyres' force over their slip.
@@ -305,13 +309,23 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
     let identification = identification::identify(&drives.data, &vehicle, &settings)
         .map_err(|source| drives.failed(source))?;
     wait.finish_and_clear();
+    let nominal = args
+        .validate_nominal
+        .then(|| identification.with_vehicle(&vehicle));
     let (mut validated, mut not_validated) = (Vec::new(), Vec::new());
+    let mut nominal_validated = Vec::new();
     for other in validation {
         let other = Drives::of(other, Vec::new());
         let settings = Settings {
             frames: other.frames,
             ..settings.clone()
         };
+        if let Some(nominal) = &nominal {
+            match identification::validate(&other.data, nominal, &settings) {
+                Ok(found) => nominal_validated.push(other.clone().identified(found)),
+                Err(source) => not_validated.push(other.failed(source)),
+            }
+        }
         match identification::validate(&other.data, &identification, &settings) {
             Ok(found) => validated.push(other.identified(found)),
             // What was identified stands.
@@ -323,6 +337,7 @@ pub fn identify(args: &IdentifyArgs) -> Result<Report, IdentifyError> {
         tyres: settings.tyres,
         identified: drives.identified(identification),
         validated,
+        nominal_validated,
         not_validated,
     })
 }

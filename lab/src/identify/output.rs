@@ -43,6 +43,8 @@ pub struct Report {
     pub identified: Identified,
     /// Validation, drive by drive.
     pub validated: Vec<Identified>,
+    /// Validation of the nominal car, if it was asked for, on those drives that it can be.
+    pub nominal_validated: Vec<Identified>,
     /// Why there is no validation on the others.
     pub not_validated: Vec<IdentifyError>,
 }

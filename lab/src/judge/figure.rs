@@ -2,6 +2,7 @@
 
 use core::f64::consts::{PI, TAU};
 
+use singletrack_commissioning::seen::ghosts_of;
 use singletrack_control::{PoseVerdict, Time};
 use singletrack_figures::figure::{
     Axis, Column, Curve, Figure, Look, Mark, MarkKind, Panel, Scale, Symbol, Width,
@@ -9,7 +10,7 @@ use singletrack_figures::figure::{
 
 use super::{
     run::{Compared, Judged, Run, SLOWEST},
-    score, truth,
+    score,
 };
 
 /// Time from the first pose, the same on every panel.
@@ -176,7 +177,7 @@ fn spectra(run: &Run) -> Panel {
 }
 
 fn spans(run: &Run, begin: Time) -> Vec<[f64; 2]> {
-    truth::ghosts_of(run.poses.iter().map(|judged| judged.seen))
+    ghosts_of(run.poses.iter().map(|judged| judged.seen))
         .into_iter()
         .map(|ghost| ghost.map(|time| time.seconds_since(begin)))
         .collect()

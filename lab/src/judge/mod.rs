@@ -8,8 +8,6 @@ mod bends;
 mod figure;
 mod run;
 mod score;
-mod sensors;
-mod truth;
 
 use std::{
     fmt::Write as _,
@@ -27,7 +25,6 @@ pub use bends::Bends;
 pub use run::Stop;
 pub use score::Noise;
 pub use score::Verdict;
-pub use sensors::Sensor;
 
 use run::Log;
 

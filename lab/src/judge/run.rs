@@ -2,16 +2,14 @@
 
 use std::{collections::VecDeque, path::Path};
 
+use singletrack_commissioning::seen::{self, Kind, Motion, Seen, Track};
 use singletrack_control::{CarPose, InertialSample, PoseVerdict, Time, wrap};
 use singletrack_core::pose_event;
 use singletrack_mocap::{Observation, PoseLimits, PoseState, planar::PoseGate};
 use singletrack_pilot::{Commanded, Event, Imu, Mode, Pilot, PilotConfig};
 use singletrack_record::{Entry, Reader, RecordError, TickRecord, Topic};
 
-use super::{
-    Part,
-    truth::{self, Kind, Motion, Seen, Track},
-};
+use super::Part;
 
 /// The time after a stop until the next drive is watched, s.
 const PAUSE: f64 = 1.0;
@@ -98,7 +96,7 @@ pub(super) fn seen(log: &Log, pilot: &Pilot) -> Track {
             _ => None,
         })
         .collect();
-    truth::tell(&poses)
+    seen::tell(&poses)
 }
 
 /// The sample of a car without an IMU.

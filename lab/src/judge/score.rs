@@ -1,15 +1,17 @@
 //! How the estimate compares with the smoothed cameras, the noise of the sensors, and the verdict.
 
 use serde::Serialize;
+use singletrack_commissioning::{
+    seen::{self, Kind, Motion, SLOWEST_CAMERAS, Seen, Track},
+    sensors::{self, Readings, Sensor, Source},
+};
 use singletrack_control::{EstimatorConfig, InertialSample, PoseVerdict, Time};
-use singletrack_pilot::Imu;
+use singletrack_pilot::{Event, Imu};
 use singletrack_statistics::{Line, RootMeanSquare};
 
 use super::{
     bends::Bends,
     run::{Compared, Log, Run, Stop},
-    sensors::{self, Sensor},
-    truth::{self, Kind, Motion, SLOWEST_CAMERAS, Seen, Track},
 };
 
 /// Below this speed a car stands, m/s.
@@ -306,7 +308,7 @@ impl Verdict {
         let nis_mean = (!innovations.is_empty())
             .then(|| innovations.iter().sum::<f64>() / innovations.len() as f64);
         innovations.sort_by(f64::total_cmp);
-        let ghosts = truth::ghosts_of(run.poses.iter().map(|judged| judged.seen));
+        let ghosts = seen::ghosts_of(run.poses.iter().map(|judged| judged.seen));
         let mut adopted = 0;
         let mut was_adopted = false;
         for judged in &run.poses {
@@ -316,7 +318,9 @@ impl Verdict {
             was_adopted = is_adopted;
         }
         let errors = Errors::of(&run.compared);
-        let (sensors, findings) = sensors::compare(log, run, config.wheelbase);
+        let readings = readings(log, run);
+        let (sensors, findings) =
+            sensors::compare(&run.track, &readings, config.wheelbase, Source::Log);
         let flips = run.track.seen.iter().filter(|seen| seen.kind == Kind::Flip);
         Self {
             duration_s: log.duration(),
@@ -347,6 +351,24 @@ impl Verdict {
             not_judged: not_judged(log, run),
         }
     }
+}
+
+/// What is compared with the cameras; the steering is that of the tick in which the board was heard.
+fn readings(log: &Log, run: &Run) -> Readings {
+    let mut readings = Readings {
+        inertial: run.samples.iter().map(|(sample, _)| *sample).collect(),
+        ..Readings::default()
+    };
+    for tick in &log.ticks {
+        for event in &tick.events {
+            if let Event::Board(board) = event {
+                readings.motor.push((board.time, board.motor_speed));
+                let steering = tick.commanded.steering;
+                readings.steering.push((board.time, steering));
+            }
+        }
+    }
+    readings
 }
 
 fn not_judged(log: &Log, run: &Run) -> Vec<String> {

@@ -87,6 +87,7 @@ fn identified(
         least_speed: 0.5,
         out: None,
         format: IdentifyFormat::Table,
+        validate_nominal: false,
     })?)
 }
 

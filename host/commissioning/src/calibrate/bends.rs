@@ -1,14 +1,19 @@
 //! A straight metre, then bends to both sides with a weave: the steering, the table in its place
 //! where it is no straight line, and the body on the car.
 
-use singletrack_control::{SteeringTable, VehicleParameters, direction, wrap};
+use singletrack_control::{
+    CarPose, InertialSample, Position, SteeringTable, VehicleParameters, Velocity, direction, wrap,
+};
 use singletrack_core::{Config, config::ServoSection};
 
 use super::floor::{self, Drive, Figure, SLOW, Wanted, round};
 use crate::{
-    Bench, Finding, Interval, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
+    Bench, Finding, Interval, Observation, Parameter, Plot, PlotKind, PlotLine, Step, Trouble,
+    Verdict,
     finding::failed,
     fit::{self, Body, Frames, Motion, Signal, Track, Wheels},
+    seen,
+    sensors::{self, Readings, Sensor, Source},
 };
 
 /// The way, m.
@@ -119,7 +124,73 @@ fn measure_bends(bench: &mut dyn Bench) -> Result<Finding, Trouble> {
     let bounds: Vec<f64> = (0..=PASSES)
         .map(|pass| drive.on_track((lead + 2.0 * pass as f64 * figure.lap()) / SLOW))
         .collect();
-    identified(bench, &drive.track, &bounds)
+    let finding = identified(bench, &drive.track, &bounds)?;
+    Ok(with_sensors(
+        finding,
+        bench.configuration(),
+        &drive.observed,
+    ))
+}
+
+/// The finding, with each sensor beside the cameras: slope, lag and correlation.
+fn with_sensors(mut finding: Finding, config: &Config, observed: &[Observation]) -> Finding {
+    let cameras = &config.motion_capture;
+    let servo = &config.board.servo;
+    let mut poses = Vec::new();
+    let mut readings = Readings::default();
+    for observation in observed {
+        match observation {
+            Observation::Pose(pose) => {
+                let yaw = pose.yaw - cameras.marker_yaw_rad;
+                let axis = direction(yaw);
+                let [ahead, left] = cameras.marker_offset_m;
+                let [x, y, _] = pose.position;
+                let body = ahead * axis + left * Velocity::new(-axis.y, axis.x);
+                let position = Position::new(x, y) - body;
+                poses.push((pose.capture, CarPose { position, yaw }));
+            }
+            Observation::Board(board) => {
+                let off = f64::from(board.servo_us) - f64::from(servo.centre_us);
+                let angle = off / f64::from(servo.gain_us_per_rad);
+                readings.steering.push((board.time, angle));
+                readings.motor.push((board.time, board.motor_speed));
+                readings
+                    .inertial
+                    .extend(board.inertial.map(|inertial| InertialSample {
+                        time: inertial.time,
+                        yaw_rate: inertial.angular_velocity[2],
+                        forward_acceleration: inertial.acceleration[0],
+                        left_acceleration: inertial.acceleration[1],
+                    }));
+            }
+            _ => {}
+        }
+    }
+    let wheelbase = config.vehicle.wheelbase_m();
+    let (sensors, wrong) = sensors::compare(&seen::tell(&poses), &readings, wheelbase, Source::Car);
+    for sensor in &sensors {
+        let Sensor {
+            sensor,
+            slope,
+            lag_s,
+            correlation,
+            ..
+        } = sensor;
+        let lag = 1e3 * lag_s;
+        finding.found += &format!(
+            "; {sensor} {slope:.2} of the cameras, {lag:+.0} ms, correlation {correlation:.2}"
+        );
+    }
+    if !wrong.is_empty() {
+        finding.verdict = finding.verdict.max(Verdict::Warning);
+        finding.fix = [finding.fix]
+            .into_iter()
+            .filter(|fix| !fix.is_empty())
+            .chain(wrong)
+            .collect::<Vec<_>>()
+            .join("; ");
+    }
+    finding
 }
 
 /// A triangle: the offset to the left, m, and its rate, m/s.

@@ -51,6 +51,8 @@ pub(super) struct Wanted {
 #[derive(Default)]
 pub(super) struct Drive {
     pub(super) track: Track,
+    /// The readings of board and cameras.
+    pub(super) observed: Vec<Observation>,
     pub(super) ticks: Vec<TickReading>,
     /// When the drive was how far, in ns and s.
     progress: Vec<(u64, f64)>,
@@ -458,6 +460,7 @@ impl Drive {
         self.track.push(observation);
         match observation {
             Observation::Board(board) => {
+                self.observed.push(observation.clone());
                 self.board_is_armed = matches!(
                     board.mode,
                     BoardMode::Armed | BoardMode::Driving | BoardMode::PoweringUp
@@ -466,7 +469,10 @@ impl Drive {
             Observation::Tick(tick) => {
                 self.ticks.push(*tick);
             }
-            Observation::Pose(pose) => self.last_pose_ns = pose.receive.0,
+            Observation::Pose(pose) => {
+                self.observed.push(observation.clone());
+                self.last_pose_ns = pose.receive.0;
+            }
             _ => {}
         }
     }

@@ -13,12 +13,7 @@ use singletrack_core::{
 use singletrack_pilot::{Mode, PilotRequest, Reason, Tuned, Tuning};
 use tokio::{task::spawn_blocking, time::timeout};
 
-use super::{
-    arm::{stand, warnings},
-    command::ParseError,
-    progress::next_tick,
-    setpoint::reject,
-};
+use super::{arm::warnings, command::ParseError, progress::next_tick, setpoint::reject};
 use crate::{
     clock::{monotonic_ns, wall_ns},
     commissioned_file::subject,
@@ -141,7 +136,7 @@ pub(super) async fn set_reference(reference: ReferenceSection, daemon: &DaemonHa
             .set_reference(reference, changing.config_path.as_deref())
             .map_err(change_refused)?;
         let (_, config) = changing.reconfigurer.in_force();
-        let warnings = warnings(&config, stand(&changing.snapshot()));
+        let warnings = warnings(config, &changing.snapshot());
         Ok((number, warnings))
     })
     .await;

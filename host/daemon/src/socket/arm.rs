@@ -94,6 +94,7 @@ pub(super) async fn begin(
                 Some(tuned) => config.with_tuning(tuned.gain, tuned.wanted_point_distance),
                 None => config,
             };
+            let config = for_the_next_drive(config, &snapshot);
             infeasibility(&config, stand, longest).map(refused(Code::NotFeasible))
         });
         (number, refusal)
@@ -212,6 +213,12 @@ pub(super) fn stand(snapshot: &Snapshot) -> Option<Stand> {
     })
 }
 
+/// The configuration with which the next drive begins: a proved one has its first metre behind it.
+fn for_the_next_drive(mut config: Config, snapshot: &Snapshot) -> Config {
+    config.supervisor.prove_first_metre &= snapshot.proved != Some(true);
+    config
+}
+
 /// Why the car can't drive its reference from there, for this time at most; `None` if it can.
 ///
 /// It takes 10 to 300 ms of a processor, and with a governor up to some seconds, on a thread that
@@ -236,12 +243,13 @@ fn infeasibility(
 }
 
 /// What should be known about a reference that is in force, in one line each.
-pub(super) fn warnings(config: &Config, stand: Option<Stand>) -> Vec<String> {
+pub(super) fn warnings(config: Config, snapshot: &Snapshot) -> Vec<String> {
     let text = |finding: &Finding| match finding.severity {
         Severity::Warning => finding.to_string(),
         Severity::Impossible => format!("{}: {finding}", finding.severity.name()),
     };
-    match judge_reference(config, stand, None) {
+    let config = for_the_next_drive(config, snapshot);
+    match judge_reference(&config, stand(snapshot), None) {
         Ok(judgement) => judgement.findings.iter().map(text).collect(),
         Err(error) => vec![error.to_string()],
     }

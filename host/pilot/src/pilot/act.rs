@@ -15,7 +15,7 @@ use super::{
 use crate::{
     learned::Learning,
     supervisor::{Mode, Reason},
-    watch::PROVING_SPEED,
+    watch::FIRST_METRE,
 };
 
 /// A slower car learns nothing, m/s.
@@ -299,7 +299,7 @@ impl Pilot {
             let speed = if coast {
                 fabs(estimate.speed)
             } else {
-                PROVING_SPEED
+                FIRST_METRE.speed
             };
             let share = speed / reference.velocity.norm();
             // NaN, where both stand, delays nothing.
@@ -320,7 +320,7 @@ impl Pilot {
             // The drive goes on from the speed to which the car has rolled.
             self.law.cap_speed(fabs(estimate.speed));
         }
-        self.law.cap_speed(PROVING_SPEED);
+        self.law.cap_speed(FIRST_METRE.speed);
         if let Some(measured) = tick.coasted {
             watches.stops.coasted(measured);
             action.coasted = Some(measured);

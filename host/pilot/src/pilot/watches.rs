@@ -8,14 +8,11 @@ use crate::{
     event::BoardSample,
     supervisor::{Mode, Reason},
     watch::{
-        AttitudeWatch, BlindWatch, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
-        PROVING_SPEED, Proving, PushWatch, SideslipWatch, SlideWatch, SpeedWatch, Speeds,
-        StartWatch, SteeringWatch, Steps, StopWatch, TickWatch, WatchConfig,
+        AttitudeWatch, BlindWatch, FIRST_METRE, FrozenWatch, GyroWatch, ImuWatch, InnovationWatch,
+        Proving, PushWatch, SideslipWatch, SlideWatch, SpeedWatch, Speeds, StartWatch,
+        SteeringWatch, Steps, StopWatch, TickWatch, WatchConfig,
     },
 };
-
-/// The deceleration assumed of an unproved car, m/s²: that of one that rolls well.
-const UNPROVED_BRAKING: f64 = 0.25;
 
 /// All watches.
 #[derive(Clone, Debug, Default)]
@@ -232,7 +229,7 @@ impl Watches {
     /// The most that the first metre leaves of a speed, m/s.
     pub(super) const fn speed_cap(&self) -> f64 {
         if self.proving.is_some() {
-            PROVING_SPEED
+            FIRST_METRE.speed
         } else {
             f64::INFINITY
         }
@@ -243,7 +240,7 @@ impl Watches {
     pub(super) fn braking(&self, config: &PilotConfig) -> f64 {
         let known = self.stops.relied_on(config.braking);
         if self.proving.is_some() {
-            known.min(UNPROVED_BRAKING)
+            known.min(FIRST_METRE.braking)
         } else {
             known
         }

@@ -21,7 +21,8 @@ pub(crate) use consistency::{
 };
 pub use imu::ImuVerdict;
 pub(crate) use imu::{GyroWatch, ImuWatch, StartWatch};
-pub(crate) use proving::{PROVING_SPEED, Proving, WAVE};
+pub use proving::{FIRST_METRE, FirstMetre};
+pub(crate) use proving::{Proving, WAVE};
 pub(crate) use speed::SpeedWatch;
 pub(crate) use steps::Steps;
 pub(crate) use stop::{Speeds, StopLimits, StopWatch};

@@ -8,10 +8,23 @@ use singletrack_control::Time;
 use super::{imu::Turns, roll_out::RollOut, steps::Step};
 use crate::supervisor::Reason;
 
-/// The highest speed until everything has been compared, m/s.
-pub(crate) const PROVING_SPEED: f64 = 0.3;
-/// The least way until then, m.
-const METRE: f64 = 1.0;
+/// What holds until every sensor has been compared with every other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FirstMetre {
+    /// The least way until then, m.
+    pub way: f64,
+    /// The highest speed, m/s.
+    pub speed: f64,
+    /// The deceleration that the geofence relies on at most, m/s²: that of a car that rolls well.
+    pub braking: f64,
+}
+
+/// The limits of the first metre of an unproved configuration.
+pub const FIRST_METRE: FirstMetre = FirstMetre {
+    way: 1.0,
+    speed: 0.3,
+    braking: 0.25,
+};
 
 /// Steering angles below this prove nothing, rad: trim and backlash.
 const LEAST_STEERING: f64 = 0.04;
@@ -59,6 +72,15 @@ const COAST_FROM: f64 = 0.22;
 const COAST_UNTIL: f64 = 0.08;
 /// A roll that loses less than this share of the configured deceleration is too weak.
 const COAST_SHARE: f64 = 0.8;
+
+impl FirstMetre {
+    /// What is added to the steering after a way (m), in rad: a straight reference shows no sign of the
+    /// servo.
+    #[must_use]
+    pub fn wave(way: f64) -> f64 {
+        WAVE * sin(TAU * way / WAVE_LENGTH)
+    }
+}
 
 /// What the proving run asks of the next command, and what it found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -208,11 +230,11 @@ impl Proving {
             }
             Coast::Ahead | Coast::Over => {}
         }
-        if self.way < METRE || self.wanted <= PROVED_AFTER {
-            tick.steering = WAVE * sin(TAU * self.way / WAVE_LENGTH);
+        if self.way < FIRST_METRE.way || self.wanted <= PROVED_AFTER {
+            tick.steering = FirstMetre::wave(self.way);
         }
         tick.passed = self.found.is_none()
-            && self.way >= METRE
+            && self.way >= FIRST_METRE.way
             && self.wanted > PROVED_AFTER
             && start_judged
             && matches!(self.coast, Coast::Over);

@@ -3,10 +3,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::wrap;
-use singletrack_statistics::Line;
+use singletrack_statistics::{Line, RootMeanSquare};
 use singletrack_words::words;
 
-use super::error::IdentificationError;
+use super::{error::IdentificationError, noise::NoiseLevels};
 
 words! {
     /// A measured quantity.
@@ -149,11 +149,15 @@ pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
 const BENT_AROUND: f64 = 0.055;
 /// ...or up to as many of the poses' median distances.
 const BENT_PERIODS: f64 = 2.6;
+/// A parabola's acceleration that is so many standard deviations from that of the samples is none of the
+/// car.
+const FAR: f64 = 5.0;
 /// The smallest number of poses of a parabola.
 const LEAST_BENT: usize = 5;
 
-/// Acceleration of G along the car's axis in the middle of poses, in m/s².
-fn forward_acceleration(poses: &[Pose], time: f64) -> Option<f64> {
+/// Acceleration of G along the car's axis in the middle of poses, in m/s², and its standard deviation
+/// for each metre of that of a position, in 1/s².
+fn forward_acceleration(poses: &[Pose], time: f64) -> Option<[f64; 2]> {
     let first = poses.first().filter(|_| poses.len() >= LEAST_BENT)?;
     let mut normal = Matrix3::zeros();
     let mut sums = [Vector3::zeros(); 3];
@@ -169,7 +173,8 @@ fn forward_acceleration(poses: &[Pose], time: f64) -> Option<f64> {
     let inverse = normal.try_inverse()?;
     let [x, y, turned] = sums.map(|sum| inverse * sum);
     let (sin, cos) = (first.yaw_rad + turned.x).sin_cos();
-    Some(2.0 * (x.z * cos + y.z * sin))
+    let deviation = 2.0 * inverse.m33.sqrt();
+    Some([2.0 * (x.z * cos + y.z * sin), deviation])
 }
 
 words! {
@@ -332,8 +337,6 @@ impl DriveData {
     /// Puts the forward acceleration that the poses show in place of that of the samples; without a
     /// sample, into one at each pose. A car without an accelerometer is identified so.
     pub fn take_acceleration_of_poses(&mut self) {
-        let period = median_period(self.poses.iter().map(|pose| pose.time_s));
-        let reach = BENT_AROUND.max(BENT_PERIODS * period);
         let unmeasured = |pose: &Pose| Inertial {
             time_s: pose.time_s,
             yaw_rate_rad_s: f64::NAN,
@@ -343,18 +346,103 @@ impl DriveData {
         if self.inertial.is_empty() {
             self.inertial = self.poses.iter().map(unmeasured).collect();
         }
-        let poses = &self.poses;
+        let (poses, reach) = (&self.poses, self.bent_reach());
         self.inertial.retain_mut(|sample| {
-            let time = sample.time_s;
-            let from = poses.partition_point(|pose| pose.time_s < time - reach);
-            let to = poses.partition_point(|pose| pose.time_s <= time + reach);
-            let around = poses.get(from..to).unwrap_or(&[]);
-            let ends = [around.first(), around.last()]
-                .map(|pose| pose.is_some_and(|pose| (pose.time_s - time).abs() > 0.6 * reach));
-            let forward = forward_acceleration(around, time).filter(|_| ends == [true; 2]);
-            sample.forward_m_s2 = forward.unwrap_or(f64::NAN);
+            let forward = bent(poses, reach, sample.time_s);
+            sample.forward_m_s2 = forward.map_or(f64::NAN, |[forward, _]| forward);
             forward.is_some()
         });
+    }
+
+    /// Half of the time of a parabola through the poses, in s.
+    fn bent_reach(&self) -> f64 {
+        let period = median_period(self.poses.iter().map(|pose| pose.time_s));
+        BENT_AROUND.max(BENT_PERIODS * period)
+    }
+
+    /// Puts the forward acceleration of accelerometer and poses together in place of that of the samples,
+    /// and returns these data with the density of its noise, in m/s²/√Hz.
+    ///
+    /// The forward acceleration is an input of the model. Its noise is in the prediction and in the
+    /// prediction's derivatives alike, so that a vibrating accelerometer biases the fit by the square of
+    /// that noise. A parabola through poses shows the mean acceleration with the weight (h² - t²)²; so
+    /// does the mean of the samples with that weight, and both are put together by their variances. An
+    /// accelerometer with little noise stays as it is.
+    pub(super) fn with_fused_acceleration(
+        &self,
+        noise: &NoiseLevels,
+        spans: &[Span],
+    ) -> (Self, f64) {
+        let (late, reach) = (self.gyro_delay(spans), self.bent_reach());
+        let white = noise.forward_density.powi(2) / self.inertial_period();
+        let mut fused = self.clone();
+        let (mut of_means, mut of_poses) = (RootMeanSquare::default(), RootMeanSquare::default());
+        let mut seen = Vec::with_capacity(self.inertial.len());
+        for (index, sample) in fused.inertial.iter_mut().enumerate() {
+            let (mut sum, mut weights, mut squares) = (0.0, 0.0, 0.0);
+            let near = |other: &&Inertial| (other.time_s - sample.time_s).abs() < reach;
+            let before = self.inertial[..index].iter().rev().take_while(near);
+            for other in before.chain(self.inertial[index..].iter().take_while(near)) {
+                let t = (other.time_s - sample.time_s) / reach;
+                let weight = (1.0 - t * t).powi(2);
+                sum += weight * other.forward_m_s2;
+                weights += weight;
+                squares += weight * weight;
+            }
+            sample.forward_m_s2 = sum / weights;
+            of_means.add((white * squares).sqrt() / weights);
+            let bent = bent(&self.poses, reach, sample.time_s - late);
+            if let Some([_, deviation]) = bent {
+                of_poses.add(noise.position_m * deviation);
+            }
+            seen.push(bent.map(|[forward, _]| forward));
+        }
+        let [means, poses] =
+            [of_means, of_poses].map(|one| one.value().unwrap_or(f64::NAN).powi(2));
+        if !(white > 4.0 * poses && (means + poses).is_finite()) {
+            return (self.clone(), noise.forward_density);
+        }
+        let share = means / (means + poses);
+        for (sample, seen) in fused.inertial.iter_mut().zip(seen) {
+            let off = seen.map_or(0.0, |seen| seen - sample.forward_m_s2);
+            // A pose of another body bends the parabola.
+            if off.powi(2) < FAR * FAR * (means + poses) {
+                sample.forward_m_s2 += share * off;
+            }
+        }
+        let density = ((1.0 - share) * noise.forward_density).hypot(share * (poses * reach).sqrt());
+        (fused, density)
+    }
+
+    /// By how much the time stamps of the gyro are late against those of the poses, in s: where what they
+    /// differ by does not go with the change of the yaw rate. Zero without a gyro.
+    fn gyro_delay(&self, spans: &[Span]) -> f64 {
+        const STEPS: usize = 4;
+        let samples = self.inertial.iter();
+        let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
+        let mut late = 0.0;
+        for _ in 0..STEPS {
+            let rows = samples.clone().filter_map(|sample| {
+                let at = |offset| Some(seen(&self.poses, sample.time_s - late + offset)?.yaw_rate);
+                let rise = (at(AROUND)? - at(-AROUND)?) / (2.0 * AROUND);
+                Some([at(0.0)?, sample.yaw_rate_rad_s, rise])
+            });
+            let rows: Vec<[f64; 3]> = rows.collect();
+            let line = Line::through(rows.iter().map(|[camera, gyro, _]| [*camera, *gyro]));
+            let [along, of] = rows
+                .iter()
+                .fold([0.0; 2], |[along, of], [camera, gyro, rise]| {
+                    [
+                        along + (line.at(*camera) - gyro) * rise,
+                        of + line.slope * rise * rise,
+                    ]
+                });
+            if !(along / of).is_finite() {
+                return 0.0;
+            }
+            late += along / of;
+        }
+        late
     }
 
     /// Speed at the pose with this index from its neighbours, in m/s.
@@ -373,6 +461,16 @@ impl DriveData {
             .filter_map(|index| self.speed_at(index))
             .fold(0.0, f64::max)
     }
+}
+
+/// The forward acceleration of the poses around a time, none where they are not on both sides.
+fn bent(poses: &[Pose], reach: f64, time: f64) -> Option<[f64; 2]> {
+    let from = poses.partition_point(|pose| pose.time_s < time - reach);
+    let to = poses.partition_point(|pose| pose.time_s <= time + reach);
+    let around = poses.get(from..to).unwrap_or(&[]);
+    let ends = [around.first(), around.last()]
+        .map(|pose| pose.is_some_and(|pose| (pose.time_s - time).abs() > 0.6 * reach));
+    forward_acceleration(around, time).filter(|_| ends == [true; 2])
 }
 
 /// The median distance of times, in s.

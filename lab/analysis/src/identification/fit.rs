@@ -49,6 +49,8 @@ const ROUNDS: usize = 12;
 const PATIENCE: usize = 1;
 /// The fit has converged below this change, in standard deviations.
 const SETTLED: f64 = 0.01;
+/// So has one that goes to and fro by less: between two delays at which two samples change places.
+const RETURNS: f64 = 0.25;
 
 impl Task<'_> {
     /// The vehicle at the start.
@@ -102,6 +104,7 @@ impl Task<'_> {
             return Err(self.diverged(&zero));
         };
         let servo = frames.of(&self.data.servo);
+        let mut before = u.clone();
         for round in 0..ROUNDS {
             if self.settings.estimate_noise && round < 3 {
                 let rounds = if round == 0 { 2 } else { 1 };
@@ -113,14 +116,16 @@ impl Task<'_> {
             let prediction = self.prediction(&servo, &run);
             let spread = spread(&prediction, &next, &prediction.times(), BLOCK)
                 .ok_or_else(|| self.diverged(&next))?;
-            let moved = next
-                .iter()
-                .zip(&u)
-                .zip(&spread.deviations)
-                .map(|((next, last), deviation)| (next - last).abs() / deviation)
-                .fold(0.0, f64::max);
-            u = next;
-            let settled = moved < SETTLED && round >= 2;
+            let moved_from = |last: &[f64]| {
+                let steps = next.iter().zip(last).zip(&spread.deviations);
+                steps
+                    .map(|((next, last), deviation)| (next - last).abs() / deviation)
+                    .fold(0.0, f64::max)
+            };
+            let moved = moved_from(&u);
+            let returns = moved < RETURNS && moved_from(&before) < SETTLED;
+            before = core::mem::replace(&mut u, next);
+            let settled = round >= 2 && (moved < SETTLED || returns);
             if settled || round + 1 == ROUNDS {
                 let run = self.run_filter(&servo, &u, &noise)?;
                 return Ok(Fit {

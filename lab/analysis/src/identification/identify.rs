@@ -60,6 +60,26 @@ impl Identification {
         self.values.vehicle()
     }
 
+    /// Another car with the steering of this one, to be [validated](validate) beside it.
+    #[must_use]
+    pub fn with_vehicle(&self, vehicle: &VehicleParameters) -> Self {
+        let steering = [
+            Parameter::ServoLag,
+            Parameter::SteeringDelay,
+            Parameter::SteeringTrim,
+            Parameter::GyroScale,
+        ];
+        let values = steering
+            .into_iter()
+            .fold(Values::of(vehicle), |values, parameter| {
+                values.with(parameter, self.values.get(parameter))
+            });
+        Self {
+            values,
+            ..self.clone()
+        }
+    }
+
     /// The estimate of a parameter; none if it was not estimated.
     #[must_use]
     pub fn estimate(&self, parameter: Parameter) -> Option<&Estimate> {
@@ -118,6 +138,8 @@ fn identified(
     });
     let settings = &settings;
     let stretches = usable(data, settings)?;
+    let fused = fused(data, settings, &stretches);
+    let (data, settings) = (&fused.0, &fused.1);
     let task = Task {
         data,
         spans: &stretches,
@@ -166,6 +188,18 @@ fn identified(
         track: fit.run.track,
         evaluations: fit.evaluations,
     })
+}
+
+/// The data with the forward acceleration of all sensors, and the settings with its noise.
+fn fused(data: &DriveData, settings: &Settings, spans: &[Span]) -> (DriveData, Settings) {
+    let noise = match settings.estimate_noise {
+        true => settings.noise.with_measured_sensors(data, spans),
+        false => settings.noise,
+    };
+    let (data, forward_density) = data.with_fused_acceleration(&noise, spans);
+    let mut settings = settings.clone();
+    settings.noise.forward_density = forward_density;
+    (data, settings)
 }
 
 /// A fit with its simulation.

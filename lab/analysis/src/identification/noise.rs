@@ -115,9 +115,12 @@ impl NoiseLevels {
         }
         let inertial = data.inertial.windows(4);
         let inertial = inertial.filter(|w| w.iter().all(|i| within(i.time_s)));
-        let (mut yaw_rate, mut left) = (Vec::new(), Vec::new());
+        let (mut yaw_rate, mut left, mut forward) = (Vec::new(), Vec::new(), Vec::new());
+        let mut seconds = 0.0;
         for window in inertial {
             if let [a, b, c, d] = window {
+                seconds += d.time_s - a.time_s;
+                forward.push(third([a, b, c, d].map(|sample| sample.forward_m_s2)));
                 yaw_rate.push(third([a, b, c, d].map(|sample| sample.yaw_rate_rad_s)));
                 left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
             }
@@ -125,6 +128,7 @@ impl NoiseLevels {
         // What is not measured.
         yaw_rate.retain(|difference: &f64| !difference.is_nan());
         left.retain(|difference: &f64| !difference.is_nan());
+        let period = seconds / (3.0 * forward.len() as f64);
         let level = |differences, usual: f64, least: f64| {
             deviation(differences).map_or(usual, |measured| measured.max(least))
         };
@@ -133,6 +137,8 @@ impl NoiseLevels {
             yaw_rad: level(yaw, self.yaw_rad, LEAST.yaw_rad),
             yaw_rate_rad_s: level(yaw_rate, self.yaw_rate_rad_s, LEAST.yaw_rate_rad_s),
             left_m_s2: level(left, self.left_m_s2, LEAST.left_m_s2),
+            forward_density: deviation(forward)
+                .map_or(self.forward_density, |deviation| deviation * period.sqrt()),
             ..self
         }
     }

@@ -2,13 +2,13 @@
 //! judged from its geometry.
 
 use singletrack_control::{
-    Ahead, Governor, LimitedLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop,
-    Reference, ReferencePoint, SlowedBy, Stop, TrackingInput, TrackingLoop, VehicleParameters,
-    Velocity, along_bend, direction,
+    Actuation, Ahead, Governor, LimitedLaw, Limits, Motion, OuterLoop as _, Position,
+    ProportionalLoop, Reference, ReferencePoint, SlowedBy, Stop, TrackingInput, TrackingLoop,
+    VehicleParameters, Velocity, along_bend, direction,
 };
-use singletrack_pilot::{Fence, PilotConfig};
+use singletrack_pilot::{FIRST_METRE, Fence, FirstMetre, PilotConfig};
 
-use super::{Finding, Stand, begun, duration};
+use super::{Finding, RESERVE_M, Stand, begun, duration};
 use crate::config::{Config, OuterLoopSection};
 
 /// The reaction of the geofence's watch, and the age of a pose, in s.
@@ -47,8 +47,12 @@ pub(super) struct Car {
     stop: Stop,
     period: f64,
     time: f64,
+    /// What the reference has counted of the time, s: it waits for a car that may not be as fast.
+    clock: f64,
     position: Position,
     yaw: f64,
+    /// What is left of the way on which the configuration is proved, m.
+    unproved: f64,
 }
 
 /// How a drive ended.
@@ -146,8 +150,14 @@ impl Car {
             },
             period: pilot.period,
             time: 0.0,
+            clock: 0.0,
             position: Position::new(stand.x_m, stand.y_m),
             yaw: stand.yaw_rad,
+            unproved: if pilot.supervisor.prove {
+                FIRST_METRE.way
+            } else {
+                0.0
+            },
         }
     }
 
@@ -170,6 +180,7 @@ impl Car {
 
     /// Follows the reference without a geofence, and measures what the governor makes of it.
     pub(super) fn governed(mut self) -> Governed {
+        self.unproved = 0.0;
         let until = duration(&self.reference);
         let mut counts = [0_u32; REASONS.len()];
         let mut beside = 0.0_f64;
@@ -203,6 +214,7 @@ impl Car {
 
     /// Follows the reference without a geofence, and measures for how long it is limited.
     pub(super) fn saturated(mut self) -> Saturated {
+        self.unproved = 0.0;
         let limits = self.limits;
         let until = duration(&self.reference);
         let (mut steps, mut steering, mut speed, mut lateral) = (0.0, 0.0, 0.0, 0.0);
@@ -228,7 +240,7 @@ impl Car {
     const fn place(&self) -> f64 {
         match self.governor {
             Some(_) => self.path,
-            None => self.time,
+            None => self.clock,
         }
     }
 
@@ -246,12 +258,12 @@ impl Car {
             .law()
             .point(self.position, self.yaw, before.steering);
         self.path = match &mut self.governor {
-            Some(governor) => governor.advance(self.time, &self.reference, &point),
-            None => self.time,
+            Some(governor) => governor.advance(self.clock, &self.reference, &point),
+            None => self.clock,
         };
         let at = |ahead: f64| match &self.governor {
             Some(governor) => governor.at(&self.reference, ahead),
-            None => self.reference.at(self.time + ahead),
+            None => self.reference.at(self.clock + ahead),
         };
         let reference = at(0.0);
         let wanted = self.tracking.step(&TrackingInput {
@@ -268,21 +280,45 @@ impl Car {
                 .and_then(|_| reference.overtaken_by(&point)),
             lead: None,
         };
-        let actuation = self
-            .law
+        self.law
             .step_ahead(&motion, before.speed, &wanted, &ahead, self.period)
             .ok()?;
+        let first_metre = self.first_metre();
+        if let Some(first) = first_metre {
+            self.law.cap_speed(first.speed);
+        }
+        let actuation = self.law.actuation();
         self.applied = self.law.point_velocity();
-        let (sideslip, curvature) = self.rolls(actuation.steering);
+        let (sideslip, curvature) = self.rolls(self.steered(&actuation));
         let way = actuation.speed * self.period;
         let turned = way * curvature;
         self.position += way * direction(self.yaw + sideslip + 0.5 * turned);
         self.yaw += turned;
         self.time += self.period;
+        self.unproved -= actuation.speed.abs() * self.period;
+        let waits = first_metre.filter(|_| reference.position.is_some());
+        self.clock += self.period
+            * waits.map_or(1.0, |first| {
+                (first.speed / reference.velocity.norm()).min(1.0)
+            });
         Some(Step {
             reference,
             speed: actuation.speed,
             steering: actuation.steering,
+        })
+    }
+
+    /// What holds while the configuration is proved.
+    fn first_metre(&self) -> Option<FirstMetre> {
+        (self.unproved > 0.0).then_some(FIRST_METRE)
+    }
+
+    /// The steering angle (rad) with the wave that proves the steering.
+    fn steered(&self, actuation: &Actuation) -> f64 {
+        let most = self.limits.max_steering;
+        self.first_metre().map_or(actuation.steering, |first| {
+            let wave = FirstMetre::wave(first.way - self.unproved);
+            (actuation.steering + wave).clamp(-most, most)
         })
     }
 
@@ -297,8 +333,14 @@ impl Car {
     /// Whether the car is inside and stays inside if it stops now, with its wheels held.
     fn stops_inside(&self, fence: &Fence) -> bool {
         let actuation = self.law.actuation();
-        let (sideslip, curvature) = self.rolls(actuation.steering);
-        let ahead = self.stop.way(actuation.speed).copysign(actuation.speed);
+        let (sideslip, curvature) = self.rolls(self.steered(&actuation));
+        let stop = self.first_metre().map_or(self.stop, |first| Stop {
+            braking: self.stop.braking.min(first.braking),
+            ..self.stop
+        });
+        // What is not proved is not compensated either: the wheels are late.
+        let late = self.first_metre().map_or(0.0, |_| RESERVE_M);
+        let ahead = (stop.way(actuation.speed) + late).copysign(actuation.speed);
         let course = direction(self.yaw + sideslip);
         fence.contains_path(&self.position, &along_bend(&course, curvature, ahead))
     }

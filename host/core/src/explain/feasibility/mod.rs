@@ -156,7 +156,8 @@ impl Judgement {
 /// stands, otherwise from where it could start.
 ///
 /// The car of the judgement follows the law without slip, lag and noise: what it can't do,
-/// a real car can't do. With `[governor]` it follows the governed reference.
+/// a real car can't do. With `[governor]` it follows the governed reference. Its first metre has the
+/// speed and the braking of an unproved configuration, unless `supervisor.prove_first_metre` is off.
 ///
 /// # Errors
 ///

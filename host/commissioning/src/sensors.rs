@@ -1,5 +1,5 @@
-//! Each sensor beside what the cameras say of the same motion: whether it is mounted, scaled and timed
-//! as the record takes it to be.
+//! Each sensor of a drive beside what the cameras say of the same motion: whether it is mounted, scaled
+//! and timed as it is taken to be.
 //!
 //! The cameras' motion is that of a parabola through the poses of a window. The sensors are smoothed by
 //! what that does to a signal: its first derivative is the mean weighted by h² - t², its second the mean
@@ -7,12 +7,8 @@
 
 use serde::Serialize;
 use singletrack_control::{InertialSample, Time};
-use singletrack_pilot::{BoardSample, Event};
 
-use super::{
-    run::{Log, Run},
-    truth::{Motion, Track},
-};
+use crate::seen::{Motion, Track};
 
 /// The step of the comparison, s.
 const STEP: f64 = 0.005;
@@ -58,14 +54,40 @@ pub struct Sensor {
     pub gain: f64,
 }
 
+/// What the sensors of a drive read, by the time of the measurement.
+#[derive(Clone, Debug, Default)]
+pub struct Readings {
+    /// Samples of the IMU, NaN in what it does not measure.
+    pub inertial: Vec<InertialSample>,
+    /// Speed of the rear axle by the motor, m/s.
+    pub motor: Vec<(Time, f64)>,
+    /// Commanded steering angle, rad.
+    pub steering: Vec<(Time, f64)>,
+}
+
+/// Where what is wrong is mended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// In the map by which another program's log was imported.
+    Log,
+    /// On a car of ours, and in its configuration.
+    Car,
+}
+
 /// All sensors that can be compared, and what is wrong with them: which, what, and the fix.
-pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec<String>) {
-    let Some(grid) = Grid::of(&run.track) else {
+#[must_use]
+pub fn compare(
+    track: &Track,
+    readings: &Readings,
+    wheelbase: f64,
+    source: Source,
+) -> (Vec<Sensor>, Vec<String>) {
+    let Some(grid) = Grid::of(track) else {
         return (Vec::new(), Vec::new());
     };
     let inertial = |value: fn(&InertialSample) -> f64, power| {
-        let samples = run.samples.iter();
-        let values = samples.map(|(sample, _)| (sample.time, value(sample)));
+        let samples = readings.inertial.iter();
+        let values = samples.map(|sample| (sample.time, value(sample)));
         grid.smoothed(
             values.filter(|(_, value)| value.is_finite()).collect(),
             power,
@@ -81,7 +103,10 @@ pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec
         if sensor.agrees() {
             lag = sensor.lag_s / STEP;
         }
-        findings.extend(sensor.finding("imu.yaw_rate", Some(("imu", LATE))));
+        findings.extend(match source {
+            Source::Log => sensor.finding("imu.yaw_rate", Some(("imu", LATE))),
+            Source::Car => sensor.finding_of_car(Some(LATE), "steps imu-axes and latency"),
+        });
         sensors.push(sensor);
     }
     let read = [
@@ -97,22 +122,33 @@ pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec
     let keys = ["imu.forward_acceleration", "imu.left_acceleration"];
     for (sensor, key) in mounting.axes.into_iter().zip(keys) {
         let Some(sensor) = sensor else { continue };
-        if turned.is_none() {
+        // The fusion of our chip takes a lasting acceleration for gravity.
+        if turned.is_none() && source == Source::Log {
             findings.extend(sensor.finding(key, None));
         }
         sensors.push(sensor);
     }
-    findings.extend(turned);
+    findings.extend(turned.map(|(how, mend)| match source {
+        Source::Log => format!("accelerometer: {how}: {mend}"),
+        Source::Car => format!(
+            "accelerometer: {how}, against board.imu: run the step imu-axes of `singletrack doctor`"
+        ),
+    }));
     let forward = truth(|motion| motion.forward);
-    let motor = grid.smoothed(board(log, |board, _| board.motor_speed), 1);
+    let motor = grid.smoothed(readings.motor.clone(), 1);
     if let Some(mut sensor) = Sensor::of("motor", &forward, &motor) {
         // An encoder has no bias, and many drives one speed.
         (sensor.slope, sensor.slope_deviation) = ratio(&forward, &motor);
-        findings.extend(sensor.finding("motor.speed", Some(("motor", COUNTS))));
+        findings.extend(match source {
+            Source::Log => sensor.finding("motor.speed", Some(("motor", COUNTS))),
+            // At the speed of a calibration a pulse takes long.
+            Source::Car => sensor.finding_of_car(None, "step geometry"),
+        });
         sensors.push(sensor);
     }
-    let bend = board(log, |_, steering| libm::tan(steering) / wheelbase);
-    let bend = grid.smoothed(bend, 1);
+    let steering = readings.steering.iter();
+    let bend = steering.map(|(time, angle)| (*time, libm::tan(*angle) / wheelbase));
+    let bend = grid.smoothed(bend.collect(), 1);
     let turn: Signal = bend
         .iter()
         .zip(&forward)
@@ -120,28 +156,17 @@ pub(super) fn compare(log: &Log, run: &Run, wheelbase: f64) -> (Vec<Sensor>, Vec
         .collect();
     if let Some(sensor) = Sensor::of("steering", &yaw_rate, &turn) {
         if sensor.slope < 0.0 && sensor.correlation < -AGREES {
-            findings.push(
-                "steering: the car turns to the other side than the command says: negate \
-                 steering.radians_per_unit (of our own car, board.servo.gain_us_per_rad)"
-                    .to_owned(),
-            );
+            let key = match source {
+                Source::Log => "steering.radians_per_unit",
+                Source::Car => "board.servo.gain_us_per_rad",
+            };
+            findings.push(format!(
+                "steering: the car turns to the other side than the command says: negate {key}"
+            ));
         }
         sensors.push(sensor);
     }
     (sensors, findings)
-}
-
-/// A value of each sample of the board, with the steering of its tick.
-fn board(log: &Log, value: impl Fn(&BoardSample, f64) -> f64) -> Vec<(Time, f64)> {
-    let mut values = Vec::new();
-    for tick in &log.ticks {
-        for event in &tick.events {
-            if let Event::Board(board) = event {
-                values.push((board.time, value(board, tick.commanded.steering)));
-            }
-        }
-    }
-    values
 }
 
 /// The cameras' motion at equal times; none where they do not show it.
@@ -350,6 +375,32 @@ impl Sensor {
         self.slope.abs() > SEES.max(FOUND * self.slope_deviation)
     }
 
+    /// What is wrong with it on a car of ours, and the steps of the doctor that measure it. A lag that is
+    /// its own may be so long, s.
+    fn finding_of_car(&self, late: Option<f64>, steps: &str) -> Option<String> {
+        let Self { sensor, slope, .. } = self;
+        let is_late = late.is_some_and(|late| self.is_late(late));
+        (self.correlation.abs() > AGREES && (*slope < 0.0 || self.is_scaled() || is_late)).then(|| {
+            let late = if is_late {
+                format!(" {:.0} ms late", 1e3 * self.lag_s)
+            } else {
+                String::new()
+            };
+            format!(
+                "{sensor}: it reads {slope:.3} of what the cameras say{late}: run the {steps} of \
+                 `singletrack doctor`"
+            )
+        })
+    }
+
+    fn is_scaled(&self) -> bool {
+        (self.slope - 1.0).abs() > SCALE.max(SURE * self.slope_deviation)
+    }
+
+    fn is_late(&self, tolerance: f64) -> bool {
+        self.agrees() && self.lag_s.abs() > tolerance.max(SURE * self.lag_deviation_s)
+    }
+
     /// What is wrong with it, and the key of the map that mends it. `section` has its delay, if that is
     /// its own, and may be wrong by so much.
     fn finding(&self, key: &str, section: Option<(&str, f64)>) -> Option<String> {
@@ -363,8 +414,7 @@ impl Sensor {
             ));
         }
         let mut wrong = Vec::new();
-        let off = (slope - 1.0).abs();
-        if off > SCALE.max(SURE * self.slope_deviation) {
+        if self.is_scaled() {
             let slips = match key == "motor.speed" {
                 true => ", unless its wheels slip",
                 false => "",
@@ -376,8 +426,7 @@ impl Sensor {
         }
         let ms = 1e3 * self.lag_s;
         if let Some((section, tolerance)) = section
-            && self.agrees()
-            && self.lag_s.abs() > tolerance.max(SURE * self.lag_deviation_s)
+            && self.is_late(tolerance)
         {
             wrong.push(match ms > 0.0 {
                 true => format!("is {ms:.0} ms late: add {:.3} to {section}.delay_s", self.lag_s),
@@ -426,45 +475,115 @@ impl Mounting {
         }
     }
 
-    fn finding(&self) -> Option<String> {
+    /// How it stands to the axes of the car, and what of the map of a log mends that.
+    fn finding(&self) -> Option<(&'static str, String)> {
         let sign = |axis: &Option<Sensor>| {
             let sensor = axis.as_ref().filter(|sensor| sensor.sees())?;
             Some(sensor.slope > 0.0)
         };
         let [forward, left] = &self.axes;
-        let how = match (self.crossed, sign(forward), sign(left)) {
-            (false, Some(false), Some(false)) => {
-                "it is turned by 180 degrees: negate imu.forward_acceleration and \
-                 imu.left_acceleration"
-            }
-            (false, Some(false), _) => {
-                "its forward axis points backward: negate imu.forward_acceleration"
-            }
-            (false, _, Some(false)) => {
-                "its left axis points to the right: negate imu.left_acceleration"
-            }
+        let (how, mend) = match (self.crossed, sign(forward), sign(left)) {
+            (false, Some(false), Some(false)) => (
+                "it is turned by 180 degrees",
+                "negate imu.forward_acceleration and imu.left_acceleration",
+            ),
+            (false, Some(false), _) => (
+                "its forward axis points backward",
+                "negate imu.forward_acceleration",
+            ),
+            (false, _, Some(false)) => (
+                "its left axis points to the right",
+                "negate imu.left_acceleration",
+            ),
             (false, ..) => return None,
-            (true, Some(true), Some(false)) => {
-                "it is turned by 90 degrees to the left: swap the columns of \
-                 imu.forward_acceleration and imu.left_acceleration, and negate the new forward one"
-            }
-            (true, Some(false), Some(true)) => {
-                "it is turned by 90 degrees to the right: swap the columns of \
-                 imu.forward_acceleration and imu.left_acceleration, and negate the new left one"
-            }
-            (true, Some(false), Some(false)) => {
-                "its axes are swapped, and both reversed: swap the columns of \
-                 imu.forward_acceleration and imu.left_acceleration, and negate both"
-            }
-            (true, ..) => {
-                "its axes are swapped: swap the columns of imu.forward_acceleration and \
-                 imu.left_acceleration"
-            }
+            (true, Some(true), Some(false)) => (
+                "it is turned by 90 degrees to the left",
+                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
+                 the new forward one",
+            ),
+            (true, Some(false), Some(true)) => (
+                "it is turned by 90 degrees to the right",
+                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
+                 the new left one",
+            ),
+            (true, Some(false), Some(false)) => (
+                "its axes are swapped, and both reversed",
+                "swap the columns of imu.forward_acceleration and imu.left_acceleration, and negate \
+                 both",
+            ),
+            (true, ..) => (
+                "its axes are swapped",
+                "swap the columns of imu.forward_acceleration and imu.left_acceleration",
+            ),
         };
         let unknown = match self.axes.iter().all(|axis| sign(axis).is_some()) {
             true => "",
             false => "; the sign of one axis does not show in this drive",
         };
-        Some(format!("accelerometer: {how}{unknown}"))
+        Some((how, format!("{mend}{unknown}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use core::f64::consts::FRAC_PI_2;
+
+    use singletrack_control::{CarPose, Position};
+
+    use super::*;
+    use crate::seen;
+
+    /// A car that weaves at 1 m/s, by cameras and IMU without noise; the IMU is `turned` to the left and
+    /// its stamps are `late`.
+    fn weaving(turned: f64, late: f64) -> (Track, Readings) {
+        let mut poses = Vec::new();
+        let mut readings = Readings::default();
+        let mut position = Position::origin();
+        let mut yaw = 0.0;
+        for tick in 0..2_000_u32 {
+            let time = 0.01 * f64::from(tick);
+            let speed = 1.0 + 0.3 * libm::sin(1.7 * time);
+            let yaw_rate = 2.0 * libm::sin(3.1 * time);
+            let stamp = |offset: f64| Time(1_000_000_000).after(time + offset);
+            poses.push((stamp(0.0), CarPose { position, yaw }));
+            let (forward, left) = (0.3 * 1.7 * libm::cos(1.7 * time), speed * yaw_rate);
+            let (sin, cos) = (libm::sin(turned), libm::cos(turned));
+            readings.inertial.push(InertialSample {
+                time: stamp(late),
+                yaw_rate,
+                forward_acceleration: cos * forward + sin * left,
+                left_acceleration: cos * left - sin * forward,
+            });
+            readings.motor.push((stamp(0.0), speed));
+            let steering = libm::atan(0.26 * yaw_rate / speed);
+            readings.steering.push((stamp(0.0), steering));
+            for step in 0..10_u32 {
+                let time = time + 0.001 * f64::from(step);
+                let speed = 1.0 + 0.3 * libm::sin(1.7 * time);
+                position += 0.001 * speed * singletrack_control::direction(yaw);
+                yaw += 0.001 * 2.0 * libm::sin(3.1 * time);
+            }
+        }
+        (seen::tell(&poses), readings)
+    }
+
+    #[test]
+    fn a_turned_or_late_imu_is_named_with_the_step_that_measures_it_and_a_right_one_is_not() {
+        let found = |turned, late| {
+            let (track, readings) = weaving(turned, late);
+            compare(&track, &readings, 0.26, Source::Car).1
+        };
+        assert_eq!(found(0.0, 0.004), [""; 0]);
+        let turned = found(FRAC_PI_2, 0.0).join("; ");
+        assert!(
+            turned.contains("turned by 90 degrees to the left, against board.imu")
+                && turned.contains("step imu-axes of `singletrack doctor`"),
+            "{turned}"
+        );
+        let late = found(0.0, 0.03).join("; ");
+        assert!(
+            late.contains("gyro: it reads") && late.contains("30 ms late"),
+            "{late}"
+        );
     }
 }

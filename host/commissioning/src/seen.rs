@@ -1,4 +1,5 @@
-//! What the cameras saw, told apart: the car, ghosts and flips; and the smoothed motion of the car.
+//! What the cameras saw in a drive, told apart: the car, ghosts and flips; and the smoothed motion of
+//! the car, without which no sensor is compared with them.
 
 use nalgebra::{Matrix3, Vector3};
 use singletrack_control::{CarPose, Time, direction, wrap};
@@ -12,7 +13,7 @@ const MISSING: f64 = 0.36;
 /// The fewest poses of a parabola that smooths.
 const FEWEST: usize = 4;
 /// Slower cameras do not show how a car moves, Hz.
-pub(super) const SLOWEST_CAMERAS: f64 = 18.0;
+pub const SLOWEST_CAMERAS: f64 = 18.0;
 /// The poses of which the median is taken.
 const MEDIAN: usize = 9;
 /// A pose farther than this from the median is none of a moving car, m and rad.
@@ -26,7 +27,7 @@ const ERROR: f64 = 0.1;
 
 /// What a pose is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub enum Kind {
     /// The car.
     Car,
     /// The car, but off its way for a moment: not in the smoothed motion.
@@ -39,30 +40,38 @@ pub(super) enum Kind {
 
 /// A pose of the car.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
-    pub(super) time: Time,
-    pub(super) pose: CarPose,
-    pub(super) kind: Kind,
+pub struct Seen {
+    /// Mid-exposure.
+    pub time: Time,
+    /// The pose of the centre of mass.
+    pub pose: CarPose,
+    /// What it is the pose of.
+    pub kind: Kind,
 }
 
 /// The smoothed motion at a time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Motion {
+pub struct Motion {
     /// Velocity of G in the car's axes, m/s.
-    pub(super) forward: f64,
-    pub(super) left: f64,
-    pub(super) yaw_rate: f64,
+    pub forward: f64,
+    /// The part to the left, m/s.
+    pub left: f64,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: f64,
     /// Acceleration of G in the car's axes, m/s².
-    pub(super) acceleration: [f64; 2],
+    pub acceleration: [f64; 2],
 }
 
 impl Motion {
     /// Speed of G, negative in reverse, m/s.
-    pub(super) fn speed(&self) -> f64 {
+    #[must_use]
+    pub fn speed(&self) -> f64 {
         libm::hypot(self.forward, self.left).copysign(self.forward)
     }
 
-    pub(super) fn sideslip(&self) -> f64 {
+    /// Sideslip at G, rad: course less yaw, in reverse as well.
+    #[must_use]
+    pub fn sideslip(&self) -> f64 {
         let sign = 1.0_f64.copysign(self.forward);
         libm::atan2(sign * self.left, sign * self.forward)
     }
@@ -70,18 +79,20 @@ impl Motion {
 
 /// What the cameras saw, in the order of time.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Track {
-    pub(super) seen: Vec<Seen>,
+pub struct Track {
+    /// All poses.
+    pub seen: Vec<Seen>,
     /// Median of the times between two poses, s.
-    pub(super) period: f64,
+    pub period: f64,
     /// Half of the time over which the motion is smoothed, s.
     half: f64,
     /// The fewest poses in that time.
     fewest: usize,
 }
 
-/// Tells the poses apart.
-pub(super) fn tell(poses: &[(Time, CarPose)]) -> Track {
+/// Tells the poses of a drive apart, which are in the order of time.
+#[must_use]
+pub fn tell(poses: &[(Time, CarPose)]) -> Track {
     let mut seen: Vec<Seen> = poses
         .iter()
         .map(|&(time, pose)| Seen {
@@ -212,7 +223,8 @@ impl Track {
     }
 
     /// Poses per second; zero without poses.
-    pub(super) fn rate(&self) -> f64 {
+    #[must_use]
+    pub fn rate(&self) -> f64 {
         if self.seen.len() < 2 {
             0.0
         } else {
@@ -221,7 +233,8 @@ impl Track {
     }
 
     /// Half of the time over which the motion is smoothed, s.
-    pub(super) const fn half(&self) -> f64 {
+    #[must_use]
+    pub const fn half(&self) -> f64 {
         self.half
     }
 
@@ -245,7 +258,8 @@ impl Track {
 
     /// The smoothed motion of the car at `time`: a parabola through the poses around it (what Savitzky
     /// and Golay's filter of second order is for poses at equal times).
-    pub(super) fn motion(&self, time: Time) -> Option<Motion> {
+    #[must_use]
+    pub fn motion(&self, time: Time) -> Option<Motion> {
         let around = self.around(time)?;
         let Parabolas { x, y, yaw, .. } = Parabolas::through(around, time)?;
         let axis = direction(around.first()?.pose.yaw + yaw.x);
@@ -261,7 +275,8 @@ impl Track {
 
     /// How far a pose is from the parabola through those around it, without its own pull on that: x
     /// and y in m, yaw in rad.
-    pub(super) fn residual(&self, now: &Seen) -> Option<[f64; 3]> {
+    #[must_use]
+    pub fn residual(&self, now: &Seen) -> Option<[f64; 3]> {
         let around = self.around(now.time)?;
         let first = around.first()?.pose;
         let Parabolas { x, y, yaw, weight } = Parabolas::through(around, now.time)?;
@@ -276,7 +291,8 @@ impl Track {
 }
 
 /// Stretches of poses of another body: first and last time.
-pub(super) fn ghosts_of(seen: impl Iterator<Item = Seen>) -> Vec<[Time; 2]> {
+#[must_use]
+pub fn ghosts_of(seen: impl Iterator<Item = Seen>) -> Vec<[Time; 2]> {
     let mut ghosts: Vec<[Time; 2]> = Vec::new();
     let mut was = false;
     for seen in seen {
