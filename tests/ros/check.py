@@ -20,6 +20,7 @@ import threading
 import time
 import traceback
 
+import numpy
 import rclpy
 from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray
@@ -534,7 +535,7 @@ def check_bytes(lab, folder):
 
 
 def check_transforms(lab):
-    """/tf says of the car's frame what /odom says, at the same stamps."""
+    """/tf has the chain of REP 105: map and odom as one, and the pose of /odom, at the same stamps."""
     poses = {}
     for raw in lab.raw["odom"]:
         message = deserialize_message(raw, Odometry)
@@ -543,17 +544,36 @@ def check_transforms(lab):
         poses[seconds(message.header.stamp)] = frames, pose.position, pose.orientation
     compared = 0
     for raw in lab.raw["tf"]:
-        for one in deserialize_message(raw, TFMessage).transforms:
-            if (odometry := poses.get(seconds(one.header.stamp))) is None:
-                continue
-            frames, position, orientation = odometry
-            assert (one.header.frame_id, one.child_frame_id) == frames, (one, frames)
-            place = one.transform.translation
-            assert (place.x, place.y, place.z) == (position.x, position.y, position.z), one
-            assert one.transform.rotation == orientation, one
-            compared += 1
+        fixed, car = deserialize_message(raw, TFMessage).transforms
+        if (odometry := poses.get(seconds(car.header.stamp))) is None:
+            continue
+        frames, position, orientation = odometry
+        assert frames == ("odom", "base_link"), frames
+        assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "odom"), fixed
+        assert fixed.header.stamp == car.header.stamp and fixed.transform.rotation.w == 1.0, fixed
+        assert (car.header.frame_id, car.child_frame_id) == frames, car
+        place = car.transform.translation
+        assert (place.x, place.y, place.z) == (position.x, position.y, position.z), car
+        assert car.transform.rotation == orientation, car
+        compared += 1
     assert compared > 1000, compared
-    print(f"/tf: {compared} transforms as in /odom")
+    print(f"/tf: {compared} times map -> odom -> base_link as in /odom")
+
+
+def check_covariances(lab):
+    """Those of what is estimated are small, and those of what is not are large: all can be fused."""
+    known = [0, 1, 5]
+    deviations = []
+    for raw in lab.raw["odom"]:
+        message = deserialize_message(raw, Odometry)
+        for of in (message.pose, message.twist):
+            matrix = numpy.reshape(of.covariance, (6, 6))
+            assert (matrix == matrix.T).all() and numpy.linalg.eigvalsh(matrix).min() > 0.0, matrix
+            variances = matrix.diagonal()
+            assert (variances[[2, 3, 4]] == 1e6).all() and (variances[known] < 1.0).all(), matrix
+            deviations.append(numpy.sqrt(variances[known]))
+    for name, of in (("x, y, yaw", deviations[::2]), ("forward, left, yaw rate", deviations[1::2])):
+        print(f"/odom: median deviations of {name}: {numpy.median(of, axis=0).round(5)}")
 
 
 def report_setpoints(system, folder):
@@ -620,6 +640,7 @@ def main():
         system.end()
         check_bytes(lab, arguments.folder)
         check_transforms(lab)
+        check_covariances(lab)
         report_setpoints(system, arguments.folder)
         check_beside(executor, arguments)
         print(f"{time.monotonic() - begin:.0f} s")
