@@ -137,7 +137,8 @@ fn drive(
         if cameras(now, &mut pose) {
             waiting.push(pose);
         }
-        if let Some(estimate) = estimator.estimate(time) {
+        let estimate = estimator.estimate(time);
+        if let (Some(estimate), Some(covariance)) = (estimate, estimator.covariance()) {
             moments.push(Moment {
                 time: now,
                 truth: Estimate {
@@ -151,7 +152,7 @@ fn drive(
                 },
                 estimate,
                 deviation: estimator.sideslip_variance().sqrt(),
-                covariance: estimator.covariance().unwrap(),
+                covariance,
                 verdict: None,
             });
         }

@@ -1,5 +1,6 @@
 //! The car by the configuration in force: its wheelbase, and its description for viewers.
 
+use core::f64::consts::FRAC_PI_2;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The car, once the daemon has given its configuration.
@@ -46,7 +47,7 @@ impl Car {
         let [length, width, radius, tyre] = [0.4, 0.19, 0.033, 0.026].map(|size| size * scale);
         let visual = |[x, y, z]: [f64; 3], turned: f64, shape: String, colour: &str| {
             format!(
-                "    <visual>\n      <origin xyz=\"{x:.4} {y:.4} {z:.4}\" rpy=\"{turned} 0 0\"/>\n      \
+                "    <visual>\n      <origin xyz=\"{x:.4} {y:.4} {z:.4}\" rpy=\"{turned:.6} 0 0\"/>\n      \
                  <geometry><{shape}/></geometry>\n      <material name=\"{colour}\"/>\n    </visual>\n"
             )
         };
@@ -56,7 +57,7 @@ impl Car {
         for x in [self.front, -self.rear] {
             for y in [0.5, -0.5].map(|side| side * (width - tyre)) {
                 let wheel = format!("cylinder radius=\"{radius:.4}\" length=\"{tyre:.4}\"");
-                visuals += &visual([x, y, radius], 1.5708, wheel, "tyre");
+                visuals += &visual([x, y, radius], FRAC_PI_2, wheel, "tyre");
             }
         }
         format!(

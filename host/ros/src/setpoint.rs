@@ -148,7 +148,7 @@ impl Judge {
         })?;
         let steering = match yaw_rate {
             0.0 => 0.0,
-            _ => (car.wheelbase() * yaw_rate / speed).atan(),
+            _ => libm::atan(car.wheelbase() * yaw_rate / speed),
         };
         Ok(Setpoint {
             steering_rad: Some(steering),
@@ -410,8 +410,8 @@ mod tests {
     fn a_twist_of_the_car_is_steered_by_the_wheelbase() {
         let car = Car::of("vehicle = { front_axle_distance_m = 0.15, rear_axle_distance_m = 0.1 }");
         for (speed, yaw_rate, steering) in [
-            (0.5, 0.4, 0.2_f64.atan()),
-            (-0.5, 0.4, -0.2_f64.atan()),
+            (0.5, 0.4, libm::atan(0.2)),
+            (-0.5, 0.4, -libm::atan(0.2)),
             (0.5, 0.0, 0.0),
             (0.0, 0.0, 0.0),
             (0.0, -1.0, -core::f64::consts::FRAC_PI_2),
