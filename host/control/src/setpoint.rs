@@ -157,8 +157,8 @@ impl SetpointStamp {
 }
 
 impl SpeedDemand {
-    /// This demand of the centre of mass, with its sideslip, in rad: the velocities of the two have
-    /// the same forward component.
+    /// The same demand of the centre of mass, which has this sideslip (rad): its velocity and that of
+    /// the rear axle have one forward component.
     #[must_use]
     pub fn of_centre(self, sideslip: f64) -> Self {
         match self {

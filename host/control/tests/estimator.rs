@@ -288,7 +288,7 @@ fn errors(moment: &Moment) -> [(f64, f64); 6] {
 }
 
 #[test]
-fn the_stated_covariances_hold_and_are_no_excuse() {
+fn the_stated_covariances_hold_and_are_not_too_large() {
     // With a gyro of 0.003 rad/s, the deviation of the yaw rate is a third too small.
     for (gyro, speed) in [(0.06, 1.0), (0.06, 2.0), (0.3, 1.0)] {
         let moments = seen(Truth { gyro, speed, ..CAR });

@@ -3,7 +3,7 @@
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, thread, time::Duration};
 
 use ros2_client::{Publisher, WriteError};
-use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask};
+use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask_within};
 
 use crate::{
     RunError,
@@ -123,12 +123,10 @@ impl Outgoing {
             }
         }
     }
-}
 
-impl Outgoing {
     /// Publishes the car of the configuration in force.
     fn describe(&self) -> Result<(), ClientError> {
-        let answer = ask(&Request::Configuration {}, &self.socket)?;
+        let answer = ask_within(&Request::Configuration {}, &self.socket, SILENCE)?;
         let Some(car) = answer.toml.as_deref().and_then(Car::of) else {
             tracing::warn!("the daemon's configuration has no axles: cmd_vel is refused");
             return Ok(());

@@ -35,48 +35,48 @@ pub(crate) struct Judge {
     pub(crate) frames: Frames,
 }
 
-/// When a message came, and when its sender's middleware sent it, on the wall clock in ns.
+/// Times of a message.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrival {
+    /// Time of its arrival.
     pub(crate) now: Now,
+    /// Time at which the sender's middleware sent it, on the wall clock, in ns.
     pub(crate) sent: Option<i128>,
 }
 
-/// What of a message of others has no effect, each with a warning.
+/// Warnings of fields of a drive that have no effect.
 pub(crate) fn ignored_of_drive(
     message: &AckermannDriveStamped,
 ) -> impl Iterator<Item = &'static str> {
-    let fields = [
+    given([
         (
-            message.acceleration,
+            message.acceleration != 0.0,
             "drive: acceleration is ignored; limits.max_acceleration_m_s2 is in force",
         ),
-        (message.jerk, "drive: jerk is ignored"),
-    ];
-    fields
-        .into_iter()
-        .filter_map(|(value, text)| (value != 0.0).then_some(text))
+        (message.jerk != 0.0, "drive: jerk is ignored"),
+    ])
 }
 
-/// What of a twist has no effect, each with a warning.
+/// Warnings of fields of a twist that have no effect.
 pub(crate) fn ignored_of_twist(message: &TwistStamped) -> impl Iterator<Item = &'static str> {
     let (linear, angular) = (message.linear, message.angular);
-    let fields = [
+    let rest = [linear.y, linear.z, angular.x, angular.y];
+    given([
         (
-            linear.y != 0.0,
-            "cmd_vel: linear.y is ignored: the car does not move sideways",
+            rest.iter().any(|&part| part != 0.0),
+            "cmd_vel: fields beside linear.x and angular.z are ignored: the car can't move so",
         ),
-        (linear.z != 0.0, "cmd_vel: linear.z is ignored"),
-        (angular.x != 0.0, "cmd_vel: angular.x is ignored"),
-        (angular.y != 0.0, "cmd_vel: angular.y is ignored"),
         (
             linear.x == 0.0 && angular.z != 0.0,
-            "cmd_vel: angular.z without linear.x turns the wheels alone: the car does not turn on the spot",
+            "cmd_vel: angular.z without linear.x turns the wheels, not the car: it can't turn on \
+             the spot",
         ),
-    ];
-    fields
-        .into_iter()
-        .filter_map(|(is_given, text)| is_given.then_some(text))
+    ])
+}
+
+fn given(texts: [(bool, &'static str); 2]) -> impl Iterator<Item = &'static str> {
+    let given = |(is_given, text): (bool, _)| is_given.then_some(text);
+    texts.into_iter().filter_map(given)
 }
 
 impl Judge {
@@ -104,7 +104,7 @@ impl Judge {
         })
     }
 
-    /// Steering and speed of the rear axle, in whatever frame: programs write that of a sensor.
+    /// Steering and speed of the rear axle, whatever the frame: programs write that of a sensor.
     pub(crate) fn drive(
         &self,
         message: &AckermannDriveStamped,
@@ -129,8 +129,7 @@ impl Judge {
         })
     }
 
-    /// Speed and yaw rate of the car, whatever the header's frame: that of Nav2 is the frame in which
-    /// it has planned.
+    /// Speed and yaw rate of the car, whatever the frame: Nav2 writes the one in which it plans.
     pub(crate) fn twist(
         &self,
         message: &TwistStamped,
@@ -200,8 +199,8 @@ impl Judge {
         })
     }
 
-    /// When it was decided, on `CLOCK_MONOTONIC`; without a stamp, as many programs send it, when it
-    /// was sent.
+    /// Time of the decision, on `CLOCK_MONOTONIC`; that of the sending without a stamp, which many
+    /// programs leave out.
     fn decided_or_sent(&self, header: &Header, arrival: &Arrival) -> Result<u64, Refused> {
         if header.stamp != Time::default() {
             return self.decided(header, arrival.now);
@@ -429,7 +428,7 @@ mod tests {
             let steers = setpoint.steering_rad.unwrap();
             assert!((steers - steering).abs() < 1e-12, "{steers}");
             let warnings: Vec<_> = ignored_of_twist(&message).collect();
-            assert!(warnings[0].contains("linear.y"));
+            assert!(warnings[0].contains("are ignored"));
             assert_eq!(warnings.len() == 2, speed == 0.0 && yaw_rate != 0.0);
         }
         let unknown = judge().twist(&twist(0), None, &ARRIVED);
