@@ -484,7 +484,7 @@ def _message(pose: Pose, captured_ns: int) -> str:
     return json.dumps(
         {
             "timestamp": {"sec": captured_ns // 10**9, "nsec": captured_ns % 10**9},
-            "frame_id": "world",
+            "frame_id": "map",
             "pose": {"position": position, "orientation": orientation},
             "mean_error_m": pose.mean_error_m,
             "latency_s": latency,

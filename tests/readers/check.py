@@ -220,20 +220,23 @@ def check_standard(
         linear, angular = odometry.twist.twist.linear, odometry.twist.twist.angular
         speed, sideslip = estimate["speed_m_s"], estimate["sideslip_rad"]
         check(
-            frames == ("world", "base_link")
+            frames == ("odom", "base_link")
             and stamp(odometry.header) == clocks.at(estimate["time_ns"])
             and (pose.position.x, pose.position.y) == (estimate["x_m"], estimate["y_m"])
             and turned(yaw(pose.orientation), estimate["yaw_rad"])
             and near(linear.x, speed * math.cos(sideslip))
             and near(linear.y, speed * math.sin(sideslip))
-            and angular.z == estimate["yaw_rate_rad_s"],
+            and angular.z == estimate["yaw_rate_rad_s"]
+            and odometry.pose.covariance[35] == tick["covariance"]["yaw_yaw"] > 0.0
+            and odometry.twist.covariance[7] == tick["covariance"]["left_left"] > 0.0,
             f"{odometry} does not follow from {estimate}",
         )
     for (tick, message), odometry in zip(pairs("/tf", estimated), found["/odom"]):
-        (transform,) = message.transforms
+        fixed, transform = message.transforms
         pose = odometry.message.pose.pose
         check(
-            transform.child_frame_id == "base_link"
+            (fixed.header.frame_id, fixed.child_frame_id) == ("map", "odom")
+            and transform.child_frame_id == "base_link"
             and transform.transform.translation.x == pose.position.x
             and transform.transform.rotation == pose.orientation,
             f"{transform} is not the pose of tick {tick['tick']}",

@@ -19,7 +19,9 @@ import sys
 import threading
 import time
 import traceback
+import xml.etree.ElementTree
 
+import numpy
 import rclpy
 from ackermann_msgs.msg import AckermannDriveStamped
 from diagnostic_msgs.msg import DiagnosticArray
@@ -29,16 +31,22 @@ from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.msg import Log
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rosidl_adapter.parser import parse_message_file
 from sensor_msgs.msg import Imu
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 # The circle of P: radius in m, speed in m/s. Below the speed of the first, proving metre.
 RADIUS = 0.85
 SPEED = 0.27
+# The circle of G, of controllers that know no P: well inside the geofence.
+INNER = 0.6
 GAIN = 1.0
+WHEELBASE = 0.26
+STEERING_RATE = 0.5
 NAMESPACE = "/car7"
 
 # Above this lateness of the machine, in s, a failure is repeated; with this exit status.
@@ -49,6 +57,7 @@ ARGUMENTS = argparse.ArgumentParser()
 ARGUMENTS.add_argument("programs", type=pathlib.Path)
 ARGUMENTS.add_argument("folder", type=pathlib.Path)
 ARGUMENTS.add_argument("--configuration", type=pathlib.Path, required=True)
+ARGUMENTS.add_argument("--messages", type=pathlib.Path, required=True, help="singletrack_msgs")
 ARGUMENTS.add_argument("--drive", type=float, default=6.0, help="seconds of each drive")
 ARGUMENTS.add_argument("--stalled", type=float, default=5.0, help="seconds of a stopped subscriber")
 ARGUMENTS.add_argument("--stall", action="store_true", help="be the subscriber that is stopped")
@@ -67,6 +76,7 @@ TOPICS = {
 }
 RELIABLE = QoSProfile(depth=2000)
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def seconds(stamp):
@@ -96,7 +106,7 @@ class Lab(Node):
         self.arrived = []
         self.whole = 0
         self.point = None
-        self.yaw = None
+        self.odometry = None
         self.refused = {}
         for name, (_, kind) in TOPICS.items():
             self.create_subscription(
@@ -104,6 +114,7 @@ class Lab(Node):
             )
         self.velocities = self.create_publisher(TwistStamped, "point_velocity", 1)
         self.drives = self.create_publisher(AckermannDriveStamped, "drive", 1)
+        self.twists = self.create_publisher(TwistStamped, "cmd_vel", 1)
         self.paths = self.create_publisher(Path, "path", 1)
         self.triggers = {
             name: self.create_client(Trigger, name) for name in ("arm", "disarm", "stop")
@@ -116,7 +127,8 @@ class Lab(Node):
             odometry = deserialize_message(raw, Odometry)
             self.arrived.append((seconds(odometry.header.stamp), now))
             pose = odometry.pose.pose
-            self.yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+            yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+            self.odometry = pose.position.x, pose.position.y, yaw, odometry.header.stamp
         elif name == "point_p":
             point = deserialize_message(raw, PointStamped).point
             self.point = (point.x, point.y)
@@ -132,20 +144,18 @@ class Lab(Node):
         return message
 
     def velocity(self, velocity, age=0.0):
-        message = self.header(TwistStamped(), "world", age)
+        message = self.header(TwistStamped(), "map", age)
         message.twist.linear.x, message.twist.linear.y = velocity
         self.velocities.publish(message)
 
-    def steer(self, steering, speed, age=0.0):
-        message = self.header(AckermannDriveStamped(), "base_link", age)
-        message.drive.steering_angle, message.drive.speed = steering, speed
-        self.drives.publish(message)
+    def commands(self):
+        return [deserialize_message(raw, AckermannDriveStamped) for raw in self.raw["cmd"]]
 
     def path(self, place):
         """The next second of a path: `place` gives the position at a time from now."""
-        message = self.header(Path(), "world")
+        message = self.header(Path(), "map")
         for step in range(11):
-            pose = self.header(PoseStamped(), "world", age=-0.1 * step)
+            pose = self.header(PoseStamped(), "map", age=-0.1 * step)
             pose.pose.position.x, pose.pose.position.y = place(0.1 * step)
             message.poses.append(pose)
         self.paths.publish(message)
@@ -186,13 +196,38 @@ class Circle:
         self.errors.append(math.hypot(wanted[0] - point[0], wanted[1] - point[1]))
         return [feed[axis] + GAIN * (wanted[axis] - point[axis]) for axis in (0, 1)]
 
-    def steering(self):
-        """Steers P's direction of motion to the tangent, and its distance to the radius."""
-        x, y = self.lab.point
-        self.errors.append(abs(math.hypot(x, y) - RADIUS))
-        tangent = math.atan2(y, x) + math.pi / 2 + 1.5 * (math.hypot(x, y) - RADIUS)
-        error = math.remainder(tangent - self.lab.yaw, 2 * math.pi)
-        return max(-0.35, min(0.35, error)), SPEED
+    def curvature(self):
+        """Of the arc to the point of the circle that is 0.5 m ahead, as pure pursuit has it."""
+        x, y, yaw, _ = self.lab.odometry
+        self.errors.append(abs(math.hypot(x, y) - INNER))
+        angle = math.atan2(y, x) + 0.5 / INNER
+        ahead = INNER * math.cos(angle) - x, INNER * math.sin(angle) - y
+        left = math.cos(yaw) * ahead[1] - math.sin(yaw) * ahead[0]
+        return 2.0 * left / (ahead[0] ** 2 + ahead[1] ** 2)
+
+    def pure_pursuit(self):
+        """A pure pursuit of F1TENTH: with the frame of its laser."""
+        message = self.lab.header(AckermannDriveStamped(), "laser")
+        message.drive.steering_angle = math.atan(WHEELBASE * self.curvature())
+        message.drive.speed = SPEED
+        self.lab.drives.publish(message)
+
+    def wall_follower(self):
+        """A wall follower that jerks the wheel: without a header, and with every field."""
+        message = AckermannDriveStamped()
+        side = 0.15 if time.monotonic() % 1.0 < 0.5 else -0.15
+        message.drive.steering_angle = math.atan(WHEELBASE * self.curvature()) + side
+        message.drive.steering_angle_velocity = STEERING_RATE
+        message.drive.speed = SPEED
+        message.drive.acceleration, message.drive.jerk = 1.0, 2.0
+        self.lab.drives.publish(message)
+
+    def nav2(self):
+        """A controller of Nav2: header of the pose from which it has planned, in its costmap's frame."""
+        message = TwistStamped()
+        message.header.frame_id, message.header.stamp = "odom", self.lab.odometry[3]
+        message.twist.linear.x, message.twist.angular.z = SPEED, SPEED * self.curvature()
+        self.lab.twists.publish(message)
 
 
 def every(interval, duration, act):
@@ -208,10 +243,12 @@ def every(interval, duration, act):
 class System:
     """Simulator, daemon and singletrack-ros."""
 
-    def __init__(self, arguments, folder, namespace=NAMESPACE, start="0.57,-0.39,54", port=1510):
+    def __init__(
+        self, arguments, folder, namespace=NAMESPACE, start="0.57,-0.39,54", port=1510, options=()
+    ):
         self.programs = arguments.programs
         self.folder = folder
-        self.namespace = namespace
+        self.options = ("--namespace", namespace, *options)
         self.socket = self.folder / "control.sock"
         board = self.folder / "board"
         text = arguments.configuration.read_text()
@@ -240,7 +277,7 @@ class System:
         self.start_node()
 
     def start_node(self):
-        self.start("singletrack-ros", "--socket", self.socket, "--namespace", self.namespace)
+        self.start("singletrack-ros", "--socket", self.socket, *self.options)
 
     def start(self, name, *arguments):
         log = open(self.folder / f"{name}.log", "w")
@@ -328,12 +365,31 @@ def check_velocity(lab, system, arguments):
     assert max(settled) < 0.25, max(settled)
 
 
-def check_drive(lab, system, arguments):
-    circle = Circle(lab)
-    drive(lab, system, "drive", lambda: lab.steer(*circle.steering()), arguments)
-    settled = circle.errors[len(circle.errors) // 2 :]
-    print(f"/drive: P within {max(settled):.3f} m of the circle")
-    assert max(settled) < 0.3, max(settled)
+def check_public(lab, system, arguments):
+    """Controllers of others drive along the circle, with the fields as those programs set them."""
+    circles = []
+    for name in ("pure_pursuit", "wall_follower", "nav2"):
+        circle = Circle(lab)
+        circles.append(circle)
+        begin = len(lab.raw["cmd"])
+        drive(lab, system, name, getattr(circle, name), arguments)
+        settled = max(circle.errors[len(circle.errors) // 2 :])
+        commands = lab.commands()[begin:]
+        # Of the rear axle, in most of the drive: it begins and ends at rest, and is proved by a roll.
+        exact = [abs(command.drive.speed - SPEED) < 1e-6 for command in commands]
+        rates = [
+            abs(after.drive.steering_angle - before.drive.steering_angle) / 0.01
+            for before, after in zip(commands, commands[1:])
+        ]
+        print(f"{name}: G within {settled:.3f} m of the circle; /cmd is at the speed in ", end="")
+        print(f"{sum(exact) / len(exact):.0%} and turns the wheels by at most {max(rates):.2f} rad/s")
+        assert settled < 0.3 and sum(exact) > 0.5 * len(exact), (settled, sum(exact), len(exact))
+        if name == "wall_follower":
+            assert 0.99 * STEERING_RATE < max(rates) < 1.01 * STEERING_RATE, max(rates)
+    log = (arguments.folder / "singletrack-ros.log").read_text()
+    for field in ("acceleration", "jerk"):
+        assert log.count(f"{field} is ignored") == 1, log
+    assert "refused" not in log, log
 
 
 def check_path(lab, system, arguments):
@@ -472,12 +528,18 @@ def check_beside(executor, arguments):
         for namespace, x, port in (("/car7", 0.5, 1510), ("/car8", -0.5, 1520)):
             folder = arguments.folder / namespace[1:]
             folder.mkdir()
-            systems[namespace] = System(arguments, folder, namespace, f"{x},0,0", port)
+            base = f"{namespace[1:]}/base_link"
+            frames = ("--odom-frame", "map", "--base-frame", base)
+            systems[namespace] = System(arguments, folder, namespace, f"{x},0,0", port, frames)
 
-            def take(odometry, namespace=namespace):
-                places[namespace] = odometry.pose.pose.position.x
+            def take(transforms, namespace=namespace, base=base):
+                # Without odom there is one.
+                (one,) = transforms.transforms
+                assert (one.header.frame_id, one.child_frame_id) == ("map", base), one
+                places[namespace] = one.transform.translation.x
 
-            node.create_subscription(Odometry, f"{namespace}/odom", take, RELIABLE)
+            node.create_subscription(TFMessage, f"{namespace}/tf", take, RELIABLE)
+            check_description(node, namespace, base)
             stops[namespace] = node.create_client(Trigger, f"{namespace}/stop")
         for namespace, stop in stops.items():
             assert stop.wait_for_service(10.0), f"{namespace}/stop is missing"
@@ -534,7 +596,7 @@ def check_bytes(lab, folder):
 
 
 def check_transforms(lab):
-    """/tf says of the car's frame what /odom says, at the same stamps."""
+    """/tf has the chain of REP 105: map and odom as one, and the pose of /odom, at the same stamps."""
     poses = {}
     for raw in lab.raw["odom"]:
         message = deserialize_message(raw, Odometry)
@@ -543,17 +605,63 @@ def check_transforms(lab):
         poses[seconds(message.header.stamp)] = frames, pose.position, pose.orientation
     compared = 0
     for raw in lab.raw["tf"]:
-        for one in deserialize_message(raw, TFMessage).transforms:
-            if (odometry := poses.get(seconds(one.header.stamp))) is None:
-                continue
-            frames, position, orientation = odometry
-            assert (one.header.frame_id, one.child_frame_id) == frames, (one, frames)
-            place = one.transform.translation
-            assert (place.x, place.y, place.z) == (position.x, position.y, position.z), one
-            assert one.transform.rotation == orientation, one
-            compared += 1
+        fixed, car = deserialize_message(raw, TFMessage).transforms
+        if (odometry := poses.get(seconds(car.header.stamp))) is None:
+            continue
+        frames, position, orientation = odometry
+        assert frames == ("odom", "base_link"), frames
+        assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "odom"), fixed
+        assert fixed.header.stamp == car.header.stamp and fixed.transform.rotation.w == 1.0, fixed
+        assert (car.header.frame_id, car.child_frame_id) == frames, car
+        place = car.transform.translation
+        assert (place.x, place.y, place.z) == (position.x, position.y, position.z), car
+        assert car.transform.rotation == orientation, car
+        compared += 1
     assert compared > 1000, compared
-    print(f"/tf: {compared} transforms as in /odom")
+    print(f"/tf: {compared} times map -> odom -> base_link as in /odom")
+
+
+def check_covariances(lab):
+    """Those of what is estimated are small, and those of what is not are large: all can be fused."""
+    known = [0, 1, 5]
+    deviations = []
+    for raw in lab.raw["odom"]:
+        message = deserialize_message(raw, Odometry)
+        for of in (message.pose, message.twist):
+            matrix = numpy.reshape(of.covariance, (6, 6))
+            assert (matrix == matrix.T).all() and numpy.linalg.eigvalsh(matrix).min() > 0.0, matrix
+            variances = matrix.diagonal()
+            assert (variances[[2, 3, 4]] == 1e6).all() and (variances[known] < 1.0).all(), matrix
+            deviations.append(numpy.sqrt(variances[known]))
+    for name, of in (("x, y, yaw", deviations[::2]), ("forward, left, yaw rate", deviations[1::2])):
+        print(f"/odom: median deviations of {name}: {numpy.median(of, axis=0).round(5)}")
+
+
+def check_description(node, namespace, base):
+    """A subscriber that comes late gets the car, which needs no transform but that of its base."""
+    got = []
+    name = f"{namespace}/robot_description"
+    subscription = node.create_subscription(String, name, got.append, LATCHED)
+    wait(name, lambda: got)
+    node.destroy_subscription(subscription)
+    robot = xml.etree.ElementTree.fromstring(got[0].data)
+    (link,) = robot.iter("link")
+    assert link.get("name") == base, link.attrib
+    assert len(link.findall("visual/geometry/cylinder")) == 4, got[0].data
+    print(f"{name}: link {base} with {len(link)} shapes")
+
+
+def check_messages(package):
+    """The package of the record's own messages is one that ROS can build."""
+    manifest = xml.etree.ElementTree.parse(package / "package.xml").getroot()
+    assert manifest.findtext("name") == package.name, manifest
+    assert "rosidl_interface_packages" in [group.text for group in manifest.iter("member_of_group")]
+    files = sorted((package / "msg").glob("*.msg"))
+    found = {path.stem: parse_message_file(package.name, path) for path in files}
+    fields = [field.type for message in found.values() for field in message.fields]
+    own = {field.type for field in fields if field.pkg_name == package.name}
+    assert own < found.keys(), own - found.keys()
+    print(f"singletrack_msgs: {len(found)} messages")
 
 
 def report_setpoints(system, folder):
@@ -601,16 +709,18 @@ def main():
         wait("the mode idle or ready", lambda: system.mode()[0] in ("idle", "ready"))
         for client in lab.triggers.values():
             assert client.wait_for_service(10.0), "a service is missing"
-        for publisher in (lab.velocities, lab.drives, lab.paths):
+        for publisher in (lab.velocities, lab.drives, lab.twists, lab.paths):
             wait("a match", lambda: publisher.get_subscription_count() > 0)
-        wait("P", lambda: lab.point is not None and lab.yaw is not None)
+        wait("P", lambda: lab.point is not None and lab.odometry is not None)
         # What came while the nodes found each other may have gaps.
         time.sleep(0.5)
         for raws in lab.raw.values():
             raws.clear()
+        check_messages(arguments.messages)
+        check_description(lab, NAMESPACE, "base_link")
         check_latency(lab)
         check_velocity(lab, system, arguments)
-        check_drive(lab, system, arguments)
+        check_public(lab, system, arguments)
         check_path(lab, system, arguments)
         check_old(lab, system)
         check_stalled(lab, system, arguments)
@@ -620,6 +730,7 @@ def main():
         system.end()
         check_bytes(lab, arguments.folder)
         check_transforms(lab)
+        check_covariances(lab)
         report_setpoints(system, arguments.folder)
         check_beside(executor, arguments)
         print(f"{time.monotonic() - begin:.0f} s")

@@ -201,6 +201,8 @@ pub(crate) fn check_node(packages: &Packages) -> Result {
         .args([&programs, &folder])
         .arg("--configuration")
         .arg(root().join("host/daemon/singletrackd.example.toml"))
+        .arg("--messages")
+        .arg(root().join("host/record/msg/singletrack_msgs"))
         // The variables of an installed ROS do not count.
         .env_clear()
         .envs(std::env::vars_os().filter(|(name, _)| name == "PATH" || name == "HOME"));

@@ -171,12 +171,15 @@ pub struct Setpoint {
     /// Steering angle, in rad.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steering_rad: Option<f64>,
-    /// Steering rate, in rad/s.
+    /// Steering rate, in rad/s; beside an angle the largest one to either side.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steering_rate_rad_s: Option<f64>,
     /// Speed of the centre of mass, in m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_m_s: Option<f64>,
+    /// Speed of the rear axle, in m/s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rear_speed_m_s: Option<f64>,
     /// Change of the speed, in m/s².
     #[serde(skip_serializing_if = "Option::is_none")]
     pub acceleration_m_s2: Option<f64>,

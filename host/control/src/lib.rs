@@ -59,7 +59,7 @@ pub use law::{
     FrontPointCommand, FrontPointLaw, LawError, Motion, Singularity, VelocityPointCommand,
     VelocityPointLaw,
 };
-pub use measurement::{Estimate, InertialSample, PoseSample, Time};
+pub use measurement::{Covariance, Estimate, InertialSample, PoseSample, Time};
 pub use mpc::{DelayedMpc, MAX_DELAY_TICKS, MPC_STAGES, MpcConfig, MpcError, MpcLoop, MpcVerdict};
 pub use neighbours::{
     Expected, MAX_NEIGHBOURS, NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours,

@@ -82,6 +82,15 @@ pub struct Estimate {
     pub pose_time: Time,
 }
 
+/// Covariances of an estimate: of each the upper triangle, by rows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Covariance {
+    /// Covariance of the position of G in the world frame (x and y, in m) and of the yaw (rad).
+    pub pose: [f64; 6],
+    /// Covariance of the velocity of G forward and to the left (m/s), and of the yaw rate (rad/s).
+    pub twist: [f64; 6],
+}
+
 impl Estimate {
     /// The part of the state that the laws use.
     #[must_use]

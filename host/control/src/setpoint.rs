@@ -5,7 +5,7 @@
 //! ([`crate::External`]), which refuses by itself what must not be obeyed.
 
 use heapless::Vec;
-use libm::fabs;
+use libm::{cos, fabs};
 
 use crate::{Position, ReferencePoint, Time, Velocity};
 
@@ -60,15 +60,24 @@ pub enum Demand {
 pub enum SteeringDemand {
     /// Steering angle, in rad.
     Angle(f64),
+    /// Steering angle, in rad, approached at no more than a rate.
+    AngleWithin {
+        /// Steering angle, in rad.
+        angle: f64,
+        /// Largest steering rate to either side, in rad/s; its sign has no meaning.
+        rate: f64,
+    },
     /// Steering rate, in rad/s.
     Rate(f64),
 }
 
-/// Speed that a controller outside wants, of the centre of mass.
+/// Speed that a controller outside wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SpeedDemand {
-    /// Speed, in m/s; negative in reverse.
+    /// Speed of the centre of mass, in m/s; negative in reverse.
     Speed(f64),
+    /// Speed of the rear axle, in m/s; negative in reverse.
+    RearSpeed(f64),
     /// Change of the commanded speed, in m/s².
     Acceleration(f64),
 }
@@ -147,6 +156,18 @@ impl SetpointStamp {
     }
 }
 
+impl SpeedDemand {
+    /// The same demand of the centre of mass, which has this sideslip (rad): its velocity and that of
+    /// the rear axle have one forward component.
+    #[must_use]
+    pub fn of_centre(self, sideslip: f64) -> Self {
+        match self {
+            Self::RearSpeed(speed) => Self::Speed(speed / cos(sideslip)),
+            Self::Speed(_) | Self::Acceleration(_) => self,
+        }
+    }
+}
+
 impl Demand {
     /// Checks the values.
     ///
@@ -160,23 +181,31 @@ impl Demand {
                 check_velocity(&velocity)
             }
             Self::Actuation { steering, speed } => {
-                match steering {
-                    SteeringDemand::Angle(angle) => within(
-                        &[angle],
-                        MAX_STEERING,
-                        "steering_rad must lie between -pi/2 and pi/2",
-                    ),
-                    SteeringDemand::Rate(rate) => within(
-                        &[rate],
-                        MAX_STEERING_RATE,
-                        "steering_rate_rad_s must lie between -100 and 100",
-                    ),
-                }?;
+                let (angle, rate) = match steering {
+                    SteeringDemand::Angle(angle) => (angle, 0.0),
+                    SteeringDemand::AngleWithin { angle, rate } => (angle, rate),
+                    SteeringDemand::Rate(rate) => (0.0, rate),
+                };
+                within(
+                    &[angle],
+                    MAX_STEERING,
+                    "steering_rad must lie between -pi/2 and pi/2",
+                )?;
+                within(
+                    &[rate],
+                    MAX_STEERING_RATE,
+                    "steering_rate_rad_s must lie between -100 and 100",
+                )?;
                 match speed {
                     SpeedDemand::Speed(speed) => within(
                         &[speed],
                         MAX_VELOCITY,
                         "speed_m_s must lie between -100 and 100",
+                    ),
+                    SpeedDemand::RearSpeed(speed) => within(
+                        &[speed],
+                        MAX_VELOCITY,
+                        "rear_speed_m_s must lie between -100 and 100",
                     ),
                     SpeedDemand::Acceleration(acceleration) => within(
                         &[acceleration],

@@ -1,8 +1,8 @@
 //! The estimate of a car that slips a little, vibrates, and may be steered otherwise than was sent.
 
 use singletrack_control::{
-    Estimate, Estimator, EstimatorConfig, InertialSample, MarkerLoss, PoseSample, PoseVerdict,
-    Position, Time, VehicleParameters, wrap,
+    Covariance, Estimate, Estimator, EstimatorConfig, InertialSample, MarkerLoss, PoseSample,
+    PoseVerdict, Position, Time, VehicleParameters, wrap,
 };
 
 /// Period of commands, poses and samples, s, and the age of a pose when it arrives.
@@ -66,6 +66,7 @@ struct Moment {
     truth: Estimate,
     estimate: Estimate,
     deviation: f64,
+    covariance: Covariance,
     verdict: Option<PoseVerdict>,
 }
 
@@ -136,7 +137,8 @@ fn drive(
         if cameras(now, &mut pose) {
             waiting.push(pose);
         }
-        if let Some(estimate) = estimator.estimate(time) {
+        let estimate = estimator.estimate(time);
+        if let (Some(estimate), Some(covariance)) = (estimate, estimator.covariance()) {
             moments.push(Moment {
                 time: now,
                 truth: Estimate {
@@ -150,6 +152,7 @@ fn drive(
                 },
                 estimate,
                 deviation: estimator.sideslip_variance().sqrt(),
+                covariance,
                 verdict: None,
             });
         }
@@ -260,6 +263,70 @@ fn the_stated_deviation_of_the_sideslip_holds() {
         let share = within.count() as f64 / settled.count() as f64;
         assert!(share > 0.9, "{gyro}: {share}");
     }
+}
+
+/// Errors of x, y, yaw, speed forward and to the left, and yaw rate, each with its variance.
+fn errors(moment: &Moment) -> [(f64, f64); 6] {
+    let numbers = |it: &Estimate| {
+        let (s, c) = f64::sin_cos(it.sideslip);
+        let twist = [it.speed * c, it.speed * s, it.yaw_rate];
+        (it.position.coords, it.yaw, twist)
+    };
+    let ((at, yaw, twist), (true_at, true_yaw, true_twist)) =
+        (numbers(&moment.estimate), numbers(&moment.truth));
+    let off = at - true_at;
+    let [x, _, _, y, _, of_yaw] = moment.covariance.pose;
+    let [forward, _, _, left, _, rate] = moment.covariance.twist;
+    [
+        (off.x, x),
+        (off.y, y),
+        (wrap(yaw - true_yaw), of_yaw),
+        (twist[0] - true_twist[0], forward),
+        (twist[1] - true_twist[1], left),
+        (twist[2] - true_twist[2], rate),
+    ]
+}
+
+#[test]
+fn the_stated_covariances_hold_and_are_not_too_large() {
+    // With a gyro of 0.003 rad/s, the deviation of the yaw rate is a third too small.
+    for (gyro, speed) in [(0.06, 1.0), (0.06, 2.0), (0.3, 1.0)] {
+        let moments = seen(Truth { gyro, speed, ..CAR });
+        let settled: Vec<_> = moments.iter().filter(|it| it.time > SETTLED).collect();
+        for axis in 0..6 {
+            let all = || settled.iter().map(|moment| errors(moment)[axis]);
+            let within = all().filter(|(error, variance)| error * error <= 3.84 * variance);
+            let share = within.count() as f64 / settled.len() as f64;
+            let sum = |of: fn((f64, f64)) -> f64| all().map(of).sum::<f64>();
+            let ratio = (sum(|(_, variance)| variance) / sum(|(error, _)| error * error)).sqrt();
+            assert!(
+                share > 0.9 && ratio < 3.0,
+                "{gyro} {speed} {axis}: {share} {ratio}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_covariance_of_a_pose_that_is_held_counts_how_far_the_car_has_gone() {
+    let dark = |time: f64, _: &mut PoseSample| !(10.0..10.5).contains(&time);
+    let moments = drive(CAR, MarkerLoss::Hold, dark);
+    let held = |it: &&Moment| (10.1..10.5).contains(&it.time);
+    for moment in moments.iter().filter(held) {
+        for (error, variance) in &errors(moment)[..3] {
+            assert!(
+                error.abs() < 2.0 * variance.sqrt(),
+                "{}: {error}",
+                moment.time
+            );
+        }
+    }
+    assert!(
+        moments
+            .iter()
+            .filter(held)
+            .any(|it| it.covariance.pose[0] > 0.01)
+    );
 }
 
 #[test]

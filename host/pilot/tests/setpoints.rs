@@ -123,6 +123,36 @@ fn demanded_steering_and_speed_replace_the_law_within_the_limits() {
 }
 
 #[test]
+fn a_demanded_speed_of_the_rear_axle_is_the_command_of_the_board_and_a_steering_rate_its_limit() {
+    let mut bench = Bench::with(PilotConfig {
+        reference: Reference::External(External::new(0.2).unwrap()),
+        ..config()
+    });
+    let mut steering = 0.0;
+    for tick in 0..600 {
+        if tick == 100 {
+            bench
+                .extra
+                .push(Event::Request(PilotRequest::Arm(Arming::Unattended)));
+        }
+        let (angle, rate) = (0.3, 0.1);
+        let steers = SteeringDemand::AngleWithin { angle, rate };
+        let speed = SpeedDemand::RearSpeed(0.25);
+        let setpoint = Setpoint::actuation(bench.now(), steers, speed);
+        bench.extra.push(Event::Setpoint(setpoint));
+        let now = bench.step().actuation.steering;
+        assert!((now - steering).abs() <= rate * config().period + 1e-9);
+        steering = now;
+    }
+    let output = bench.step();
+    assert_eq!(output.mode, Mode::Driving);
+    assert!((steering - 0.3).abs() < 1e-9, "{steering}");
+    let (command, sideslip) = (output.command.unwrap(), output.estimate.unwrap().sideslip);
+    assert!((command.rear_speed - 0.25).abs() < 1e-9, "{command:?}");
+    assert!(sideslip > 0.05 && output.actuation.speed > 0.2503);
+}
+
+#[test]
 fn set_points_that_must_not_be_obeyed_keep_no_car_driving() {
     type Mistake = fn(&mut Setpoint);
     let mistakes: [Mistake; 4] = [

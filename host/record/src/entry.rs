@@ -138,7 +138,7 @@ pub struct Drops {
 }
 
 /// The version of records that this crate writes and reads. It must match exactly.
-pub const RECORD_VERSION: u32 = 13;
+pub const RECORD_VERSION: u32 = 14;
 
 /// The circumstances under which a record was made.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

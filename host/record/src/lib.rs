@@ -47,7 +47,7 @@ pub use file::{
     RecorderThread, Recovery, feed, part_path, put_in_place, recover, replace,
 };
 pub use replay::{Difference, Replay, ReplayError};
-pub use standard::{BASE_FRAME, StandardTopic, WORLD_FRAME};
+pub use standard::{BASE_FRAME, MAP_FRAME, ODOM_FRAME, StandardTopic};
 pub use tick::{DriveWrite, LinkPhase, MAX_EVENTS, TickInput, TickOutput, TickRecord, tick_feed};
 pub use topic::{Channel, Topic, UnknownTopic, write_json_object};
 pub use value::Value;

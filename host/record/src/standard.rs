@@ -11,7 +11,9 @@ use serde::Serialize;
 use crate::message::Definition;
 
 /// The frame of the motion capture: z up, origin and x axis as it was calibrated.
-pub const WORLD_FRAME: &str = "world";
+pub const MAP_FRAME: &str = "map";
+/// The frame of the odometry, which is always that of the motion capture: the estimate does not drift.
+pub const ODOM_FRAME: &str = "odom";
 /// The frame of the car: origin in the centre of mass G, x forward, y left, z up.
 pub const BASE_FRAME: &str = "base_link";
 
@@ -66,12 +68,14 @@ standard_topics! {
     /// The stamp of a message is the wall time of what it describes.
     pub enum StandardTopic {
         /// `nav_msgs/msg/Odometry` from the estimate of a tick: the pose of
-        /// [`BASE_FRAME`] in [`WORLD_FRAME`]; the velocity of G in [`BASE_FRAME`].
+        /// [`BASE_FRAME`] in [`ODOM_FRAME`]; the velocity of G in [`BASE_FRAME`]; covariances
+        /// of the filter, and 1e6 for what a car on the floor does not do.
         Odometry: Odometry = "/odom",
-        /// `tf2_msgs/msg/TFMessage`: the same pose, with which viewers move the car.
+        /// `tf2_msgs/msg/TFMessage`: [`ODOM_FRAME`] in [`MAP_FRAME`], and [`BASE_FRAME`] in
+        /// [`ODOM_FRAME`], with which viewers move the car.
         Transforms: TfMessage = "/tf",
         /// `geometry_msgs/msg/PoseStamped` from a valid pose of the rigid body: its
-        /// pivot, and its yaw alone, in [`WORLD_FRAME`], at mid-exposure.
+        /// pivot, and its yaw alone, in [`MAP_FRAME`], at mid-exposure.
         MocapPose: PoseStamped = "/mocap/pose",
         /// `sensor_msgs/msg/Imu` from telemetry with a new sample whose time is
         /// known, in the axes of [`BASE_FRAME`]. Its acceleration is **without
@@ -258,13 +262,13 @@ standard! {
         angular: Vector3,
     }
 
-    /// The covariance is of x, y, z and the rotations about them; zeros: unknown.
+    /// The covariance is of x, y, z and the rotations about them; 1e6: unknown.
     PoseWithCovariance as "geometry_msgs/PoseWithCovariance" {
         pose: Pose,
         covariance: [[f64; 6]; 6],
     }
 
-    /// The covariance is of x, y, z and the rotations about them; zeros: unknown.
+    /// The covariance is of x, y, z and the rotations about them; 1e6: unknown.
     TwistWithCovariance as "geometry_msgs/TwistWithCovariance" {
         twist: Twist,
         covariance: [[f64; 6]; 6],

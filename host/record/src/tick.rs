@@ -223,8 +223,8 @@ pub(crate) mod tests {
     use std::thread;
 
     use singletrack_control::{
-        Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, SlowedBy,
-        Velocity,
+        Actuation, Covariance, Estimate, InertialSample, PoseSample, Position, ReferencePoint,
+        SlowedBy, Velocity,
     };
     use singletrack_pilot::{
         BoardSample, BoardState, DriveCommand, Filtering, LinkState, Mode, PilotRequest,
@@ -301,6 +301,10 @@ pub(crate) mod tests {
                     sideslip: 0.15,
                     speed: 0.4,
                     pose_time,
+                }),
+                covariance: Some(Covariance {
+                    pose: [4e-8, 1e-9, 0.0, 4e-8, 0.0, 1e-6],
+                    twist: [1e-4, 0.0, 2e-5, 4e-4, 3e-5, 9e-6],
                 }),
                 held: false,
                 drive_time: Some(12.34),

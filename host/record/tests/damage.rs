@@ -214,7 +214,7 @@ fn a_record_of_another_version_is_refused_by_number() {
     let error = foreign(
         "future.mcap",
         |writer| {
-            let metadata = [("record_version".to_owned(), "14".to_owned())];
+            let metadata = [("record_version".to_owned(), "15".to_owned())];
             writer
                 .write_metadata(&mcap::records::Metadata {
                     name: "singletrack".to_owned(),
@@ -227,7 +227,7 @@ fn a_record_of_another_version_is_refused_by_number() {
     assert!(
         error
             .to_string()
-            .contains("version 14; this program reads version 13"),
+            .contains("version 15; this program reads version 14"),
         "{error}"
     );
 }

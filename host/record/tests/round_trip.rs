@@ -8,7 +8,7 @@
     reason = "a test may fail"
 )]
 
-use std::{fs, path::Path};
+use std::{collections::BTreeSet, fs, iter, path::Path};
 
 use proptest::prelude::*;
 use singletrack_record::{
@@ -324,24 +324,44 @@ fn a_finished_record_knows_its_times_and_one_cut_anywhere_does_not() {
 /// have to be replaced. A word (a constant) may be added within a version: readers take records
 /// that lack it. The layouts of the messages of ROS never change here.
 #[test]
-fn the_layouts_are_those_of_this_version() {
-    assert_eq!(RECORD_VERSION, 13);
+fn the_layouts_are_those_of_this_version_and_its_package_of_ros() {
+    assert_eq!(RECORD_VERSION, 14);
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("msg");
+    let own = "singletrack_msgs/msg/";
+    let mut package = BTreeSet::new();
     for channel in Channel::all() {
-        let name = channel.schema_name();
-        let (package, name) = name.split_once("/msg/").unwrap();
-        let file = match package {
-            "singletrack_msgs" => format!("{name}.msg"),
-            standard => format!("{standard}/{name}.msg"),
+        let (name, text) = (channel.schema_name(), channel.schema_text());
+        let within = format!("{}\nMSG: singletrack_msgs/", "=".repeat(80));
+        // A package has one file for each message.
+        let layouts: Vec<(String, &str)> = match name.strip_prefix(own) {
+            None => vec![(name.replace("/msg/", "/"), &text)],
+            Some(name) => {
+                let mut parts = text.split(&within);
+                let outer = (name, parts.next().unwrap());
+                let inner = parts.map(|part| part.split_once('\n').unwrap());
+                let named = iter::once(outer).chain(inner);
+                named
+                    .map(|(name, part)| (format!("{own}{name}"), part))
+                    .collect()
+            }
         };
-        let now = Path::new(env!("CARGO_TARGET_TMPDIR")).join(&file);
-        fs::create_dir_all(now.parent().unwrap()).unwrap();
-        fs::write(&now, channel.schema_text()).unwrap();
-        let frozen = fs::read_to_string(folder.join(&file)).unwrap_or_default();
-        assert!(
-            channel.schema_text() == frozen,
-            "the layout of {file} has changed; it is now as in {}",
-            now.display()
-        );
+        for (file, now) in layouts {
+            let file = format!("{file}.msg");
+            let shown = Path::new(env!("CARGO_TARGET_TMPDIR")).join(&file);
+            fs::create_dir_all(shown.parent().unwrap()).unwrap();
+            fs::write(&shown, now).unwrap();
+            let frozen = fs::read_to_string(folder.join(&file)).unwrap_or_default();
+            assert!(
+                now == frozen,
+                "the layout of {file} has changed; it is now as in {}",
+                shown.display()
+            );
+            package.extend(file.strip_prefix(own).map(str::to_owned));
+        }
     }
+    let files = fs::read_dir(folder.join(own)).unwrap();
+    let files: BTreeSet<_> = files.map(|file| file.unwrap().file_name()).collect();
+    assert_eq!(files, package.iter().map(Into::into).collect());
+    let manifest = fs::read_to_string(folder.join("singletrack_msgs/package.xml")).unwrap();
+    assert!(manifest.contains(&format!("<version>{RECORD_VERSION}.0.0</version>")));
 }

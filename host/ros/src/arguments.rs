@@ -4,6 +4,8 @@ use std::{net::IpAddr, path::PathBuf, time::Duration};
 
 use clap::Parser;
 
+use crate::frames::Frames;
+
 /// The largest domain whose ports are below 65,536.
 const LAST_DOMAIN: i64 = 232;
 
@@ -38,6 +40,8 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "MS", default_value_t = 100,
           value_parser = clap::value_parser!(u64).range(1..=1_000))]
     pub(crate) max_age_ms: u64,
+    #[command(flatten)]
+    pub(crate) frames: Frames,
     /// Publish only: take no set-points and offer no services
     #[arg(long)]
     pub(crate) publish_only: bool,

@@ -56,7 +56,8 @@ impl State {
         }
         if !recent(self.passed) {
             return Some(
-                "no set-points come: send them to point_velocity, drive or path first, then arm",
+                "no set-points come: send them to drive, cmd_vel, point_velocity or path first, then \
+                 arm",
             );
         }
         if recent(self.rejected) {

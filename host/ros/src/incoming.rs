@@ -21,9 +21,10 @@ use crate::{
     RunError,
     arguments::Arguments,
     attendance::Attendance,
+    car::SharedCar,
     clocks::Now,
     node::{Node, start as start_thread},
-    setpoint::Judge,
+    setpoint::{Arrival, Judge, ignored_of_drive, ignored_of_twist},
     tally::Tally,
 };
 
@@ -41,14 +42,16 @@ const ONCE: Reliability = Reliability::Reliable {
 pub(crate) fn start(
     node: &mut Node,
     arguments: &Arguments,
+    car: &SharedCar,
     attendance: &Attendance,
     tally: &Arc<Tally>,
 ) -> Result<(), RunError> {
     if arguments.publish_only {
         return Ok(());
     }
-    let judge = Judge {
+    let judge = || Judge {
         max_age: arguments.max_age(),
+        frames: arguments.frames.clone(),
     };
     let way = Arc::new(Way {
         socket: arguments.socket.clone(),
@@ -59,17 +62,30 @@ pub(crate) fn start(
     });
     let twist = ("geometry_msgs", "TwistStamped");
     let velocities = node.subscription("point_velocity", twist, NEWEST)?;
-    take(&way, "velocity", velocities, move |message, now| {
-        judge.velocity(message, now)
+    let by = judge();
+    take(
+        &way,
+        "point_velocity",
+        velocities,
+        move |message, arrival| by.velocity(message, arrival),
+    )?;
+    let twists = node.subscription("cmd_vel", twist, NEWEST)?;
+    let (by, car, warnings) = (judge(), car.clone(), Arc::clone(tally));
+    take(&way, "cmd_vel", twists, move |message, arrival| {
+        ignored_of_twist(message).for_each(|text| warnings.warn_once(text));
+        by.twist(message, car.get(), arrival)
     })?;
     let ackermann = ("ackermann_msgs", "AckermannDriveStamped");
     let drives = node.subscription("drive", ackermann, NEWEST)?;
-    take(&way, "drive", drives, move |message, now| {
-        judge.drive(message, now)
+    let (by, warnings) = (judge(), Arc::clone(tally));
+    take(&way, "drive", drives, move |message, arrival| {
+        ignored_of_drive(message).for_each(|text| warnings.warn_once(text));
+        by.drive(message, arrival)
     })?;
     let paths = node.subscription("path", ("nav_msgs", "Path"), ONCE)?;
-    take(&way, "path", paths, move |message, now| {
-        judge.path(message, now)
+    let by = judge();
+    take(&way, "path", paths, move |message, arrival| {
+        by.path(message, arrival)
     })
 }
 
@@ -78,14 +94,21 @@ fn take<M: DeserializeOwned + Send + 'static>(
     way: &Arc<Way>,
     name: &'static str,
     subscription: Subscription<M>,
-    judge: impl Fn(&M, Now) -> Result<Setpoint, Refused> + Send + 'static,
+    judge: impl Fn(&M, &Arrival) -> Result<Setpoint, Refused> + Send + 'static,
 ) -> Result<(), RunError> {
     let way = Arc::clone(way);
     start_thread(name, move || {
         let mut messages = Box::pin(subscription.async_stream());
         while let Some(message) = block_on(messages.next()) {
             match message {
-                Ok((message, _)) => way.pass(name, judge(&message, Now::read())),
+                Ok((message, info)) => {
+                    let sent = info.source_timestamp();
+                    let arrival = Arrival {
+                        now: Now::read(),
+                        sent: sent.map(|sent| sent.to_nanos().into()),
+                    };
+                    way.pass(name, judge(&message, &arrival));
+                }
                 Err(error) => way.warn(&format!("{name}: {error}")),
             }
         }

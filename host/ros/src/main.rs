@@ -1,13 +1,15 @@
 //! `singletrack-ros`: the car as a node of ROS 2, without an installation of ROS.
 //!
 //! A process of its own. It is a client of the daemon's control socket, as any other: it
-//! publishes the messages of the record unchanged, and passes set-points and requests on. If it
+//! publishes the messages of the record, and passes set-points and requests on. If it
 //! hangs or dies, the daemon stops the car.
 
 mod arguments;
 mod attendance;
+mod car;
 mod clocks;
 mod diagnostics;
+mod frames;
 mod incoming;
 mod loopback;
 mod message;
@@ -82,8 +84,9 @@ fn run(arguments: &Arguments) -> Result<(), RunError> {
     let tally = Arc::new(tally::Tally::default());
     let attendance = attendance::Attendance::new(arguments.socket.clone());
     let mut node = node::Node::start(arguments)?;
-    outgoing::start(&mut node, arguments, &tally)?;
-    incoming::start(&mut node, arguments, &attendance, &tally)?;
+    let car = car::SharedCar::default();
+    outgoing::start(&mut node, arguments, &car, &tally)?;
+    incoming::start(&mut node, arguments, &car, &attendance, &tally)?;
     attendance::offer(&mut node, arguments, &attendance)?;
     diagnostics::start(&mut node, &tally)?;
     node.spin()?;

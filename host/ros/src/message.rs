@@ -1,29 +1,7 @@
 //! The messages of ROS that this program reads and writes itself.
 
 use ros2_client::Message;
-use serde::{Deserialize, Serialize, Serializer, ser::SerializeTuple as _};
-
-/// A message that is encoded already: CDR without its header.
-#[derive(Clone, Debug)]
-pub(crate) struct Encoded(Vec<u8>);
-
-impl Encoded {
-    /// The message without the header of little-endian CDR; none if it has another.
-    pub(crate) fn new(bytes: &[u8]) -> Option<Self> {
-        Some(Self(bytes.strip_prefix(&[0, 1, 0, 0])?.to_vec()))
-    }
-}
-
-impl Serialize for Encoded {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        // Bytes are not aligned, and a tuple has no length: these bytes and no others.
-        let mut tuple = serializer.serialize_tuple(self.0.len())?;
-        for byte in &self.0 {
-            tuple.serialize_element(byte)?;
-        }
-        tuple.end()
-    }
-}
+use serde::{Deserialize, Serialize};
 
 /// `builtin_interfaces/msg/Time`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,6 +89,12 @@ pub(crate) struct TriggerResponse {
 
 impl Message for TriggerRequest {}
 impl Message for TriggerResponse {}
+
+/// `std_msgs/msg/String`.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Text {
+    pub(crate) data: String,
+}
 
 /// `diagnostic_msgs/msg/KeyValue`.
 #[derive(Clone, Debug, Serialize)]

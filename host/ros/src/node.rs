@@ -77,7 +77,34 @@ impl Node {
         kind: (&str, &str),
     ) -> Result<Publisher<M>, RunError> {
         let when_full = WhenFull::Fail;
-        let qos = qos(Reliability::Reliable { when_full }, KEPT);
+        self.publisher_as(topic, kind, qos(Reliability::Reliable { when_full }, KEPT))
+    }
+
+    /// A publisher whose last message later subscribers get as well.
+    pub(crate) fn latched<M: Serialize>(
+        &mut self,
+        topic: &str,
+        kind: (&str, &str),
+    ) -> Result<Publisher<M>, RunError> {
+        let when_full = WhenFull::DEFAULT;
+        let volatile = qos(Reliability::Reliable { when_full }, 1);
+        let durability = Durability::TransientLocal;
+        self.publisher_as(
+            topic,
+            kind,
+            QosProfile {
+                durability,
+                ..volatile
+            },
+        )
+    }
+
+    fn publisher_as<M: Serialize>(
+        &mut self,
+        topic: &str,
+        kind: (&str, &str),
+        qos: QosProfile,
+    ) -> Result<Publisher<M>, RunError> {
         let topic = self.topic(topic, kind, &qos)?;
         self.node
             .create_publisher(&topic, Some(qos))

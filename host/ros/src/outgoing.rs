@@ -3,13 +3,15 @@
 use std::{collections::BTreeMap, path::PathBuf, sync::Arc, thread, time::Duration};
 
 use ros2_client::{Publisher, WriteError};
-use singletrack_api::{ClientError, Clocks, MessageStream, Received};
+use singletrack_api::{ClientError, Clocks, MessageStream, Received, Request, ask_within};
 
 use crate::{
     RunError,
     arguments::Arguments,
+    car::{Car, SharedCar},
     clocks::Now,
-    message::Encoded,
+    frames::{Encoded, Frames},
+    message::Text,
     node::{Node, start as start_thread},
     tally::Tally,
 };
@@ -35,6 +37,9 @@ pub(crate) const TOPICS: [(&str, &str, (&str, &str)); 9] = [
     ("/rosout", "/rosout", ("rcl_interfaces", "Log")),
 ];
 
+/// The topic of the record on which a change of the configuration is seen.
+const CONFIGURATION: &str = "/singletrack/configuration";
+
 /// A daemon that is silent for so long hangs: there are 100 ticks a second.
 const SILENCE: Duration = Duration::from_secs(2);
 
@@ -47,15 +52,19 @@ const CLOCK_STEP: f64 = 0.02;
 pub(crate) fn start(
     node: &mut Node,
     arguments: &Arguments,
+    car: &SharedCar,
     tally: &Arc<Tally>,
 ) -> Result<(), RunError> {
     let mut publishers = BTreeMap::new();
     for (channel, topic, kind) in TOPICS {
-        publishers.insert(channel, node.publisher(topic, kind)?);
+        publishers.insert(channel, (kind.1, node.publisher(topic, kind)?));
     }
     let outgoing = Outgoing {
         socket: arguments.socket.clone(),
+        frames: arguments.frames.clone(),
         publishers,
+        description: node.latched("robot_description", ("std_msgs", "String"))?,
+        car: car.clone(),
         tally: Arc::clone(tally),
     };
     start_thread("outgoing", move || outgoing.run())
@@ -63,7 +72,11 @@ pub(crate) fn start(
 
 struct Outgoing {
     socket: PathBuf,
-    publishers: BTreeMap<&'static str, Publisher<Encoded>>,
+    frames: Frames,
+    /// The publishers by the topic of the record, each with its type.
+    publishers: BTreeMap<&'static str, (&'static str, Publisher<Encoded>)>,
+    description: Publisher<Text>,
+    car: SharedCar,
     tally: Arc<Tally>,
 }
 
@@ -80,17 +93,21 @@ impl Outgoing {
 
     /// Publishes until the daemon is lost.
     fn publish(&self) -> Result<core::convert::Infallible, ClientError> {
-        let topics: Vec<_> = self.publishers.keys().copied().collect();
+        let own = self.publishers.keys().copied();
+        let topics: Vec<_> = own.chain([CONFIGURATION]).collect();
         let mut stream = MessageStream::open(&self.socket, &topics, SILENCE)?;
         tracing::info!("connected to the daemon");
         warn_of_clocks(stream.clocks());
+        self.describe()?;
         loop {
             match stream.receive()? {
                 Received::Missed(count) => self.tally.lock().missed += count,
+                Received::Message(message) if message.topic == CONFIGURATION => self.describe()?,
                 Received::Message(message) => {
-                    let publisher = self.publishers.get(message.topic);
-                    let encoded = Encoded::new(message.bytes);
-                    let (Some(publisher), Some(encoded)) = (publisher, encoded) else {
+                    let Some((kind, publisher)) = self.publishers.get(message.topic) else {
+                        continue;
+                    };
+                    let Some(encoded) = self.frames.encode(kind, message.bytes) else {
                         continue;
                     };
                     match publisher.publish(encoded) {
@@ -105,6 +122,21 @@ impl Outgoing {
                 }
             }
         }
+    }
+
+    /// Publishes the car of the configuration in force.
+    fn describe(&self) -> Result<(), ClientError> {
+        let answer = ask_within(&Request::Configuration {}, &self.socket, SILENCE)?;
+        let Some(car) = answer.toml.as_deref().and_then(Car::of) else {
+            tracing::warn!("the daemon's configuration has no axles: cmd_vel is refused");
+            return Ok(());
+        };
+        self.car.set(car);
+        let data = car.urdf(&self.frames.base);
+        if let Err(error) = self.description.publish(Text { data }) {
+            tracing::warn!("robot_description: {error}");
+        }
+        Ok(())
     }
 }
 

@@ -8,14 +8,17 @@ use std::time::Duration;
 use singletrack_api::{Code, Refused, Setpoint, TrajectoryPoint};
 
 use crate::{
+    car::Car,
     clocks::Now,
+    frames::Frames,
     message::{AckermannDriveStamped, Header, Path, Time, TwistStamped},
 };
 
-/// The frame of positions and of velocities of P.
+/// The map under the name that a record of an earlier version has for it.
 const WORLD: &str = "world";
-/// The frame of the car.
-const BASE: &str = "base_link";
+
+/// A largest steering rate above this limits no car, rad/s.
+const UNLIMITED: f64 = 100.0;
 
 /// A stamp may be ahead of this computer's clock by this: clocks of two computers differ. The
 /// set-point then counts as decided now.
@@ -26,21 +29,73 @@ const FEWEST: usize = 2;
 const MOST: usize = 100;
 
 /// The judge of set-points.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Judge {
     pub(crate) max_age: Duration,
+    pub(crate) frames: Frames,
+}
+
+/// Times of a message.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arrival {
+    /// Time of its arrival.
+    pub(crate) now: Now,
+    /// Time at which the sender's middleware sent it, on the wall clock, in ns.
+    pub(crate) sent: Option<i128>,
+}
+
+/// Warnings of fields of a drive that have no effect.
+pub(crate) fn ignored_of_drive(
+    message: &AckermannDriveStamped,
+) -> impl Iterator<Item = &'static str> {
+    given([
+        (
+            message.acceleration != 0.0,
+            "drive: acceleration is ignored; limits.max_acceleration_m_s2 is in force",
+        ),
+        (message.jerk != 0.0, "drive: jerk is ignored"),
+    ])
+}
+
+/// Warnings of fields of a twist that have no effect.
+pub(crate) fn ignored_of_twist(message: &TwistStamped) -> impl Iterator<Item = &'static str> {
+    let (linear, angular) = (message.linear, message.angular);
+    let rest = [linear.y, linear.z, angular.x, angular.y];
+    given([
+        (
+            rest.iter().any(|&part| part != 0.0),
+            "cmd_vel: fields beside linear.x and angular.z are ignored: the car can't move so",
+        ),
+        (
+            linear.x == 0.0 && angular.z != 0.0,
+            "cmd_vel: angular.z without linear.x turns the wheels, not the car: it can't turn on \
+             the spot",
+        ),
+    ])
+}
+
+fn given(texts: [(bool, &'static str); 2]) -> impl Iterator<Item = &'static str> {
+    let given = |(is_given, text): (bool, _)| is_given.then_some(text);
+    texts.into_iter().filter_map(given)
 }
 
 impl Judge {
     /// The velocity of P.
-    pub(crate) fn velocity(&self, message: &TwistStamped, now: Now) -> Result<Setpoint, Refused> {
-        let time_ns = self.decided(&message.header, now)?;
-        in_frame(&message.header, &[WORLD])?;
+    pub(crate) fn velocity(
+        &self,
+        message: &TwistStamped,
+        arrival: &Arrival,
+    ) -> Result<Setpoint, Refused> {
+        let time_ns = self.decided(&message.header, arrival.now)?;
+        self.in_map(&message.header)?;
         let (linear, angular) = (message.linear, message.angular);
         let rest = [linear.z, angular.x, angular.y, angular.z];
         finite([linear.x, linear.y].into_iter().chain(rest))?;
         if rest.iter().any(|&part| part != 0.0) {
-            return Err(not_offered());
+            return Err(Refused::new(
+                Code::Invalid,
+                "only linear.x and linear.y of point_velocity may differ from zero",
+            ));
         }
         Ok(Setpoint {
             velocity_m_s: Some([linear.x, linear.y]),
@@ -49,43 +104,73 @@ impl Judge {
         })
     }
 
-    /// Steering and speed.
+    /// Steering and speed of the rear axle, whatever the frame: programs write that of a sensor.
     pub(crate) fn drive(
         &self,
         message: &AckermannDriveStamped,
-        now: Now,
+        arrival: &Arrival,
     ) -> Result<Setpoint, Refused> {
-        let time_ns = self.decided(&message.header, now)?;
-        in_frame(&message.header, &[BASE, ""])?;
-        let rest = [
+        let time_ns = self.decided_or_sent(&message.header, arrival)?;
+        let [steering, rate, speed] = [
+            message.steering_angle,
             message.steering_angle_velocity,
-            message.acceleration,
-            message.jerk,
-        ];
-        let used = [message.steering_angle, message.speed];
-        finite(used.into_iter().chain(rest).map(f64::from))?;
-        if rest.iter().any(|&part| part != 0.0) {
-            return Err(not_offered());
-        }
+            message.speed,
+        ]
+        .map(f64::from);
+        finite([steering, rate, speed])?;
+        let rate = rate.abs();
         Ok(Setpoint {
-            steering_rad: Some(message.steering_angle.into()),
-            speed_m_s: Some(message.speed.into()),
+            steering_rad: Some(steering),
+            // Zero: as quickly as possible.
+            steering_rate_rad_s: (rate > 0.0 && rate < UNLIMITED).then_some(rate),
+            rear_speed_m_s: Some(speed),
+            time_ns: Some(time_ns),
+            ..Setpoint::default()
+        })
+    }
+
+    /// Speed and yaw rate of the car, whatever the frame: Nav2 writes the one in which it plans.
+    pub(crate) fn twist(
+        &self,
+        message: &TwistStamped,
+        car: Option<Car>,
+        arrival: &Arrival,
+    ) -> Result<Setpoint, Refused> {
+        let time_ns = self.decided_or_sent(&message.header, arrival)?;
+        let (speed, yaw_rate) = (message.linear.x, message.angular.z);
+        finite([speed, yaw_rate])?;
+        let car = car.ok_or_else(|| {
+            Refused::new(
+                Code::NotReady,
+                "cmd_vel needs the wheelbase, and the daemon has not given its configuration yet",
+            )
+        })?;
+        let steering = match yaw_rate {
+            0.0 => 0.0,
+            _ => libm::atan(car.wheelbase() * yaw_rate / speed),
+        };
+        Ok(Setpoint {
+            steering_rad: Some(steering),
+            rear_speed_m_s: Some(speed),
             time_ns: Some(time_ns),
             ..Setpoint::default()
         })
     }
 
     /// Timed positions of P, with velocities from the positions.
-    pub(crate) fn path(&self, message: &Path, now: Now) -> Result<Setpoint, Refused> {
+    pub(crate) fn path(&self, message: &Path, arrival: &Arrival) -> Result<Setpoint, Refused> {
+        let now = arrival.now;
         let decided = self.decided(&message.header, now)?;
-        in_frame(&message.header, &[WORLD])?;
+        self.in_map(&message.header)?;
         let poses = &message.poses;
         if !(FEWEST..=MOST).contains(&poses.len()) {
             return Err(no_path());
         }
         let mut points = Vec::with_capacity(poses.len());
         for pose in poses {
-            in_frame(&pose.header, &[WORLD, ""])?;
+            if !pose.header.frame_id.is_empty() {
+                self.in_map(&pose.header)?;
+            }
             finite([pose.position.x, pose.position.y])?;
             points.push(Timed {
                 wall: pose.header.stamp.ns(),
@@ -114,6 +199,19 @@ impl Judge {
         })
     }
 
+    /// Time of the decision, on `CLOCK_MONOTONIC`; that of the sending without a stamp, which many
+    /// programs leave out.
+    fn decided_or_sent(&self, header: &Header, arrival: &Arrival) -> Result<u64, Refused> {
+        if header.stamp != Time::default() {
+            return self.decided(header, arrival.now);
+        }
+        let sent = Header {
+            stamp: Time::from_ns(arrival.sent.unwrap_or(arrival.now.wall)),
+            frame_id: String::new(),
+        };
+        self.decided(&sent, arrival.now)
+    }
+
     /// When it was decided, on `CLOCK_MONOTONIC`.
     fn decided(&self, header: &Header, now: Now) -> Result<u64, Refused> {
         if header.stamp == Time::default() {
@@ -134,6 +232,21 @@ impl Judge {
             ));
         }
         u64::try_from(now.monotonic - age.max(0)).map_err(|_| old())
+    }
+
+    /// Whether positions and velocities are in the frame of the motion capture.
+    fn in_map(&self, header: &Header) -> Result<(), Refused> {
+        let Frames { map, odom, .. } = &self.frames;
+        if [map, odom, WORLD].contains(&header.frame_id.as_str()) {
+            return Ok(());
+        }
+        Err(Refused::new(
+            Code::Invalid,
+            format_args!(
+                "header.frame_id is {:?}: give {map:?} or {odom:?}",
+                header.frame_id
+            ),
+        ))
     }
 }
 
@@ -168,29 +281,11 @@ fn velocities(points: &[Timed]) -> impl Iterator<Item = [f64; 2]> {
     })
 }
 
-fn in_frame(header: &Header, frames: &[&str]) -> Result<(), Refused> {
-    if frames.contains(&header.frame_id.as_str()) {
-        return Ok(());
-    }
-    Err(Refused::new(
-        Code::Invalid,
-        "header.frame_id must be \"world\" for velocities and paths, \"base_link\" or empty for /drive",
-    ))
-}
-
 fn finite(numbers: impl IntoIterator<Item = f64>) -> Result<(), Refused> {
     if numbers.into_iter().all(f64::is_finite) {
         return Ok(());
     }
     Err(Refused::new(Code::NotFinite, "a number is not finite"))
-}
-
-fn not_offered() -> Refused {
-    Refused::new(
-        Code::Invalid,
-        "only linear.x and linear.y of a velocity, and steering_angle and speed of /drive, may \
-         differ from zero",
-    )
 }
 
 fn no_path() -> Refused {
@@ -210,13 +305,23 @@ mod tests {
     use super::*;
     use crate::message::{PoseStamped, Vector3};
 
-    const JUDGE: Judge = Judge {
-        max_age: Duration::from_millis(100),
-    };
+    fn judge() -> Judge {
+        let [map, odom, base] = ["map", "odom", "base_link"].map(str::to_owned);
+        Judge {
+            max_age: Duration::from_millis(100),
+            frames: Frames { map, odom, base },
+        }
+    }
+
     const MS: i128 = 1_000_000;
     const NOW: Now = Now {
         monotonic: 7_000_000_000,
         wall: 1_700_000_000_000_000_000,
+    };
+
+    const ARRIVED: Arrival = Arrival {
+        now: NOW,
+        sent: None,
     };
 
     fn code(judged: Result<Setpoint, Refused>) -> Option<Code> {
@@ -232,7 +337,7 @@ mod tests {
 
     fn twist(age_ms: i128) -> TwistStamped {
         TwistStamped {
-            header: header(age_ms, "world"),
+            header: header(age_ms, "map"),
             linear: Vector3 {
                 x: 0.5,
                 y: -0.25,
@@ -254,7 +359,7 @@ mod tests {
     #[test]
     fn a_velocity_keeps_its_age_on_the_other_clock() {
         assert_eq!(
-            JUDGE.velocity(&twist(30), NOW).unwrap(),
+            judge().velocity(&twist(30), &ARRIVED).unwrap(),
             Setpoint {
                 velocity_m_s: Some([0.5, -0.25]),
                 time_ns: Some(6_970_000_000),
@@ -264,62 +369,146 @@ mod tests {
     }
 
     #[test]
-    fn a_drive_is_steering_and_speed() {
+    fn a_drive_is_steering_and_speed_of_the_rear_axle_in_whatever_frame() {
+        let expected = Setpoint {
+            steering_rad: Some(0.25),
+            rear_speed_m_s: Some(1.5),
+            time_ns: Some(7_000_000_000),
+            ..Setpoint::default()
+        };
+        for frame in ["base_link", "", "laser", "ego_racecar/base_link"] {
+            let mut message = drive(0);
+            message.header.frame_id = frame.to_owned();
+            assert_eq!(judge().drive(&message, &ARRIVED).unwrap(), expected);
+            assert_eq!(ignored_of_drive(&message).count(), 0);
+        }
+    }
+
+    #[test]
+    fn of_a_drive_the_steering_velocity_is_a_limit_and_acceleration_and_jerk_are_ignored() {
+        for (velocity, limit) in [(0.5, Some(0.5)), (-0.5, Some(0.5)), (f32::MAX, None)] {
+            let mut message = drive(0);
+            message.steering_angle_velocity = velocity;
+            message.acceleration = 1.0;
+            message.jerk = f32::NAN;
+            let setpoint = judge().drive(&message, &ARRIVED).unwrap();
+            assert_eq!(setpoint.steering_rate_rad_s, limit);
+            assert_eq!(setpoint.acceleration_m_s2, None);
+            let warnings: Vec<_> = ignored_of_drive(&message).collect();
+            assert!(warnings[0].contains("acceleration") && warnings[1].contains("jerk"));
+        }
+        let mut message = drive(0);
+        message.speed = f32::INFINITY;
         assert_eq!(
-            JUDGE.drive(&drive(0), NOW).unwrap(),
-            Setpoint {
-                steering_rad: Some(0.25),
-                speed_m_s: Some(1.5),
-                time_ns: Some(7_000_000_000),
-                ..Setpoint::default()
-            }
+            code(judge().drive(&message, &ARRIVED)),
+            Some(Code::NotFinite)
         );
     }
 
     #[test]
+    fn a_twist_of_the_car_is_steered_by_the_wheelbase() {
+        let car = Car::of("vehicle = { front_axle_distance_m = 0.15, rear_axle_distance_m = 0.1 }");
+        for (speed, yaw_rate, steering) in [
+            (0.5, 0.4, libm::atan(0.2)),
+            (-0.5, 0.4, -libm::atan(0.2)),
+            (0.5, 0.0, 0.0),
+            (0.0, 0.0, 0.0),
+            (0.0, -1.0, -core::f64::consts::FRAC_PI_2),
+        ] {
+            let mut message = twist(0);
+            message.header.frame_id = "odom".to_owned();
+            message.linear = Vector3 {
+                x: speed,
+                y: 0.1,
+                z: 0.0,
+            };
+            message.angular.z = yaw_rate;
+            let setpoint = judge().twist(&message, car, &ARRIVED).unwrap();
+            assert_eq!(setpoint.rear_speed_m_s, Some(speed));
+            let steers = setpoint.steering_rad.unwrap();
+            assert!((steers - steering).abs() < 1e-12, "{steers}");
+            let warnings: Vec<_> = ignored_of_twist(&message).collect();
+            assert!(warnings[0].contains("are ignored"));
+            assert_eq!(warnings.len() == 2, speed == 0.0 && yaw_rate != 0.0);
+        }
+        let unknown = judge().twist(&twist(0), None, &ARRIVED);
+        assert_eq!(code(unknown), Some(Code::NotReady));
+    }
+
+    #[test]
+    fn without_a_stamp_a_drive_is_as_old_as_its_sending() {
+        let mut message = drive(0);
+        message.header = Header::default();
+        let sent = |age_ms: i128| Arrival {
+            now: NOW,
+            sent: Some(NOW.wall - age_ms * MS),
+        };
+        let setpoint = judge().drive(&message, &sent(30)).unwrap();
+        assert_eq!(setpoint.time_ns, Some(6_970_000_000));
+        assert_eq!(code(judge().drive(&message, &sent(101))), Some(Code::Old));
+        assert!(judge().drive(&message, &ARRIVED).is_ok());
+    }
+
+    #[test]
     fn stamps_decide_to_the_millisecond() {
-        assert!(JUDGE.velocity(&twist(100), NOW).is_ok());
-        assert_eq!(code(JUDGE.velocity(&twist(101), NOW)), Some(Code::Old));
-        assert_eq!(code(JUDGE.drive(&drive(1_000), NOW)), Some(Code::Old));
-        assert_eq!(code(JUDGE.velocity(&twist(-6), NOW)), Some(Code::Future));
-        let ahead = JUDGE.velocity(&twist(-5), NOW).unwrap();
+        assert!(judge().velocity(&twist(100), &ARRIVED).is_ok());
+        assert_eq!(
+            code(judge().velocity(&twist(101), &ARRIVED)),
+            Some(Code::Old)
+        );
+        assert_eq!(
+            code(judge().drive(&drive(1_000), &ARRIVED)),
+            Some(Code::Old)
+        );
+        assert_eq!(
+            code(judge().velocity(&twist(-6), &ARRIVED)),
+            Some(Code::Future)
+        );
+        let ahead = judge().velocity(&twist(-5), &ARRIVED).unwrap();
         assert_eq!(ahead.time_ns, Some(7_000_000_000), "never in the future");
         let mut none = twist(0);
         none.header.stamp = Time::default();
-        assert_eq!(code(JUDGE.velocity(&none, NOW)), Some(Code::Invalid));
+        assert_eq!(code(judge().velocity(&none, &ARRIVED)), Some(Code::Invalid));
     }
 
     #[test]
-    fn other_frames_are_refused() {
-        for frame in ["", "map", "base_link"] {
+    fn velocities_and_paths_are_in_the_frame_of_the_motion_capture() {
+        for (frame, is_taken) in [
+            ("map", true),
+            ("odom", true),
+            ("world", true),
+            ("", false),
+            ("base_link", false),
+        ] {
             let mut message = twist(0);
             message.header.frame_id = frame.to_owned();
-            assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::Invalid));
+            let refused = (!is_taken).then_some(Code::Invalid);
+            assert_eq!(
+                code(judge().velocity(&message, &ARRIVED)),
+                refused,
+                "{frame}"
+            );
         }
-        let mut message = drive(0);
-        message.header.frame_id.clear();
-        assert!(JUDGE.drive(&message, NOW).is_ok());
-        message.header.frame_id = "world".to_owned();
-        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::Invalid));
     }
 
     #[test]
-    fn what_the_car_does_not_offer_is_refused_and_not_ignored() {
+    fn what_a_velocity_of_p_does_not_have_is_refused_and_not_ignored() {
         let mut message = twist(0);
         message.angular.z = 0.1;
-        assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::Invalid));
+        assert_eq!(
+            code(judge().velocity(&message, &ARRIVED)),
+            Some(Code::Invalid)
+        );
         message.angular.z = f64::NAN;
-        assert_eq!(code(JUDGE.velocity(&message, NOW)), Some(Code::NotFinite));
-        let mut message = drive(0);
-        message.acceleration = 1.0;
-        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::Invalid));
-        message.speed = f32::INFINITY;
-        assert_eq!(code(JUDGE.drive(&message, NOW)), Some(Code::NotFinite));
+        assert_eq!(
+            code(judge().velocity(&message, &ARRIVED)),
+            Some(Code::NotFinite)
+        );
     }
 
     fn path(points: &[(i128, [f64; 2])]) -> Path {
         Path {
-            header: header(0, "world"),
+            header: header(0, "map"),
             poses: points
                 .iter()
                 .map(|&(after_ms, [x, y])| PoseStamped {
@@ -340,7 +529,11 @@ mod tests {
                 (ms, [time * time, 2.0 * time])
             })
             .to_vec();
-        let trajectory = JUDGE.path(&path(&points), NOW).unwrap().trajectory.unwrap();
+        let trajectory = judge()
+            .path(&path(&points), &ARRIVED)
+            .unwrap()
+            .trajectory
+            .unwrap();
         assert_eq!(trajectory[1].time_ns, 7_100_000_000);
         for (point, expected) in trajectory.iter().zip([0.1, 0.2, 0.6, 0.7]) {
             let [x, y] = point.velocity_m_s;
@@ -360,12 +553,15 @@ mod tests {
             (0..101).map(|ms| (ms, here)).collect(),
         ] {
             assert_eq!(
-                code(JUDGE.path(&path(&points), NOW)),
+                code(judge().path(&path(&points), &ARRIVED)),
                 Some(Code::OutOfRange)
             );
         }
         let infinite = path(&[(0, here), (1, [f64::INFINITY, 0.0])]);
-        assert_eq!(code(JUDGE.path(&infinite, NOW)), Some(Code::NotFinite));
+        assert_eq!(
+            code(judge().path(&infinite, &ARRIVED)),
+            Some(Code::NotFinite)
+        );
     }
 
     /// Numbers of every kind, from a fixed seed.
@@ -387,6 +583,7 @@ mod tests {
 
     #[test]
     fn whatever_a_message_holds_a_set_point_is_finite_and_neither_old_nor_of_the_future() {
+        let car = Car::of("vehicle = { front_axle_distance_m = 0.15, rear_axle_distance_m = 0.1 }");
         let mut number = numbers();
         let mut passed = 0;
         for round in 0..20_000_i128 {
@@ -403,7 +600,7 @@ mod tests {
             };
             let header = Header {
                 stamp: Time::from_ns(wall.clamp(0, i128::from(i32::MAX) * 1_000_000_000)),
-                frame_id: "world".to_owned(),
+                frame_id: "odom".to_owned(),
             };
             let twist = TwistStamped {
                 header: header.clone(),
@@ -423,9 +620,10 @@ mod tests {
             let mut path = path(&[(0, [number(), number()]), (1, [number(), number()])]);
             path.header = header;
             for setpoint in [
-                JUDGE.velocity(&twist, NOW),
-                JUDGE.drive(&drive, NOW),
-                JUDGE.path(&path, NOW),
+                judge().velocity(&twist, &ARRIVED),
+                judge().drive(&drive, &ARRIVED),
+                judge().path(&path, &ARRIVED),
+                judge().twist(&twist, car, &ARRIVED),
             ] {
                 let Ok(setpoint) = setpoint else { continue };
                 passed += 1;
@@ -436,7 +634,7 @@ mod tests {
                     .flat_map(|point| point.position_m.into_iter().chain(point.velocity_m_s))
                     .chain(setpoint.velocity_m_s.into_iter().flatten())
                     .chain(setpoint.steering_rad)
-                    .chain(setpoint.speed_m_s);
+                    .chain(setpoint.rear_speed_m_s);
                 assert!(numbers.into_iter().all(f64::is_finite), "{setpoint:?}");
             }
         }

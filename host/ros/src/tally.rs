@@ -1,7 +1,7 @@
 //! Counts what is passed on and what is not, and logs reasons without flooding the log.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -29,6 +29,8 @@ pub(crate) struct Counts {
     /// Messages that were not published, because a reliable subscriber is too slow.
     pub(crate) held_up: u64,
     logged: BTreeMap<String, Instant>,
+    /// What is warned of a single time.
+    warned: BTreeSet<&'static str>,
 }
 
 impl Tally {
@@ -40,6 +42,13 @@ impl Tally {
     /// Warns of a reason, unless that was done a short while ago.
     pub(crate) fn warn(&self, reason: &str, text: &str) {
         if self.lock().may_log(reason, Instant::now()) {
+            tracing::warn!("{text}");
+        }
+    }
+
+    /// Warns of something the first time.
+    pub(crate) fn warn_once(&self, text: &'static str) {
+        if self.lock().warned.insert(text) {
             tracing::warn!("{text}");
         }
     }

@@ -10,7 +10,8 @@ use clap::Parser;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use singletrack::operator::dump::{DumpArgs, Format, dump};
 use singletrack_control::{
-    Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
+    Actuation, Covariance, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time,
+    Velocity,
 };
 use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output};
 use singletrack_protocol::{BoardMode, ImuState, Sequence, StopCause, Telemetry};
@@ -79,6 +80,10 @@ fn tick(index: u64) -> Entry {
                 sideslip: noisy(index + 10, 1e-3),
                 speed: noisy(index + 11, 0.4),
                 pose_time,
+            }),
+            covariance: Some(Covariance {
+                pose: [noisy(index + 12, 1e-6); 6],
+                twist: [noisy(index + 13, 1e-4); 6],
             }),
             held: false,
             drive_time: Some(index as f64 * 0.01),

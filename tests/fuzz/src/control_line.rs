@@ -14,7 +14,7 @@ const NOW_NS: u64 = 1_000_000_000_000;
 const MAX_ANSWER: usize = 1_024;
 
 /// Keys of a line, and an unknown one.
-const KEYS: [&str; 23] = [
+const KEYS: [&str; 24] = [
     "version",
     "command",
     "topics",
@@ -34,6 +34,7 @@ const KEYS: [&str; 23] = [
     "steering_rad",
     "steering_rate_rad_s",
     "speed_m_s",
+    "rear_speed_m_s",
     "acceleration_m_s2",
     "trajectory",
     "sequence",

@@ -387,12 +387,18 @@ impl LimitedLaw {
         speed: SpeedDemand,
         period: f64,
     ) -> Result<Actuation, Singularity> {
+        let towards = |angle: f64| (angle - self.actuation.steering) / period;
         let rate = match steering {
-            SteeringDemand::Angle(angle) => (angle - self.actuation.steering) / period,
+            SteeringDemand::Angle(angle) => towards(angle),
+            SteeringDemand::AngleWithin { angle, rate } => {
+                let most = fabs(rate);
+                towards(angle).max(-most).min(most)
+            }
             SteeringDemand::Rate(rate) => rate,
         };
         let speed = match speed {
-            SpeedDemand::Speed(speed) => speed,
+            // That of the rear axle, where the sideslip is not known.
+            SpeedDemand::Speed(speed) | SpeedDemand::RearSpeed(speed) => speed,
             SpeedDemand::Acceleration(change) => self.actuation.speed + change * period,
         };
         if !rate.is_finite() || !speed.is_finite() {

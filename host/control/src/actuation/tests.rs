@@ -193,6 +193,16 @@ fn demanded_steering_and_speed_are_reached_within_every_limit() {
             1.5,
         ),
         (
+            SteeringDemand::AngleWithin {
+                angle: 0.3,
+                rate: 0.05,
+            },
+            SpeedDemand::RearSpeed(0.4),
+            // 3 s of 10 ms at this rate.
+            0.15,
+            0.4,
+        ),
+        (
             SteeringDemand::Rate(-9.0),
             SpeedDemand::Acceleration(-99.0),
             -0.45,

@@ -1,16 +1,13 @@
 //! The three filters: what each believes of the steering, and how likely each is.
 
-use libm::{atan2, exp, fabs, tan};
+use libm::{exp, fabs, tan};
 
 use super::{
     CarPose, EstimatorConfig,
     filter::{Filter, Navigation, Prior, Reading},
     wheels::Sent,
 };
-use crate::{
-    measurement::{InertialSample, Time},
-    point::Position,
-};
+use crate::measurement::{InertialSample, Time};
 
 /// A sample that is older than the filter's state by more than this no longer counts, s.
 const OLDEST_SAMPLE: f64 = 0.05;
@@ -277,7 +274,7 @@ impl Bank {
         }
     }
 
-    /// The weighted mean of the filters' motions, and the variance of its sideslip.
+    /// The weighted mean of the filters' motions.
     pub(super) fn navigation(
         &self,
         weights: [f64; 3],
@@ -288,31 +285,7 @@ impl Bank {
         let all = self
             .filters
             .map(|filter| filter.navigation(tangent, config));
-        let mean = |of: fn(&Navigation) -> f64| -> f64 {
-            all.iter()
-                .zip(weights)
-                .map(|(one, weight)| weight * of(one))
-                .sum()
-        };
-        let (forward, left) = (mean(|one| one.forward), mean(|one| one.left));
-        let spread: f64 = all
-            .iter()
-            .zip(weights)
-            .map(|(one, weight)| {
-                // The directions of both velocities differ by this angle.
-                let across = one.left * forward - one.forward * left;
-                let along = one.forward * forward + one.left * left;
-                weight * (one.sideslip_variance + square(atan2(across, along)))
-            })
-            .sum();
-        Navigation {
-            position: Position::new(mean(|one| one.position.x), mean(|one| one.position.y)),
-            yaw: mean(|one| one.yaw),
-            yaw_rate: mean(|one| one.yaw_rate),
-            forward,
-            left,
-            sideslip_variance: spread,
-        }
+        Navigation::mean(&all, weights)
     }
 }
 
@@ -333,6 +306,7 @@ mod tests {
     use crate::{
         estimator::{Estimator, PoseVerdict},
         measurement::PoseSample,
+        point::Position,
         vehicle::VehicleParameters,
     };
 

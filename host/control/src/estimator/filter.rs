@@ -11,7 +11,7 @@ use libm::{exp, fabs, log, sincos};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use super::{CarPose, EstimatorConfig, wheels::Wheels};
-use crate::point::{Position, unwrap_near};
+use crate::point::unwrap_near;
 
 /// Position of G, world frame, m.
 const X: usize = 0;
@@ -139,33 +139,47 @@ pub(super) struct Reading {
     pub(super) tangent: f64,
 }
 
-/// The motion by a filter, with variances.
+/// The motion by a filter, with covariances.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Navigation {
-    pub(super) position: Position,
-    pub(super) yaw: f64,
-    pub(super) yaw_rate: f64,
-    /// Velocity of G in the car's axes, m/s.
-    pub(super) forward: f64,
-    pub(super) left: f64,
-    /// The variance of its direction, rad².
-    pub(super) sideslip_variance: f64,
+    /// Position of G (world frame, m) and yaw (rad).
+    pub(super) pose: Vector3<f64>,
+    /// Velocity of G forward and to the left (m/s), and yaw rate (rad/s).
+    pub(super) twist: Vector3<f64>,
+    pub(super) pose_covariance: Matrix3<f64>,
+    pub(super) twist_covariance: Matrix3<f64>,
 }
 
 impl Navigation {
-    /// Whether all of it is a number.
+    /// Whether all of the motion is a number.
     pub(super) fn is_finite(&self) -> bool {
-        let Self {
-            position,
-            yaw,
-            yaw_rate,
-            forward,
-            left,
-            ..
-        } = self;
-        [position.x, position.y, *yaw, *yaw_rate, *forward, *left]
-            .iter()
-            .all(|value| value.is_finite())
+        let mut all = self.pose.iter().chain(&self.twist);
+        all.all(|value| value.is_finite())
+    }
+
+    /// The variance of the direction of the velocity, rad².
+    pub(super) fn sideslip_variance(&self) -> f64 {
+        // An error of the velocity turns it as far as it does not lengthen it.
+        let across = Vector3::new(-self.twist.y, self.twist.x, 0.0);
+        across.dot(&(self.twist_covariance * across)) / square(across.norm_squared())
+    }
+
+    /// The weighted mean of several motions, with their spread in its covariances.
+    pub(super) fn mean(all: &[Self; 3], weights: [f64; 3]) -> Self {
+        let ([a, b, c], [of_a, of_b, of_c]) = (all, weights);
+        let sum = |of: fn(&Self) -> Vector3<f64>| of_a * of(a) + of_b * of(b) + of_c * of(c);
+        let mut mean = Self {
+            pose: sum(|one| one.pose),
+            twist: sum(|one| one.twist),
+            pose_covariance: Matrix3::zeros(),
+            twist_covariance: Matrix3::zeros(),
+        };
+        for (one, weight) in all.iter().zip(weights) {
+            let (pose, twist) = (one.pose - mean.pose, one.twist - mean.twist);
+            mean.pose_covariance += weight * (one.pose_covariance + pose * pose.transpose());
+            mean.twist_covariance += weight * (one.twist_covariance + twist * twist.transpose());
+        }
+        mean
     }
 }
 
@@ -528,22 +542,16 @@ impl Filter {
 
     /// The motion with wheels whose angle has this tangent.
     pub(super) fn navigation(&self, tangent: f64, config: &EstimatorConfig) -> Navigation {
-        let (yaw_rate, of_rate) = self.yaw_rate(tangent, 0.0, config.wheelbase);
-        let (left, of_left) = self.left((yaw_rate, &of_rate), config.rear_axle_distance);
-        let forward = self.mean[SPEED];
-        // Of the direction of the velocity: an error of the speed turns it as far as it does not
-        // lengthen it.
-        let mut of_sideslip = of_left * forward;
-        of_sideslip[SPEED] -= left;
-        let squared = square(forward) + square(left);
-        let variance = of_sideslip.dot(&(self.covariance * of_sideslip)) / square(squared);
+        let (yaw_rate, of_yaw_rate) = self.yaw_rate(tangent, 0.0, config.wheelbase);
+        let (left, of_left) = self.left((yaw_rate, &of_yaw_rate), config.rear_axle_distance);
+        let mut of_forward = StateVector::zeros();
+        of_forward[SPEED] = 1.0;
+        let gradients = SMatrix::from_columns(&[of_forward, of_left, of_yaw_rate]);
         Navigation {
-            position: Position::new(self.mean[X], self.mean[Y]),
-            yaw: self.mean[YAW],
-            yaw_rate,
-            forward,
-            left,
-            sideslip_variance: variance,
+            pose: self.mean.fixed_rows::<3>(X).into_owned(),
+            twist: Vector3::new(self.mean[SPEED], left, yaw_rate),
+            pose_covariance: self.covariance.fixed_view::<3, 3>(X, X).into_owned(),
+            twist_covariance: gradients.tr_mul(&(self.covariance * gradients)),
         }
     }
 }

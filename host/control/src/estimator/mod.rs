@@ -16,6 +16,7 @@ mod wheels;
 
 use heapless::Deque;
 use libm::{atan, atan2, hypot, tan};
+use nalgebra::Vector3;
 use singletrack_words::words;
 
 use self::{
@@ -24,7 +25,7 @@ use self::{
     wheels::Sent,
 };
 use crate::{
-    measurement::{Estimate, InertialSample, PoseSample, Time},
+    measurement::{Covariance, Estimate, InertialSample, PoseSample, Time},
     point::{Position, direction},
     vehicle::VehicleParameters,
 };
@@ -227,9 +228,9 @@ struct Track {
     /// The normalised innovation squared of the last pose, accepted or not.
     innovation: f64,
     /// The position and yaw of the last estimate, to hold them beyond the horizon.
-    held: Option<(Position, f64)>,
-    /// The variance of the sideslip of the last estimate, rad².
-    sideslip_variance: f64,
+    held: Option<Vector3<f64>>,
+    /// The motion and the covariances of the last estimate.
+    last: Option<Navigation>,
 }
 
 impl Estimator {
@@ -314,9 +315,18 @@ impl Estimator {
     /// standstill.
     #[must_use]
     pub fn sideslip_variance(&self) -> f64 {
-        self.track
-            .as_ref()
-            .map_or(f64::INFINITY, |track| track.sideslip_variance)
+        let last = self.track.as_ref().and_then(|track| track.last);
+        last.map_or(f64::INFINITY, |last| last.sideslip_variance())
+    }
+
+    /// The covariances of the last estimate; none before the first one.
+    #[must_use]
+    pub fn covariance(&self) -> Option<Covariance> {
+        let last = self.track.as_ref()?.last?;
+        // The upper triangle, by rows.
+        let [pose, twist] = [last.pose_covariance, last.twist_covariance]
+            .map(|of| [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| of[at]));
+        Some(Covariance { pose, twist })
     }
 
     /// The steering angle `steering` (rad) is sent at `now`. One that is not finite is none.
@@ -362,7 +372,7 @@ impl Estimator {
             poses: 1,
             innovation: 0.0,
             held: None,
-            sideslip_variance: f64::INFINITY,
+            last: None,
         });
         self.drop_samples_before(time);
         PoseVerdict::Accepted
@@ -413,7 +423,7 @@ impl Estimator {
     /// The estimate for `now`. `None` before the first pose and the first inertial sample.
     pub fn estimate(&mut self, now: Time) -> Option<Estimate> {
         let bank = &self.advance(now.before(LAG))?.bank;
-        let (is_finite, present) = (bank.is_finite(), self.forecast(now)?);
+        let (is_finite, mut present) = (bank.is_finite(), self.forecast(now)?);
         if !(is_finite && present.is_finite()) {
             self.reset();
             return None;
@@ -423,21 +433,24 @@ impl Estimator {
         }
         let track = self.track.as_mut()?;
         let within_horizon = now.seconds_since(track.pose_time) <= self.config.prediction_horizon;
-        let (position, yaw) = match (self.config.marker_loss, track.held) {
-            (MarkerLoss::Hold, Some(held)) if !within_horizon => held,
-            _ => (present.position, present.yaw),
-        };
-        track.held = Some((position, yaw));
-
-        track.sideslip_variance = present.sideslip_variance;
+        if let (MarkerLoss::Hold, Some(held)) = (self.config.marker_loss, track.held)
+            && !within_horizon
+        {
+            // The car has gone on.
+            let gone = present.pose - held;
+            present.pose_covariance += gone * gone.transpose();
+            present.pose = held;
+        }
+        track.held = Some(present.pose);
+        track.last = Some(present);
         let pose_time = track.pose_time;
-        let (speed, sideslip) =
-            self.speed_and_sideslip(present.forward, present.left, self.sent.at(now));
+        let ([x, y, yaw], [forward, left, yaw_rate]) = (present.pose.into(), present.twist.into());
+        let (speed, sideslip) = self.speed_and_sideslip(forward, left, self.sent.at(now));
         Some(Estimate {
             time: now,
-            position,
+            position: Position::new(x, y),
             yaw,
-            yaw_rate: present.yaw_rate,
+            yaw_rate,
             sideslip,
             speed,
             pose_time,

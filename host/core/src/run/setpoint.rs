@@ -92,6 +92,7 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
     let acts = keys.steering_rad.is_some()
         || keys.steering_rate_rad_s.is_some()
         || keys.speed_m_s.is_some()
+        || keys.rear_speed_m_s.is_some()
         || keys.acceleration_m_s2.is_some();
     let points = keys.velocity_m_s.is_some() || keys.position_m.is_some();
     let demand = match (points, acts, keys.trajectory) {
@@ -116,17 +117,23 @@ fn command(keys: Setpoint, stamp: SetpointStamp) -> Result<SetpointCommand, Refu
         (false, true, None) => Demand::Actuation {
             steering: match (keys.steering_rad, keys.steering_rate_rad_s) {
                 (Some(angle), None) => SteeringDemand::Angle(angle),
+                (Some(angle), Some(rate)) => SteeringDemand::AngleWithin { angle, rate },
                 (None, Some(rate)) => SteeringDemand::Rate(rate),
-                _ => {
+                (None, None) => {
                     return Err(invalid(
                         "setpoint needs steering_rad or steering_rate_rad_s",
                     ));
                 }
             },
-            speed: match (keys.speed_m_s, keys.acceleration_m_s2) {
-                (Some(speed), None) => SpeedDemand::Speed(speed),
-                (None, Some(acceleration)) => SpeedDemand::Acceleration(acceleration),
-                _ => return Err(invalid("setpoint needs speed_m_s or acceleration_m_s2")),
+            speed: match (keys.speed_m_s, keys.rear_speed_m_s, keys.acceleration_m_s2) {
+                (Some(speed), None, None) => SpeedDemand::Speed(speed),
+                (None, Some(speed), None) => SpeedDemand::RearSpeed(speed),
+                (None, None, Some(acceleration)) => SpeedDemand::Acceleration(acceleration),
+                _ => {
+                    return Err(invalid(
+                        "setpoint needs one of speed_m_s, rear_speed_m_s and acceleration_m_s2",
+                    ));
+                }
             },
         },
         _ => {

@@ -178,7 +178,7 @@ impl Pilot {
             }
             Demand::Actuation { steering, speed } => {
                 self.tracking.reset();
-                self.step_demand(estimate, steering, speed)
+                self.step_demand(estimate, steering, speed.of_centre(estimate.sideslip))
             }
         }
         .map_err(|_| self.watches.across().unwrap_or(Reason::LawSingular))?;

@@ -1,8 +1,8 @@
 //! What the pilot is given and gives: configuration, commands, the result of a tick.
 
 use singletrack_control::{
-    Actuation, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig, Limits,
-    NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointError,
+    Actuation, Covariance, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig,
+    Limits, NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointError,
     SetpointStamp, SlowedBy, Start, Time, TrackingLoop, Velocity,
 };
 use singletrack_words::words;
@@ -95,6 +95,8 @@ pub struct Output {
     /// The estimated state that the tick acted on; `None` also while neither poses nor the motor
     /// measure it.
     pub estimate: Option<Estimate>,
+    /// The covariances of `estimate`.
+    pub covariance: Option<Covariance>,
     /// Whether no pose was accepted since the last tick.
     pub held: bool,
     /// Time since the first driving tick, s; `None` outside a drive.
@@ -155,6 +157,7 @@ impl Output {
             mode,
             reason: None,
             estimate: None,
+            covariance: None,
             held: true,
             drive_time: None,
             reference: None,

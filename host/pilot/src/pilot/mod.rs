@@ -216,10 +216,12 @@ impl Pilot {
         let is_too_weak = self.watches.stops.is_too_weak(self.config.braking);
         let disproved = self.proved && (self.supervisor.is_contradicted() || is_too_weak);
         self.proved &= !disproved;
+        let estimate = sensed.estimate.filter(|_| sensed.is_measured);
         Output {
             mode: self.supervisor.mode(),
             reason: self.supervisor.reason(),
-            estimate: sensed.estimate.filter(|_| sensed.is_measured),
+            estimate,
+            covariance: estimate.and(self.estimator.covariance()),
             held: sensed.held,
             drive_time: action.drive_time,
             reference: action.reference,

@@ -315,10 +315,14 @@ fn part_of(
         SteeringDemand::Angle(angle) => {
             SteeringDemand::Angle(now.steering + share * (angle - now.steering))
         }
+        SteeringDemand::AngleWithin { angle, rate } => SteeringDemand::AngleWithin {
+            angle: now.steering + share * (angle - now.steering),
+            rate: share * rate,
+        },
         SteeringDemand::Rate(rate) => SteeringDemand::Rate(share * rate),
     };
     let speed = match speed {
-        SpeedDemand::Speed(speed) => share * speed,
+        SpeedDemand::Speed(speed) | SpeedDemand::RearSpeed(speed) => share * speed,
         SpeedDemand::Acceleration(change) => share * (now.speed + change * period),
     };
     (steering, SpeedDemand::Speed(speed))
@@ -422,8 +426,8 @@ mod tests {
 
     #[test]
     fn a_share_of_a_demand_turns_as_much_less_and_is_as_much_slower() {
-        use SpeedDemand::{Acceleration, Speed};
-        use SteeringDemand::{Angle, Rate};
+        use SpeedDemand::{Acceleration, RearSpeed, Speed};
+        use SteeringDemand::{Angle, AngleWithin, Rate};
         let now = Actuation {
             steering: -0.125,
             speed: 0.75,
@@ -436,6 +440,21 @@ mod tests {
             (0.25, Angle(0.375), Speed(2.0), (Angle(0.0), Speed(0.5))),
             (0.5, Rate(-3.0), Speed(-1.0), (Rate(-1.5), Speed(-0.5))),
             (0.5, Rate(3.0), Acceleration(2.5), (Rate(1.5), Speed(1.0))),
+            (
+                0.5,
+                AngleWithin {
+                    angle: 0.375,
+                    rate: 2.0,
+                },
+                RearSpeed(1.0),
+                (
+                    AngleWithin {
+                        angle: 0.125,
+                        rate: 1.0,
+                    },
+                    Speed(0.5),
+                ),
+            ),
             (
                 0.0,
                 Angle(9.0),

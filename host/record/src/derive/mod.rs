@@ -6,12 +6,14 @@ mod diagnostics;
 #[cfg(test)]
 mod tests;
 
-use singletrack_control::{Estimate, Position};
+use core::array::from_fn;
+
+use singletrack_control::{Covariance, Estimate, Position};
 use singletrack_mocap::{Pose as BodyPose, PoseState};
 
 use crate::{
-    BASE_FRAME, Channel, ClockMapping, EncodeError, Entry, Publication, StandardTopic,
-    TelemetryRecord, TickRecord, WORLD_FRAME,
+    BASE_FRAME, Channel, ClockMapping, EncodeError, Entry, MAP_FRAME, ODOM_FRAME, Publication,
+    StandardTopic, TelemetryRecord, TickRecord,
     batch::Batch,
     message::Coded,
     standard::{
@@ -84,9 +86,12 @@ fn stamp(time_ns: u64, batch: &Batch) -> Time {
     }
 }
 
-/// The value for an unknown covariance in ROS.
-const UNKNOWN_3: [[f64; 3]; 3] = [[0.0; 3]; 3];
-const UNKNOWN_6: [[f64; 6]; 6] = [[0.0; 6]; 6];
+/// The covariance of an unknown quantity of [`Imu`].
+const UNKNOWN: [[f64; 3]; 3] = [[0.0; 3]; 3];
+
+/// The variance of what the estimate does not have: height, roll and pitch, and their changes; and
+/// of everything where its covariance is not known.
+const LARGE: f64 = 1e6;
 
 /// Unit of a component of a quaternion in telemetry.
 const Q14: f64 = 1.0 / 16_384.0;
@@ -123,7 +128,7 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), EncodeError> {
     let output = &tick.output;
     let time_ns = tick.pilot_time.0;
     if let Some(estimate) = &output.estimate {
-        from_estimate(estimate, batch)?;
+        from_estimate(estimate, output.covariance.as_ref(), batch)?;
     }
     if let Some(command) = output.command {
         let message = AckermannDriveStamped {
@@ -145,7 +150,7 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), EncodeError> {
     ] {
         if let Some(position) = position {
             let message = PointStamped {
-                header: header(time_ns, WORLD_FRAME, batch),
+                header: header(time_ns, MAP_FRAME, batch),
                 point: on_the_floor(position),
             };
             add(topic, time_ns, &message, batch)?;
@@ -154,18 +159,21 @@ fn from_tick(tick: &TickRecord, batch: &mut Batch) -> Result<(), EncodeError> {
     Ok(())
 }
 
-fn from_estimate(estimate: &Estimate, batch: &mut Batch) -> Result<(), EncodeError> {
+fn from_estimate(
+    estimate: &Estimate,
+    covariance: Option<&Covariance>,
+    batch: &mut Batch,
+) -> Result<(), EncodeError> {
     let time_ns = estimate.time.0;
-    let position = on_the_floor(estimate.position);
     let odometry = Odometry {
-        header: header(time_ns, WORLD_FRAME, batch),
+        header: header(time_ns, ODOM_FRAME, batch),
         child_frame_id: BASE_FRAME,
         pose: PoseWithCovariance {
             pose: Pose {
-                position: position.clone(),
+                position: on_the_floor(estimate.position),
                 orientation: about_z(estimate.yaw),
             },
-            covariance: UNKNOWN_6,
+            covariance: planar(covariance.map(|of| of.pose)),
         },
         twist: TwistWithCovariance {
             twist: Twist {
@@ -180,23 +188,24 @@ fn from_estimate(estimate: &Estimate, batch: &mut Batch) -> Result<(), EncodeErr
                     z: estimate.yaw_rate,
                 },
             },
-            covariance: UNKNOWN_6,
+            covariance: planar(covariance.map(|of| of.twist)),
         },
     };
     add(StandardTopic::Odometry, time_ns, &odometry, batch)?;
+    let transform = |frame_id, child_frame_id, position: Position, yaw| TransformStamped {
+        header: header(time_ns, frame_id, batch),
+        child_frame_id,
+        transform: Transform {
+            translation: vector([position.x, position.y, 0.0]),
+            rotation: about_z(yaw),
+        },
+    };
+    // The estimate does not drift: odometry and map are the same.
     let transforms = TfMessage {
-        transforms: vec![TransformStamped {
-            header: odometry.header,
-            child_frame_id: BASE_FRAME,
-            transform: Transform {
-                translation: Vector3 {
-                    x: position.x,
-                    y: position.y,
-                    z: position.z,
-                },
-                rotation: odometry.pose.pose.orientation,
-            },
-        }],
+        transforms: vec![
+            transform(MAP_FRAME, ODOM_FRAME, Position::origin(), 0.0),
+            transform(ODOM_FRAME, BASE_FRAME, estimate.position, estimate.yaw),
+        ],
     };
     add(StandardTopic::Transforms, time_ns, &transforms, batch)
 }
@@ -212,11 +221,11 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Enc
     let message = Imu {
         header: header(time_ns, BASE_FRAME, batch),
         orientation: Quaternion { x, y, z, w },
-        orientation_covariance: UNKNOWN_3,
+        orientation_covariance: UNKNOWN,
         angular_velocity: vector(record.angular_velocity_rad_s()),
-        angular_velocity_covariance: UNKNOWN_3,
+        angular_velocity_covariance: UNKNOWN,
         linear_acceleration: vector(record.linear_acceleration_m_s2()),
-        linear_acceleration_covariance: UNKNOWN_3,
+        linear_acceleration_covariance: UNKNOWN,
     };
     add(StandardTopic::Imu, time_ns, &message, batch)
 }
@@ -224,7 +233,7 @@ fn from_telemetry(record: &TelemetryRecord, batch: &mut Batch) -> Result<(), Enc
 fn from_pose(pose: &BodyPose, batch: &mut Batch) -> Result<(), EncodeError> {
     let time_ns = pose.capture_time_ns;
     let message = PoseStamped {
-        header: header(time_ns, WORLD_FRAME, batch),
+        header: header(time_ns, MAP_FRAME, batch),
         pose: Pose {
             position: Point {
                 x: pose.x_m,
@@ -244,6 +253,17 @@ fn add(
     batch: &mut Batch,
 ) -> Result<(), EncodeError> {
     batch.add(Channel::Standard(topic), time_ns, message)
+}
+
+/// The covariance of x, y, z and the rotations about them, with that of x, y and yaw.
+fn planar(known: Option<[f64; 6]>) -> [[f64; 6]; 6] {
+    let mut all = from_fn(|row| from_fn(|column| if row == column { LARGE } else { 0.0 }));
+    if let Some([x_x, x_y, x_yaw, y_y, y_yaw, yaw_yaw]) = known {
+        [all[0][0], all[0][1], all[0][5]] = [x_x, x_y, x_yaw];
+        [all[1][0], all[1][1], all[1][5]] = [x_y, y_y, y_yaw];
+        [all[5][0], all[5][1], all[5][5]] = [x_yaw, y_yaw, yaw_yaw];
+    }
+    all
 }
 
 fn on_the_floor(position: Position) -> Point {

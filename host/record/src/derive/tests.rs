@@ -12,8 +12,8 @@ use singletrack_pilot::{Mode, Reason};
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, Status};
 
 use crate::{
-    BASE_FRAME, Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry,
-    StandardTopic, StatusRecord, TelemetryRecord, TickRecord, WORLD_FRAME, tick,
+    BASE_FRAME, Channel, ClockMapping, Drops, Encoder, Entry, Level, Log as LogEntry, MAP_FRAME,
+    ODOM_FRAME, StandardTopic, StatusRecord, TelemetryRecord, TickRecord, tick,
     topic::tests::{BySchema, telemetry},
 };
 
@@ -127,7 +127,7 @@ fn a_driving_tick_gives_position_and_reference() {
     assert_eq!(odometry.publish_time_ns, 100_260_060_000);
     assert_eq!(odometry.at("header.stamp.sec"), 100.0);
     assert_eq!(odometry.at("header.stamp.nanosec"), 260_060_000.0);
-    assert!(odometry.says(WORLD_FRAME) && odometry.says(BASE_FRAME));
+    assert!(odometry.says(ODOM_FRAME) && odometry.says(BASE_FRAME));
     assert_eq!(odometry.at("pose.pose.position.x"), 1.0);
     assert_eq!(odometry.at("pose.pose.position.y"), 2.0);
     let half = (0.1 + 0.2) / 2.0_f64;
@@ -143,13 +143,30 @@ fn a_driving_tick_gives_position_and_reference() {
     assert!(close(odometry.at("twist.twist.linear.x"), forward));
     assert!(close(odometry.at("twist.twist.linear.y"), left));
     assert_eq!(odometry.at("twist.twist.angular.z"), 0.5);
-    assert_eq!(odometry.at("pose.covariance[35]"), 0.0);
+    let covariance = |of: &str, row: usize, column: usize| {
+        odometry.at(&format!("{of}.covariance[{}]", 6 * row + column))
+    };
+    // Of x and y, and of yaw and y.
+    assert_eq!(covariance("pose", 0, 1), 1e-9);
+    assert_eq!(covariance("twist", 5, 1), 3e-5);
+    for axis in 0..6 {
+        let is_known = [0, 1, 5].contains(&axis);
+        for of in ["pose", "twist"] {
+            let variance = covariance(of, axis, axis);
+            assert!(
+                variance > 0.0 && is_known == (variance < 1.0),
+                "{of} {axis}"
+            );
+        }
+    }
 
     let transforms = Message::of(&mut encoder, &full(), StandardTopic::Transforms);
-    assert_eq!(transforms.at("transforms"), 1.0);
-    assert_eq!(transforms.at("transforms[0].transform.translation.y"), 2.0);
+    assert!(transforms.says(MAP_FRAME));
+    assert_eq!(transforms.at("transforms"), 2.0);
+    assert_eq!(transforms.at("transforms[0].transform.translation.y"), 0.0);
+    assert_eq!(transforms.at("transforms[1].transform.translation.y"), 2.0);
     assert_eq!(
-        transforms.at("transforms[0].transform.rotation.z"),
+        transforms.at("transforms[1].transform.rotation.z"),
         odometry.at("pose.pose.orientation.z")
     );
 
@@ -177,9 +194,8 @@ fn a_point_is_encoded_as_in_the_standard() {
         &[0, 1, 0, 0][..], // plain CDR, little-endian
         &100_i32.to_le_bytes(),
         &260_060_000_u32.to_le_bytes(),
-        &[6, 0, 0, 0],
-        b"world\0",
-        &[0; 6], // to a multiple of eight from the header's end
+        &[4, 0, 0, 0],
+        b"map\0", // to a multiple of eight from the header's end
         &0.8_f64.to_le_bytes(),
         &0.2_f64.to_le_bytes(),
         &[0; 8],

@@ -178,7 +178,7 @@ message! {
 
 message! {
     /// A set-point from outside: a velocity of P, with a position or without; or a steering
-    /// angle or rate with a speed or an acceleration.
+    /// angle, with or without a largest rate, or a rate alone, with a speed or an acceleration.
     SetpointMessage as "Setpoint" {
         stamp: Group<StampMessage>,
         /// Position of P; absent for a velocity alone.
@@ -187,12 +187,14 @@ message! {
         velocity: Maybe<VelocityMessage>,
         /// Steering angle, in rad.
         steering_rad: Maybe<f64>,
-        /// Rate of the steering, in rad/s.
+        /// Rate of the steering, in rad/s; beside an angle the largest one.
         steering_rate_rad_s: Maybe<f64>,
         /// Speed of G, in m/s.
         speed_m_s: Maybe<f64>,
         /// Acceleration of G, in m/s^2.
         acceleration_m_s2: Maybe<f64>,
+        /// Speed of the rear axle, in m/s.
+        rear_speed_m_s: Maybe<f64>,
     }
 }
 
@@ -246,19 +248,20 @@ impl Represents<Setpoint> for SetpointMessage {
             Demand::Actuation { steering, speed } => {
                 let (angle, rate) = match steering {
                     SteeringDemand::Angle(angle) => (Some(angle), None),
+                    SteeringDemand::AngleWithin { angle, rate } => (Some(angle), Some(rate)),
                     SteeringDemand::Rate(rate) => (None, Some(rate)),
                 };
-                let (speed, acceleration) = match speed {
-                    SpeedDemand::Speed(speed) => (Some(speed), None),
-                    SpeedDemand::Acceleration(acceleration) => (None, Some(acceleration)),
-                };
-                Self {
+                let mut message = Self {
                     steering_rad: Maybe(angle),
                     steering_rate_rad_s: Maybe(rate),
-                    speed_m_s: Maybe(speed),
-                    acceleration_m_s2: Maybe(acceleration),
                     ..absent
+                };
+                match speed {
+                    SpeedDemand::Speed(speed) => message.speed_m_s.0 = Some(speed),
+                    SpeedDemand::RearSpeed(speed) => message.rear_speed_m_s.0 = Some(speed),
+                    SpeedDemand::Acceleration(it) => message.acceleration_m_s2.0 = Some(it),
                 }
+                message
             }
         }
     }
@@ -272,15 +275,17 @@ impl Represents<Setpoint> for SetpointMessage {
             })
         } else {
             Demand::Actuation {
-                steering: match self.steering_rad.0 {
-                    Some(angle) => SteeringDemand::Angle(angle),
-                    None => SteeringDemand::Rate(
-                        part.take(self.steering_rate_rad_s, "velocity and steering")?,
-                    ),
+                steering: match (self.steering_rad.0, self.steering_rate_rad_s.0) {
+                    (Some(angle), None) => SteeringDemand::Angle(angle),
+                    (Some(angle), Some(rate)) => SteeringDemand::AngleWithin { angle, rate },
+                    (None, rate) => {
+                        SteeringDemand::Rate(part.take(Maybe(rate), "velocity and steering")?)
+                    }
                 },
-                speed: match self.speed_m_s.0 {
-                    Some(speed) => SpeedDemand::Speed(speed),
-                    None => {
+                speed: match (self.speed_m_s.0, self.rear_speed_m_s.0) {
+                    (Some(speed), _) => SpeedDemand::Speed(speed),
+                    (None, Some(speed)) => SpeedDemand::RearSpeed(speed),
+                    (None, None) => {
                         SpeedDemand::Acceleration(part.take(self.acceleration_m_s2, "its speed")?)
                     }
                 },
@@ -418,20 +423,20 @@ mod tests {
                     velocity: Velocity::new(v_x, v_y),
                 })
             }),
-            (any::<[bool; 2]>(), pair()).prop_map(|([angle, speed], (steers, drives))| {
-                Demand::Actuation {
-                    steering: if angle {
-                        SteeringDemand::Angle(steers)
-                    } else {
-                        SteeringDemand::Rate(steers)
+            ([0..3, 0..3], pair(), any_float()).prop_map(
+                |([steering, speed], (angle, rate), drives)| Demand::Actuation {
+                    steering: match steering {
+                        0 => SteeringDemand::Angle(angle),
+                        1 => SteeringDemand::AngleWithin { angle, rate },
+                        _ => SteeringDemand::Rate(rate),
                     },
-                    speed: if speed {
-                        SpeedDemand::Speed(drives)
-                    } else {
-                        SpeedDemand::Acceleration(drives)
+                    speed: match speed {
+                        0 => SpeedDemand::Speed(drives),
+                        1 => SpeedDemand::RearSpeed(drives),
+                        _ => SpeedDemand::Acceleration(drives),
                     },
-                }
-            }),
+                },
+            ),
         ]
     }
 
@@ -536,9 +541,13 @@ mod tests {
                     vec![position.x, position.y, velocity.x, velocity.y]
                 }
                 Demand::Actuation { steering, speed } => {
-                    let (SteeringDemand::Angle(steers) | SteeringDemand::Rate(steers)) = steering;
-                    let (SpeedDemand::Speed(drives) | SpeedDemand::Acceleration(drives)) = speed;
-                    vec![steers, drives]
+                    let (SpeedDemand::Speed(drives)
+                    | SpeedDemand::RearSpeed(drives)
+                    | SpeedDemand::Acceleration(drives)) = speed;
+                    match steering {
+                        SteeringDemand::AngleWithin { angle, rate } => vec![angle, rate, drives],
+                        SteeringDemand::Angle(it) | SteeringDemand::Rate(it) => vec![it, drives],
+                    }
                 }
             },
             Event::TrajectoryPiece(TrajectoryPiece { point, .. }) => vec![

@@ -1,13 +1,13 @@
 //! A control tick and all that the pilot decided in it.
 
-use singletrack_control::{Actuation, Estimate, ReferencePoint, SlowedBy};
+use singletrack_control::{Actuation, Covariance, Estimate, ReferencePoint, SlowedBy};
 use singletrack_pilot::{
     BoardRequest, DriveCommand, Filtering, Mode, Output, Reason, SetpointRefusal, Tuned,
 };
 
 use super::{
     code::{Code, OptionalCode},
-    declare::{fields, message},
+    declare::{array, fields, message},
     event::{EventMessage, JogMessage, StampMessage},
     field::{GainMessage, Group, Maybe, PointMessage, VelocityMessage},
 };
@@ -102,6 +102,8 @@ fields! {
         slowed_by: OptionalCode<SlowedBy>,
         /// Tuned values in force; absent if nothing can be tuned.
         tuned: Maybe<TunedMessage>,
+        /// Covariances of the estimate.
+        covariance: Maybe<CovarianceMessage>,
     }
 }
 
@@ -134,6 +136,28 @@ message! {
         speed_m_s: f64 = speed,
         /// Mid-exposure of the last accepted pose, in ns of the host's monotonic clock.
         pose_time_ns: u64 = pose_time,
+    }
+}
+
+message! {
+    /// Covariances of the estimated state.
+    CovarianceMessage as "Covariance" of Covariance {
+        /// Covariance of position of G and yaw, world frame, in m and rad.
+        pose: Group<PoseCovariance>,
+        /// Covariance of the velocity of G forward and to the left and of the yaw rate, in m/s and
+        /// rad/s.
+        twist: Group<TwistCovariance>,
+    }
+}
+
+array! {
+    PoseCovariance of [f64; 6] { x_x, x_y, x_yaw, y_y, y_yaw, yaw_yaw, }
+}
+
+array! {
+    TwistCovariance of [f64; 6] {
+        forward_forward, forward_left, forward_yaw_rate, left_left, left_yaw_rate,
+        yaw_rate_yaw_rate,
     }
 }
 

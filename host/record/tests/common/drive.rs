@@ -6,7 +6,8 @@
 use std::collections::BTreeMap;
 
 use singletrack_control::{
-    Actuation, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time, Velocity,
+    Actuation, Covariance, Estimate, InertialSample, PoseSample, Position, ReferencePoint, Time,
+    Velocity,
 };
 use singletrack_mocap::{CaptureTimeSource, Observation, Pose, PoseState};
 use singletrack_pilot::{BoardSample, BoardState, DriveCommand, Event, Filtering, Mode, Output};
@@ -111,6 +112,10 @@ pub(crate) fn tick(index: u64, time_ns: u64) -> TickRecord {
                 sideslip: 0.15 + 1e-3 * noise(index, 11),
                 speed: 0.4 + 1e-3 * noise(index, 12),
                 pose_time: capture,
+            }),
+            covariance: Some(Covariance {
+                pose: [0, 1, 2, 3, 4, 5].map(|at| 1e-6 * noise(index, 20 + at)),
+                twist: [0, 1, 2, 3, 4, 5].map(|at| 1e-4 * noise(index, 26 + at)),
             }),
             held: false,
             drive_time: Some(now as f64 * 1e-9),

@@ -6,7 +6,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use proptest::prelude::*;
 use singletrack_control::{
-    Actuation, Estimate, PoseSample, Position, ReferencePoint, Time, Velocity,
+    Actuation, Covariance, Estimate, PoseSample, Position, ReferencePoint, Time, Velocity,
 };
 use singletrack_mocap::{Binding, CaptureTimeSource, Observation, Pose, PoseState, RejectReason};
 use singletrack_pilot::{
@@ -132,6 +132,10 @@ fn output() -> impl Strategy<Value = Output> {
                 mode,
                 reason,
                 estimate,
+                covariance: estimate.map(|it| Covariance {
+                    pose: [it.yaw, it.speed, 0.1, it.sideslip, 0.2, it.yaw_rate],
+                    twist: [it.speed, 0.3, it.yaw, 0.4, it.sideslip, 0.5],
+                }),
                 held,
                 drive_time,
                 reference: reference

@@ -121,6 +121,7 @@ pub(crate) fn standing_tick() -> TickRecord {
             mode: Mode::Idle,
             reason: Some(Reason::NoPose),
             estimate: None,
+            covariance: None,
             held: true,
             drive_time: None,
             reference: None,

@@ -224,6 +224,7 @@ fn tick(index: u64, script: &Script, driving: Option<(u64, u64)>) -> TickRecord 
                 speed: 0.4,
                 pose_time,
             }),
+            covariance: None,
             held,
             drive_time: time,
             reference: is_driving.then(|| ReferencePoint {

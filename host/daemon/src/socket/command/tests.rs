@@ -167,6 +167,18 @@ fn valid_lines_are_parsed() {
             ),
         ),
         (
+            r#"{"version":3,"command":"setpoint","steering_rad":0.1,"steering_rate_rad_s":2,
+                "rear_speed_m_s":0.5}"#,
+            actuation(
+                SteeringDemand::AngleWithin {
+                    angle: 0.1,
+                    rate: 2.0,
+                },
+                SpeedDemand::RearSpeed(0.5),
+                None,
+            ),
+        ),
+        (
             r#"{"version":3,"command":"setpoint","steering_rate_rad_s":-0.2,
                 "acceleration_m_s2":0.3}"#,
             actuation(
@@ -222,7 +234,7 @@ fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
         (r#""steering_rad":0.1"#, Invalid),
         (r#""speed_m_s":0.1"#, Invalid),
         (
-            r#""steering_rad":0.1,"steering_rate_rad_s":0.1,"speed_m_s":1"#,
+            r#""steering_rad":0.1,"rear_speed_m_s":1,"speed_m_s":1"#,
             Invalid,
         ),
         (
@@ -239,7 +251,10 @@ fn a_set_point_with_a_mistake_is_rejected_with_a_word() {
         (r#""velocity_m_s":[0,0],"position_m":[1e5,0]"#, OutOfRange),
         (r#""steering_rad":1.6,"speed_m_s":1"#, OutOfRange),
         (r#""steering_rad":0,"speed_m_s":-101"#, OutOfRange),
-        (r#""steering_rate_rad_s":101,"speed_m_s":1"#, OutOfRange),
+        (
+            r#""steering_rate_rad_s":101,"rear_speed_m_s":1"#,
+            OutOfRange,
+        ),
         (r#""steering_rad":0,"acceleration_m_s2":101"#, OutOfRange),
         (
             r#""steering_rad":0,"acceleration_m_s2":1,"time_ns":1001"#,
