@@ -689,7 +689,7 @@ mod thorough {
     }
 
     /// The accelerometer of a car that drives measures 2.1 m/s² of vibration. As an input of the model alone
-    /// it biased C_f, C_r and I_z by 0.9, 0.8 and 0.7 stated deviations.
+    /// it biased `C_f`, `C_r` and `I_z` by 0.9, 0.8 and 0.7 stated deviations.
     #[test]
     fn vibration_biases_no_estimate_by_a_third_of_its_deviation() {
         let settings = Settings {
