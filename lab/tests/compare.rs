@@ -110,6 +110,8 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
         assert!(across < most, "{name} {across}");
     }
     let rms = |row: &str| value(row, 1);
+    // The plan has the front axle on the path, within what the car moves in a tenth of a period.
+    assert!(rms("mpc-single-track nominal@front-axle") < 1e-3, "{table}");
     assert!(rms("p nominal") > 10.0 * rms("p-ff nominal"), "{table}");
     assert!(rms("p-tuned nominal") < rms("p-ff nominal"), "{table}");
     // The front axle cuts the corner that P drives.
@@ -129,7 +131,7 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
         assert!((estimate.x - place as f64).abs() < 1e-9, "{estimate:?}");
         let [low, high] = estimate.interval;
         assert!(low <= estimate.value && estimate.value <= high);
-        let name = format!("{} nominal", panel.names[place]);
+        let name = format!("{} nominal@front-axle", panel.names[place]);
         assert!((estimate.value - 1e3 * value(&name, 1)).abs() < 1e-9);
     }
     let best = page.lines().find(|line| line.contains(" of 2 |")).unwrap();
@@ -138,7 +140,7 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
         "{page}"
     );
     let rank = |row: &str| rows_of_all[row][RANK].parse::<usize>().unwrap();
-    assert_eq!(rank("p nominal"), drivers().len(), "{table}");
+    assert_eq!(rank("p nominal@front-axle"), drivers().len(), "{table}");
 }
 
 #[test]
@@ -181,11 +183,11 @@ fn differences_that_say_nothing_are_not_ranked() {
     let found = [[4.0, 6.0], [4.5, 5.6], [2.0, 2.2], [2.05, 2.25]];
     for (unit, result) in &mut campaign.results {
         let [controller, seed] = [*unit as usize / 2, *unit as usize % 2];
-        result.own.as_mut().unwrap().rms = 1e-3 * found[controller][seed];
+        result.front_axle.as_mut().unwrap().rms = 1e-3 * found[controller][seed];
     }
     let lines = lines(&plan, &campaign.results);
     let rows = rows(&csv(&lines));
-    let rank = |name: &str| rows[&format!("{name} nominal")][RANK].clone();
+    let rank = |name: &str| rows[&format!("{name} nominal@front-axle")][RANK].clone();
     // Less than the floor between the best, and an interval with zero between the others.
     assert_eq!(rank("p-compensated"), "1");
     assert_eq!(rank("stanley"), "1");
@@ -231,6 +233,28 @@ fn the_compensation_makes_the_laws_of_the_literature_better() {
 }
 
 #[test]
+fn a_plan_of_the_single_track_model_sees_corners_that_stanley_does_not() {
+    use ControllerName::{MpcSingleTrack, StanleyCompensated};
+    let mut plan = plan(&[MpcSingleTrack, StanleyCompensated], &[Condition::Nominal]);
+    plan.paths = vec![PathName::Corners];
+    plan.seeds = 1;
+    let results = run(&plan, &CampaignArgs::default()).results;
+    let rows = rows(&csv(&lines(&plan, &results)));
+    let value = |name: &str, column: usize| {
+        let row = &rows[&format!("{name} nominal@front-axle")];
+        row[column].parse::<f64>().unwrap()
+    };
+    // A front axle that turns on a circle of the least radius of the wheels is this far beside a
+    // corner of 30 degrees: R (1/cos 15° - 1), with R = L/sin(0.45).
+    let radius = 0.26 / 0.45_f64.sin();
+    let least = radius * (1.0 / 15_f64.to_radians().cos() - 1.0);
+    assert!(value("mpc-single-track", 5) < 2.0 * least, "{rows:?}");
+    assert!(3.0 * value("mpc-single-track", 1) < value("stanley-compensated", 1));
+    // The wheels turn at most as fast as the limit of the commands, 5 rad/s.
+    assert!(value("mpc-single-track", 11) < 5.0, "{rows:?}");
+}
+
+#[test]
 fn a_plan_with_the_compensation_goes_on_from_what_the_motor_has_yet_to_do() {
     let mut plan = plan(&[ControllerName::MpcCompensated], &[Condition::Nominal]);
     plan.paths = vec![PathName::Stop, PathName::WideEight];
@@ -272,7 +296,7 @@ fn laws_without_lag_and_noise_follow_exactly_on_the_ideal_plant() {
     );
     let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
     let rows = rows(&table);
-    for name in ["appendix", "p-ff", "p-tuned"] {
+    for name in ["appendix", "p-ff", "p-tuned", "mpc-single-track"] {
         let rms: f64 = rows[&format!("{name} ideal-plant")][1].parse().unwrap();
         assert!(rms < 2e-4, "{name} {rms}");
         // The seed makes no difference.

@@ -34,6 +34,9 @@ words! {
         Stanley = "stanley",
         /// The same, with the compensation.
         StanleyCompensated = "stanley-compensated",
+        /// Model predictive control of the single-track model within the limits of the actuators,
+        /// tuned.
+        MpcSingleTrack = "mpc-single-track",
         /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
         Appendix = "appendix",
         /// A program's own; see [`Comparison::drive_yours`](super::Comparison::drive_yours).
@@ -62,6 +65,9 @@ pub(super) enum Drives {
         catch_up: f64,
         compensated: bool,
     },
+    /// By steering and speed of a plan with the single-track model, with these weights of the squared
+    /// steering rate, in (rad/s)⁻², and acceleration, in (m/s²)⁻².
+    Predictive([f64; 2]),
     /// By set-points of a program.
     Yours(OwnPoint),
 }
@@ -76,6 +82,7 @@ impl Drives {
                 Law::PurePursuit { .. } => OwnPoint::RearAxle,
                 Law::Stanley { .. } => OwnPoint::FrontAxle,
             },
+            Self::Predictive(_) => OwnPoint::FrontAxle,
             Self::Yours(own) => *own,
         }
     }
@@ -101,7 +108,8 @@ impl ControllerName {
     /// The parameters of the table: what `tune` found with [`BUDGET`](super::plan::BUDGET) drives
     /// each. Of the linear-quadratic loop the weights of the error's integral and of the correcting
     /// velocity, that of the error being 1; of the predictive one the weight of the velocity's
-    /// error, and the share of an unexplained velocity that is believed at once.
+    /// error, and the share of an unexplained velocity that is believed at once. Of the one with the
+    /// model of the car the weights of steering rate and acceleration.
     pub(super) const fn parameters(self) -> [f64; 2] {
         match self {
             Self::P | Self::PFf => [1.0, 0.0],
@@ -115,6 +123,7 @@ impl ControllerName {
             Self::PurePursuitCompensated => [0.15, 8.0],
             Self::Stanley => [16.0, 12.0],
             Self::StanleyCompensated => [16.0, 8.0],
+            Self::MpcSingleTrack => [0.01, 0.3],
             Self::Yours => [0.0; 2],
         }
     }
@@ -156,6 +165,7 @@ impl ControllerName {
                 catch_up: second,
                 compensated: self == Self::StanleyCompensated,
             },
+            Self::MpcSingleTrack => Drives::Predictive([first, second]),
             Self::Yours => Drives::Yours(OwnPoint::P),
             Self::Appendix => Drives::Appendix { gain: first },
         }
@@ -203,6 +213,9 @@ impl ControllerName {
             }
             Self::Stanley | Self::StanleyCompensated => {
                 Some([&[4.0, 8.0, 16.0, 32.0, 64.0], &[2.0, 4.0, 8.0, 12.0, 16.0]])
+            }
+            Self::MpcSingleTrack => {
+                Some([&[0.003, 0.01, 0.03, 0.1, 0.3], &[0.01, 0.03, 0.1, 0.3, 1.0]])
             }
         }
     }

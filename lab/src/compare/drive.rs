@@ -21,6 +21,7 @@ use super::{
     course::{Course, LATERAL_M_S2, PathName, Table},
     foreign::{Ahead, Foreign, Known},
     ideal,
+    predictive::Predictive,
 };
 
 /// The row that a drive belongs to, and its seed.
@@ -157,6 +158,7 @@ enum Driver<'a> {
     /// The pilot, from its reference.
     Pilot,
     Foreign(Box<Foreign<'a>>),
+    Predictive(Box<Predictive<'a>>),
     Yours(&'a mut Decide<'a>),
 }
 
@@ -192,6 +194,10 @@ impl<'a> Run<'a> {
         let external = ReferenceSection::External {
             setpoint_timeout_ms: SETPOINT_TIMEOUT_MS,
         };
+        let mut vehicle = believed;
+        // The wheelbase is known: it can be measured.
+        vehicle.front_axle_distance_m += axle_error_m;
+        vehicle.rear_axle_distance_m -= axle_error_m;
         let mut foreign = None;
         let is_compensated;
         match case.drives {
@@ -203,7 +209,7 @@ impl<'a> Run<'a> {
                 is_compensated = compensated;
             }
             Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
-            Drives::Yours(_) => {
+            Drives::Yours(_) | Drives::Predictive(_) => {
                 drive.reference = external;
                 is_compensated = true;
             }
@@ -214,10 +220,6 @@ impl<'a> Run<'a> {
             } => {
                 drive.reference = external;
                 is_compensated = compensated;
-                let mut vehicle = believed;
-                // The wheelbase is known: it can be measured.
-                vehicle.front_axle_distance_m += axle_error_m;
-                vehicle.rear_axle_distance_m -= axle_error_m;
                 foreign = Some(Foreign {
                     law,
                     catch_up,
@@ -251,9 +253,20 @@ impl<'a> Run<'a> {
         follow(&config, &mut simulation);
         case.condition.falsify(&mut simulation);
         let period = config.control.period_ns() as f64 * 1e-9;
-        let driver = match foreign {
-            None => Driver::Pilot,
-            Some(mut law) => {
+        let driver = match (foreign, case.drives) {
+            (None, Drives::Predictive(weights)) => Driver::Predictive(Box::new(Predictive::new(
+                weights,
+                vehicle,
+                config.actuators.model(),
+                config
+                    .limits
+                    .limits(vehicle.wheelbase_m())
+                    .with_tyres(&vehicle),
+                period,
+                table,
+            ))),
+            (None, _) => Driver::Pilot,
+            (Some(mut law), _) => {
                 if is_compensated {
                     let model = config.actuators.model();
                     law.compensation = Some(Ahead::new(model, &law.vehicle, period));
@@ -277,7 +290,9 @@ impl<'a> Run<'a> {
         let now = Time(self.drive.now_us() * 1_000);
         match self.driver {
             Driver::Pilot => {}
-            Driver::Foreign { .. } => self.drive.send_setpoint(&actuation(now, [0.0; 2])),
+            Driver::Foreign(_) | Driver::Predictive(_) => {
+                self.drive.send_setpoint(&actuation(now, [0.0; 2]));
+            }
             Driver::Yours(_) => {
                 let setpoint = Setpoint::point(now, None, Velocity::zeros());
                 self.drive.send_setpoint(&setpoint);
@@ -403,23 +418,26 @@ impl<'a> Run<'a> {
             return;
         };
         self.errors.add(time, &tick.truth);
-        match (&mut self.driver, &output.estimate) {
-            (Driver::Foreign(law), Some(estimate)) => {
-                let known = Known {
-                    estimate,
-                    steering: output.actuation.steering,
-                    time,
-                };
-                let command = law.answer(&known, self.period);
-                let now = Time(self.drive.now_us() * 1_000);
-                self.drive.send_setpoint(&actuation(now, command));
+        let known = output.estimate.as_ref().map(|estimate| Known {
+            estimate,
+            steering: output.actuation.steering,
+            speed: output.actuation.speed,
+            time,
+        });
+        let command = match (&mut self.driver, known) {
+            (Driver::Foreign(law), Some(known)) => law.answer(&known, self.period),
+            (Driver::Predictive(law), Some(known)) => law.answer(&known),
+            (Driver::Yours(decide), _) => {
+                match decide(tick) {
+                    Some(command) => self.drive.pass_setpoint(&command),
+                    None => self.stopped = Some(NO_SETPOINT.to_owned()),
+                }
+                return;
             }
-            (Driver::Yours(decide), _) => match decide(tick) {
-                Some(command) => self.drive.pass_setpoint(&command),
-                None => self.stopped = Some(NO_SETPOINT.to_owned()),
-            },
-            _ => {}
-        }
+            _ => return,
+        };
+        let now = Time(self.drive.now_us() * 1_000);
+        self.drive.send_setpoint(&actuation(now, command));
     }
 }
 

@@ -59,6 +59,8 @@ pub(super) struct Known<'a> {
     pub(super) estimate: &'a Estimate,
     /// The steering that the tick commanded, in rad.
     pub(super) steering: f64,
+    /// The speed of G that the tick commanded, in m/s.
+    pub(super) speed: f64,
     /// In s since the start of the drive.
     pub(super) time: f64,
 }

@@ -2,9 +2,9 @@
 
 use libm::{atan, cos, sin, tan};
 use singletrack_control::{
-    Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position, ProportionalLoop,
-    SingleTrack, SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput,
-    TrackingLoop, VehicleParameters, Velocity, VelocityPointLaw,
+    ActuatorModel, Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position,
+    ProportionalLoop, SingleTrack, SingleTrackDerivative, SingleTrackState, Singularity, Time,
+    TrackingInput, TrackingLoop, VehicleParameters, Velocity, VelocityPointLaw,
 };
 use singletrack_core::config::LoopModel;
 use singletrack_sim::Truth;
@@ -13,7 +13,8 @@ use super::{
     controller::Drives,
     counted::{Counted, DriveError, DriveResult, POINT_DISTANCE_M},
     course::{Course, Table},
-    foreign::Foreign,
+    foreign::{Foreign, Known},
+    predictive::Predictive,
 };
 
 /// Step of the integration and of the controller, which is almost continuous, in s.
@@ -30,6 +31,14 @@ const ROLLS_BELOW: f64 = 0.1;
 const FREE: Limits = Limits {
     max_speed: 10.0,
     ..Limits::paper()
+};
+
+/// The ideal plant's actuators.
+const PROMPT: ActuatorModel = ActuatorModel {
+    steering_dead_time: 0.0,
+    steering_lag: 0.0,
+    speed_dead_time: 0.0,
+    speed_lag: 0.0,
 };
 
 /// Drives `course` with a controller that knows the true state.
@@ -86,6 +95,12 @@ enum Controller<'a> {
         table: &'a Table,
     },
     Foreign(Foreign<'a>),
+    Predictive {
+        law: Predictive<'a>,
+        /// Steering (rad) and speed (m/s) of the next tick, and the steps until then.
+        next: [f64; 2],
+        left: u32,
+    },
 }
 
 impl<'a> Controller<'a> {
@@ -138,6 +153,22 @@ impl<'a> Controller<'a> {
                 // There is nothing to compensate.
                 compensation: None,
             }),
+            Drives::Predictive(weights) => Self::Predictive {
+                law: Predictive::new(
+                    weights,
+                    // Its tyres are linear.
+                    VehicleParameters {
+                        friction: 1e3,
+                        ..*vehicle
+                    },
+                    PROMPT,
+                    FREE,
+                    f64::from(STEPS_PER_TICK) * STEP_S,
+                    table,
+                ),
+                next: [0.0; 2],
+                left: 0,
+            },
             Drives::Yours(_) => return Err(DriveError::Yours),
         })
     }
@@ -189,16 +220,20 @@ impl<'a> Controller<'a> {
                 }
             }
             Self::Foreign(foreign) => {
-                let estimate = Estimate {
-                    time: Time(0),
-                    position: centre,
-                    yaw: state.yaw,
-                    yaw_rate: state.yaw_rate,
-                    sideslip: state.sideslip,
-                    speed: car.speed,
-                    pose_time: Time(0),
-                };
-                [car.steering, car.speed] = foreign.command(&estimate, time, 0.0);
+                [car.steering, car.speed] = foreign.command(&car.estimate(), time, 0.0);
+            }
+            Self::Predictive { law, next, left } => {
+                if *left == 0 {
+                    *left = STEPS_PER_TICK;
+                    [car.steering, car.speed] = *next;
+                    *next = law.answer(&Known {
+                        estimate: &car.estimate(),
+                        steering: car.steering,
+                        speed: car.speed,
+                        time,
+                    });
+                }
+                *left -= 1;
             }
         }
         Ok(0.0)
@@ -262,6 +297,18 @@ impl Car {
         state.x += STEP_S * self.speed * cos(state.yaw + state.sideslip);
         state.y += STEP_S * self.speed * sin(state.yaw + state.sideslip);
         state.yaw += STEP_S * state.yaw_rate;
+    }
+
+    fn estimate(&self) -> Estimate {
+        Estimate {
+            time: Time(0),
+            position: Position::new(self.state.x, self.state.y),
+            yaw: self.state.yaw,
+            yaw_rate: self.state.yaw_rate,
+            sideslip: self.state.sideslip,
+            speed: self.speed,
+            pose_time: Time(0),
+        }
     }
 
     fn truth(&self) -> Truth {

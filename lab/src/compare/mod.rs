@@ -11,6 +11,7 @@ mod drive;
 mod foreign;
 mod ideal;
 mod plan;
+mod predictive;
 mod table;
 
 use std::{io, path::PathBuf};

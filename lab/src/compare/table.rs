@@ -69,7 +69,7 @@ fn by_row<'a>(
     rows.filter(|(_, own)| !own.is_empty()).collect()
 }
 
-/// Two lines per row: the controller's own point, and the front axle. After those of a path and
+/// Two lines per row: the front axle, then the controller's own point. After those of a path and
 /// a speed, the worst of some conditions for each controller.
 #[must_use]
 pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
@@ -82,11 +82,11 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
     for group in rows.chunk_by(|(a, _), (b, _)| a.path == b.path && a.speed_m_s == b.speed_m_s) {
         let first = lines.len();
         for (row, own) in group {
-            lines.extend([false, true].map(|front_axle| Line::of(*row, front_axle, own)));
+            lines.extend([true, false].map(|front_axle| Line::of(*row, front_axle, own)));
         }
         for (worst, conditions) in WORST {
             for &controller in &plan.controllers {
-                for front_axle in [false, true] {
+                for front_axle in [true, false] {
                     let of_it = |line: &&Line| {
                         line.row.controller == controller
                             && line.front_axle == front_axle
@@ -307,7 +307,8 @@ fn in_units(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"))
 }
 
-/// In millimetres, for a page: a table per path, speed and condition, the best first.
+/// In millimetres, for a page: a table per path, speed and condition, ranked by the distance of the
+/// front axle from the path, which is the same point of the car for every controller.
 #[must_use]
 pub fn markdown(lines: &[Line]) -> String {
     let mut text = String::new();
@@ -318,34 +319,35 @@ pub fn markdown(lines: &[Line]) -> String {
         format!("{path}, {speed_m_s} m/s, {}", line.title())
     };
     for group in lines.chunk_by(|a, b| case(a) == case(b)) {
-        let (front, mut own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
-        own.sort_by(|a, b| {
+        let (mut front, own): (Vec<_>, Vec<_>) = group.iter().partition(|line| line.front_axle);
+        front.sort_by(|a, b| {
             let ranks = [a, b].map(|line| line.rank.unwrap_or(usize::MAX));
             ranks[0].cmp(&ranks[1]).then(a.rms().total_cmp(&b.rms()))
         });
         let title = group.first().map_or_else(String::new, case);
         let _ = writeln!(
             text,
-            "{title}\n\n| | controller | RMS (mm) | 95 % | 99 % | largest | along | across | \
-             front axle across | tyres | steering rate, RMS and largest (rad/s) | ripple (mm/s) | \
-             stops |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|"
+            "{title}\n\n| | controller | front axle, RMS (mm) | 95 % | 99 % | largest | \
+             own point, RMS (mm) | along | across | tyres | \
+             steering rate, RMS and largest (rad/s) | ripple (mm/s) | stops |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|"
         );
         let mut before = None;
-        for line in own {
+        for line in front {
             let rank = match line.rank {
                 None => "-".to_owned(),
                 rank if rank == before => "same".to_owned(),
                 Some(rank) => rank.to_string(),
             };
             before = line.rank;
-            let mine = front
+            let mine = own
                 .iter()
-                .find(|front| front.row.controller == line.row.controller);
+                .find(|own| own.row.controller == line.row.controller);
             let in_mm = |value: Option<f64>| in_units(value.map(|value| 1e3 * value));
             let [.., tyres] = line.values;
             let tyres = tyres.unwrap_or(f64::NAN);
-            let [rms, low, high, p99, max, along, across, _] = line.values.map(in_mm);
-            let front = in_mm(mine.and_then(|front| front.values[0]));
+            let [rms, low, high, p99, max, ..] = line.values.map(in_mm);
+            let own = mine.map_or([None; 8], |own| own.values).map(in_mm);
+            let [own, _, _, _, _, along, across, _] = own;
             let [rate, most_rate, _] = line.effort.map(in_units);
             let [.., ripple] = line.effort.map(in_mm);
             let Line { stops, seeds, .. } = line;
@@ -358,9 +360,9 @@ pub fn markdown(lines: &[Line]) -> String {
             };
             let _ = writeln!(
                 text,
-                "| {rank} | {controller}{worst} | {rms} | {low} to {high} | {p99} | {max} | {along} | {across} \
-                 | {front} | {tyres:.2} | {rate} and {most_rate} | {ripple} | {stops} of \
-                 {seeds}{reasons} |"
+                "| {rank} | {controller}{worst} | {rms} | {low} to {high} | {p99} | {max} | {own} \
+                 | {along} | {across} | {tyres:.2} | {rate} and {most_rate} | {ripple} \
+                 | {stops} of {seeds}{reasons} |"
             );
         }
         text.push('\n');
@@ -385,7 +387,7 @@ const HEIGHT_MM: f64 = 38.0;
 #[must_use]
 pub fn figure(lines: &[Line]) -> Option<Figure> {
     let shown = lines.iter().filter(|line| {
-        line.row.condition == Condition::Nominal && line.worst_of.is_none() && !line.front_axle
+        line.row.condition == Condition::Nominal && line.worst_of.is_none() && line.front_axle
     });
     let shown: Vec<&Line> = shown.collect();
     let mut controllers: Vec<&str> = Vec::new();
@@ -403,9 +405,9 @@ pub fn figure(lines: &[Line]) -> Option<Figure> {
         .map(|lines| panel(lines, &controllers, &speeds))
         .collect();
     (!panels.is_empty()).then(|| Figure {
-        title: "RMS error of the controllers".to_owned(),
-        caption: "Root mean square of the distance of each controller's own point from its \
-                  reference, mean over the seeds with its 95 % interval, condition nominal."
+        title: "RMS distance of the front axle".to_owned(),
+        caption: "Root mean square of the distance of the front axle from the path, mean over the \
+                  seeds with its 95 % interval, condition nominal."
             .to_owned(),
         width: Width::Page,
         panels,
@@ -417,7 +419,7 @@ fn panel(lines: &[&Line], controllers: &[&str], speeds: &[f64]) -> Panel {
         Axis::new("", None, ""),
         Axis {
             scale: Scale::Log,
-            ..Axis::new("RMS error", None, "mm")
+            ..Axis::new("RMS distance", None, "mm")
         },
     );
     panel.begins_row = true;
