@@ -70,96 +70,6 @@ fn weaving(folder: &Path, seconds: f64) -> PathBuf {
     path
 }
 
-#[test]
-fn a_simulated_drive_becomes_a_car_in_a_file() {
-    let folder = tempfile::tempdir().unwrap();
-    let record = weaving(folder.path(), 24.0);
-    let other = weaving(folder.path(), 10.0);
-    // A car that is believed to be another one.
-    let believed = folder.path().join("believed.toml");
-    let paper = VehicleParameters::paper();
-    fs::write(
-        &believed,
-        "[vehicle]\nmass_kg = 1.9\nyaw_inertia_kg_m2 = 0.04\nfront_axle_distance_m = 0.1368\n\
-         rear_axle_distance_m = 0.1232\nfriction = 0.25\nfront_cornering_stiffness_n_rad = 90.0\n\
-         rear_cornering_stiffness_n_rad = 90.0\n",
-    )
-    .unwrap();
-    let out = folder.path().join("out");
-    let output = identify(
-        &record,
-        &[
-            "--validate",
-            other.to_str().unwrap(),
-            "--vehicle",
-            believed.to_str().unwrap(),
-            "--out",
-            out.to_str().unwrap(),
-            "--format",
-            "json",
-        ],
-    );
-    let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
-    for (index, name, truth, within) in [
-        (0, "c_f", paper.front_cornering_stiffness_n_rad, 0.1),
-        (1, "c_r", paper.rear_cornering_stiffness_n_rad, 0.03),
-        (2, "i_z", paper.yaw_inertia_kg_m2, 0.1),
-    ] {
-        let estimate = &found["identification"]["estimates"][index];
-        assert_eq!(estimate["parameter"], name);
-        let value = estimate["value"].as_f64().unwrap();
-        assert!((value / truth - 1.0).abs() < within, "{name}: {value}");
-        let deviation = estimate["standard_deviation"].as_f64().unwrap();
-        assert!(
-            (value - truth).abs() < 4.0 * deviation,
-            "{name}: {estimate}"
-        );
-        // It is not that it knows nothing.
-        assert!(deviation / truth < 0.01, "{name}: {estimate}");
-    }
-    for (index, role) in ["identification", "validation"].iter().enumerate() {
-        let log = &found["logs"][index];
-        assert_eq!(log["role"], *role);
-        let nmpe = log["nmpe"].as_f64().unwrap();
-        // Nearly all of it is the vibration of the IMU.
-        assert!(nmpe < 0.35, "{role}: {nmpe}");
-        for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
-            let fit = log[output].as_f64().unwrap();
-            assert!((80.0..100.0).contains(&fit), "{role}, {output}: {fit}");
-        }
-    }
-    assert_eq!(found["converged"], true);
-    assert_eq!(found["criterion"], "prediction");
-    let inertia = &found["parameters"]["i_z"];
-    assert!(inertia["low"].as_f64() < inertia["value"].as_f64());
-    assert!(inertia["value"].as_f64() < inertia["high"].as_f64());
-    assert_eq!(
-        found["identification"]["warnings"],
-        Value::Array(Vec::new())
-    );
-    assert_eq!(found["start"]["yaw_inertia_kg_m2"], 0.04);
-
-    // The file is a vehicle file, with every digit.
-    let vehicle = vehicle_file::read(&out.join("identified.toml")).unwrap();
-    assert_eq!(
-        found["vehicle"],
-        serde_json::to_value(vehicle).unwrap(),
-        "{vehicle:?}"
-    );
-    let json = fs::read_to_string(out.join("identification.json")).unwrap();
-    assert_eq!(serde_json::from_str::<Value>(&json).unwrap(), found);
-    for name in [
-        "inputs",
-        "states",
-        "validation-inputs",
-        "validation-states",
-        "residuals",
-    ] {
-        let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
-        assert!(svg.contains("<path class="), "{name}");
-    }
-}
-
 /// A log of another program as CSV: the car of `tools/real/dart.toml` weaves, its board sends ten samples a
 /// second, and the rows between repeat them.
 fn csv_log(seconds: f64, phase: f64) -> String {
@@ -353,6 +263,96 @@ fn options_that_make_no_sense_are_refused_by_name() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_simulated_drive_becomes_a_car_in_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let record = weaving(folder.path(), 24.0);
+        let other = weaving(folder.path(), 10.0);
+        // A car that is believed to be another one.
+        let believed = folder.path().join("believed.toml");
+        let paper = VehicleParameters::paper();
+        fs::write(
+            &believed,
+            "[vehicle]\nmass_kg = 1.9\nyaw_inertia_kg_m2 = 0.04\nfront_axle_distance_m = 0.1368\n\
+         rear_axle_distance_m = 0.1232\nfriction = 0.25\nfront_cornering_stiffness_n_rad = 90.0\n\
+         rear_cornering_stiffness_n_rad = 90.0\n",
+        )
+        .unwrap();
+        let out = folder.path().join("out");
+        let output = identify(
+            &record,
+            &[
+                "--validate",
+                other.to_str().unwrap(),
+                "--vehicle",
+                believed.to_str().unwrap(),
+                "--out",
+                out.to_str().unwrap(),
+                "--format",
+                "json",
+            ],
+        );
+        let found: Value = serde_json::from_str(&stdout(&output)).unwrap();
+        for (index, name, truth, within) in [
+            (0, "c_f", paper.front_cornering_stiffness_n_rad, 0.1),
+            (1, "c_r", paper.rear_cornering_stiffness_n_rad, 0.03),
+            (2, "i_z", paper.yaw_inertia_kg_m2, 0.1),
+        ] {
+            let estimate = &found["identification"]["estimates"][index];
+            assert_eq!(estimate["parameter"], name);
+            let value = estimate["value"].as_f64().unwrap();
+            assert!((value / truth - 1.0).abs() < within, "{name}: {value}");
+            let deviation = estimate["standard_deviation"].as_f64().unwrap();
+            assert!(
+                (value - truth).abs() < 4.0 * deviation,
+                "{name}: {estimate}"
+            );
+            // It is not that it knows nothing.
+            assert!(deviation / truth < 0.01, "{name}: {estimate}");
+        }
+        for (index, role) in ["identification", "validation"].iter().enumerate() {
+            let log = &found["logs"][index];
+            assert_eq!(log["role"], *role);
+            let nmpe = log["nmpe"].as_f64().unwrap();
+            // Nearly all of it is the vibration of the IMU.
+            assert!(nmpe < 0.35, "{role}: {nmpe}");
+            for output in ["fit_yaw_rate_percent", "fit_sideslip_percent"] {
+                let fit = log[output].as_f64().unwrap();
+                assert!((80.0..100.0).contains(&fit), "{role}, {output}: {fit}");
+            }
+        }
+        assert_eq!(found["converged"], true);
+        assert_eq!(found["criterion"], "prediction");
+        let inertia = &found["parameters"]["i_z"];
+        assert!(inertia["low"].as_f64() < inertia["value"].as_f64());
+        assert!(inertia["value"].as_f64() < inertia["high"].as_f64());
+        assert_eq!(
+            found["identification"]["warnings"],
+            Value::Array(Vec::new())
+        );
+        assert_eq!(found["start"]["yaw_inertia_kg_m2"], 0.04);
+
+        // The file is a vehicle file, with every digit.
+        let vehicle = vehicle_file::read(&out.join("identified.toml")).unwrap();
+        assert_eq!(
+            found["vehicle"],
+            serde_json::to_value(vehicle).unwrap(),
+            "{vehicle:?}"
+        );
+        let json = fs::read_to_string(out.join("identification.json")).unwrap();
+        assert_eq!(serde_json::from_str::<Value>(&json).unwrap(), found);
+        for name in [
+            "inputs",
+            "states",
+            "validation-inputs",
+            "validation-states",
+            "residuals",
+        ] {
+            let svg = fs::read_to_string(out.join(format!("{name}.svg"))).unwrap();
+            assert!(svg.contains("<path class="), "{name}");
+        }
+    }
 
     #[test]
     fn a_damaged_record_is_used_as_far_as_it_goes() {

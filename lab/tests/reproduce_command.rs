@@ -64,195 +64,6 @@ impl Reproduced {
     }
 }
 
-#[test]
-fn the_papers_slips_differ_and_say_what_is_so_instead() {
-    let run = Reproduced::get();
-    for (id, measured, tolerance) in [
-        ("circle-amplitude", 0.894_427_191, 1e-5),
-        ("circle-lag", 0.463_647_609, 1e-5),
-        ("steps-uncertain-integrators", 0.2464, 1e-4),
-        ("singularity", 0.0, 1e-15),
-        ("eigenvalues-appendix-count", 3.0, 0.0),
-        ("appendix-threshold-front-only", 0.442_195, 1e-4),
-    ] {
-        let claim = run.claim(id);
-        assert_eq!(claim["verdict"], "differs", "{id}");
-        let value = claim["measured"][0]["value"].as_f64().unwrap();
-        assert!((value - measured).abs() <= tolerance, "{id}: {value}");
-        assert!(claim["measured"][0]["should_be"].is_string(), "{id}");
-        assert!(!claim["why"].as_str().unwrap().is_empty(), "{id}");
-    }
-}
-
-#[test]
-fn every_claim_has_a_name_a_number_and_a_reason_and_only_slips_differ() {
-    let json = Reproduced::get().json();
-    let claims = json["claims"].as_array().unwrap();
-    let ids: BTreeSet<_> = claims.iter().map(|claim| claim["id"].to_string()).collect();
-    assert_eq!(ids.len(), claims.len());
-    for claim in claims {
-        let id = &claim["id"];
-        let numbers = claim["measured"].as_array().unwrap();
-        assert!(!numbers.is_empty(), "{id}");
-        for text in ["claim", "paper", "why"].map(|key| claim[key].as_str().unwrap()) {
-            assert!(
-                !text.is_empty() && !text.contains(['{', '\n']),
-                "{id}: {text}"
-            );
-            assert!(!text.contains("</"), "{id}: {text}");
-        }
-        let is_slip = numbers.iter().any(|number| !number["should_be"].is_null());
-        assert_eq!(claim["verdict"] == "differs", is_slip, "{id}");
-    }
-}
-
-#[test]
-fn the_documentation_has_every_claim_that_does_not_agree_and_the_number_of_those_that_do() {
-    let page = include_str!("../../docs/reproduction.md");
-    let json = Reproduced::get().json();
-    let claims = json["claims"].as_array().unwrap();
-    let mut agree = 0;
-    for claim in claims {
-        let (section, text) = (&claim["section"], claim["claim"].as_str().unwrap());
-        let verdict = match claim["verdict"].as_str().unwrap() {
-            "agrees" => {
-                agree += 1;
-                continue;
-            }
-            "agrees-in-simulation" => "in simulation",
-            "not-comparable" => "**n/a**",
-            _ => "**differs**",
-        };
-        let row = format!("| {section} | {text} | {verdict} |\n");
-        assert!(page.contains(&row), "docs/reproduction.md lacks {row}");
-    }
-    let count = format!("Of {} claims {agree} agree;", claims.len());
-    assert!(page.contains(&count), "docs/reproduction.md lacks {count}");
-}
-
-#[test]
-fn what_the_paper_says_of_stability_agrees() {
-    let run = Reproduced::get();
-    for id in [
-        "hopf-negative",
-        "hopf-outside",
-        "hopf-subcritical",
-        "structurally-stable",
-        "eigenvalues-negative",
-        "appendix-threshold",
-        "appendix-subcritical",
-        "steps-integrators",
-        "compare-parameters",
-    ] {
-        assert_eq!(run.claim(id)["verdict"], "agrees", "{id}");
-    }
-    let threshold = run.claim("appendix-threshold");
-    let value = threshold["measured"][0]["value"].as_f64().unwrap();
-    assert!((value - 0.135_977_266).abs() < 1e-6, "{value}");
-    let limit = run.claim("hopf-outside");
-    let value = limit["measured"][1]["value"].as_f64().unwrap();
-    assert!((value + 0.142_728).abs() < 1e-6, "{value}");
-}
-
-#[test]
-fn the_simulated_car_does_what_the_equations_say() {
-    let run = Reproduced::get();
-    for (id, index, measured, tolerance) in [
-        ("circle-amplitude", 1, 0.894_4, 0.01),
-        ("circle-lag", 1, 0.463_6, 0.01),
-        ("circle-linear-tools", 1, 0.0, 0.01),
-        ("steps-losses", 0, 0.0, 0.05),
-    ] {
-        let claim = run.claim(id);
-        let value = claim["measured"][index]["value"].as_f64().unwrap();
-        assert!((value - measured).abs() <= tolerance, "{id}: {value}");
-    }
-}
-
-#[test]
-fn the_claims_are_the_same_in_json_csv_table_and_report() {
-    let run = Reproduced::get();
-    let json = run.json();
-    let claims = json["claims"].as_array().unwrap();
-    let mut reader = csv::Reader::from_path(run.out.join("claims.csv")).unwrap();
-    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
-    let report = run.read("report.html");
-    let numbers: usize = claims
-        .iter()
-        .map(|claim| claim["measured"].as_array().unwrap().len())
-        .sum();
-    assert_eq!(rows.len(), numbers);
-    for claim in claims {
-        let id = claim["id"].as_str().unwrap();
-        let row = rows.iter().find(|row| &row[0] == id).unwrap();
-        let verdict = claim["verdict"].as_str().unwrap();
-        let name = verdict.replace("not-comparable", "n/a").replace('-', " ");
-        assert_eq!(&row[9], name, "{id}");
-        assert!(report.contains(&format!("<tr id=\"{id}\"")), "{id}");
-    }
-    let table = String::from_utf8_lossy(&run.output.stdout);
-    assert!(table.contains(&format!("{} claims:", claims.len())));
-}
-
-#[test]
-fn every_figure_of_the_report_says_what_the_papers_shows_and_what_ours_shows() {
-    let run = Reproduced::get();
-    let report = run.read("report.html");
-    let figures = report.matches("<figure").count();
-    assert!(figures >= 20, "only {figures} figures");
-    for figure in report.split("<figure").skip(1) {
-        let figure = figure.split("</figure>").next().unwrap();
-        let (_, caption) = figure.split_once("<figcaption>").unwrap();
-        let (paper, ours) = caption.split_once("<b>Ours.</b>").unwrap();
-        let paper = paper.split_once("<b>The paper.</b>").unwrap().1;
-        assert!(
-            paper.trim().len() > 12 && ours.trim().len() > 40,
-            "{caption}"
-        );
-        assert!(figure.contains("<svg"), "no picture: {caption}");
-        assert!(
-            !ours.contains("NaN") && !ours.contains("not a number") && !ours.contains("(not "),
-            "{ours}"
-        );
-    }
-}
-
-#[test]
-fn the_report_needs_no_network_and_no_script() {
-    let report = Reproduced::get().read("report.html");
-    assert!(!report.contains("<script"));
-    for part in ["src=", "@import", "url(", "<link", "<iframe", "<object"] {
-        assert!(!report.contains(part), "{part}");
-    }
-    // A name space is no address.
-    let addresses = report.replace("http://www.w3.org/2000/svg", "");
-    assert!(!addresses.contains("http"), "an address");
-}
-
-#[test]
-fn every_picture_is_a_file_and_every_link_to_data_leads_somewhere() {
-    let run = Reproduced::get();
-    let report = run.read("report.html");
-    let pictures = run.files("figures");
-    assert_eq!(report.matches("<svg").count(), pictures.len());
-    for picture in pictures {
-        let svg = fs::read_to_string(&picture).unwrap();
-        assert_well_formed(&svg, &picture);
-        assert!(!svg.contains("NaN"), "{}", picture.display());
-    }
-    let links: Vec<&str> = report
-        .split("<a href=\"data/")
-        .skip(1)
-        .map(|rest| rest.split('"').next().unwrap())
-        .collect();
-    assert_eq!(links.len(), run.files("data").len());
-    for link in links {
-        let path = run.out.join("data").join(link);
-        let mut reader = csv::Reader::from_path(&path).unwrap();
-        assert!(reader.records().all(|row| row.is_ok()), "{link}");
-    }
-}
-
 /// Every tag is closed, in order: an XML reader's first demand.
 fn assert_well_formed(svg: &str, path: &Path) {
     let mut open = Vec::new();
@@ -274,21 +85,6 @@ fn assert_well_formed(svg: &str, path: &Path) {
         rest = after;
     }
     assert!(open.is_empty(), "{}: {open:?}", path.display());
-}
-
-#[test]
-fn the_data_hold_the_trajectories_and_the_curves() {
-    let run = Reproduced::get();
-    for (name, header, least) in [
-        ("steps-dl-rear-car", "t,yaw,", 361),
-        ("circle-outside-ideal", "t,yaw,", 601),
-        ("hopf-front-point", "speed_m_s,dl_hopf_m,", 40),
-        ("eigenvalues-velocity-point", "speed_m_s,dl_m,re1,im1,", 600),
-    ] {
-        let csv = run.read(&format!("data/{name}.csv"));
-        assert!(csv.starts_with(header), "{name}");
-        assert!(csv.lines().count() > least, "{name}");
-    }
 }
 
 #[test]
@@ -355,6 +151,210 @@ fn a_car_that_is_none_is_refused_by_name_before_anything_is_written() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn the_papers_slips_differ_and_say_what_is_so_instead() {
+        let run = Reproduced::get();
+        for (id, measured, tolerance) in [
+            ("circle-amplitude", 0.894_427_191, 1e-5),
+            ("circle-lag", 0.463_647_609, 1e-5),
+            ("steps-uncertain-integrators", 0.2464, 1e-4),
+            ("singularity", 0.0, 1e-15),
+            ("eigenvalues-appendix-count", 3.0, 0.0),
+            ("appendix-threshold-front-only", 0.442_195, 1e-4),
+        ] {
+            let claim = run.claim(id);
+            assert_eq!(claim["verdict"], "differs", "{id}");
+            let value = claim["measured"][0]["value"].as_f64().unwrap();
+            assert!((value - measured).abs() <= tolerance, "{id}: {value}");
+            assert!(claim["measured"][0]["should_be"].is_string(), "{id}");
+            assert!(!claim["why"].as_str().unwrap().is_empty(), "{id}");
+        }
+    }
+
+    #[test]
+    fn every_claim_has_a_name_a_number_and_a_reason_and_only_slips_differ() {
+        let json = Reproduced::get().json();
+        let claims = json["claims"].as_array().unwrap();
+        let ids: BTreeSet<_> = claims.iter().map(|claim| claim["id"].to_string()).collect();
+        assert_eq!(ids.len(), claims.len());
+        for claim in claims {
+            let id = &claim["id"];
+            let numbers = claim["measured"].as_array().unwrap();
+            assert!(!numbers.is_empty(), "{id}");
+            for text in ["claim", "paper", "why"].map(|key| claim[key].as_str().unwrap()) {
+                assert!(
+                    !text.is_empty() && !text.contains(['{', '\n']),
+                    "{id}: {text}"
+                );
+                assert!(!text.contains("</"), "{id}: {text}");
+            }
+            let is_slip = numbers.iter().any(|number| !number["should_be"].is_null());
+            assert_eq!(claim["verdict"] == "differs", is_slip, "{id}");
+        }
+    }
+
+    #[test]
+    fn the_documentation_has_every_claim_that_does_not_agree_and_the_number_of_those_that_do() {
+        let page = include_str!("../../docs/reproduction.md");
+        let json = Reproduced::get().json();
+        let claims = json["claims"].as_array().unwrap();
+        let mut agree = 0;
+        for claim in claims {
+            let (section, text) = (&claim["section"], claim["claim"].as_str().unwrap());
+            let verdict = match claim["verdict"].as_str().unwrap() {
+                "agrees" => {
+                    agree += 1;
+                    continue;
+                }
+                "agrees-in-simulation" => "in simulation",
+                "not-comparable" => "**n/a**",
+                _ => "**differs**",
+            };
+            let row = format!("| {section} | {text} | {verdict} |\n");
+            assert!(page.contains(&row), "docs/reproduction.md lacks {row}");
+        }
+        let count = format!("Of {} claims {agree} agree;", claims.len());
+        assert!(page.contains(&count), "docs/reproduction.md lacks {count}");
+    }
+
+    #[test]
+    fn what_the_paper_says_of_stability_agrees() {
+        let run = Reproduced::get();
+        for id in [
+            "hopf-negative",
+            "hopf-outside",
+            "hopf-subcritical",
+            "structurally-stable",
+            "eigenvalues-negative",
+            "appendix-threshold",
+            "appendix-subcritical",
+            "steps-integrators",
+            "compare-parameters",
+        ] {
+            assert_eq!(run.claim(id)["verdict"], "agrees", "{id}");
+        }
+        let threshold = run.claim("appendix-threshold");
+        let value = threshold["measured"][0]["value"].as_f64().unwrap();
+        assert!((value - 0.135_977_266).abs() < 1e-6, "{value}");
+        let limit = run.claim("hopf-outside");
+        let value = limit["measured"][1]["value"].as_f64().unwrap();
+        assert!((value + 0.142_728).abs() < 1e-6, "{value}");
+    }
+
+    #[test]
+    fn the_simulated_car_does_what_the_equations_say() {
+        let run = Reproduced::get();
+        for (id, index, measured, tolerance) in [
+            ("circle-amplitude", 1, 0.894_4, 0.01),
+            ("circle-lag", 1, 0.463_6, 0.01),
+            ("circle-linear-tools", 1, 0.0, 0.01),
+            ("steps-losses", 0, 0.0, 0.05),
+        ] {
+            let claim = run.claim(id);
+            let value = claim["measured"][index]["value"].as_f64().unwrap();
+            assert!((value - measured).abs() <= tolerance, "{id}: {value}");
+        }
+    }
+
+    #[test]
+    fn the_claims_are_the_same_in_json_csv_table_and_report() {
+        let run = Reproduced::get();
+        let json = run.json();
+        let claims = json["claims"].as_array().unwrap();
+        let mut reader = csv::Reader::from_path(run.out.join("claims.csv")).unwrap();
+        let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+        let report = run.read("report.html");
+        let numbers: usize = claims
+            .iter()
+            .map(|claim| claim["measured"].as_array().unwrap().len())
+            .sum();
+        assert_eq!(rows.len(), numbers);
+        for claim in claims {
+            let id = claim["id"].as_str().unwrap();
+            let row = rows.iter().find(|row| &row[0] == id).unwrap();
+            let verdict = claim["verdict"].as_str().unwrap();
+            let name = verdict.replace("not-comparable", "n/a").replace('-', " ");
+            assert_eq!(&row[9], name, "{id}");
+            assert!(report.contains(&format!("<tr id=\"{id}\"")), "{id}");
+        }
+        let table = String::from_utf8_lossy(&run.output.stdout);
+        assert!(table.contains(&format!("{} claims:", claims.len())));
+    }
+
+    #[test]
+    fn every_figure_of_the_report_says_what_the_papers_shows_and_what_ours_shows() {
+        let run = Reproduced::get();
+        let report = run.read("report.html");
+        let figures = report.matches("<figure").count();
+        assert!(figures >= 20, "only {figures} figures");
+        for figure in report.split("<figure").skip(1) {
+            let figure = figure.split("</figure>").next().unwrap();
+            let (_, caption) = figure.split_once("<figcaption>").unwrap();
+            let (paper, ours) = caption.split_once("<b>Ours.</b>").unwrap();
+            let paper = paper.split_once("<b>The paper.</b>").unwrap().1;
+            assert!(
+                paper.trim().len() > 12 && ours.trim().len() > 40,
+                "{caption}"
+            );
+            assert!(figure.contains("<svg"), "no picture: {caption}");
+            assert!(
+                !ours.contains("NaN") && !ours.contains("not a number") && !ours.contains("(not "),
+                "{ours}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_report_needs_no_network_and_no_script() {
+        let report = Reproduced::get().read("report.html");
+        assert!(!report.contains("<script"));
+        for part in ["src=", "@import", "url(", "<link", "<iframe", "<object"] {
+            assert!(!report.contains(part), "{part}");
+        }
+        // A name space is no address.
+        let addresses = report.replace("http://www.w3.org/2000/svg", "");
+        assert!(!addresses.contains("http"), "an address");
+    }
+
+    #[test]
+    fn every_picture_is_a_file_and_every_link_to_data_leads_somewhere() {
+        let run = Reproduced::get();
+        let report = run.read("report.html");
+        let pictures = run.files("figures");
+        assert_eq!(report.matches("<svg").count(), pictures.len());
+        for picture in pictures {
+            let svg = fs::read_to_string(&picture).unwrap();
+            assert_well_formed(&svg, &picture);
+            assert!(!svg.contains("NaN"), "{}", picture.display());
+        }
+        let links: Vec<&str> = report
+            .split("<a href=\"data/")
+            .skip(1)
+            .map(|rest| rest.split('"').next().unwrap())
+            .collect();
+        assert_eq!(links.len(), run.files("data").len());
+        for link in links {
+            let path = run.out.join("data").join(link);
+            let mut reader = csv::Reader::from_path(&path).unwrap();
+            assert!(reader.records().all(|row| row.is_ok()), "{link}");
+        }
+    }
+
+    #[test]
+    fn the_data_hold_the_trajectories_and_the_curves() {
+        let run = Reproduced::get();
+        for (name, header, least) in [
+            ("steps-dl-rear-car", "t,yaw,", 361),
+            ("circle-outside-ideal", "t,yaw,", 601),
+            ("hopf-front-point", "speed_m_s,dl_hopf_m,", 40),
+            ("eigenvalues-velocity-point", "speed_m_s,dl_m,re1,im1,", 600),
+        ] {
+            let csv = run.read(&format!("data/{name}.csv"));
+            assert!(csv.starts_with(header), "{name}");
+            assert!(csv.lines().count() > least, "{name}");
+        }
+    }
 
     #[test]
     fn every_claim_comes_out_as_expected_and_the_command_succeeds() {

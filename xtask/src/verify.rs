@@ -170,7 +170,7 @@ const STEPS: [Step; 30] = [
     }),
     row("faults", 0.28, Always, "random faults in virtual time violate no invariant",
         |packages| {
-        let count = if *packages == Packages::Default { "100" } else { "200" };
+        let count = if *packages == Packages::Default { "60" } else { "200" };
         check(packages.program("singletrack-faults")?.args(["--count", count]))
     }),
     row("tutorial", 0.03, Always, "the commands of the tutorial are accepted and run",

@@ -226,28 +226,6 @@ fn a_folder_of_something_else_or_of_another_demo_is_left_as_it_is() {
 }
 
 #[test]
-fn the_cars_that_are_made_of_real_ones_logs_drive_too() {
-    for (car, mass_kg, vibration) in [("dart", 1.58, 0.79), ("put", 5.1, 0.4)] {
-        let folder = tempfile::tempdir().unwrap();
-        let output = demo(folder.path(), &["--for", "2s", "--car", car]);
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.success(), "{said}");
-        let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
-        let believed = Config::from_toml(&read("demo.toml")).unwrap();
-        let truth: SimulationConfig = toml::from_str(&read("simulation.toml")).unwrap();
-        assert_eq!(believed.vehicle.mass_kg, mass_kg);
-        assert_eq!(truth.car.vehicle.mass_kg, mass_kg);
-        // What is believed is not what is true.
-        let stiffness = |vehicle: &VehicleParameters| vehicle.rear_cornering_stiffness_n_rad;
-        assert!(
-            stiffness(&believed.vehicle) != stiffness(&truth.car.vehicle)
-                || truth.car.slip_angles == SlipAngles::Exact
-        );
-        assert_eq!(truth.car.imu.vibration_m_s2_per_m_s, vibration);
-    }
-}
-
-#[test]
 fn a_drive_that_ends_early_is_a_failure_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let output = demo(folder.path(), &["--for", "4s", "--loss", "900ms@1s"]);
@@ -276,5 +254,32 @@ fn options_that_make_no_sense_are_refused_with_the_fix() {
         let output = demo(folder.path(), &options);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success() && said.contains(word), "{said}");
+    }
+}
+
+/// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
+mod thorough {
+    use super::*;
+
+    #[test]
+    fn the_cars_that_are_made_of_real_ones_logs_drive_too() {
+        for (car, mass_kg, vibration) in [("dart", 1.58, 0.79), ("put", 5.1, 0.4)] {
+            let folder = tempfile::tempdir().unwrap();
+            let output = demo(folder.path(), &["--for", "2s", "--car", car]);
+            let said = String::from_utf8_lossy(&output.stderr).into_owned();
+            assert!(output.status.success(), "{said}");
+            let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+            let believed = Config::from_toml(&read("demo.toml")).unwrap();
+            let truth: SimulationConfig = toml::from_str(&read("simulation.toml")).unwrap();
+            assert_eq!(believed.vehicle.mass_kg, mass_kg);
+            assert_eq!(truth.car.vehicle.mass_kg, mass_kg);
+            // What is believed is not what is true.
+            let stiffness = |vehicle: &VehicleParameters| vehicle.rear_cornering_stiffness_n_rad;
+            assert!(
+                stiffness(&believed.vehicle) != stiffness(&truth.car.vehicle)
+                    || truth.car.slip_angles == SlipAngles::Exact
+            );
+            assert_eq!(truth.car.imu.vibration_m_s2_per_m_s, vibration);
+        }
     }
 }

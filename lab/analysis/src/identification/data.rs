@@ -6,7 +6,7 @@ use singletrack_control::wrap;
 use singletrack_statistics::{Line, RootMeanSquare};
 use singletrack_words::words;
 
-use super::{error::IdentificationError, noise::NoiseLevels};
+use super::error::IdentificationError;
 
 words! {
     /// A measured quantity.
@@ -361,7 +361,8 @@ impl DriveData {
     }
 
     /// Puts the forward acceleration of accelerometer and poses together in place of that of the samples,
-    /// and returns these data with the density of its noise, in m/s²/√Hz.
+    /// and returns these data with the density of its noise, in m/s²/√Hz. Noise of the samples (`density`)
+    /// and of a coordinate of a pose (in m) are given.
     ///
     /// The forward acceleration is an input of the model. Its noise is in the prediction and in the
     /// prediction's derivatives alike, so that a vibrating accelerometer biases the fit by the square of
@@ -370,11 +371,12 @@ impl DriveData {
     /// accelerometer with little noise stays as it is.
     pub(super) fn with_fused_acceleration(
         &self,
-        noise: &NoiseLevels,
+        density: f64,
+        position_m: f64,
         spans: &[Span],
     ) -> (Self, f64) {
         let (late, reach) = (self.gyro_delay(spans), self.bent_reach());
-        let white = noise.forward_density.powi(2) / self.inertial_period();
+        let white = density.powi(2) / self.inertial_period();
         let mut fused = self.clone();
         let (mut of_means, mut of_poses) = (RootMeanSquare::default(), RootMeanSquare::default());
         let mut seen = Vec::with_capacity(self.inertial.len());
@@ -393,14 +395,14 @@ impl DriveData {
             of_means.add((white * squares).sqrt() / weights);
             let bent = bent(&self.poses, reach, sample.time_s - late);
             if let Some([_, deviation]) = bent {
-                of_poses.add(noise.position_m * deviation);
+                of_poses.add(position_m * deviation);
             }
             seen.push(bent.map(|[forward, _]| forward));
         }
         let [means, poses] =
             [of_means, of_poses].map(|one| one.value().unwrap_or(f64::NAN).powi(2));
         if !(white > 4.0 * poses && (means + poses).is_finite()) {
-            return (self.clone(), noise.forward_density);
+            return (self.clone(), density);
         }
         let share = means / (means + poses);
         for (sample, seen) in fused.inertial.iter_mut().zip(seen) {
@@ -410,7 +412,7 @@ impl DriveData {
                 sample.forward_m_s2 += share * off;
             }
         }
-        let density = ((1.0 - share) * noise.forward_density).hypot(share * (poses * reach).sqrt());
+        let density = ((1.0 - share) * density).hypot(share * (poses * reach).sqrt());
         (fused, density)
     }
 

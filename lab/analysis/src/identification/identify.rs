@@ -196,7 +196,8 @@ fn fused(data: &DriveData, settings: &Settings, spans: &[Span]) -> (DriveData, S
         true => settings.noise.with_measured_sensors(data, spans),
         false => settings.noise,
     };
-    let (data, forward_density) = data.with_fused_acceleration(&noise, spans);
+    let (data, forward_density) =
+        data.with_fused_acceleration(noise.forward_density, noise.position_m, spans);
     let mut settings = settings.clone();
     settings.noise.forward_density = forward_density;
     (data, settings)
