@@ -361,22 +361,22 @@ impl DriveData {
     }
 
     /// Puts the forward acceleration of accelerometer and poses together in place of that of the samples,
-    /// and returns these data with the density of its noise, in m/s²/√Hz. Noise of the samples (`density`)
-    /// and of a coordinate of a pose (in m) are given.
+    /// and returns these data with the density of its noise, in m/s²/√Hz. The standard deviations of a sample
+    /// (m/s²) and of a coordinate of a pose (m) are given.
     ///
     /// The forward acceleration is an input of the model. Its noise is in the prediction and in the
     /// prediction's derivatives alike, so that a vibrating accelerometer biases the fit by the square of
     /// that noise. A parabola through poses shows the mean acceleration with the weight (h² - t²)²; so
-    /// does the mean of the samples with that weight, and both are put together by their variances. An
-    /// accelerometer with little noise stays as it is.
+    /// does the mean of the samples with that weight, and both are put together by their variances. None if
+    /// the accelerometer has little noise.
     pub(super) fn with_fused_acceleration(
         &self,
-        density: f64,
+        deviation: f64,
         position_m: f64,
         spans: &[Span],
-    ) -> (Self, f64) {
+    ) -> Option<(Self, f64)> {
         let (late, reach) = (self.gyro_delay(spans), self.bent_reach());
-        let white = density.powi(2) / self.inertial_period();
+        let white = deviation.powi(2);
         let mut fused = self.clone();
         let (mut of_means, mut of_poses) = (RootMeanSquare::default(), RootMeanSquare::default());
         let mut seen = Vec::with_capacity(self.inertial.len());
@@ -402,7 +402,7 @@ impl DriveData {
         let [means, poses] =
             [of_means, of_poses].map(|one| one.value().unwrap_or(f64::NAN).powi(2));
         if !(white > 4.0 * poses && (means + poses).is_finite()) {
-            return (self.clone(), density);
+            return None;
         }
         let share = means / (means + poses);
         for (sample, seen) in fused.inertial.iter_mut().zip(seen) {
@@ -412,8 +412,9 @@ impl DriveData {
                 sample.forward_m_s2 += share * off;
             }
         }
-        let density = ((1.0 - share) * density).hypot(share * (poses * reach).sqrt());
-        (fused, density)
+        let density = ((1.0 - share) * deviation * self.inertial_period().sqrt())
+            .hypot(share * (poses * reach).sqrt());
+        Some((fused, density))
     }
 
     /// By how much the time stamps of the gyro are late against those of the poses, in s: where what they

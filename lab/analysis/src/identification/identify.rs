@@ -10,7 +10,7 @@ use super::{
     filter::TrackPoint,
     fit::{Fit, Task},
     model,
-    noise::NoiseLevels,
+    noise::{self, NoiseLevels},
     parameter::{Parameter, Values},
     plausibility,
     problem::{Criterion, Settings},
@@ -192,14 +192,19 @@ fn identified(
 
 /// The data with the forward acceleration of all sensors, and the settings with its noise.
 fn fused(data: &DriveData, settings: &Settings, spans: &[Span]) -> (DriveData, Settings) {
-    let noise = match settings.estimate_noise {
-        true => settings.noise.with_measured_sensors(data, spans),
-        false => settings.noise,
-    };
-    let (data, forward_density) =
-        data.with_fused_acceleration(noise.forward_density, noise.position_m, spans);
     let mut settings = settings.clone();
-    settings.noise.forward_density = forward_density;
+    let position_m = settings.noise.with_measured_sensors(data, spans).position_m;
+    let fused = noise::forward_deviation(data, spans)
+        .and_then(|deviation| data.with_fused_acceleration(deviation, position_m, spans));
+    let Some((data, density)) = fused else {
+        return (data.clone(), settings);
+    };
+    let noise = &mut settings.noise;
+    // One that is given may be that of another drive's fused acceleration, as in a validation.
+    noise.forward_density = match settings.estimate_noise {
+        true => density,
+        false => density.min(noise.forward_density),
+    };
     (data, settings)
 }
 

@@ -2,7 +2,7 @@
 
 use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
-use super::data::{Channel, DriveData, Span};
+use super::data::{Channel, DriveData, Inertial, Span};
 
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,12 +115,9 @@ impl NoiseLevels {
         }
         let inertial = data.inertial.windows(4);
         let inertial = inertial.filter(|w| w.iter().all(|i| within(i.time_s)));
-        let (mut yaw_rate, mut left, mut forward) = (Vec::new(), Vec::new(), Vec::new());
-        let mut seconds = 0.0;
+        let (mut yaw_rate, mut left) = (Vec::new(), Vec::new());
         for window in inertial {
             if let [a, b, c, d] = window {
-                seconds += d.time_s - a.time_s;
-                forward.push(third([a, b, c, d].map(|sample| sample.forward_m_s2)));
                 yaw_rate.push(third([a, b, c, d].map(|sample| sample.yaw_rate_rad_s)));
                 left.push(third([a, b, c, d].map(|sample| sample.left_m_s2)));
             }
@@ -128,7 +125,6 @@ impl NoiseLevels {
         // What is not measured.
         yaw_rate.retain(|difference: &f64| !difference.is_nan());
         left.retain(|difference: &f64| !difference.is_nan());
-        let period = seconds / (3.0 * forward.len() as f64);
         let level = |differences, usual: f64, least: f64| {
             deviation(differences).map_or(usual, |measured| measured.max(least))
         };
@@ -137,11 +133,22 @@ impl NoiseLevels {
             yaw_rad: level(yaw, self.yaw_rad, LEAST.yaw_rad),
             yaw_rate_rad_s: level(yaw_rate, self.yaw_rate_rad_s, LEAST.yaw_rate_rad_s),
             left_m_s2: level(left, self.left_m_s2, LEAST.left_m_s2),
-            forward_density: deviation(forward)
-                .map_or(self.forward_density, |deviation| deviation * period.sqrt()),
             ..self
         }
     }
+}
+
+/// The standard deviation of a sample of the forward acceleration, in m/s², from third differences. None
+/// without an accelerometer.
+pub(super) fn forward_deviation(data: &DriveData, spans: &[Span]) -> Option<f64> {
+    let within = |sample: &Inertial| spans.iter().any(|span| span.contains(sample.time_s));
+    let windows = data.inertial.windows(4);
+    let windows = windows.filter(|window| window.iter().all(within));
+    let forward = windows.filter_map(|window| match window {
+        [a, b, c, d] => Some(third([a, b, c, d].map(|sample| sample.forward_m_s2))),
+        _ => None,
+    });
+    deviation(forward.collect()).filter(|_| data.measures(Channel::Left))
 }
 
 /// The third difference; of white noise it has twenty times the variance.
