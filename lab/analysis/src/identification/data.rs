@@ -152,6 +152,8 @@ const BENT_PERIODS: f64 = 2.6;
 /// A parabola's acceleration that is so many standard deviations from that of the samples is none of the
 /// car.
 const FAR: f64 = 5.0;
+/// The median of the magnitude of a standard normal variable.
+pub(super) const MEDIAN_OF_NORMAL: f64 = 0.674_49;
 /// The smallest number of poses of a parabola.
 const LEAST_BENT: usize = 5;
 
@@ -361,27 +363,29 @@ impl DriveData {
     }
 
     /// Puts the forward acceleration of accelerometer and poses together in place of that of the samples,
-    /// and returns these data with the density of its noise, in m/s²/√Hz. The standard deviations of a sample
-    /// (m/s²) and of a coordinate of a pose (m) are given.
+    /// and returns these data with the density of its noise, in m/s²/√Hz. `position_m` is the standard
+    /// deviation of a coordinate of a pose, in m.
     ///
     /// The forward acceleration is an input of the model. Its noise is in the prediction and in the
     /// prediction's derivatives alike, so that a vibrating accelerometer biases the fit by the square of
     /// that noise. A parabola through poses shows the mean acceleration with the weight (h² - t²)²; so
-    /// does the mean of the samples with that weight, and both are put together by their variances. None if
-    /// the accelerometer has little noise.
+    /// does the mean of the samples with that weight. By how much the two differ says how noisy the
+    /// latter is, and both are put together by their variances. None if the poses are the noisier ones.
     pub(super) fn with_fused_acceleration(
         &self,
-        deviation: f64,
         position_m: f64,
         spans: &[Span],
     ) -> Option<(Self, f64)> {
+        if !self.measures(Channel::Left) {
+            return None;
+        }
         let (late, reach) = (self.gyro_delay(spans), self.bent_reach());
-        let white = deviation.powi(2);
         let mut fused = self.clone();
-        let (mut of_means, mut of_poses) = (RootMeanSquare::default(), RootMeanSquare::default());
-        let mut seen = Vec::with_capacity(self.inertial.len());
+        let mut of_poses = RootMeanSquare::default();
+        // The acceleration of the poses beyond the mean of the samples.
+        let mut beyond = vec![f64::NAN; self.inertial.len()];
         for (index, sample) in fused.inertial.iter_mut().enumerate() {
-            let (mut sum, mut weights, mut squares) = (0.0, 0.0, 0.0);
+            let (mut sum, mut weights) = (0.0, 0.0);
             let near = |other: &&Inertial| (other.time_s - sample.time_s).abs() < reach;
             let before = self.inertial[..index].iter().rev().take_while(near);
             for other in before.chain(self.inertial[index..].iter().take_while(near)) {
@@ -389,32 +393,34 @@ impl DriveData {
                 let weight = (1.0 - t * t).powi(2);
                 sum += weight * other.forward_m_s2;
                 weights += weight;
-                squares += weight * weight;
             }
             sample.forward_m_s2 = sum / weights;
-            of_means.add((white * squares).sqrt() / weights);
-            let bent = bent(&self.poses, reach, sample.time_s - late);
-            if let Some([_, deviation]) = bent {
+            if let Some([forward, deviation]) = bent(&self.poses, reach, sample.time_s - late) {
+                beyond[index] = forward - sample.forward_m_s2;
                 of_poses.add(position_m * deviation);
             }
-            seen.push(bent.map(|[forward, _]| forward));
         }
-        let [means, poses] =
-            [of_means, of_poses].map(|one| one.value().unwrap_or(f64::NAN).powi(2));
-        if !(white > 4.0 * poses && (means + poses).is_finite()) {
+        let inside = |sample: &Inertial| spans.iter().any(|span| span.contains(sample.time_s));
+        let driven = self.inertial.iter().zip(&beyond);
+        let driven = driven.filter(|(sample, beyond)| inside(sample) && !beyond.is_nan());
+        let driven: Vec<f64> = driven.map(|(_, beyond)| *beyond).collect();
+        let bias = median(driven.clone())?;
+        let off = driven.iter().map(|beyond| (beyond - bias).abs());
+        let spread = median(off.collect())? / MEDIAN_OF_NORMAL;
+        let poses = of_poses.value()?.powi(2);
+        let means = spread * spread - poses;
+        if means <= poses {
             return None;
         }
         let share = means / (means + poses);
-        for (sample, seen) in fused.inertial.iter_mut().zip(seen) {
-            let off = seen.map_or(0.0, |seen| seen - sample.forward_m_s2);
+        for (sample, beyond) in fused.inertial.iter_mut().zip(beyond) {
             // A pose of another body bends the parabola.
-            if off.powi(2) < FAR * FAR * (means + poses) {
-                sample.forward_m_s2 += share * off;
+            if (beyond - bias).abs() < FAR * spread {
+                sample.forward_m_s2 += share * beyond;
             }
         }
-        let density = ((1.0 - share) * deviation * self.inertial_period().sqrt())
-            .hypot(share * (poses * reach).sqrt());
-        Some((fused, density))
+        let variance = (1.0 - share).powi(2) * means + share * share * poses;
+        Some((fused, (variance * reach).sqrt()))
     }
 
     /// By how much the time stamps of the gyro are late against those of the poses, in s: where what they
@@ -479,9 +485,13 @@ fn bent(poses: &[Pose], reach: f64, time: f64) -> Option<[f64; 2]> {
 /// The median distance of times, in s.
 fn median_period(times: impl Iterator<Item = f64>) -> f64 {
     let times: Vec<f64> = times.collect();
-    let mut periods: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    periods.sort_by(f64::total_cmp);
-    periods.get(periods.len() / 2).copied().unwrap_or_default()
+    let periods = times.windows(2).map(|pair| pair[1] - pair[0]);
+    median(periods.collect()).unwrap_or_default()
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
 
 fn check(

@@ -10,7 +10,7 @@ use super::{
     filter::TrackPoint,
     fit::{Fit, Task},
     model,
-    noise::{self, NoiseLevels},
+    noise::NoiseLevels,
     parameter::{Parameter, Values},
     plausibility,
     problem::{Criterion, Settings},
@@ -194,9 +194,7 @@ fn identified(
 fn fused(data: &DriveData, settings: &Settings, spans: &[Span]) -> (DriveData, Settings) {
     let mut settings = settings.clone();
     let position_m = settings.noise.with_measured_sensors(data, spans).position_m;
-    let fused = noise::forward_deviation(data, spans)
-        .and_then(|deviation| data.with_fused_acceleration(deviation, position_m, spans));
-    let Some((data, density)) = fused else {
+    let Some((data, density)) = data.with_fused_acceleration(position_m, spans) else {
         return (data.clone(), settings);
     };
     let noise = &mut settings.noise;

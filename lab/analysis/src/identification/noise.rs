@@ -2,7 +2,7 @@
 
 use singletrack_control::{GRAVITY, VehicleParameters, wrap};
 
-use super::data::{Channel, DriveData, Inertial, Span};
+use super::data::{Channel, DriveData, MEDIAN_OF_NORMAL, Span};
 
 /// Standard deviations of measurement and process noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -138,19 +138,6 @@ impl NoiseLevels {
     }
 }
 
-/// The standard deviation of a sample of the forward acceleration, in m/s², from third differences. None
-/// without an accelerometer.
-pub(super) fn forward_deviation(data: &DriveData, spans: &[Span]) -> Option<f64> {
-    let within = |sample: &Inertial| spans.iter().any(|span| span.contains(sample.time_s));
-    let windows = data.inertial.windows(4);
-    let windows = windows.filter(|window| window.iter().all(within));
-    let forward = windows.filter_map(|window| match window {
-        [a, b, c, d] => Some(third([a, b, c, d].map(|sample| sample.forward_m_s2))),
-        _ => None,
-    });
-    deviation(forward.collect()).filter(|_| data.measures(Channel::Left))
-}
-
 /// The third difference; of white noise it has twenty times the variance.
 fn third([a, b, c, d]: [f64; 4]) -> f64 {
     d - 3.0 * c + 3.0 * b - a
@@ -159,12 +146,10 @@ fn third([a, b, c, d]: [f64; 4]) -> f64 {
 /// Standard deviation of white noise with these third differences, from their median, which
 /// is robust against jolts. None if there are too few, or if most are zero.
 fn deviation(mut differences: Vec<f64>) -> Option<f64> {
-    // The median of the magnitude of a standard normal variable.
-    const MEDIAN: f64 = 0.674_49;
     for difference in &mut differences {
         *difference = difference.abs();
     }
     differences.sort_by(f64::total_cmp);
     let median = differences.get(differences.len() / 2)?;
-    (*median > 0.0 && differences.len() >= 100).then(|| median / (MEDIAN * 20_f64.sqrt()))
+    (*median > 0.0 && differences.len() >= 100).then(|| median / (MEDIAN_OF_NORMAL * 20_f64.sqrt()))
 }
