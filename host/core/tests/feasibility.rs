@@ -621,9 +621,7 @@ fn a_drive_that_leaves_the_fence_later_is_possible_for_a_shorter_time() {
         y_m: 0.0,
         yaw_rad: 0.0,
     });
-    let mut config = straight(10.0);
-    // Its first metre would be slower.
-    config.supervisor.prove_first_metre = false;
+    let config = straight(10.0);
     let judged = |longest_s| judge_reference(&config, stand, longest_s).unwrap();
     assert_eq!(judged(Some(1.0)).findings, []);
     for longest_s in [Some(2.0), Some(100.0), None] {

@@ -153,18 +153,25 @@ impl Car {
             clock: 0.0,
             position: Position::new(stand.x_m, stand.y_m),
             yaw: stand.yaw_rad,
-            unproved: if pilot.supervisor.prove {
-                FIRST_METRE.way
-            } else {
-                0.0
-            },
+            unproved: 0.0,
         }
+    }
+
+    /// Follows the reference over the first metre of a configuration that is not proved, for
+    /// `longest` (s) at most, or until the car could not stop inside `fence`.
+    pub(super) fn drive_first_metre(mut self, fence: &Fence, longest: f64) -> Ended {
+        self.unproved = FIRST_METRE.way;
+        self.drive_while(fence, |car| car.unproved > 0.0 && car.time < longest)
     }
 
     /// Follows the reference until this place of it (s), for `longest` (s) at most, or until the
     /// car could not stop inside `fence`.
-    pub(super) fn drive(mut self, fence: &Fence, until: f64, longest: f64) -> Ended {
-        while self.place() < until && self.time < longest {
+    pub(super) fn drive(self, fence: &Fence, until: f64, longest: f64) -> Ended {
+        self.drive_while(fence, |car| car.place() < until && car.time < longest)
+    }
+
+    fn drive_while(mut self, fence: &Fence, goes_on: impl Fn(&Self) -> bool) -> Ended {
+        while goes_on(&self) {
             if !self.stops_inside(fence) {
                 return Ended::Left {
                     time: self.time,
@@ -180,7 +187,6 @@ impl Car {
 
     /// Follows the reference without a geofence, and measures what the governor makes of it.
     pub(super) fn governed(mut self) -> Governed {
-        self.unproved = 0.0;
         let until = duration(&self.reference);
         let mut counts = [0_u32; REASONS.len()];
         let mut beside = 0.0_f64;
@@ -214,7 +220,6 @@ impl Car {
 
     /// Follows the reference without a geofence, and measures for how long it is limited.
     pub(super) fn saturated(mut self) -> Saturated {
-        self.unproved = 0.0;
         let limits = self.limits;
         let until = duration(&self.reference);
         let (mut steps, mut steering, mut speed, mut lateral) = (0.0, 0.0, 0.0, 0.0);

@@ -38,6 +38,9 @@ const SATURATED_ERROR: f64 = 0.5;
 /// A governed reference is followed for this many times its time at most, to judge the geofence.
 const LONGER: f64 = 3.0;
 
+/// The first metre takes no longer, in s; a slower reference is never proved.
+const FIRST_METRE_S: f64 = 10.0;
+
 /// A governed reference that is nearer to its path than this, in m, counts as on it.
 const BESIDE_M: f64 = 0.01;
 
@@ -156,8 +159,9 @@ impl Judgement {
 /// stands, otherwise from where it could start.
 ///
 /// The car of the judgement follows the law without slip, lag and noise: what it can't do,
-/// a real car can't do. With `[governor]` it follows the governed reference. Its first metre has the
-/// speed and the braking of an unproved configuration, unless `supervisor.prove_first_metre` is off.
+/// a real car can't do. With `[governor]` it follows the governed reference. Unless
+/// `supervisor.prove_first_metre` is off, it must come over the first metre with the speed and the
+/// braking of an unproved configuration as well.
 ///
 /// # Errors
 ///
@@ -448,7 +452,15 @@ fn judge_fence(
     let until = duration(&pilot.reference);
     // A governed reference may take longer.
     let longest = longest_s.unwrap_or(LONGER * until);
-    let ends = |fence: &Fence, start| Car::new(pilot, vehicle, start).drive(fence, until, longest);
+    let ends = |fence: &Fence, start| {
+        let car = || Car::new(pilot, vehicle, start);
+        match car().drive(fence, until, longest) {
+            Ended::Inside if pilot.supervisor.prove => {
+                car().drive_first_metre(fence, longest.min(FIRST_METRE_S))
+            }
+            ended => ended,
+        }
+    };
     let with_reserve = Fence::new(
         pilot.fence.corners(),
         config.fence.margin_m(vehicle) + RESERVE_M,
