@@ -146,7 +146,7 @@ fn a_driving_tick_gives_position_and_reference() {
     let covariance = |of: &str, row: usize, column: usize| {
         odometry.at(&format!("{of}.covariance[{}]", 6 * row + column))
     };
-    // Of x and y, and of yaw and y.
+    // The covariances of x with y, and of the yaw rate with the velocity to the left.
     assert_eq!(covariance("pose", 0, 1), 1e-9);
     assert_eq!(covariance("twist", 5, 1), 3e-5);
     for axis in 0..6 {

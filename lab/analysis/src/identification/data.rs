@@ -149,8 +149,8 @@ pub(super) fn seen(poses: &[Pose], time: f64) -> Option<Seen> {
 const BENT_AROUND: f64 = 0.055;
 /// ...or up to as many of the poses' median distances.
 const BENT_PERIODS: f64 = 2.6;
-/// A parabola's acceleration that is so many standard deviations from that of the samples is none of the
-/// car.
+/// The acceleration of a parabola is left out if it differs from that of the samples by more than this
+/// many standard deviations: a pose of another body bends it.
 const FAR: f64 = 5.0;
 /// The median of the magnitude of a standard normal variable.
 pub(super) const MEDIAN_OF_NORMAL: f64 = 0.674_49;
@@ -414,7 +414,6 @@ impl DriveData {
         }
         let share = means / (means + poses);
         for (sample, beyond) in fused.inertial.iter_mut().zip(beyond) {
-            // A pose of another body bends the parabola.
             if (beyond - bias).abs() < FAR * spread {
                 sample.forward_m_s2 += share * beyond;
             }
@@ -427,6 +426,8 @@ impl DriveData {
     /// differ by does not go with the change of the yaw rate. Zero without a gyro.
     fn gyro_delay(&self, spans: &[Span]) -> f64 {
         const STEPS: usize = 4;
+        /// A longer delay is none of an IMU, in s.
+        const LATEST: f64 = 0.2;
         let samples = self.inertial.iter();
         let samples = samples.filter(|one| spans.iter().any(|span| span.contains(one.time_s)));
         let mut late = 0.0;
@@ -446,12 +447,10 @@ impl DriveData {
                         of + line.slope * rise * rise,
                     ]
                 });
-            if !(along / of).is_finite() {
-                return 0.0;
-            }
             late += along / of;
         }
-        late
+        // Also if nothing turns, and it is not a number.
+        if late.abs() < LATEST { late } else { 0.0 }
     }
 
     /// Speed at the pose with this index from its neighbours, in m/s.
