@@ -1,6 +1,8 @@
 //! `[fence]`, `[governor]`, `[safety_filter]` and `[neighbours]`: where the car may be, and what keeps it
 //! able to stop there.
 
+use std::path::PathBuf;
+
 use singletrack_control::{
     ConvexArea, FrontPointLaw, GRAVITY, GovernorConfig, Limits, MAX_STEERING_TICKS,
     NeighbourConfig, Position, Room, SafetyConfig, SafetyFilter, VehicleParameters,
@@ -156,7 +158,7 @@ section! {
     /// program's velocities, trajectories, or steering and speed. `docs/safety-filter.md` states
     /// the claim and what it rests on: these errors, `[actuators]`, and `fence.braking_m_s2` or
     /// what a stop has measured. It needs a convex geofence.
-    "safety_filter" => pub SafetyFilterSection: Copy;
+    "safety_filter" => pub SafetyFilterSection;
     [default];
 
     /// Whether there is one.
@@ -178,6 +180,9 @@ section! {
     curvature_error_per_m: f64 = 0.5, in 0.0..=5.0;
     /// What each m/s² of lateral acceleration beyond adds to it. `singletrack judge` measures both.
     curvature_error_per_m_per_m_s2: f64 = 0.25, in 0.0..=5.0;
+    /// File that `singletrack certify` has written for this configuration. The car is not armed
+    /// without it, or after a change of a key that it rests on.
+    certificate: Option<PathBuf> = None, example PathBuf::from("filter-certificate.json");
 }
 
 /// Line, board and the frame of a servo or an ESC, ms.
