@@ -1,5 +1,5 @@
 #!/bin/sh
-# Checks the proofs of `singletrack stability` with the programs of this folder, which share nothing with it.
+# Checks the proofs of `singletrack stability` and `singletrack certify` with the programs of this folder, which share nothing with it.
 #
 #     lab/certificates/check.sh PROGRAM FOLDER
 #
@@ -23,6 +23,11 @@ for proof in patterns servo appendix random; do
     python3 "$own/check_losses.py" "$folder/$proof.json"
     python3 "$own/check_losses.py" --changed "$folder/$proof.json"
 done
+
+sed '/^\[safety_filter\]/,/^$/ s/^#enabled = false/enabled = true/' host/daemon/singletrackd.example.toml > "$folder/car.toml"
+"$program" certify "$folder/car.toml" --out "$folder/filter.json"
+python3 "$own/check_filter.py" "$folder/filter.json" "$folder/car.toml"
+python3 "$own/change_filter.py" "$folder/filter.json"
 
 for car in paper f1tenth dart; do
     "$program" stability one-length --vehicle "tools/vehicles/$car.toml" --format json > "$folder/$car.json"

@@ -7,6 +7,7 @@
 )]
 
 pub mod benchmark;
+pub mod certify;
 pub mod compare;
 pub mod identify;
 pub mod install_files;

@@ -5,7 +5,9 @@ use std::{error::Error, process::ExitCode};
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 use singletrack::{arguments::take_negative_numbers, help::printable};
 use singletrack_campaign::{MergeArgs, run_merge};
-use singletrack_lab::{benchmark, compare, identify, install_files, judge, reproduce, stability};
+use singletrack_lab::{
+    benchmark, certify, compare, identify, install_files, judge, reproduce, stability,
+};
 
 /// The laboratory of Singletrack: compare, identify, judge, reproduce, analyse.
 #[derive(Parser)]
@@ -19,6 +21,8 @@ struct Cli {
 enum Command {
     /// Judge and identify the public logs of real cars, and predict those that are held out.
     Benchmark(benchmark::BenchmarkArgs),
+    /// Write the certificate of a configuration's safety filter: the room that a stop needs.
+    Certify(certify::CertifyArgs),
     /// Compare controllers on the simulated car: errors, intervals and stops.
     Compare(compare::CompareArgs),
     /// Print the completions of `singletrack` for a shell.
@@ -63,6 +67,7 @@ fn main() -> ExitCode {
 fn run(command: &Command) -> Result<(), Box<dyn Error>> {
     match command {
         Command::Benchmark(args) => benchmark::run(args)?,
+        Command::Certify(args) => certify::run(args)?,
         Command::Compare(args) => compare::run(args)?,
         Command::Completions { shell } => install_files::print(*shell, &Cli::command())?,
         Command::Identify(args) => identify::run(args)?,

@@ -12,6 +12,7 @@
 )]
 
 mod benchmark;
+mod certify_command;
 mod compare;
 mod cycles;
 mod identify_command;

@@ -204,7 +204,7 @@ const STEPS: [Step; 30] = [
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
     row("certificates", 0.12, Of(Part::Python),
-        "programs that derive the loop for themselves accept the proofs of stability, and no changed one",
+        "independent programs accept the proofs of stability and of the safety filter, and no changed one",
         |packages| check(script("lab/certificates/check.sh")
             .arg(packages.path("singletrack-lab")?)
             .arg(target::folder()?.join("certificates")))),

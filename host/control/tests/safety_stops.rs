@@ -6,7 +6,8 @@ use std::f64::consts::TAU;
 
 use singletrack_control::{
     ConvexArea, Filtered, FilteredDemand, FrontPointLaw, LimitedLaw, Limits, Position,
-    SafetyFilter, SafetyInput, Side, SpeedDemand, SteeringDemand, Time, Velocity, direction,
+    ROOM_DIRECTIONS, SafetyFilter, SafetyInput, Side, SpeedDemand, SteeringDemand, StopBox, Time,
+    Velocity, direction,
 };
 
 use crate::safety_filter::{BRAKING, Car, L_R, PERIOD, WHEELBASE, config, limits, rectangle};
@@ -177,4 +178,75 @@ fn a_side_that_keeps_the_car_from_another_body_counts_as_one_of_its_area() {
         kinds[kind] += 1;
     }
     assert!(kinds[0] > 0 && kinds[1] > 0 && kinds[3] > 0, "{kinds:?}");
+}
+
+/// Whether the filter lets a car at the origin, with this speed (m/s), go on beside a side so far away (m). Its
+/// wheels stand anywhere between straight ahead and the steering (rad) that is sent.
+fn goes_on(speed: f64, steering: f64, blind: f64, outward: Velocity, offset: f64) -> bool {
+    let law = FrontPointLaw::new(WHEELBASE - L_R, 0.35, WHEELBASE).unwrap();
+    let mut law = LimitedLaw::new(law, limits());
+    for _ in 0..200 {
+        law.follow(
+            SteeringDemand::Angle(steering),
+            SpeedDemand::Speed(speed),
+            PERIOD,
+        )
+        .unwrap();
+    }
+    let mut filter = SafetyFilter::new(config(rectangle(50.0, 50.0))).unwrap();
+    filter.observe(speed, 0.0, BRAKING, PERIOD);
+    let mut car = Car::standing(Position::origin(), 0.0);
+    car.speed = speed;
+    let input = SafetyInput {
+        estimate: &car.estimate(Time(0), Velocity::zeros()),
+        law: &law,
+        wheels: steering,
+        wave: 0.0,
+        blind,
+        braking: BRAKING,
+        period: PERIOD,
+        neighbours: &[Side { outward, offset }],
+    };
+    let given = law.actuation();
+    let full_stop = |_: &mut LimitedLaw, share: f64| {
+        // What is tried last is not scaled early.
+        if share == 0.0 {
+            Ok(given)
+        } else {
+            Ok(singletrack_control::Actuation {
+                speed: 50.0,
+                ..given
+            })
+        }
+    };
+    filter.demand(&input, full_stop) == FilteredDemand::Scaled(0.0)
+}
+
+#[test]
+fn the_room_of_a_certificate_is_what_the_filter_asks_for() {
+    for (speed, steering, blind) in [(0.4, 0.2, 0.0), (1.2, 0.3, 0.1), (1.4, -0.25, 0.15)] {
+        let filter = SafetyFilter::new(config(rectangle(50.0, 50.0))).unwrap();
+        let ends = [f64::min(0.0, steering), f64::max(0.0, steering)];
+        let room = filter.room(&StopBox {
+            speed,
+            blind,
+            braking: BRAKING,
+            period: PERIOD,
+            rear_axle_distance: L_R,
+            before: ends,
+            sent: [steering; 2],
+        });
+        assert!(
+            room[0] > 0.25 * speed && room[ROOM_DIRECTIONS / 2] < 0.02,
+            "{room:?}"
+        );
+        for (index, room) in room.into_iter().enumerate() {
+            let outward = direction(TAU * index as f64 / ROOM_DIRECTIONS as f64);
+            let at = |offset| goes_on(speed, steering, blind, outward, offset);
+            assert!(
+                at(room + 1e-9) && !at(room - 1e-9),
+                "{speed} {steering} {index}: {room}"
+            );
+        }
+    }
 }

@@ -9,6 +9,7 @@ pub mod config;
 /// What is told to people: what a reason means, what is wrong with the cameras, whether a reference can
 /// be driven, and what is still to be done with a new car.
 mod explain {
+    pub mod certificate;
     pub mod commissioned;
     pub mod diagnosis;
     pub mod feasibility;
@@ -37,7 +38,7 @@ mod run {
 
 pub use config::{Config, ConfigError, record_meta, restart_keys};
 pub use controller::pose_event;
-pub use explain::{commissioned, diagnosis, feasibility, reasons, top_view};
+pub use explain::{certificate, commissioned, diagnosis, feasibility, reasons, top_view};
 pub use host::{Host, HostOptions, VirtualHost};
 pub use run::proof::{MAX_PROOFS, Proof, Proofs, configuration_hash};
 pub use run::report::{LineCounters, Report, link_phase, pilot_event};

@@ -1,7 +1,9 @@
 //! The configuration: what is accepted, and that no key is without effect; `[board]` and
 //! `[safety_filter]`. What is refused elsewhere: `config_mistakes.rs`.
 
-use singletrack_control::{EstimatorConfig, Limits, Reference, TrackingLoop, VehicleParameters};
+use singletrack_control::{
+    Estimate, EstimatorConfig, Limits, Position, Reference, Time, TrackingLoop, VehicleParameters,
+};
 use singletrack_core::{
     ConfigError,
     config::{BoardSection, Config, OuterLoopSection, SECTIONS, Start},
@@ -492,4 +494,49 @@ fn the_reaction_follows_the_motor_unless_it_is_given() {
     assert_eq!(filter(&stated), filter(&default));
     stated.actuators.speed_lag_ms += 50.0;
     assert_eq!(filter(&stated), filter(&default));
+}
+
+#[test]
+fn what_the_servo_lacks_after_three_lags_counts_as_an_error_of_the_curvature() {
+    // e^-3 of a change by 0.9 rad, up to 0.45 rad: (tan 0.45 - tan 0.405192)/0.26 m = 0.2082 1/m.
+    let bends_as_assumed = |error: f64, curvature: f64| {
+        let mut config = enabled();
+        config.safety_filter.curvature_error_per_m = error;
+        let filter = config.pilot().unwrap().safety.unwrap();
+        let estimate = Estimate {
+            time: Time(0),
+            position: Position::origin(),
+            yaw: 0.0,
+            yaw_rate: curvature,
+            sideslip: 0.0,
+            speed: 1.0,
+            pose_time: Time(0),
+        };
+        filter.bends_as_assumed(&estimate, 0.0)
+    };
+    for error in [0.0, 0.1, 0.208] {
+        assert!(
+            bends_as_assumed(error, 0.2081) && !bends_as_assumed(error, 0.2083),
+            "{error}"
+        );
+    }
+    // An error that is stated has it inside.
+    assert!(bends_as_assumed(0.3, 0.2999) && !bends_as_assumed(0.3, 0.3001));
+}
+
+#[test]
+fn what_servo_and_motor_lack_counts_unless_more_is_stated() {
+    let filter = |change: &dyn Fn(&mut Config)| {
+        let mut config = enabled();
+        change(&mut config);
+        config.pilot().unwrap().safety.unwrap()
+    };
+    // The sideslip of the servo's error is 0.0256 rad; 36 ms and 40 ms of braking by 0.9 m/s2 are
+    // 0.0684 m/s.
+    let course = |error: f64| filter(&|config| config.safety_filter.course_error_rad = error);
+    assert_eq!(course(0.0), course(0.0256));
+    assert_ne!(course(0.0), course(0.0257));
+    let speed = |error: f64| filter(&|config| config.safety_filter.speed_error_m_s = error);
+    assert_eq!(speed(0.0), speed(0.0683));
+    assert_ne!(speed(0.0), speed(0.0685));
 }

@@ -11,6 +11,7 @@
     reason = "a test may fail"
 )]
 
+mod certificate;
 mod config;
 mod config_mistakes;
 mod control_loop;

@@ -8,7 +8,7 @@ mod signals;
 use std::process::ExitCode;
 
 use clap::Parser;
-use singletrack_core::Config;
+use singletrack_core::{Config, certificate};
 use singletrackd::{Arguments, Daemon, StartOptions, not_commissioned, notify::ServiceManager};
 use tracing::{error, info, warn};
 
@@ -59,7 +59,8 @@ fn main() -> ExitCode {
     }
     let refusal = (arguments.arm && !arguments.uncalibrated)
         .then(|| not_commissioned(&config))
-        .flatten();
+        .flatten()
+        .or_else(|| certificate::refusal(&config).filter(|_| arguments.arm));
     if let Some(refusal) = &refusal {
         error!("--arm: not armed: {refusal}");
     }

@@ -8,10 +8,14 @@ use clap::{Arg, Command};
 const PROGRAM: &str = "singletrack-lab";
 
 /// Names and purposes, for the list of all commands.
-pub const COMMANDS: [(&str, &str); 8] = [
+pub const COMMANDS: [(&str, &str); 9] = [
     (
         "benchmark",
         "Judge and identify the public logs of real cars, and predict those that are held out",
+    ),
+    (
+        "certify",
+        "Write the certificate of a configuration's safety filter: the room that a stop needs",
     ),
     (
         "compare",

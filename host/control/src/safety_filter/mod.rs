@@ -10,11 +10,13 @@
 //! has proved to stay inside. `docs/safety-filter.md` states the claim with its assumptions.
 
 mod projection;
+mod room;
 
 use heapless::Vec;
 use libm::{atan, cos, fabs, sin, sqrt, tan};
 
 use self::projection::{HalfPlane, MOST, nearest};
+pub use self::room::{ROOM_DIRECTIONS, StopBox};
 use crate::{
     Actuation, ConvexArea, Estimate, GRAVITY, LimitedLaw, Position, Side, Singularity, Stop,
     Velocity, direction,
@@ -135,6 +137,23 @@ pub struct SafetyFilter {
     steering: [f64; MAX_STEERING_TICKS],
     /// Between these angles the wheels stand, rad.
     on_their_way: Range,
+}
+
+/// A car that may have to stop.
+struct Start {
+    position: Position,
+    yaw: f64,
+    /// The estimated sideslip, rad.
+    sideslips: Range,
+    /// The speed that it has at most, with its error, m/s.
+    pace: f64,
+    /// The way since the last pose, m.
+    blind: f64,
+    stop: Stop,
+    /// The control period, s.
+    period: f64,
+    /// The distance from the centre of mass to the rear axle, m.
+    of_rear: f64,
 }
 
 impl SafetyConfig {
@@ -412,33 +431,21 @@ impl SafetyFilter {
         if fabs(next.steering) > fabs(now).max(self.widest_steering() + ROUNDING) {
             return false;
         }
-        let of_course = self.config.course_error;
-        // By more than a tangent or its inverse is rounded.
-        let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
-        let wheels = |curvatures: Range| Wheels {
-            curvatures: curvatures
-                .widened(self.config.curvature_error_at(pace, &curvatures) + rounded(&curvatures)),
-            sideslips: Range::only(self.sideslip(input, curvatures.least))
-                .with(self.sideslip(input, curvatures.most))
-                .with(estimate.sideslip)
-                .widened(of_course + ROUNDED),
-        };
         let first = self
             .present_curvatures(input)
             .with(self.curvature(next.steering - input.wave))
             .with(self.curvature(next.steering + input.wave));
-        // The way since the last pose may have been on any of these bends: the whole length is
-        // laid ahead of the estimate.
-        let forward = StopWay {
-            from: estimate.position,
-            heading: estimate.yaw,
-            length: (input.blind + self.stop(input, early).way(pace)) * (1.0 + ROUNDED),
-            first: wheels(first),
-            settles_after: (input.blind
-                + pace * input.period * (self.config.steering_ticks + 1) as f64)
-                * (1.0 + ROUNDED),
-            then: wheels(Range::only(self.curvature(next.steering))),
+        let start = Start {
+            position: estimate.position,
+            yaw: estimate.yaw,
+            sideslips: Range::only(estimate.sideslip),
+            pace,
+            blind: input.blind,
+            stop: self.stop(input, early),
+            period: input.period,
+            of_rear: self.config.wheelbase - input.law.law().front_axle_distance(),
         };
+        let forward = self.ways(&start, &first, &Range::only(self.curvature(next.steering)));
         let sides = self.config.area.sides().iter().chain(input.neighbours);
         let inside = |way: &StopWay| way.stays_inside(sides.clone(), self.config.position_error);
 
@@ -446,10 +453,34 @@ impl SafetyFilter {
         inside(&forward) && (!reverses || inside(&backward(&forward)))
     }
 
-    /// The sideslip of a car that rolls without slip on this curvature of the rear axle's path.
-    fn sideslip(&self, input: &SafetyInput<'_>, curvature: f64) -> f64 {
-        let of_rear = self.config.wheelbase - input.law.law().front_axle_distance();
-        atan(of_rear * curvature)
+    /// Every way of a stop, with the wheels between the angles of the `first` curvatures (1/m) until
+    /// they have settled between those of `then`.
+    fn ways(&self, start: &Start, first: &Range, then: &Range) -> StopWay {
+        let of_course = self.config.course_error;
+        // By more than a tangent or its inverse is rounded.
+        let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
+        let wheels = |curvatures: &Range| Wheels {
+            curvatures: curvatures.widened(
+                self.config.curvature_error_at(start.pace, curvatures) + rounded(curvatures),
+            ),
+            sideslips: start
+                .sideslips
+                .with(atan(start.of_rear * curvatures.least))
+                .with(atan(start.of_rear * curvatures.most))
+                .widened(of_course + ROUNDED),
+        };
+        // The way since the last pose may have been on any of these bends: the whole length is
+        // laid ahead of the estimate.
+        StopWay {
+            from: start.position,
+            heading: start.yaw,
+            length: (start.blind + start.stop.way(start.pace)) * (1.0 + ROUNDED),
+            first: wheels(first),
+            settles_after: (start.blind
+                + start.pace * start.period * (self.config.steering_ticks + 1) as f64)
+                * (1.0 + ROUNDED),
+            then: wheels(then),
+        }
     }
 
     /// The centre of mass's distance from the nearest side, m; negative outside.

@@ -95,6 +95,18 @@ impl StopWay {
         })
     }
 
+    /// How far from a line with this normal all of them must begin at least to keep `margin` (m) from
+    /// it, m.
+    pub(crate) fn room(&self, outward: &Velocity, margin: f64) -> f64 {
+        let (piece, cones) = self.cones();
+        let side = Side {
+            outward: *outward,
+            offset: outward.dot(&self.from.coords),
+        };
+        let nearest = Distances::new(&self.from, &side, margin, piece, &cones);
+        -nearest.fold(f64::INFINITY, f64::min)
+    }
+
     /// The length of a piece, and the directions between which the motion lies in each.
     fn cones(&self) -> (f64, [Cone; PIECES]) {
         let piece = self.length / PIECES as f64 * (1.0 + ROUNDED);

@@ -1,6 +1,8 @@
 //! `[fence]`, `[governor]`, `[safety_filter]` and `[neighbours]`: where the car may be, and what keeps it
 //! able to stop there.
 
+use std::path::PathBuf;
+
 use singletrack_control::{
     ConvexArea, FrontPointLaw, GRAVITY, GovernorConfig, Limits, MAX_STEERING_TICKS,
     NeighbourConfig, Position, Room, SafetyConfig, SafetyFilter, VehicleParameters,
@@ -156,7 +158,7 @@ section! {
     /// program's velocities, trajectories, or steering and speed. `docs/safety-filter.md` states
     /// the claim and what it rests on: these errors, `[actuators]`, and `fence.braking_m_s2` or
     /// what a stop has measured. It needs a convex geofence.
-    "safety_filter" => pub SafetyFilterSection: Copy;
+    "safety_filter" => pub SafetyFilterSection;
     [default];
 
     /// Whether there is one.
@@ -164,7 +166,8 @@ section! {
     /// Time from a tick to when a car that is told to stop slows down at the latest. The default
     /// is the motor's dead time and lag, and 80 ms for line, board and the frame of the ESC.
     reaction_ms: Option<f64> = None, in 50.0..=2_000.0, example 196.0;
-    /// The most by which a moving car becomes faster than it is measured and commanded.
+    /// The most by which a moving car becomes faster than it is measured and commanded. At least
+    /// the braking within the motor's dead time and 40 ms counts.
     speed_error_m_s: f64 = 0.1, in 0.0..=1.0;
     /// Largest error of the estimated position: cameras, the body on the car, its stamps.
     position_error_m: f64 = 0.03, in 0.0..=0.5;
@@ -172,10 +175,14 @@ section! {
     /// the estimate.
     course_error_rad: f64 = 0.05, in 0.0..=0.5;
     /// Largest deviation of the path's curvature from that of the steering angle, up to a lateral
-    /// acceleration of 2.45 m/s²: trim, play and gain of the servo, slip of the tyres.
+    /// acceleration of 2.45 m/s²: trim, play and gain of the servo, slip of the tyres, and what the
+    /// servo still lacks after three lags. At least that counts: 0.21 1/m with the defaults.
     curvature_error_per_m: f64 = 0.5, in 0.0..=5.0;
     /// What each m/s² of lateral acceleration beyond adds to it. `singletrack judge` measures both.
     curvature_error_per_m_per_m_s2: f64 = 0.25, in 0.0..=5.0;
+    /// File that `singletrack certify` has written for this configuration. The car is not armed
+    /// without it, or after a change of a key that it rests on.
+    certificate: Option<PathBuf> = None, example PathBuf::from("filter-certificate.json");
 }
 
 /// Line, board and the frame of a servo or an ESC, ms.
@@ -183,7 +190,32 @@ const LINE_MS: f64 = 40.0;
 /// The lags of a servo after which it is where it was sent, but for a twentieth of the change.
 const SETTLED: f64 = 3.0;
 
+/// Errors that follow from `[actuators]`: those of `[safety_filter]` are no smaller.
+pub(crate) struct Residuals {
+    /// Deviation of the curvature by what the servo lacks after [`SETTLED`] lags, 1/m.
+    pub(crate) curvature: f64,
+    /// The same of the direction of motion, rad.
+    pub(crate) course: f64,
+    /// Excess of a speed that is still on its way over what is known of it, m/s.
+    pub(crate) speed: f64,
+}
+
 impl Config {
+    /// What the filter has to allow for by itself.
+    pub(crate) fn residuals(&self) -> Residuals {
+        let (most, wheelbase) = (self.limits.max_steering_rad, self.vehicle.wheelbase_m());
+        // Of a change from one stop to the other; the tangent is steepest there.
+        let lacking = 2.0 * most * libm::exp(-SETTLED);
+        let curvature = (libm::tan(most) - libm::tan(most - lacking)) / wheelbase;
+        let of_rear = wheelbase - self.law.front_axle_distance_m;
+        let delay_ms = self.actuators.speed_dead_time_ms + LINE_MS;
+        Residuals {
+            curvature,
+            course: of_rear * curvature,
+            speed: self.fence.braking_m_s2 * 1e-3 * delay_ms,
+        }
+    }
+
     /// Time after which the wheels are where they were sent, ms.
     #[must_use]
     pub fn steering_settles_ms(&self) -> f64 {
@@ -194,7 +226,7 @@ impl Config {
 
 impl SafetyFilterSection {
     /// Time from a tick to when this car slows down at the latest, ms.
-    pub(super) fn reaction_ms(&self, config: &Config) -> f64 {
+    pub(crate) fn reaction_ms(&self, config: &Config) -> f64 {
         let actuators = &config.actuators;
         self.reaction_ms
             .unwrap_or(actuators.speed_dead_time_ms + actuators.speed_lag_ms + 2.0 * LINE_MS)
@@ -210,6 +242,18 @@ impl SafetyFilterSection {
         if !self.enabled {
             return Ok(None);
         }
+        SafetyFilter::new(self.config(config)?)
+            .map(Some)
+            .map_err(|error| ConfigError::value("safety_filter", error.name, error.to_string()))
+    }
+
+    /// What the filter of this car rests on.
+    ///
+    /// # Errors
+    ///
+    /// The geofence is not convex or nothing is left of it, or the servo is slower than the
+    /// filter follows it.
+    pub(crate) fn config(&self, config: &Config) -> Result<SafetyConfig, ConfigError> {
         let area = config.fence.convex(&config.vehicle, "safety_filter")?;
         let actuators = &config.actuators;
         let settled_ms = config.steering_settles_ms();
@@ -229,25 +273,23 @@ impl SafetyFilterSection {
                 ),
             ));
         }
-        let reaction_ms = self.reaction_ms(config);
+        let residuals = config.residuals();
         let limits = config.limits.limits(config.vehicle.wheelbase_m());
-        SafetyFilter::new(SafetyConfig {
+        Ok(SafetyConfig {
             area,
-            reaction: 1e-3 * reaction_ms,
+            reaction: 1e-3 * self.reaction_ms(config),
             steering_ticks: ticks as usize,
             position_error: self.position_error_m,
-            course_error: self.course_error_rad,
-            curvature_error: self.curvature_error_per_m,
+            course_error: self.course_error_rad.max(residuals.course),
+            curvature_error: self.curvature_error_per_m.max(residuals.curvature),
             curvature_error_growth: self.curvature_error_per_m_per_m_s2,
-            speed_error: self.speed_error_m_s,
+            speed_error: self.speed_error_m_s.max(residuals.speed),
             max_speed: config.limits.max_speed_m_s,
             // The law keeps to the configured limit. Beyond that of the tyres they slide.
             max_lateral_acceleration: config.vehicle.friction * GRAVITY,
             slip: limits.with_tyres(&config.vehicle).slip.max(0.0),
             wheelbase: config.vehicle.wheelbase_m(),
         })
-        .map(Some)
-        .map_err(|error| ConfigError::value("safety_filter", error.name, error.to_string()))
     }
 }
 

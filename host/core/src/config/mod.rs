@@ -168,6 +168,9 @@ impl Config {
             if let Some(references) = &mut config.socket.reference_folder {
                 *references = folder.join(&references);
             }
+            if let Some(certificate) = &mut config.safety_filter.certificate {
+                *certificate = folder.join(&certificate);
+            }
         }
         config.fence.resolve(&config.vehicle);
         config.validate().map_err(|error| ConfigError::File {

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use singletrack_api::{Answer, Code, RENEWAL, Refused};
 use singletrack_core::{
-    ControlRequest,
+    ControlRequest, certificate,
     config::Config,
     feasibility::{Finding, Severity, Stand, judge_reference},
 };
@@ -89,7 +89,8 @@ pub(super) async fn begin(
             .then(|| judged.commissioned.refusal(&config))
             .flatten()
             .map(refused(Code::NotCommissioned));
-        let refusal = refusal.or_else(|| {
+        let uncertified = || certificate::refusal(&config).map(refused(Code::File));
+        let refusal = refusal.or_else(uncertified).or_else(|| {
             let config = match tuned {
                 Some(tuned) => config.with_tuning(tuned.gain, tuned.wanted_point_distance),
                 None => config,

@@ -7,7 +7,7 @@ use core::{
 use std::sync::{Arc, mpsc};
 
 use rtrb::{Consumer, RingBuffer};
-use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests};
+use singletrack_core::{Config, ControlRequest, Host, HostOptions, Requests, certificate};
 use singletrack_pilot::{Arming, Mode, PilotRequest};
 use tokio::{
     io::{AsyncBufReadExt, AsyncWriteExt, BufReader},
@@ -54,7 +54,10 @@ impl Bench {
     /// With the example's circle, which can be driven.
     fn ready() -> Self {
         let text = include_str!("../../singletrackd.example.toml");
-        let mut config = Config::from_toml(text).unwrap();
+        Self::with(Config::from_toml(text).unwrap())
+    }
+
+    fn with(mut config: Config) -> Self {
         config.state.directory = "/nonexistent".into();
         let commissioned = CommissionedFile::load(&config.state.directory);
         let host =
@@ -132,6 +135,29 @@ impl Bench {
     fn requests(&mut self) -> Vec<ControlRequest> {
         core::iter::from_fn(|| self.requests.pop().ok()).collect()
     }
+}
+
+#[test]
+fn an_arm_is_refused_without_the_certificate_that_the_configuration_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("filter-certificate.json");
+    let text = include_str!("../../singletrackd.example.toml");
+    let mut config = Config::from_toml(text).unwrap();
+    config.safety_filter.enabled = true;
+    config.safety_filter.certificate = Some(path.clone());
+    let mut bench = Bench::with(config.clone());
+    let error = bench.arm_while(|_| {}).unwrap_err();
+    for part in [
+        "can't arm",
+        "filter-certificate.json",
+        "singletrack certify",
+    ] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+    assert_eq!(bench.requests().len(), 0);
+    std::fs::write(&path, certificate::certificate(&config).unwrap()).unwrap();
+    bench.arm_while(|_| {}).unwrap();
+    assert_eq!(bench.requests().len(), 1);
 }
 
 #[test]
