@@ -97,6 +97,8 @@ pub(crate) fn build() -> Result<PathBuf> {
         ])
         .args([
             "-Zbuild-std=std,panic_abort",
+            // Without what reads a trace of a panic.
+            "-Zbuild-std-features=panic-unwind",
             "--target",
             "wasm32-unknown-unknown",
         ])
