@@ -1,10 +1,17 @@
-//! The program `singletrack-lab`, whose commands `singletrack` passes on.
+//! The program `singletrack-lab`, and all programs as one with outer loops of other crates.
 
-use std::{error::Error, process::ExitCode};
+use std::{
+    env,
+    error::Error,
+    ffi::{OsStr, OsString},
+    path::Path,
+    process::ExitCode,
+};
 
 use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
-use singletrack::{arguments::take_negative_numbers, help::printable};
+use singletrack::{arguments::take_negative_numbers, help::printable, lab};
 use singletrack_campaign::{MergeArgs, run_merge};
+use singletrack_core::config::{OwnLoopKind, link_own_loops};
 
 use crate::{benchmark, compare, identify, install_files, judge, reproduce, stability};
 
@@ -44,6 +51,25 @@ enum Command {
     /// Write completions for bash, zsh and fish and the manual pages, for packages.
     #[command(hide = true)]
     InstallFiles(install_files::InstallFilesArgs),
+}
+
+/// Runs the command line of this process as the programs of Singletrack do, with these outer loops of
+/// other crates: as `singletrackd` if that is its name or its first argument, and otherwise as
+/// `singletrack`.
+#[must_use]
+pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
+    link_own_loops(kinds);
+    let arguments: Vec<OsString> = env::args_os().collect();
+    let is_daemon =
+        |word: &OsString| Path::new(word).file_name() == Some(OsStr::new("singletrackd"));
+    if let Some(index) = arguments.iter().take(2).position(is_daemon) {
+        return singletrackd::program::main(arguments.into_iter().skip(index));
+    }
+    let is_named = |(name, _): &(&str, &str)| arguments.get(1).is_some_and(|one| one == name);
+    if lab::COMMANDS.iter().any(is_named) {
+        return main();
+    }
+    singletrack::program::main()
 }
 
 /// Runs the command line of this process.
