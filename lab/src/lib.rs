@@ -12,6 +12,7 @@ pub mod compare;
 pub mod identify;
 pub mod install_files;
 pub mod judge;
+pub mod program;
 pub mod reproduce;
 pub mod stability;
 pub mod table;

@@ -13,7 +13,7 @@ use singletrack_lab::compare::{
 
 fn plan(controllers: &[ControllerName], conditions: &[Condition]) -> Comparison {
     Comparison {
-        controllers: controllers.to_vec(),
+        controllers: controllers.iter().map(|&one| one.into()).collect(),
         paths: vec![PathName::LaneChange],
         speeds_m_s: vec![1.0],
         conditions: conditions.to_vec(),
@@ -62,7 +62,7 @@ fn merged(plan: &Comparison, parts: u32) -> Campaign<Comparison> {
     };
     // The plan of the files counts, not this one.
     let other = Comparison {
-        controllers: vec![ControllerName::P],
+        controllers: vec![ControllerName::P.into()],
         ..plan.clone()
     };
     run(&other, &arguments)
@@ -146,7 +146,7 @@ fn every_controller_drives_the_lane_change_and_feed_forward_is_better() {
 #[test]
 fn a_car_that_stops_is_counted_and_has_no_error() {
     let plan = Comparison {
-        controllers: vec![ControllerName::PFf],
+        controllers: vec![ControllerName::PFf.into()],
         paths: vec![PathName::LaneChange],
         speeds_m_s: vec![1.0],
         conditions: vec![Condition::Nominal],

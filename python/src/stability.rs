@@ -207,7 +207,7 @@ pub(crate) fn compare(
         rows.push(choice("a controller", word, &known)?);
     }
     let plan = Comparison {
-        controllers: rows,
+        controllers: rows.into_iter().map(Into::into).collect(),
         paths: words(
             "a path",
             &paths,

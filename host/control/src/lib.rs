@@ -16,6 +16,8 @@
 
 #![no_std]
 
+#[cfg(feature = "alloc")]
+extern crate alloc;
 #[cfg(test)]
 extern crate std;
 
@@ -24,6 +26,8 @@ extern crate std;
 struct Readme;
 
 mod actuation;
+#[cfg(feature = "alloc")]
+mod boxed_loop;
 mod calibration;
 mod compensation;
 mod convex_area;
@@ -47,6 +51,8 @@ mod tracking;
 mod vehicle;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
+#[cfg(feature = "alloc")]
+pub use boxed_loop::BoxedLoop;
 pub use calibration::{
     Calibration, CalibrationConfig, CalibrationEstimate, CalibrationParameter, CalibrationSample,
     CalibrationTick, student_quantile,

@@ -35,6 +35,12 @@ pub trait OuterLoop {
 
     /// Forgets the past: the car stands, and a drive begins.
     fn reset(&mut self);
+
+    /// Whether it plans P's motion on from [`TrackingInput::applied`]. Where dead times are
+    /// compensated that is then the velocity which P is given when the command acts.
+    fn plans(&self) -> bool {
+        false
+    }
 }
 
 /// The paper's proportional position loop, with optional feed-forward of the reference's

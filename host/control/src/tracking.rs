@@ -6,11 +6,13 @@ use crate::{
 };
 
 /// The outer loop that the configuration selects.
+///
+/// To assign one (`clone_from`) of the same kind allocates nothing.
 #[expect(
     clippy::large_enum_variant,
     reason = "a controller has one or two of them, and without an allocator it can't be boxed"
 )]
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TrackingLoop {
     /// See [`ProportionalLoop`].
@@ -21,6 +23,30 @@ pub enum TrackingLoop {
     Mpc(DelayedMpc),
     /// See [`OpenLoop`].
     OpenLoop(OpenLoop),
+    /// See [`BoxedLoop`](crate::BoxedLoop).
+    #[cfg(feature = "alloc")]
+    Own(crate::BoxedLoop),
+}
+
+impl Clone for TrackingLoop {
+    fn clone(&self) -> Self {
+        match self {
+            Self::Proportional(tracking) => Self::Proportional(*tracking),
+            Self::Lqi(tracking) => Self::Lqi(*tracking),
+            Self::Mpc(tracking) => Self::Mpc(tracking.clone()),
+            Self::OpenLoop(tracking) => Self::OpenLoop(*tracking),
+            #[cfg(feature = "alloc")]
+            Self::Own(tracking) => Self::Own(tracking.clone()),
+        }
+    }
+
+    fn clone_from(&mut self, source: &Self) {
+        match (self, source) {
+            #[cfg(feature = "alloc")]
+            (Self::Own(tracking), Self::Own(source)) => tracking.clone_from(source),
+            (tracking, source) => *tracking = source.clone(),
+        }
+    }
 }
 
 impl TrackingLoop {
@@ -31,7 +57,7 @@ impl TrackingLoop {
         match self {
             Self::Proportional(tracking) => Some(tracking.velocity(reference, point)),
             Self::OpenLoop(tracking) => Some(tracking.velocity(reference, point)),
-            Self::Lqi(_) | Self::Mpc(_) => None,
+            _ => None,
         }
     }
 
@@ -40,7 +66,7 @@ impl TrackingLoop {
     pub const fn gain(&self) -> Option<Velocity> {
         match self {
             Self::Proportional(tracking) => Some(tracking.gain),
-            Self::Lqi(_) | Self::Mpc(_) | Self::OpenLoop(_) => None,
+            _ => None,
         }
     }
 
@@ -57,6 +83,8 @@ impl TrackingLoop {
             Self::Lqi(tracking) => tracking,
             Self::Mpc(tracking) => tracking,
             Self::OpenLoop(tracking) => tracking,
+            #[cfg(feature = "alloc")]
+            Self::Own(tracking) => tracking,
         }
     }
 }
@@ -68,5 +96,14 @@ impl OuterLoop for TrackingLoop {
 
     fn reset(&mut self) {
         self.kind().reset();
+    }
+
+    fn plans(&self) -> bool {
+        match self {
+            Self::Mpc(tracking) => tracking.plans(),
+            #[cfg(feature = "alloc")]
+            Self::Own(tracking) => tracking.plans(),
+            _ => false,
+        }
     }
 }

@@ -2,8 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may fail")]
 
-use singletrack_control::{DelayedMpc, TrackingLoop};
-use singletrack_core::config::{Config, LqiWeights, MpcWeights, OuterLoopSection};
+use singletrack_control::{DelayedMpc, OuterLoop, TrackingInput, TrackingLoop, Velocity};
+use singletrack_core::config::{
+    Config, LoopModel, LqiWeights, MpcWeights, OuterLoopSection, OwnLoop, OwnLoopKind,
+    OwnLoopSection, link_own_loops,
+};
+use singletrack_settings::{ValueError, section};
 
 const EXAMPLE: &str = include_str!("../../daemon/singletrackd.example.toml");
 const FILE: &str = "kind = \"proportional\"\ngain_per_s = [1.0, 1.0]\n";
@@ -164,6 +168,109 @@ fn the_predictive_loop_refuses_what_it_cannot_plan_for() {
     let told = config.validate().unwrap_err().to_string();
     assert!(
         told.contains("actuators.speed_dead_time_ms is 500") && told.contains("compensation"),
+        "{told}"
+    );
+}
+
+section! {
+    /// The settings of [`Slow`].
+    "outer_loop.own" => Settings: Copy;
+    [default];
+
+    /// How fast P goes, m/s.
+    pace_m_s: f64 = 0.1, in 0.0..=0.5;
+}
+
+/// A loop of another crate.
+#[derive(Clone, Debug, PartialEq)]
+struct Slow(Settings);
+
+impl OuterLoop for Slow {
+    fn step(&mut self, _: &TrackingInput<'_>) -> Velocity {
+        Velocity::new(self.0.pace_m_s, 0.0)
+    }
+
+    fn reset(&mut self) {}
+}
+
+impl OwnLoop for Slow {
+    const NAME: &'static str = "slow";
+    const VERSION: &'static str = "1.2.3";
+    type Settings = Settings;
+
+    fn new(settings: Settings, model: &LoopModel<'_>) -> Result<Self, ValueError> {
+        let most = model.limits.max_speed;
+        if settings.pace_m_s > most {
+            let (key, fix) = ("outer_loop.own.pace_m_s", format!("at most {most}"));
+            return Err(ValueError::new(key, settings.pace_m_s, fix));
+        }
+        Ok(Self(settings))
+    }
+}
+
+#[test]
+fn a_loop_of_another_crate_is_written_out_with_its_version() {
+    link_own_loops([OwnLoopKind::of::<Slow>()]);
+    let text = "kind = \"own\"\nname = \"slow\"\nown = { pace_m_s = 0.2 }";
+    let config = Config::from_toml(&example(text, &[])).unwrap();
+    let written = config.to_toml().unwrap();
+    assert!(written.contains("version = \"1.2.3\""), "{written}");
+    let again = Config::from_toml(&written).unwrap();
+    assert_eq!(again, config);
+    let [tracking, again] = [&config, &again].map(|config| config.pilot().unwrap().tracking);
+    assert_eq!(tracking, again);
+    let default = OwnLoopSection::new("slow".to_owned(), None, None);
+    let mut other = config;
+    other.outer_loop = OuterLoopSection::Own(default);
+    assert_ne!(other.pilot().unwrap().tracking, tracking);
+}
+
+#[test]
+fn a_loop_of_another_crate_is_refused_by_name_version_and_key() {
+    link_own_loops([OwnLoopKind::of::<Slow>()]);
+    for (keys, parts) in [
+        ("", &["outer_loop.name is missing", "\"own\""][..]),
+        (
+            "name = \"fast\"\nversion = \"0.1.0\"",
+            &[
+                "outer_loop.name is fast: this program has only slow",
+                "built with fast 0.1.0",
+            ],
+        ),
+        (
+            "name = \"slow\"\nversion = \"1.2.2\"",
+            &[
+                "outer_loop.version is 1.2.2: this program has slow 1.2.3",
+                "built with slow 1.2.2",
+            ],
+        ),
+        (
+            "name = \"slow\"\ngain_per_s = [1.0, 1.0]",
+            &["outer_loop.gain_per_s is no key of kind = \"own\""],
+        ),
+        (
+            "name = \"slow\"\nown = { pace = 0.2 }",
+            &["outer_loop.own.pace: unknown key", "pace_m_s"],
+        ),
+        (
+            "name = \"slow\"\nown = { pace_m_s = \"x\" }",
+            &["outer_loop.own.pace_m_s: it must be a number"],
+        ),
+        (
+            "name = \"slow\"\nown = { pace_m_s = 2.0 }",
+            &["outer_loop.own.pace_m_s is 2: it must lie between 0 and 0.5"],
+        ),
+    ] {
+        let told = refused(&example(&format!("kind = \"own\"\n{keys}"), &[]));
+        for part in parts {
+            assert!(told.contains(part), "{keys}: {told}");
+        }
+    }
+    let slow = [("#max_speed_m_s = 1.5", "max_speed_m_s = 0.3")];
+    let keys = "kind = \"own\"\nname = \"slow\"\nown = { pace_m_s = 0.4 }";
+    let told = refused(&example(keys, &slow));
+    assert!(
+        told.contains("outer_loop.own.pace_m_s is 0.4: at most 0.3"),
         "{told}"
     );
 }

@@ -11,7 +11,8 @@ use singletrack_core::{
     feasibility::{Finding, Severity, Stand, judge},
 };
 
-use crate::BAD_CONFIGURATION;
+/// The exit status for a missing or invalid configuration. The service unit relies on it.
+pub(crate) const BAD_CONFIGURATION: u8 = 2;
 
 /// Judges the configuration, and prints what it found: what is impossible and what should be
 /// looked at on stderr, the result on stdout.

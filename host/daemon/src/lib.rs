@@ -20,12 +20,14 @@
 )]
 
 pub mod notify;
+pub mod program;
 pub mod realtime;
 pub mod reconfigure;
 pub mod serial_port;
 pub mod socket;
 
 mod arguments;
+mod check;
 mod clock;
 mod collector;
 mod commissioned_file;
@@ -36,13 +38,16 @@ mod drive_noise;
 mod files;
 mod handle;
 mod json_file;
+mod log;
 mod messages;
 mod mocap_receiver;
 mod mocap_socket;
 mod mocap_stream;
 mod recording;
 mod serial_reader;
+mod service;
 mod shared_status;
+mod signals;
 mod snapshot;
 mod state_file;
 mod summary;

@@ -6,7 +6,6 @@ use std::{
     io::{self, IsTerminal},
 };
 
-use singletrackd::{Dropped, LogFormat, Summary};
 use tracing::{info, warn};
 use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::{
@@ -14,6 +13,8 @@ use tracing_subscriber::{
     layer::SubscriberExt as _,
     util::SubscriberInitExt as _,
 };
+
+use crate::{Dropped, LogFormat, Summary};
 
 /// The variable with the filter of the log.
 const FILTER: &str = "RUST_LOG";

@@ -9,14 +9,13 @@ use std::{
 
 use rustix::fs::{Mode, OFlags, open};
 use singletrack_core::Stalled;
-use singletrackd::{
-    Daemon, monotonic_ns,
-    notify::{ServiceManager, Watchdog},
-};
 use tracing::{error, info, warn};
 
 use crate::{
+    Daemon,
     log::log_summary,
+    monotonic_ns,
+    notify::{ServiceManager, Watchdog},
     signals::{Signal, Signals},
 };
 

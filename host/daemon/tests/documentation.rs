@@ -248,6 +248,7 @@ fn every_file_of_the_repository_that_a_page_names_exists() {
         "host/",
         "packaging/",
         "protocol/",
+        "templates/",
         "tests/",
         "tools/",
         "xtask/",

@@ -16,14 +16,16 @@ use std::{
     hint::black_box,
 };
 
-use singletrack_control::{Setpoint, Time, Velocity};
+use singletrack_control::{OuterLoop, Setpoint, Time, TrackingInput, Velocity};
 use singletrack_core::{
     ControlRequest,
     config::{
-        MpcWeights, OnlineCalibrationMode, OuterLoopSection, ReferenceSection, Start, TuningSection,
+        LoopModel, MpcWeights, OnlineCalibrationMode, OuterLoopSection, OwnLoop, OwnLoopKind,
+        OwnLoopSection, ReferenceSection, Start, TuningSection, link_own_loops,
     },
 };
 use singletrack_pilot::{Filtering, Learned, Mode, Tuning};
+use singletrack_settings::{ValueError, section};
 use singletrack_sim::SimulationConfig;
 use singletrackd::realtime;
 
@@ -101,6 +103,58 @@ fn a_predictive_loop_allocates_nothing_and_causes_no_page_fault() {
     for actuation in [true, false] {
         let mut config = SimulatedDrive::example();
         config.outer_loop = OuterLoopSection::Mpc(MpcWeights::default());
+        config.compensation.actuation = actuation;
+        drive(
+            SimulatedDrive::with(config, SimulationConfig::default()),
+            TICKS / 2,
+        );
+    }
+}
+
+section! {
+    /// The settings of [`Integral`].
+    "outer_loop.own" => Gains: Copy;
+    [default];
+
+    /// Gain of the error, 1/s.
+    gain_per_s: f64 = 2.0;
+}
+
+/// A loop of another crate, with a state.
+#[derive(Clone, Debug, PartialEq)]
+struct Integral(Gains, Velocity);
+
+impl OuterLoop for Integral {
+    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
+        let reference = (input.reference)(0.0);
+        let wanted = reference.position.unwrap_or(input.point);
+        let error = wanted - input.point;
+        self.1 += error * input.period;
+        reference.velocity + self.0.gain_per_s * (error + self.1)
+    }
+
+    fn reset(&mut self) {
+        self.1 = Velocity::zeros();
+    }
+}
+
+impl OwnLoop for Integral {
+    const NAME: &'static str = "integral";
+    const VERSION: &'static str = "0.1.0";
+    type Settings = Gains;
+
+    fn new(gains: Gains, _: &LoopModel<'_>) -> Result<Self, ValueError> {
+        Ok(Self(gains, Velocity::zeros()))
+    }
+}
+
+#[test]
+fn a_loop_of_another_crate_allocates_nothing_and_causes_no_page_fault() {
+    link_own_loops([OwnLoopKind::of::<Integral>()]);
+    for actuation in [true, false] {
+        let mut config = SimulatedDrive::example();
+        let own = OwnLoopSection::new("integral".to_owned(), None, None);
+        config.outer_loop = OuterLoopSection::Own(own);
         config.compensation.actuation = actuation;
         drive(
             SimulatedDrive::with(config, SimulationConfig::default()),

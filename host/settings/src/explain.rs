@@ -47,6 +47,9 @@ pub fn explain_table(error: &toml::de::Error) -> String {
         value: None,
     };
     let what = in_plain_words(message, &place).unwrap_or_else(|| message.to_owned());
+    if let Some(field) = quoted_after(message, "missing field ") {
+        return format!("{field} is missing; add it");
+    }
     let unknown = quoted_after(message, "unknown field ");
     let written = text.rsplit_once("\nin `").map(|(_, key)| key);
     match unknown.or(written.map(|key| key.trim_end().trim_end_matches('`'))) {

@@ -1,13 +1,18 @@
 //! The controllers of the comparison, with their parameters.
 
-use clap::ValueEnum;
-use singletrack_core::config::{LqiWeights, MpcWeights, OuterLoopSection};
+use std::{fmt, sync::OnceLock};
+
+use clap::{ValueEnum, builder::PossibleValue};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use singletrack_core::config::{
+    LqiWeights, MpcWeights, OuterLoopSection, OwnLoopSection, own_loops,
+};
 use singletrack_words::words;
 
 use super::{condition::Condition, counted::OwnPoint, foreign::Law};
 
 words! {
-    /// A controller.
+    /// A controller of this repository.
     #[derive(ValueEnum)]
     pub enum ControllerName: serde {
         /// The paper's: proportional with unit gain.
@@ -45,12 +50,98 @@ words! {
     }
 }
 
+/// A controller of the comparison.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Controller {
+    /// Of this repository.
+    Known(ControllerName),
+    /// Another crate's [outer loop](singletrack_core::config::OwnLoop) of this name, with the defaults
+    /// of its settings and the compensation of clock and actuators.
+    Own(&'static str),
+}
+
+impl Controller {
+    /// Its name in the table.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Known(controller) => controller.name(),
+            Self::Own(name) => name,
+        }
+    }
+
+    /// With the parameters of the table.
+    pub(super) fn drives(self) -> Drives {
+        match self {
+            Self::Known(controller) => controller.with(controller.parameters()),
+            Self::Own(name) => Drives::Point {
+                outer_loop: OuterLoopSection::Own(OwnLoopSection::new(name.into(), None, None)),
+                compensated: true,
+            },
+        }
+    }
+
+    /// Whether it can drive under a condition.
+    pub(super) fn drives_under(self, condition: Condition) -> bool {
+        match self {
+            Self::Known(controller) => controller.drives_under(condition),
+            Self::Own(_) => true,
+        }
+    }
+}
+
+impl From<ControllerName> for Controller {
+    fn from(controller: ControllerName) -> Self {
+        Self::Known(controller)
+    }
+}
+
+impl fmt::Display for Controller {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+impl Serialize for Controller {
+    fn serialize<S: Serializer>(&self, sink: S) -> Result<S::Ok, S::Error> {
+        self.name().serialize(sink)
+    }
+}
+
+impl<'de> Deserialize<'de> for Controller {
+    fn deserialize<D: Deserializer<'de>>(source: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(source)?;
+        let known = ControllerName::named(&name).map(Self::Known);
+        let own = || own_loops().iter().find(|kind| kind.name == name);
+        known
+            .or_else(|| Some(Self::Own(own()?.name)))
+            .ok_or_else(|| D::Error::custom(format!("this program has no controller {name}")))
+    }
+}
+
+impl ValueEnum for Controller {
+    fn value_variants<'a>() -> &'a [Self] {
+        static ALL: OnceLock<Vec<Controller>> = OnceLock::new();
+        ALL.get_or_init(|| {
+            let known = ControllerName::value_variants().iter();
+            let own = own_loops().iter().map(|kind| Self::Own(kind.name));
+            known.copied().map(Self::Known).chain(own).collect()
+        })
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        match *self {
+            Self::Known(controller) => controller.to_possible_value(),
+            Self::Own(name) => Some(PossibleValue::new(name).help("Another crate's outer loop")),
+        }
+    }
+}
+
 /// The weight of the acceleration of both predictive controllers: a tenth of the default. With less
 /// hardly anything changes.
 const MPC_ACCELERATION_WEIGHT: f64 = 3e-5;
 
 /// How a controller drives.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) enum Drives {
     /// By velocities of P: the law in the pilot steers.
     Point {
@@ -92,7 +183,9 @@ impl Drives {
         matches!(
             self,
             Self::Point {
-                outer_loop: OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_),
+                outer_loop: OuterLoopSection::Lqi(_)
+                    | OuterLoopSection::Mpc(_)
+                    | OuterLoopSection::Own(_),
                 ..
             }
         )
@@ -100,11 +193,6 @@ impl Drives {
 }
 
 impl ControllerName {
-    /// With the parameters of the table.
-    pub(super) fn drives(self) -> Drives {
-        self.with(self.parameters())
-    }
-
     /// The parameters of the table: what `tune` found with [`BUDGET`](super::plan::BUDGET) drives
     /// each. Of the linear-quadratic loop the weights of the error's integral and of the correcting
     /// velocity, that of the error being 1; of the predictive one the weight of the velocity's

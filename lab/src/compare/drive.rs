@@ -25,7 +25,7 @@ use super::{
 };
 
 /// The row that a drive belongs to, and its seed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Case {
     pub(super) drives: Drives,
     pub(super) path: PathName,
@@ -200,20 +200,20 @@ impl<'a> Run<'a> {
         vehicle.rear_axle_distance_m -= axle_error_m;
         let mut foreign = None;
         let is_compensated;
-        match case.drives {
+        match &case.drives {
             Drives::Point {
                 outer_loop,
                 compensated,
             } => {
-                drive.outer_loop = outer_loop;
-                is_compensated = compensated;
+                drive.outer_loop = outer_loop.clone();
+                is_compensated = *compensated;
             }
             Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
             Drives::Yours(_) | Drives::Predictive(_) => {
                 drive.reference = external;
                 is_compensated = true;
             }
-            Drives::Actuators {
+            &Drives::Actuators {
                 law,
                 catch_up,
                 compensated,
@@ -253,9 +253,9 @@ impl<'a> Run<'a> {
         follow(&config, &mut simulation);
         case.condition.falsify(&mut simulation);
         let period = config.control.period_ns() as f64 * 1e-9;
-        let driver = match (foreign, case.drives) {
+        let driver = match (foreign, &case.drives) {
             (None, Drives::Predictive(weights)) => Driver::Predictive(Box::new(Predictive::new(
-                weights,
+                *weights,
                 vehicle,
                 config.actuators.model(),
                 config

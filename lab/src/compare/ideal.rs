@@ -109,7 +109,7 @@ impl<'a> Controller<'a> {
         vehicle: &VehicleParameters,
         table: &'a Table,
     ) -> Result<Self, DriveError> {
-        Ok(match *drives {
+        Ok(match drives {
             Drives::Point { outer_loop, .. } => {
                 let steps = if drives.has_model() {
                     STEPS_PER_TICK
@@ -139,12 +139,12 @@ impl<'a> Controller<'a> {
             Drives::Appendix { gain } => Self::Appendix {
                 law: VelocityPointLaw::new(*vehicle, POINT_DISTANCE_M)?,
                 tracking: ProportionalLoop {
-                    gain: Velocity::new(gain, gain),
+                    gain: Velocity::new(*gain, *gain),
                     feed_forward: true,
                 },
                 table,
             },
-            Drives::Actuators { law, catch_up, .. } => Self::Foreign(Foreign {
+            &Drives::Actuators { law, catch_up, .. } => Self::Foreign(Foreign {
                 law,
                 catch_up,
                 vehicle: *vehicle,
@@ -155,7 +155,7 @@ impl<'a> Controller<'a> {
             }),
             Drives::Predictive(weights) => Self::Predictive {
                 law: Predictive::new(
-                    weights,
+                    *weights,
                     // Its tyres are linear.
                     VehicleParameters {
                         friction: 1e3,

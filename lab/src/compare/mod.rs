@@ -21,7 +21,7 @@ use singletrack_campaign::{Campaign, CampaignArgs, CampaignError};
 use singletrack_figures::output::{WriteError, make_folder, print, write};
 
 pub use condition::Condition;
-pub use controller::ControllerName;
+pub use controller::{Controller, ControllerName};
 pub use counted::{AddedDelay, DriveError, DriveResult, Effort, Errors, OwnPoint};
 pub use course::PathName;
 use course::TEST_PATHS;
@@ -37,7 +37,7 @@ pub use table::{
 pub struct CompareArgs {
     /// Controllers to compare [default: all].
     #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
-    pub controllers: Vec<ControllerName>,
+    pub controllers: Vec<Controller>,
 
     /// Paths to drive [default: the test paths, on which no parameter was chosen].
     #[arg(long, value_enum, value_name = "NAMES", value_delimiter = ',')]
@@ -140,7 +140,7 @@ const SPEEDS_M_S: [f64; 2] = [1.0, 1.5];
 ///
 /// A drive can't be simulated, or a file can't be read or written.
 pub fn run(args: &CompareArgs) -> Result<(), CompareError> {
-    let controllers = ControllerName::value_variants();
+    let controllers = Controller::value_variants();
     let controllers = or(&args.controllers, true, controllers, &[]);
     if args.tune {
         return Ok(print(&plan::tune(&controllers, args.campaign.threads())?)?);

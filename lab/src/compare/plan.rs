@@ -8,7 +8,7 @@ use singletrack_control::Reference;
 
 use super::{
     condition::Condition,
-    controller::{ControllerName, Drives},
+    controller::{Controller, ControllerName, Drives},
     counted::{DriveError, DriveResult, OwnPoint},
     course::{Course, PathName},
     drive::{Case, Decide},
@@ -20,7 +20,7 @@ use super::{
 #[serde(deny_unknown_fields)]
 pub struct Comparison {
     /// The controllers.
-    pub controllers: Vec<ControllerName>,
+    pub controllers: Vec<Controller>,
     /// The paths.
     pub paths: Vec<PathName>,
     /// The speeds, in m/s.
@@ -39,7 +39,7 @@ pub struct Comparison {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
     /// The controller.
-    pub controller: ControllerName,
+    pub controller: Controller,
     /// The path.
     pub path: PathName,
     /// The speed, in m/s.
@@ -144,7 +144,7 @@ impl Comparison {
 
 /// Whether a row has a meaning. On a circle that no car can drive there is nothing to diverge
 /// from.
-fn is_driven(controller: ControllerName, path: PathName, condition: Condition) -> bool {
+fn is_driven(controller: Controller, path: PathName, condition: Condition) -> bool {
     let searched = condition == Condition::AddedDelay;
     controller.drives_under(condition) && !(searched && path == PathName::InfeasibleCircle)
 }
@@ -217,9 +217,15 @@ struct Tried {
 /// # Errors
 ///
 /// A drive can't be simulated.
-pub(super) fn tune(controllers: &[ControllerName], threads: usize) -> Result<String, DriveError> {
+pub(super) fn tune(controllers: &[Controller], threads: usize) -> Result<String, DriveError> {
+    let controllers = controllers
+        .iter()
+        .filter_map(|controller| match controller {
+            Controller::Known(controller) => Some(*controller),
+            Controller::Own(_) => None,
+        });
     let mut tried = Vec::new();
-    for &controller in controllers {
+    for controller in controllers.clone() {
         let Some([first, second]) = controller.tried() else {
             continue;
         };
@@ -241,7 +247,7 @@ pub(super) fn tune(controllers: &[ControllerName], threads: usize) -> Result<Str
     progress.finish();
     let costs = costs?;
     let mut text = "| controller | parameters | mean RMS (mm) |\n|---|---|---|\n".to_owned();
-    for &controller in controllers {
+    for controller in controllers {
         let of_it = tried.iter().zip(&costs);
         let of_it = of_it.filter(|(tried, _)| tried.controller == controller);
         let best = of_it.min_by(|(_, (_, a)), (_, (_, b))| a.total_cmp(b));

@@ -120,7 +120,7 @@ pub fn lines(plan: &Comparison, results: &[(u64, DriveResult)]) -> Vec<Line> {
 pub fn lines_with(plan: &Comparison, results: &[(u64, DriveResult)], yours: &str) -> Vec<Line> {
     let mut lines = lines(plan, results);
     for line in &mut lines {
-        if line.row.controller == ControllerName::Yours {
+        if line.row.controller == ControllerName::Yours.into() {
             yours.clone_into(&mut line.name);
         }
     }

@@ -122,7 +122,7 @@ impl Experiment {
                 point_distance_m: self.point_distance_m,
                 front_axle_distance_m: setup.vehicle.front_axle_distance_m + self.deviation_m,
             },
-            outer_loop: self.outer_loop,
+            outer_loop: self.outer_loop.clone(),
             reference: self.reference.clone(),
             start: StartSection {
                 point_p_m: self.start_m,

@@ -11,8 +11,10 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use singletrack_control::{OuterLoop, TrackingInput, Velocity};
 use singletrack_core::config::{
-    Config, LqiWeights, MpcWeights, OuterLoopSection, ReferenceSection, Start, WaypointSection,
+    Config, LoopModel, LqiWeights, MpcWeights, OuterLoopSection, OwnLoop, OwnLoopKind,
+    OwnLoopSection, ReferenceSection, Start, WaypointSection, link_own_loops,
 };
 use singletrack_pilot::Event;
 use singletrack_record::{Entry, Reader, Recorder, TickRecord, part_path};
@@ -22,6 +24,7 @@ use singletrack_scenario::{
     virtual_drive::VirtualDrive,
     virtual_record::VirtualRecord,
 };
+use singletrack_settings::{ValueError, section};
 use singletrack_sim::SimulationConfig;
 use tempfile::TempDir;
 
@@ -126,6 +129,64 @@ fn a_drive_with_each_outer_loop_is_replayed_to_the_bit() {
             "{name}: {told}"
         );
     }
+}
+
+section! {
+    /// A loop of another crate has keys.
+    "outer_loop.own" => Pace: Copy;
+    [default];
+
+    /// Gain of the error, 1/s.
+    gain_per_s: f64 = 1.0;
+}
+
+/// A loop of another crate.
+#[derive(Clone, Debug, PartialEq)]
+struct Plain(Pace);
+
+impl OuterLoop for Plain {
+    fn step(&mut self, input: &TrackingInput<'_>) -> Velocity {
+        let wanted = (input.reference)(0.0).position.unwrap_or(input.point);
+        self.0.gain_per_s * (wanted - input.point)
+    }
+
+    fn reset(&mut self) {}
+}
+
+impl OwnLoop for Plain {
+    const NAME: &'static str = "plain";
+    const VERSION: &'static str = "2.0.1";
+    type Settings = Pace;
+
+    fn new(settings: Pace, _: &LoopModel<'_>) -> Result<Self, ValueError> {
+        Ok(Self(settings))
+    }
+}
+
+#[test]
+fn a_drive_with_a_loop_of_another_crate_is_refused_without_it_by_name_and_version() {
+    link_own_loops([OwnLoopKind::of::<Plain>()]);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("plain.mcap");
+    let mut scenario = scenario("");
+    let own = OwnLoopSection::new("plain".to_owned(), None, None);
+    scenario.outer_loop = OuterLoopSection::Own(own);
+    simulate_recorded(&scenario, &path).unwrap();
+    let told = stderr(&replay(&path, &[]));
+    for part in [
+        "outer_loop.name is plain",
+        "this program has no loop of another crate",
+        "use the one that was built with plain 2.0.1",
+    ] {
+        assert!(told.contains(part), "{told}");
+    }
+    // What another loop would have commanded can be asked for.
+    let [kind, gains] = [
+        "outer_loop.kind=proportional",
+        "outer_loop.gain_per_s=[2.0, 2.0]",
+    ];
+    let told = stdout(&replay(&path, &["--set", kind, "--set", gains]));
+    assert!(told.contains("recorded and replayed commands"), "{told}");
 }
 
 #[test]

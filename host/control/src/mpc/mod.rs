@@ -453,6 +453,10 @@ impl<const N: usize, const H: usize> OuterLoop for MpcLoop<N, H> {
         self.solver.reset();
         self.state = PlanState::NEW;
     }
+
+    fn plans(&self) -> bool {
+        true
+    }
 }
 
 /// The stages of the plan of a [`DelayedMpc`].
@@ -519,5 +523,9 @@ impl OuterLoop for DelayedMpc {
             Self::Prompt(tracking) => tracking.reset(),
             Self::Late(tracking) => tracking.reset(),
         }
+    }
+
+    fn plans(&self) -> bool {
+        true
     }
 }

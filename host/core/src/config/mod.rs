@@ -11,6 +11,7 @@ mod fence;
 mod motion_capture;
 mod outer_loop;
 mod output;
+mod own_loop;
 mod reference;
 mod supervisor;
 mod tuning;
@@ -48,6 +49,7 @@ pub use outer_loop::{
     CompensationSection, LawKind, LawSection, LoopModel, LqiWeights, MpcWeights, OuterLoopSection,
 };
 pub use output::{LiveSection, PageSection, RecordSection, SocketSection, StateSection};
+pub use own_loop::{OwnLoop, OwnLoopKind, OwnLoopSection, link_own_loops, own_loops};
 pub use reference::{
     PathPoints, ReferenceSection, StepSection, WaypointFileError, WaypointSection,
 };

@@ -12,8 +12,9 @@ use singletrack_control::{
 use singletrack_pilot::{Compensation, Fence};
 use singletrack_settings::{Written, check_kind, section};
 use singletrack_words::words;
+use toml::Table;
 
-use super::{ActuatorsSection, ConfigError};
+use super::{ActuatorsSection, ConfigError, OwnLoopSection};
 
 section! {
     /// The linearising law.
@@ -113,7 +114,7 @@ impl CompensationSection {
 }
 
 /// The position loop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", try_from = "OuterLoopKeys")]
 pub enum OuterLoopSection {
     /// Proportional, per axis.
@@ -129,6 +130,8 @@ pub enum OuterLoopSection {
     Mpc(MpcWeights),
     /// None: the reference's velocity goes to the law.
     OpenLoop {},
+    /// See [`OwnLoop`](super::OwnLoop).
+    Own(OwnLoopSection),
 }
 
 section! {
@@ -138,7 +141,8 @@ section! {
     [];
 
     /// The loop: "proportional"; "lqi", linear-quadratic with an integral; "mpc", predictive,
-    /// for references that are known ahead; "open-loop" for references that are velocities.
+    /// for references that are known ahead; "open-loop" for references that are velocities; "own",
+    /// of another crate that this program was built with.
     kind: OuterLoopKind, words OuterLoopKind, example OuterLoopKind::Proportional;
     /// Proportional: gains along x and y.
     gain_per_s: Option<[f64; 2]> = None, text "0 or above", example [1.0, 1.0];
@@ -167,6 +171,13 @@ section! {
     /// MPC: iterations of the solver in every tick; about 13,000 instructions each, four times
     /// that with `compensation.actuation`.
     iterations: Option<u32> = None, in 1..=200, otherwise MpcWeights::default().iterations;
+    /// Own: the name of the loop.
+    name: Option<String> = None, example "my-loop";
+    /// Own: its version. A record has it, and no other one repeats the drive; without it, the one
+    /// that this program was built with.
+    version: Option<String> = None, example "0.1.0";
+    /// Own: the keys of the loop, which its crate declares.
+    own: Option<Table> = None, example Table::new();
 }
 
 words! {
@@ -180,6 +191,8 @@ words! {
         Mpc = "mpc",
         /// See [`OuterLoopSection::OpenLoop`].
         OpenLoop = "open-loop",
+        /// See [`OuterLoopSection::Own`].
+        Own = "own",
     }
 }
 
@@ -198,6 +211,12 @@ impl TryFrom<OuterLoopKeys> for OuterLoopSection {
             OuterLoopKind::Mpc => Self::Mpc(written.settings::<OuterLoopKeys, _>()?),
             // The gains may stay in a file whose loop is opened for a while.
             OuterLoopKind::OpenLoop => Self::OpenLoop {},
+            OuterLoopKind::Own => {
+                let name = written.need("name", keys.name)?;
+                let own = OwnLoopSection::new(name, keys.version, keys.own);
+                written.only_of::<OuterLoopKeys>(&own)?;
+                Self::Own(own)
+            }
         })
     }
 }
@@ -209,6 +228,7 @@ impl OuterLoopSection {
             Self::Lqi(_) => "lqi",
             Self::Mpc(_) => "mpc",
             Self::OpenLoop {} => "open-loop",
+            Self::Own(_) => "own",
         }
     }
 
@@ -216,8 +236,8 @@ impl OuterLoopSection {
     ///
     /// # Errors
     ///
-    /// Weights, lags and turns with which a loop does not settle, or a geofence over which it
-    /// can't plan.
+    /// Weights, lags and turns with which a loop does not settle, a geofence over which it can't
+    /// plan, or a loop of another crate that this program does not have.
     pub fn tracking_loop(&self, model: &LoopModel<'_>) -> Result<TrackingLoop, ConfigError> {
         Ok(match self {
             Self::Proportional {
@@ -230,6 +250,7 @@ impl OuterLoopSection {
             Self::Lqi(weights) => TrackingLoop::Lqi(model.lqi(weights)?),
             Self::Mpc(weights) => TrackingLoop::Mpc(model.mpc(weights)?),
             Self::OpenLoop {} => TrackingLoop::OpenLoop(OpenLoop),
+            Self::Own(own) => TrackingLoop::Own(own.make(model)?),
         })
     }
 
@@ -239,8 +260,8 @@ impl OuterLoopSection {
     ///
     /// The first such value.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        if let Self::Proportional { gain_per_s, .. } = *self {
-            for gain in gain_per_s {
+        if let Self::Proportional { gain_per_s, .. } = self {
+            for gain in *gain_per_s {
                 if !(gain.is_finite() && gain >= 0.0) {
                     return Err(ConfigError::value(
                         "outer_loop.gain_per_s",
@@ -261,7 +282,7 @@ impl OuterLoopSection {
     pub fn validate_for(&self, reference: &Reference) -> Result<(), ConfigError> {
         let refused = |fix| Err(ConfigError::value("outer_loop.kind", self.kind(), fix));
         match (self, reference) {
-            (Self::OpenLoop {}, _) => Ok(()),
+            (Self::OpenLoop {} | Self::Own(_), _) => Ok(()),
             (Self::Mpc(_), Reference::External(_)) => refused(
                 "it plans over the reference to come, and a set-point from outside has none; use \
                  \"lqi\" or \"proportional\"",

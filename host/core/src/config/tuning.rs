@@ -65,9 +65,9 @@ impl TuningSection {
             }
         }
         if let Some(bounds) = self.gain_per_s {
-            match config.outer_loop {
+            match &config.outer_loop {
                 OuterLoopSection::Proportional { gain_per_s, .. } => {
-                    if let Some(gain) = gain_per_s.into_iter().find(|gain| !within(bounds, *gain)) {
+                    if let Some(gain) = gain_per_s.iter().find(|gain| !within(bounds, **gain)) {
                         let fix =
                             format!("outer_loop.gain_per_s has {gain}, which must lie between");
                         return refused(GAIN, bounds, fix);
@@ -119,7 +119,7 @@ pub(super) const GOVERNED: &str =
 /// Why the gains of another loop are not tuned.
 pub(super) fn no_gains(kind: &str) -> String {
     match kind {
-        "open-loop" => "outer_loop.kind is \"open-loop\", which has no gains".to_owned(),
+        "open-loop" | "own" => format!("outer_loop.kind is \"{kind}\", which has no such gains"),
         kind => format!(
             "outer_loop.kind is \"{kind}\", whose gains follow from its weights by a Riccati equation \
              that is solved before the drive: change the weights and reload"

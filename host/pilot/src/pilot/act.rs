@@ -250,7 +250,8 @@ impl Pilot {
             time,
         };
         let (law, period) = (*self.law.law(), config.period);
-        let (tracking, applied) = (&mut self.tracking, self.applied);
+        let (tracking, imagined) = (&mut self.tracking, &mut self.imagined);
+        let applied = self.applied;
         // What the first metre proves does not rest on a model; and the law would take the wave
         // of its steering for its own.
         let proves = self.watches.proving.is_some();
@@ -264,7 +265,7 @@ impl Pilot {
                     period,
                 };
                 let (state, velocity, lead) =
-                    compensator.look_ahead(estimate, &course, tracking, applied)?;
+                    compensator.look_ahead(estimate, &course, [tracking, imagined], applied)?;
                 action.looked_ahead = Some(state.ahead);
                 let point = law.point(state.position, state.motion.yaw, state.wheels);
                 (state.motion, state.wheels, point, velocity, Some(lead))

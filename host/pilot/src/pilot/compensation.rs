@@ -175,7 +175,8 @@ impl Compensator {
     }
 
     /// The state at which the command acts, the wanted velocity of P there, and the lead over
-    /// the actuators. `applied` is the velocity that P was given in the last tick.
+    /// the actuators. `imagined` is for the loop's steps that are not commanded, and `applied` the
+    /// velocity that P was given in the last tick.
     ///
     /// # Errors
     ///
@@ -184,7 +185,7 @@ impl Compensator {
         &mut self,
         estimate: &Estimate,
         course: &Course<'_>,
-        tracking: &mut TrackingLoop,
+        [tracking, imagined]: [&mut TrackingLoop; 2],
         applied: Velocity,
     ) -> Result<(Predicted, Velocity, Lead), Singularity> {
         let state = self.predictor.predict(estimate);
@@ -193,7 +194,7 @@ impl Compensator {
         // A loop that plans goes on from what P is given. The motor has yet to act on the speeds of
         // its dead time, which what is wanted now does not change: the two differ by no more than the
         // speed can change in it.
-        let plans = matches!(tracking, TrackingLoop::Mpc(_));
+        let plans = tracking.plans();
         let planned = |state: &Predicted| {
             let speed = self.planned_for(course.now.after(state.ahead), course.period)?;
             let limits = course.limits;
@@ -213,15 +214,15 @@ impl Compensator {
         let (wanted, first) = course.at(&state, tracking, applied)?;
         // The motor acts later than the wheels: the speed is the one that is wanted then. The
         // loop's steps until then are only imagined, so they are those of a copy.
-        let mut imagined = tracking.clone();
+        imagined.clone_from(tracking);
         let (mut later, mut command) = (state, first);
         while later.ahead + 0.5 * course.period < far {
             let (after, given) = course.next(&later, &command, planned(&later));
             later = after;
-            command = course.at(&later, &mut imagined, given)?.1;
+            command = course.at(&later, imagined, given)?.1;
         }
         let (after, given) = course.next(&later, &command, planned(&later));
-        let (_, next) = course.at(&after, &mut imagined, given)?;
+        let (_, next) = course.at(&after, imagined, given)?;
         let most = course.limits.max_acceleration;
         let slope = ((next.speed - command.speed) / course.period).clamp(-most, most);
         let correction = self.correction(course, estimate.speed);

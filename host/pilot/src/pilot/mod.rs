@@ -37,6 +37,8 @@ pub struct Pilot {
     law: LimitedLaw,
     /// With its state; the configuration's has none yet.
     tracking: TrackingLoop,
+    /// The place for its copy, of which a tick takes steps into the future.
+    imagined: TrackingLoop,
     /// The velocity that P was given in the last tick, after every limit, m/s.
     applied: Velocity,
     /// None if the reference is followed as it is.
@@ -96,6 +98,7 @@ impl Pilot {
         Self {
             law: LimitedLaw::new(config.law, config.limits),
             tracking: config.tracking.clone(),
+            imagined: config.tracking.clone(),
             applied: Velocity::zeros(),
             governor: config.governor(),
             compensator: Compensator::of(&config.compensation),
@@ -142,6 +145,7 @@ impl Pilot {
         self.config.clone_from(config);
         self.law = LimitedLaw::new(config.law, config.limits);
         self.tracking.clone_from(&config.tracking);
+        self.imagined.clone_from(&config.tracking);
         self.wanted_point_distance = config.law.point_distance();
         self.keep_tuning(&kept);
         self.governor = config.governor();

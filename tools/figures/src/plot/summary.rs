@@ -218,7 +218,10 @@ fn configured(text: &str) -> Vec<(&'static str, String)> {
             Some("true") => ", with feed-forward",
             _ => "",
         };
-        lines.push(("position loop", format!("{kind}{gain}{forward}")));
+        let own = word("outer_loop", "name").zip(word("outer_loop", "version"));
+        let own = own.filter(|_| kind == "own");
+        let own = own.map_or_else(String::new, |(name, version)| format!(": {name} {version}"));
+        lines.push(("position loop", format!("{kind}{gain}{forward}{own}")));
     }
     if let Some(kind) = word("reference", "kind") {
         let rest = table.get("reference").and_then(Value::as_table);

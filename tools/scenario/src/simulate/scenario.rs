@@ -311,13 +311,13 @@ impl Scenario {
             }
             if matches!(
                 self.outer_loop,
-                OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_)
+                OuterLoopSection::Lqi(_) | OuterLoopSection::Mpc(_) | OuterLoopSection::Own(_)
             ) {
                 return Err(ScenarioError::value(
                     "control.period_ms",
                     0,
-                    "outer_loop.kind \"lqi\" and \"mpc\" have a state that goes on in ticks; set a \
-                     period",
+                    "outer_loop.kind \"lqi\", \"mpc\" and \"own\" have a state that goes on in ticks; set \
+                     a period",
                 ));
             }
             if !self.marker_loss.is_empty() {
@@ -365,7 +365,7 @@ impl Scenario {
         let mut config = daemon_config(simulated::Drive {
             vehicle: self.vehicle,
             law: self.law,
-            outer_loop: self.outer_loop,
+            outer_loop: self.outer_loop.clone(),
             reference: self.reference.clone(),
         });
         config.control.period_ms = self.control.period_ms;

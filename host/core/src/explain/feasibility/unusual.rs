@@ -83,7 +83,7 @@ pub fn warn_of_unusual(config: &Config, findings: &mut Vec<Finding>) {
             ),
         );
     }
-    if let OuterLoopSection::Proportional { gain_per_s, .. } = config.outer_loop
+    if let OuterLoopSection::Proportional { gain_per_s, .. } = &config.outer_loop
         && gain_per_s.iter().any(|gain| *gain > HIGH_GAIN)
     {
         warn(

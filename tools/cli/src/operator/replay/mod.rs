@@ -311,16 +311,21 @@ fn configuration(
     };
     // Whose fault it is shows when it is tried without the changes.
     let configuration = format!("configuration {number} of {}", path.display());
-    let (pilot, config) = read(toml).map_err(|error| {
+    let recorded = read(toml).map_err(|error| {
         format!("{configuration} is not one that this version of singletrack takes: {error}")
-    })?;
+    });
     if changes.is_empty() {
-        return Ok(pilot);
+        return Ok(recorded?.0);
     }
     let applied = apply(toml, changes).map_err(|error| format!("--set {error}"))?;
-    let changed =
-        read(&applied).map_err(|error| format!("with --set, {configuration}: {error}"))?;
-    if changed.0 == pilot && changed.1 != config {
+    let changed = match read(&applied) {
+        Ok(changed) => changed,
+        Err(error) => {
+            recorded?;
+            return Err(format!("with --set, {configuration}: {error}").into());
+        }
+    };
+    if recorded.is_ok_and(|(pilot, config)| changed.0 == pilot && changed.1 != config) {
         let changes: Vec<_> = changes.iter().map(Change::to_string).collect();
         let changes = changes.join(" --set ");
         return Err(format!(
