@@ -24,6 +24,11 @@ Installs missing Debian packages.
 /// Cargo's options for the programs of the car.
 const INSTALLED: &str = "--package singletrackd --package singletrack";
 
+/// Cargo's options for what is checked of them: the daemon, the procedures, and the tool as `cargo demo`
+/// builds it. `cargo release` builds all of them.
+const CHECKED: &str = "--package singletrackd --package singletrack-commissioning \
+                       --package singletrack --no-default-features";
+
 /// Cargo's options for a program that simulates a scenario, and nothing else.
 const TRAJECTORY: &str = "--package singletrack-scenario --bin trajectory --no-default-features \
                           --features singletrack-scenario/files";
@@ -65,7 +70,7 @@ pub(crate) fn main(arguments: &[String]) -> Result {
 /// same bits there as here. The programs themselves are built and run by `cargo deb`.
 pub(crate) fn verify(packages: &Packages) -> Result {
     let (mut check_programs, _) = ARMHF.cargo("check", "dev")?;
-    check_programs.args(INSTALLED.split(' '));
+    check_programs.args(CHECKED.split_whitespace());
     // This combination of features is linted only here.
     check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
     compare_emulated(packages, "dev", &not_optimised("dev"))
