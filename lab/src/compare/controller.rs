@@ -42,7 +42,7 @@ words! {
         /// Model predictive control of the single-track model within the limits of the actuators,
         /// tuned.
         MpcSingleTrack = "mpc-single-track",
-        /// The law of the paper's appendix with a tuned gain; on the ideal plant only.
+        /// The law of the paper's appendix with a tuned gain and the compensation.
         Appendix = "appendix",
         /// A program's own; see [`Comparison::drive_yours`](super::Comparison::drive_yours).
         #[value(skip)]
@@ -148,8 +148,6 @@ pub(super) enum Drives {
         outer_loop: OuterLoopSection,
         compensated: bool,
     },
-    /// By velocities of the appendix's P, with this gain in 1/s and feed-forward.
-    Appendix { gain: f64 },
     /// By steering and speed, from outside.
     Actuators {
         law: Law,
@@ -168,10 +166,10 @@ impl Drives {
     pub(super) const fn own_point(&self) -> OwnPoint {
         match self {
             Self::Point { .. } => OwnPoint::P,
-            Self::Appendix { .. } => OwnPoint::VelocityPoint,
             Self::Actuators { law, .. } => match law {
                 Law::PurePursuit { .. } => OwnPoint::RearAxle,
                 Law::Stanley { .. } => OwnPoint::FrontAxle,
+                Law::Appendix { .. } => OwnPoint::VelocityPoint,
             },
             Self::Predictive(_) => OwnPoint::FrontAxle,
             Self::Yours(own) => *own,
@@ -202,7 +200,8 @@ impl ControllerName {
         match self {
             Self::P | Self::PFf => [1.0, 0.0],
             Self::PTuned => [10.0, 0.0],
-            Self::PCompensated | Self::Appendix => [12.0, 0.0],
+            Self::PCompensated => [12.0, 0.0],
+            Self::Appendix => [5.5, 0.0],
             Self::Lqi => [100.0, 0.03],
             Self::LqiCompensated => [300.0, 0.1],
             Self::Mpc => [0.1, 0.15],
@@ -255,26 +254,20 @@ impl ControllerName {
             },
             Self::MpcSingleTrack => Drives::Predictive([first, second]),
             Self::Yours => Drives::Yours(OwnPoint::P),
-            Self::Appendix => Drives::Appendix { gain: first },
+            Self::Appendix => Drives::Actuators {
+                law: Law::Appendix { gain: first },
+                catch_up: 0.0,
+                compensated: true,
+            },
         }
     }
 
     /// Whether it can drive under a condition.
     pub(super) fn drives_under(self, condition: Condition) -> bool {
         match self {
-            Self::Appendix => condition == Condition::IdealPlant,
             // It drives the car, once with each seed.
             Self::Yours => !matches!(condition, Condition::IdealPlant | Condition::AddedDelay),
             _ => true,
-        }
-    }
-
-    /// The condition under which it is tuned.
-    pub(super) fn tuned_under(self) -> Condition {
-        if self.drives_under(Condition::Nominal) {
-            Condition::Nominal
-        } else {
-            Condition::IdealPlant
         }
     }
 

@@ -19,9 +19,6 @@ pub enum DriveError {
     /// The host or the world is refused.
     #[error(transparent)]
     Drive(#[from] VirtualDriveError),
-    /// The law of the appendix has no limits and no start from standstill.
-    #[error("the law of the appendix drives the ideal plant only; choose condition ideal-plant")]
-    IdealPlantOnly,
     /// A program's own controller is driven by that program.
     #[error("a controller of your own is compared by the Python package")]
     Yours,

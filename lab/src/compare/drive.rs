@@ -208,7 +208,6 @@ impl<'a> Run<'a> {
                 drive.outer_loop = outer_loop.clone();
                 is_compensated = *compensated;
             }
-            Drives::Appendix { .. } => return Err(DriveError::IdealPlantOnly),
             Drives::Yours(_) | Drives::Predictive(_) => {
                 drive.reference = external;
                 is_compensated = true;

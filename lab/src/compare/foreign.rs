@@ -1,4 +1,4 @@
-//! Laws of the literature, to compare with: pure pursuit and Stanley.
+//! Laws of the literature, to compare with: pure pursuit, Stanley, and that of the paper's appendix.
 //!
 //! They drive the same car as the project's own: by steering and speed as a program outside
 //! gives them to the pilot, whose supervisor, limits and board stand behind them. A set-point
@@ -9,9 +9,12 @@
 use std::collections::VecDeque;
 
 use libm::{atan, atan2, cos, hypot, sin, tan};
-use singletrack_control::{ActuatorModel, Estimate, Predicted, Predictor, VehicleParameters, wrap};
+use singletrack_control::{
+    ActuatorModel, Estimate, Motion, Position, Predicted, Predictor, ProportionalLoop, Singularity,
+    VehicleParameters, Velocity, VelocityPointLaw, wrap,
+};
 
-use super::course::Table;
+use super::{counted::POINT_DISTANCE_M, course::Table};
 
 /// A law and its parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,6 +25,9 @@ pub(super) enum Law {
     /// Hoffmann et al. (2007), the kinematic law: the front wheels along the path, plus the
     /// angle atan(`gain` e / v) towards it.
     Stanley { gain: f64 },
+    /// The appendix of the paper: P on the velocity of G, `gain` (1/s) times its distance from the
+    /// reference, and the velocity of that.
+    Appendix { gain: f64 },
 }
 
 /// A law on its way along a path.
@@ -120,11 +126,11 @@ impl Ahead {
     }
 }
 
-/// Position of G in m, yaw in rad and speed in m/s.
+/// Position of G in m, its motion, and speed in m/s.
 #[derive(Clone, Copy, Debug)]
 struct Pose {
     position: [f64; 2],
-    yaw: f64,
+    motion: Motion,
     speed: f64,
 }
 
@@ -132,7 +138,7 @@ impl From<&Predicted> for Pose {
     fn from(state: &Predicted) -> Self {
         Self {
             position: [state.position.x, state.position.y],
-            yaw: state.motion.yaw,
+            motion: state.motion,
             speed: state.speed,
         }
     }
@@ -192,7 +198,11 @@ impl Foreign<'_> {
                 estimate.position.x + way * cos(course),
                 estimate.position.y + way * sin(course),
             ],
-            yaw: estimate.yaw + ahead * estimate.yaw_rate,
+            motion: Motion {
+                yaw: estimate.yaw + ahead * estimate.yaw_rate,
+                yaw_rate: estimate.yaw_rate,
+                sideslip: estimate.sideslip,
+            },
             speed: estimate.speed,
         };
         self.wanted(&pose, time)
@@ -200,14 +210,12 @@ impl Foreign<'_> {
 
     /// The angle of the front wheels (rad) and the speed of G (m/s) by the law.
     fn wanted(&mut self, pose: &Pose, time: f64) -> [f64; 2] {
-        let Pose {
-            position: g, yaw, ..
-        } = *pose;
+        let (g, yaw) = (pose.position, pose.motion.yaw);
         let rear = self.vehicle.rear_axle_distance_m;
         let front = self.vehicle.front_axle_distance_m;
         let own = match self.law {
             Law::PurePursuit { .. } => -rear,
-            Law::Stanley { .. } => front,
+            Law::Stanley { .. } | Law::Appendix { .. } => front,
         };
         let point = [g[0] + own * cos(yaw), g[1] + own * sin(yaw)];
         self.index = self.table.nearest(point, self.index);
@@ -234,10 +242,33 @@ impl Foreign<'_> {
                 let steering = steering.clamp(-MOST_STEERING, MOST_STEERING);
                 (steering, speed * cos(steering))
             }
+            Law::Appendix { gain } => return self.appendix(pose, time, gain),
         };
         let steering = steering.clamp(-MOST_STEERING, MOST_STEERING);
         let sideslip = atan(rear * tan(steering) / wheelbase);
         [steering, rear_speed / cos(sideslip)]
+    }
+
+    /// The same by the law of the appendix; straight on where it is singular, near standstill.
+    fn appendix(&self, pose: &Pose, time: f64, gain: f64) -> [f64; 2] {
+        let Ok(law) = VelocityPointLaw::new(self.vehicle, POINT_DISTANCE_M) else {
+            return [0.0; 2];
+        };
+        let tracking = ProportionalLoop {
+            gain: Velocity::new(gain, gain),
+            feed_forward: true,
+        };
+        let [x, y] = pose.position;
+        let point = law.point(Position::new(x, y), pose.motion.yaw, pose.motion.sideslip);
+        let wanted = tracking.velocity(&self.table.reference().at(time), &point);
+        match law.command(&pose.motion, &wanted) {
+            Ok(command) => [
+                command.steering.clamp(-MOST_STEERING, MOST_STEERING),
+                command.speed.clamp(0.0, MOST_SPEED),
+            ],
+            Err(Singularity::Standstill { speed }) => [0.0, speed.max(0.0)],
+            Err(_) => [0.0; 2],
+        }
     }
 }
 

@@ -2,9 +2,9 @@
 
 use libm::{atan, cos, sin, tan};
 use singletrack_control::{
-    ActuatorModel, Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position,
-    ProportionalLoop, SingleTrack, SingleTrackDerivative, SingleTrackState, Singularity, Time,
-    TrackingInput, TrackingLoop, VehicleParameters, Velocity, VelocityPointLaw,
+    ActuatorModel, Estimate, FrontPointLaw, Limits, Motion, OuterLoop as _, Position, SingleTrack,
+    SingleTrackDerivative, SingleTrackState, Singularity, Time, TrackingInput, TrackingLoop,
+    VehicleParameters, Velocity,
 };
 use singletrack_core::config::LoopModel;
 use singletrack_sim::Truth;
@@ -89,11 +89,6 @@ enum Controller<'a> {
         applied: Velocity,
         table: &'a Table,
     },
-    Appendix {
-        law: VelocityPointLaw,
-        tracking: ProportionalLoop,
-        table: &'a Table,
-    },
     Foreign(Foreign<'a>),
     Predictive {
         law: Predictive<'a>,
@@ -136,14 +131,6 @@ impl<'a> Controller<'a> {
                     table,
                 }
             }
-            Drives::Appendix { gain } => Self::Appendix {
-                law: VelocityPointLaw::new(*vehicle, POINT_DISTANCE_M)?,
-                tracking: ProportionalLoop {
-                    gain: Velocity::new(*gain, *gain),
-                    feed_forward: true,
-                },
-                table,
-            },
             &Drives::Actuators { law, catch_up, .. } => Self::Foreign(Foreign {
                 law,
                 catch_up,
@@ -204,20 +191,6 @@ impl<'a> Controller<'a> {
                 let command = law.command(&motion, car.steering, applied)?;
                 car.speed = command.speed;
                 return Ok(command.steering_rate);
-            }
-            Self::Appendix {
-                law,
-                tracking,
-                table,
-            } => {
-                let point = law.point(centre, state.yaw, state.sideslip);
-                let wanted = tracking.velocity(&table.reference().at(time), &point);
-                match law.command(&motion, &wanted) {
-                    Ok(command) => [car.steering, car.speed] = [command.steering, command.speed],
-                    // The reference begins at rest: the car waits for it.
-                    Err(Singularity::Standstill { speed }) => car.speed = speed,
-                    Err(error) => return Err(error),
-                }
             }
             Self::Foreign(foreign) => {
                 [car.steering, car.speed] = foreign.command(&car.estimate(), time, 0.0);
