@@ -56,7 +56,7 @@ pub const GROUPS: [(&str, &str); 4] = [
     ("Look", "status page live dump plot"),
     (
         "Simulate and analyse",
-        "demo simulate compare reproduce stability identify benchmark merge import judge recover replay completions",
+        "demo simulate compare reproduce stability certify identify benchmark merge import judge recover replay completions",
     ),
 ];
 
