@@ -24,6 +24,14 @@ for proof in patterns servo appendix random; do
     python3 "$own/check_losses.py" --changed "$folder/$proof.json"
 done
 
+# Small regions, which take seconds; the second one reaches beyond its steering stop.
+"$program" stability attraction --law front-point --speeds 2 --most-yaw 0.02 --certificates "$folder/attraction.json"
+"$program" stability attraction --law front-point --speeds 1 --most-yaw 0.03 --max-steering 0.015 \
+    --certificates "$folder/stop.json"
+python3 "$own/check_attraction.py" "$folder/attraction.json"
+python3 "$own/check_attraction.py" --changed "$folder/attraction.json"
+python3 "$own/check_attraction.py" "$folder/stop.json"
+
 sed '/^\[safety_filter\]/,/^$/ s/^#enabled = false/enabled = true/' host/daemon/singletrackd.example.toml > "$folder/car.toml"
 "$program" certify "$folder/car.toml" --out "$folder/filter.json"
 python3 "$own/check_filter.py" "$folder/filter.json" "$folder/car.toml"

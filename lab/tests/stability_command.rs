@@ -482,6 +482,18 @@ mod thorough {
     }
 
     #[test]
+    fn a_small_region_of_attraction_is_proved_within_the_simulated_basin() {
+        let header = "speed_m_s,level,proved_yaw_rad,simulated_yaw_rad,boxes,time_s";
+        let arguments = ["attraction", "--law", "front-point", "--speeds", "2"];
+        let region = rows(&[&arguments[..], &["--most-yaw", "0.005"]].concat(), header);
+        assert!((region[0][2] - 0.005).abs() < 1e-9, "{region:?}");
+        assert!(region[0][3] > 1.5, "{region:?}");
+        let refused = stability(&["attraction", "--law", "velocity-point"]);
+        let error = String::from_utf8(refused.stderr).unwrap();
+        assert!(error.contains("front-point law"), "{error}");
+    }
+
+    #[test]
     fn a_servo_bounds_the_speed_and_p_and_a_prediction_lifts_the_bound() {
         let law = ["--law", "front-point"];
         let first = |options: &[&str]| {

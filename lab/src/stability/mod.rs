@@ -2,6 +2,7 @@
 //! sampled loop that it leaves out.
 
 mod arguments;
+mod attraction;
 mod eigenvalues;
 pub mod figures;
 mod hopf;
@@ -42,6 +43,8 @@ enum StabilityCommand {
     Cycles(hopf::CyclesArgs),
     /// The yaw errors from which the straight motion is regained, over speed and p.
     Basin(region::BasinArgs),
+    /// Regions of attraction of the straight motion over speed, with proofs, beside the simulated basin.
+    Attraction(attraction::AttractionArgs),
     /// Eigenvalues of the steady motion over speed and dl.
     Eigenvalues(arguments::MapArgs),
     /// Where the steady motion is stable, over speed and dl.
@@ -72,6 +75,7 @@ pub fn run(args: &StabilityArgs) -> Result<(), StabilityCommandError> {
         StabilityCommand::Hopf(args) => hopf::run(args),
         StabilityCommand::Cycles(args) => hopf::run_cycles(args),
         StabilityCommand::Basin(args) => region::run_basin(args),
+        StabilityCommand::Attraction(args) => attraction::run(args),
         StabilityCommand::Eigenvalues(args) => eigenvalues::run(args),
         StabilityCommand::Region(args) => region::run(args),
         StabilityCommand::Sampled(args) => limits::run(args),

@@ -94,6 +94,9 @@ pub enum StabilityError {
          give both, or none"
     )]
     Servo,
+    /// A law whose region of attraction is not computed.
+    #[error("a region of attraction is that of the front-point law: choose this law")]
+    Attraction,
     /// The parameters are finite, but the equations overflow.
     #[error(
         "with a speed of {speed:e} m/s, p = {point_distance:e} m and dl = {deviation:e} m the equations \

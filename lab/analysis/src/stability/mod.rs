@@ -13,11 +13,13 @@
 //! Yaw is relative to the direction of the commanded velocity; nothing else depends on that
 //! direction.
 
+mod attraction;
 mod basin;
 mod characteristic;
 mod closed_loop;
 mod cycles;
 mod hopf;
+mod interval;
 mod limits;
 mod lyapunov;
 mod motion;
@@ -25,6 +27,7 @@ mod one_length;
 mod sampled;
 mod vector_field;
 
+pub use attraction::Attraction;
 pub use basin::Basin;
 pub use characteristic::CharacteristicPolynomial;
 pub use closed_loop::{Belief, ClosedLoop, Law, Saturation, StabilityError};

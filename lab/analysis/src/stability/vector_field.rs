@@ -1,6 +1,6 @@
 //! The vector field of the closed loop, for numbers that carry their derivatives.
 
-use singletrack_control::{Axles, LateralMotion, LateralRate};
+use singletrack_control::{Axles, Functions, LateralMotion, LateralRate, Number};
 
 use super::{
     characteristic::symbols,
@@ -44,20 +44,9 @@ impl VectorField<4> for FrontPointField<'_> {
         self.0
     }
 
-    fn slope_at<D: Dual>(
-        &self,
-        &[yaw, yaw_rate, sideslip, steering]: &[D; 4],
-        deviation: D,
-    ) -> [D; 4] {
-        let mut motion = LateralMotion {
-            yaw_rate,
-            sideslip,
-            speed: D::from(0.0),
-            steering,
-        };
-        let steering_rate = self.0.front_point_law(yaw, &mut motion, deviation);
-        let lateral = self.0.lateral(&motion);
-        [yaw_rate, lateral.yaw_rate, lateral.sideslip, steering_rate]
+    fn slope_at<D: Dual>(&self, state: &[D; 4], deviation: D) -> [D; 4] {
+        self.0
+            .front_point_slope::<DualFunctions, D>(state, deviation)
     }
 
     fn steering<D: Dual>(&self, state: &[D; 4], _: D) -> D {
@@ -81,8 +70,10 @@ impl VectorField<6> for ServoField<'_> {
             speed: D::from(0.0),
             steering,
         };
-        let steering_rate = self.0.front_point_law(yaw, &mut motion, deviation);
-        let lateral = self.0.lateral(&LateralMotion {
+        let steering_rate = self
+            .0
+            .front_point_law::<DualFunctions, D>(yaw, &mut motion, deviation);
+        let lateral = self.0.lateral::<DualFunctions, D>(&LateralMotion {
             steering: wheels,
             ..motion
         });
@@ -109,7 +100,7 @@ impl VectorField<3> for VelocityPointField<'_> {
 
     fn slope_at<D: Dual>(&self, state: &[D; 3], deviation: D) -> [D; 3] {
         let [yaw, yaw_rate, sideslip] = *state;
-        let lateral = self.0.lateral(&LateralMotion {
+        let lateral = self.0.lateral::<DualFunctions, D>(&LateralMotion {
             yaw_rate,
             sideslip,
             speed: positive((yaw + sideslip).cos() * self.0.speed),
@@ -136,37 +127,79 @@ impl VectorField<3> for VelocityPointField<'_> {
     }
 }
 
+/// The limit of a number, which may have derivatives.
+pub(super) trait Clamp<N>: Functions<N> {
+    /// `x` within ±`most`.
+    fn clamped(x: N, most: f64) -> N;
+}
+
+impl<D: Dual> Clamp<D> for DualFunctions {
+    fn clamped(x: D, most: f64) -> D {
+        clamped(x, most)
+    }
+}
+
 impl ClosedLoop {
+    /// The time derivative of yaw, yaw rate, sideslip and steering under the front-point law.
+    pub(super) fn front_point_slope<F: Clamp<D>, D: Number>(
+        &self,
+        &[yaw, yaw_rate, sideslip, steering]: &[D; 4],
+        deviation: D,
+    ) -> [D; 4] {
+        let mut motion = LateralMotion {
+            yaw_rate,
+            sideslip,
+            speed: D::from(0.0),
+            steering,
+        };
+        let steering_rate = self.front_point_law::<F, D>(yaw, &mut motion, deviation);
+        let lateral = self.lateral::<F, D>(&motion);
+        [yaw_rate, lateral.yaw_rate, lateral.sideslip, steering_rate]
+    }
+
     /// Equation 8, with `v_P` = (speed, 0): sets the speed of the motion, and gives the steering
     /// rate.
-    fn front_point_law<D: Dual>(&self, yaw: D, motion: &mut LateralMotion<D>, deviation: D) -> D {
+    fn front_point_law<F: Clamp<D>, D: Number>(
+        &self,
+        yaw: D,
+        motion: &mut LateralMotion<D>,
+        deviation: D,
+    ) -> D {
         let LateralMotion {
             yaw_rate,
             sideslip,
             steering,
             ..
         } = *motion;
-        let assumed = deviation + self.vehicle.front_axle_distance_m;
-        let cosine = positive((sideslip - steering).cos());
-        let along = (yaw + steering).cos() * self.speed - yaw_rate * steering.sin() * assumed;
+        let assumed = deviation + D::from(self.vehicle.front_axle_distance_m);
+        let cosine = positive(F::sin_cos(sideslip - steering).1);
+        let (sine_of_steering, _) = F::sin_cos(steering);
+        let along =
+            F::sin_cos(yaw + steering).1 * self.speed - yaw_rate * sine_of_steering * assumed;
         motion.speed = positive(along / cosine);
-        let across = -(yaw + sideslip).sin() * self.speed - yaw_rate * sideslip.cos() * assumed;
+        let (_, cosine_of_sideslip) = F::sin_cos(sideslip);
+        let across =
+            -F::sin_cos(yaw + sideslip).0 * self.speed - yaw_rate * cosine_of_sideslip * assumed;
         let rate = across / (cosine * self.point_distance) - yaw_rate;
-        clamped(rate, self.saturation.max_steering_rate)
+        F::clamped(rate, self.saturation.max_steering_rate)
     }
 
     /// The car with its tyres.
-    fn lateral<D: Dual>(&self, motion: &LateralMotion<D>) -> LateralRate<D> {
+    fn lateral<F: Functions<D>, D: Number>(&self, motion: &LateralMotion<D>) -> LateralRate<D> {
         let axles = Axles::new(self.vehicle, self.saturation.tyres)
             .with_slip_angles(self.saturation.slip_angles);
-        let forces = axles.forces::<DualFunctions, D>(motion);
-        axles.lateral::<DualFunctions, D>(motion, &forces)
+        let forces = axles.forces::<F, D>(motion);
+        axles.lateral::<F, D>(motion, &forces)
     }
 }
 
 /// `x` if it is above zero, else not a number.
-fn positive<D: Dual>(x: D) -> D {
-    if x.re() > 0.0 { x } else { D::from(f64::NAN) }
+fn positive<D: Number>(x: D) -> D {
+    if x > D::from(0.0) {
+        x
+    } else {
+        D::from(f64::NAN)
+    }
 }
 
 /// `x` within ±`most`.

@@ -8,7 +8,7 @@ use singletrack_figures::figure::{
 };
 
 use super::{
-    super::{EigenvalueRow, RegionRow, region::BasinRow},
+    super::{EigenvalueRow, RegionRow, attraction::AttractionRow, region::BasinRow},
     levels::{margins, one_two_five, significant, subscript},
     scene::{DEVIATION, Frame, SPEED, Scene, at, band, grid_of},
 };
@@ -299,4 +299,33 @@ pub(in super::super) fn basin(
             )
         }],
     })
+}
+
+/// The yaw errors that are proved to decay, beside those that decay in simulation.
+pub(in super::super) fn attraction(rows: &[AttractionRow]) -> Figure {
+    let curve = |name, look, yaw: fn(&AttractionRow) -> f64| Curve {
+        name,
+        look,
+        x: rows.iter().map(|row| row.speed_m_s).collect(),
+        y: rows.iter().map(|row| yaw(row).to_degrees()).collect(),
+        time: None,
+    };
+    Figure {
+        title: "Region of attraction of the straight motion".to_owned(),
+        caption:
+            "Yaw error up to which the straight motion is regained: proved, and in simulation."
+                .to_owned(),
+        width: Width::Column,
+        panels: vec![Panel {
+            height_mm: 56.0,
+            curves: vec![
+                curve("proved", Look::Actual, |row| row.proved_yaw_rad),
+                curve("simulated", Look::Other, |row| row.simulated_yaw_rad),
+            ],
+            ..Panel::new(
+                SPEED,
+                Axis::new("yaw error", Some(Symbol::new("ψ", "")), "°"),
+            )
+        }],
+    }
 }
