@@ -1,11 +1,12 @@
 //! Regions of attraction of the straight motion with proofs, beside the basin that simulation finds.
 
-use std::{fs, path::PathBuf, thread, time::Instant};
+use std::{fs, path::PathBuf, time::Instant};
 
 use clap::Args;
 use serde::Serialize;
 use serde_json::{Value, json};
-use singletrack_analysis::stability::{Attraction, StabilityError};
+use singletrack_analysis::stability::Attraction;
+use singletrack_campaign::{Progress, run_units, thread_count};
 use singletrack_figures::output::print;
 
 use super::{
@@ -63,7 +64,7 @@ pub(super) struct AttractionRow {
 
 pub(super) fn run(args: &AttractionArgs) -> Result<(), StabilityCommandError> {
     let subject = args.subject.subject()?;
-    let of_speed = |speed_m_s: f64| {
+    let of_speed = |speed_m_s: f64| -> Result<_, StabilityCommandError> {
         let begin = Instant::now();
         let at = subject.at(speed_m_s, args.dl)?;
         let at = at.saturating(args.saturation.saturation())?;
@@ -78,18 +79,13 @@ pub(super) fn run(args: &AttractionArgs) -> Result<(), StabilityCommandError> {
         };
         Ok((row, region))
     };
-    // The speeds are independent of each other.
-    let found: Vec<Result<_, StabilityError>> = thread::scope(|scope| {
-        let speeds = args.speeds.values().iter();
-        let threads: Vec<_> = speeds
-            .map(|speed| scope.spawn(move || of_speed(*speed)))
-            .collect();
-        threads
-            .into_iter()
-            .filter_map(|thread| thread.join().ok())
-            .collect()
-    });
-    let found: Vec<_> = found.into_iter().collect::<Result<_, _>>()?;
+    let speeds = args.speeds.values();
+    let units: Vec<u64> = (0..speeds.len() as u64).collect();
+    let progress = Progress::new("attraction", units.len() as u64);
+    let work = |unit: u64| of_speed(speeds[unit as usize]);
+    let found = run_units(&units, thread_count(), work, || progress.advance())?;
+    progress.finish();
+    let found: Vec<_> = found.into_iter().map(|(_, found)| found).collect();
     if let Some(path) = &args.certificates {
         let proofs: Vec<Value> = found
             .iter()
