@@ -152,15 +152,15 @@ const STEPS: [Step; 30] = [
         prerequisites::ensure(&["base"].into_iter().chain(parts.map(Part::name)).collect::<Vec<_>>())
     }),
     row("format", 0.02, Always, "the code is formatted", |_| format()),
-    row("compile", 3.8, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
+    row("compile", 4.1, Always, "no warning from compiler, clippy and rustdoc", Packages::compile),
     row("lints-uno", 0.25, Of(Part::Uno), "no warning in the Arduino's image", |_| uno::lint()),
-    row("packages", 0.8, All, "packages build alone, and those for others can be packed",
+    row("packages", 0.6, All, "packages build alone, and those for others can be packed",
         |_| check_alone().and_then(|()| check_published())),
     row("units", 0.02, Of(Part::Units),
         "systemd accepts the services' units without warnings and rates their exposure as low",
         |_| check(script("xtask/src/units.sh").arg(target::folder()?.join("units")))),
     // Checks of the programs in virtual time.
-    row("tests", 3.0, Always, "unit, property and virtual-time tests, examples of the documentation",
+    row("tests", 2.85, Always, "unit, property and virtual-time tests, examples of the documentation",
         |packages| {
         let mut tests = packages.tests(None)?;
         if *packages == Packages::Default {
@@ -203,7 +203,7 @@ const STEPS: [Step; 30] = [
         // A Slurm that is installed does not count.
         check(job_array.arg(packages.path("")?).env_remove("SLURM_CONF"))
     }),
-    row("certificates", 0.12, Of(Part::Python),
+    row("certificates", 0.2, Of(Part::Python),
         "independent programs accept the proofs of stability and of the safety filter, and no changed one",
         |packages| check(script("lab/certificates/check.sh")
             .arg(packages.path("singletrack-lab")?)
@@ -215,17 +215,17 @@ const STEPS: [Step; 30] = [
     row("debian", 0.15, Of(Part::Debian),
         "this machine's Debian package is clean by lintian, complete, and its programs run",
         deb::verify),
-    row("odroid", 2.2, Of(Part::Odroid),
+    row("odroid", 2.0, Of(Part::Odroid),
         "the daemon compiles for the Odroid, and what computes gives the same bits there", odroid::verify),
-    row("web", 2.3, Of(Part::Web),
+    row("web", 1.7, Of(Part::Web),
         "the laboratory in a browser has the same bits, in Node and in Chromium", web::verify),
     row("python", 0.38, Of(Part::Python),
         "the Python package drives the simulator and the daemon on both boards",
         python::check_package),
     // Checks in real time.
-    row("hil", 0.75, Always, "hardware in the loop: the daemon against the simulated board",
+    row("hil", 0.7, Always, "hardware in the loop: the daemon against the simulated board",
         |packages| check(&mut suite(packages, "native")?)),
-    row("hil-uno", 0.6, Of(Part::Uno), "the same against the Arduino's image",
+    row("hil-uno", 0.5, Of(Part::Uno), "the same against the Arduino's image",
         |packages| packages.check_with_image(&mut suite(packages, "uno")?)),
     row("two-computers", 0.05, All,
         "the cars of two computers start together, and stop when their network is cut",
@@ -348,7 +348,7 @@ mod tests {
     #[test]
     fn the_steps_stay_within_the_processor_time_of_both_commands() {
         let all: f64 = STEPS.iter().map(|step| step.budget).sum();
-        assert!(all <= 17.6, "{all}");
+        assert!(all <= 16.5, "{all}");
         let always = STEPS.iter().filter(|step| step.scope == Always);
         let always: f64 = always.map(|step| step.budget).sum();
         assert!(always <= 8.1, "{always}");
