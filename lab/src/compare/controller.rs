@@ -53,7 +53,7 @@ words! {
 /// A controller of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Controller {
-    /// Of this repository.
+    /// A controller of this repository.
     Known(ControllerName),
     /// Another crate's [outer loop](singletrack_core::config::OwnLoop) of this name, with the defaults
     /// of its settings and the compensation of clock and actuators.

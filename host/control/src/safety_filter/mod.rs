@@ -457,7 +457,7 @@ impl SafetyFilter {
     /// they have settled between those of `then`.
     fn ways(&self, start: &Start, first: &Range, then: &Range) -> StopWay {
         let of_course = self.config.course_error;
-        // By more than a tangent or its inverse is rounded.
+        // More than the rounding of a tangent or its inverse.
         let rounded = |range: &Range| ROUNDED * fabs(range.least).max(fabs(range.most));
         let wheels = |curvatures: &Range| Wheels {
             curvatures: curvatures.widened(

@@ -194,7 +194,7 @@ const SETTLED: f64 = 3.0;
 pub(crate) struct Residuals {
     /// Deviation of the curvature by what the servo lacks after [`SETTLED`] lags, 1/m.
     pub(crate) curvature: f64,
-    /// The same of the direction of motion, rad.
+    /// Deviation of the direction of motion by the same, rad.
     pub(crate) course: f64,
     /// Excess of a speed that is still on its way over what is known of it, m/s.
     pub(crate) speed: f64,

@@ -193,7 +193,7 @@ fn proved(config: &Config) -> Result<Value, ConfigError> {
         .map_err(|error| ConfigError::value("safety_filter", "no JSON", error.to_string()))
 }
 
-/// A setting in units of its decimal with so many `digits`, rounded up.
+/// A setting as a whole number of units of 10 to the power of minus `digits`, rounded up.
 fn units(value: f64, digits: usize) -> i64 {
     let text = value.to_string();
     let (whole, rest) = text.split_once('.').unwrap_or((&text, ""));

@@ -348,7 +348,7 @@ impl<const N: usize> Functions<Chord<N>> for ChordFunctions {
         )
     }
 
-    /// Of points whose x is above zero; unknown for others.
+    /// The angle of points whose x is above zero; unknown for others.
     fn atan2(y: Chord<N>, x: Chord<N>) -> Chord<N> {
         if x.value.low > 0.0 {
             (y / x).then(
