@@ -235,28 +235,6 @@ fn the_compensation_makes_the_laws_of_the_literature_better() {
 }
 
 #[test]
-fn a_plan_of_the_single_track_model_sees_corners_that_stanley_does_not() {
-    use ControllerName::{MpcSingleTrack, StanleyCompensated};
-    let mut plan = plan(&[MpcSingleTrack, StanleyCompensated], &[Condition::Nominal]);
-    plan.paths = vec![PathName::Corners];
-    plan.seeds = 1;
-    let results = run(&plan, &CampaignArgs::default()).results;
-    let rows = rows(&csv(&lines(&plan, &results)));
-    let value = |name: &str, column: usize| {
-        let row = &rows[&format!("{name} nominal@front-axle")];
-        row[column].parse::<f64>().unwrap()
-    };
-    // A front axle that turns on a circle of the least radius of the wheels is this far beside a
-    // corner of 30 degrees: R (1/cos 15° - 1), with R = L/sin(0.45).
-    let radius = 0.26 / 0.45_f64.sin();
-    let least = radius * (1.0 / 15_f64.to_radians().cos() - 1.0);
-    assert!(value("mpc-single-track", 5) < 2.0 * least, "{rows:?}");
-    assert!(3.0 * value("mpc-single-track", 1) < value("stanley-compensated", 1));
-    // The wheels turn at most as fast as the limit of the commands, 5 rad/s.
-    assert!(value("mpc-single-track", 11) < 5.0, "{rows:?}");
-}
-
-#[test]
 fn a_plan_with_the_compensation_goes_on_from_what_the_motor_has_yet_to_do() {
     let mut plan = plan(&[ControllerName::MpcCompensated], &[Condition::Nominal]);
     plan.paths = vec![PathName::Stop, PathName::WideEight];
@@ -292,8 +270,9 @@ fn the_worst_condition_has_a_row_that_names_it() {
 
 #[test]
 fn laws_without_lag_and_noise_follow_exactly_on_the_ideal_plant() {
+    use ControllerName::{Appendix, MpcSingleTrack, PFf, PTuned};
     let plan = plan(
-        ControllerName::value_variants(),
+        &[Appendix, PFf, PTuned, MpcSingleTrack],
         &[Condition::Nominal, Condition::IdealPlant],
     );
     let table = csv(&lines(&plan, &run(&plan, &CampaignArgs::default()).results));
@@ -351,6 +330,28 @@ fn a_car_that_still_turns_round_when_the_counting_begins_has_not_followed() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_plan_of_the_single_track_model_sees_corners_that_stanley_does_not() {
+        use ControllerName::{MpcSingleTrack, StanleyCompensated};
+        let mut plan = plan(&[MpcSingleTrack, StanleyCompensated], &[Condition::Nominal]);
+        plan.paths = vec![PathName::Corners];
+        plan.seeds = 1;
+        let results = run(&plan, &CampaignArgs::default()).results;
+        let rows = rows(&csv(&lines(&plan, &results)));
+        let value = |name: &str, column: usize| {
+            let row = &rows[&format!("{name} nominal@front-axle")];
+            row[column].parse::<f64>().unwrap()
+        };
+        // A front axle that turns on a circle of the least radius of the wheels is this far beside a
+        // corner of 30 degrees: R (1/cos 15° - 1), with R = L/sin(0.45).
+        let radius = 0.26 / 0.45_f64.sin();
+        let least = radius * (1.0 / 15_f64.to_radians().cos() - 1.0);
+        assert!(value("mpc-single-track", 5) < 2.0 * least, "{rows:?}");
+        assert!(3.0 * value("mpc-single-track", 1) < value("stanley-compensated", 1));
+        // The wheels turn at most as fast as the limit of the commands, 5 rad/s.
+        assert!(value("mpc-single-track", 11) < 5.0, "{rows:?}");
+    }
 
     #[test]
     fn a_wrong_belief_costs_and_the_test_paths_are_driven() {

@@ -109,6 +109,7 @@ mod tests {
     /// Ten seconds at 1 m/s with this deviation of acceleration and yaw rate, on top of a motion
     /// at 0.5 Hz of 3 m/s² and 1.5 rad/s.
     fn drive(acceleration: f64, turn: f64) -> DriveNoise {
+        let estimator = estimator();
         let mut noise = DriveNoise::default();
         let mut random = singletrack_statistics::Random::new(1);
         let mut random = || random.normal(1.0);
@@ -122,7 +123,7 @@ mod tests {
                     1.5 * motion + turn * random(),
                 ],
             };
-            noise.sample(sample, 1.0, &estimator());
+            noise.sample(sample, 1.0, &estimator);
         }
         noise
     }
@@ -152,6 +153,7 @@ mod tests {
 
     #[test]
     fn a_short_drive_torn_samples_and_gaps_say_nothing() {
+        let estimator = estimator();
         let mut noise = drive(9.0, 1.0);
         noise.count = MIN_SAMPLES - 1;
         assert_eq!(noise.end(), None);
@@ -162,7 +164,7 @@ mod tests {
                 time_ns: index * 10_000_000,
                 values: [value; 3],
             };
-            noise.sample(sample, 1.0, &estimator());
+            noise.sample(sample, 1.0, &estimator);
         }
         assert_eq!(noise.end(), None);
         let mut noise = DriveNoise::default();
@@ -171,7 +173,7 @@ mod tests {
                 time_ns: index * 100_000_000,
                 values: [(index % 2) as f64 * 100.0; 3],
             };
-            noise.sample(sample, 1.0, &estimator());
+            noise.sample(sample, 1.0, &estimator);
         }
         assert_eq!(noise.end(), None);
     }

@@ -79,40 +79,6 @@ fn a_wrong_steering_gain_is_found() {
 }
 
 #[test]
-fn a_wrong_trim_is_found() {
-    let truth = "[truth.servo]\ncentre_us = 1541.9";
-    finds_and_corrects(truth, Parameter::SteeringTrim, 41.9 / 800.0);
-}
-
-#[test]
-fn late_stamps_are_found() {
-    let truth = "[truth.cameras]\nstamp_bias_ms = 20.0";
-    finds_and_corrects(truth, Parameter::StampOffset, 0.02);
-}
-
-#[test]
-fn a_turned_body_is_found() {
-    let truth = "[truth.cameras]\nbody_yaw_deg = 1.0";
-    finds_and_corrects(truth, Parameter::BodyYaw, 1.0_f64.to_radians());
-}
-
-#[test]
-fn a_pivot_elsewhere_is_found() {
-    let forward = "[truth.cameras]\npivot_m = [0.01, 0.0]";
-    finds_and_corrects(forward, Parameter::PivotForward, 0.01);
-    let left = "[truth.cameras]\npivot_m = [0.0, 0.01]";
-    finds_and_corrects(left, Parameter::PivotLeft, 0.01);
-}
-
-#[test]
-fn the_scale_of_gyro_and_pulses_is_found() {
-    let gyro = "[truth.imu]\ngyro_scale = 1.03";
-    finds_and_corrects(gyro, Parameter::GyroScale, 0.03);
-    let pulses = "[truth.motor_sensor]\npulse_distance_um = 3090.0";
-    finds_and_corrects(pulses, Parameter::PulseDistance, 0.03);
-}
-
-#[test]
 fn a_lag_of_the_servo_is_not_taken_for_late_stamps() {
     let slow = drive(&scenario(EIGHT, 1, "[truth.servo]\nlag_ms = 60.0"));
     assert!(slow.estimates.iter().all(|estimate| !estimate.is_off()));
@@ -287,6 +253,40 @@ fn a_stuck_servo_ends_the_drive_and_teaches_nothing() {
 /// Left out of `cargo verify`, not of `--all`: they take seconds of processor time each.
 mod thorough {
     use super::*;
+
+    #[test]
+    fn a_wrong_trim_is_found() {
+        let truth = "[truth.servo]\ncentre_us = 1541.9";
+        finds_and_corrects(truth, Parameter::SteeringTrim, 41.9 / 800.0);
+    }
+
+    #[test]
+    fn late_stamps_are_found() {
+        let truth = "[truth.cameras]\nstamp_bias_ms = 20.0";
+        finds_and_corrects(truth, Parameter::StampOffset, 0.02);
+    }
+
+    #[test]
+    fn a_turned_body_is_found() {
+        let truth = "[truth.cameras]\nbody_yaw_deg = 1.0";
+        finds_and_corrects(truth, Parameter::BodyYaw, 1.0_f64.to_radians());
+    }
+
+    #[test]
+    fn a_pivot_elsewhere_is_found() {
+        let forward = "[truth.cameras]\npivot_m = [0.01, 0.0]";
+        finds_and_corrects(forward, Parameter::PivotForward, 0.01);
+        let left = "[truth.cameras]\npivot_m = [0.0, 0.01]";
+        finds_and_corrects(left, Parameter::PivotLeft, 0.01);
+    }
+
+    #[test]
+    fn the_scale_of_gyro_and_pulses_is_found() {
+        let gyro = "[truth.imu]\ngyro_scale = 1.03";
+        finds_and_corrects(gyro, Parameter::GyroScale, 0.03);
+        let pulses = "[truth.motor_sensor]\npulse_distance_um = 3090.0";
+        finds_and_corrects(pulses, Parameter::PulseDistance, 0.03);
+    }
 
     #[test]
     fn a_calibrated_car_gets_no_advice() {
