@@ -2,7 +2,7 @@
 //! Its programs, and those of a release, simulate the same bits as the tested ones.
 
 use std::{
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Command, Stdio},
 };
 
@@ -10,8 +10,9 @@ use crate::{
     prerequisites,
     process::{Result, check, command, failure, output, require},
     programs::{Packages, release_build},
+    target,
     toolchain::ARMHF,
-    workspace::root,
+    workspace::{cargo, root},
 };
 
 const USAGE: &str = "\
@@ -39,6 +40,11 @@ const NOT_COMPUTING: [&str; 3] = [
     "singletrack-core",
     "singletrack-record",
     "singletrack-scenario",
+];
+
+/// The packages that compute.
+const COMPUTING: [&str; 7] = [
+    "board", "control", "link", "mocap", "pilot", "protocol", "sim",
 ];
 
 /// One scenario per plant.
@@ -73,13 +79,15 @@ pub(crate) fn verify(packages: &Packages) -> Result {
     check_programs.args(CHECKED.split_whitespace());
     // This combination of features is linted only here.
     check(check_programs.args(["-Zwarnings", "--config", "build.warnings=\"deny\""]))?;
-    compare_emulated(packages, "dev", &not_optimised("dev"))
+    compare_emulated(packages, "dev", &not_optimised())
 }
 
 /// Checks that a release as it is installed simulates the same bits here and there as the tests here:
 /// records of the car are replayed here.
 pub(crate) fn compare_installed(packages: &Packages) -> Result {
-    compare_native(packages, "")?;
+    let (mut build, folder) = release_build()?;
+    check(build.args(TRAJECTORY.split_whitespace()))?;
+    compare_native(packages, &folder.join("trajectory"))?;
     compare_emulated(packages, "release", "")
 }
 
@@ -95,24 +103,34 @@ fn compare_emulated(packages: &Packages, profile: &str, options: &str) -> Result
     compare(packages, &SCENARIOS, builds, &run)
 }
 
-/// Checks that what computes in a release build computes the same bits as in the tests. The programs
-/// themselves are built by `cargo deb` and `cargo release`.
-pub(crate) fn compare_release(packages: &Packages) -> Result {
-    compare_native(packages, &not_optimised("release"))
+/// Checks that what computes, optimised as in a release, computes the same bits as in the tests. All
+/// else is of the tested build; `cargo release` compares the whole program.
+pub(crate) fn compare_optimised(packages: &Packages) -> Result {
+    let mut build = cargo("build --quiet --bin trajectory");
+    build.args(packages.options());
+    for package in COMPUTING {
+        for setting in ["opt-level=3", "debug-assertions=false"] {
+            let setting = format!("profile.dev.package.singletrack-{package}.{setting}");
+            build.args(["--config", &setting]);
+        }
+    }
+    check(&mut build)?;
+    let target = target::folder()?;
+    // The tested one takes its place there.
+    let optimised = target.join("optimised/trajectory");
+    target::put(&target.join("debug/trajectory"), &optimised)?;
+    compare_native(packages, &optimised)
 }
 
-/// Compares the bits of a release build for this machine, built with further options.
-fn compare_native(packages: &Packages, options: &str) -> Result {
-    let (mut build, folder) = release_build()?;
-    check(build.args(format!("{TRAJECTORY}{options}").split(' ')))?;
-    let run = || Command::new(folder.join("trajectory"));
-    let builds = ("the tested build", "the release build");
-    compare(packages, &SCENARIOS, builds, &run)
+/// Compares the bits of an optimised build for this machine.
+fn compare_native(packages: &Packages, optimised: &Path) -> Result {
+    let builds = ("the tested build", "the optimised build");
+    compare(packages, &SCENARIOS, builds, &|| Command::new(optimised))
 }
 
-/// Cargo's options that keep a profile from optimising what hardly computes, each after a blank.
-fn not_optimised(profile: &str) -> String {
-    let option = |package| format!(" --config profile.{profile}.package.{package}.opt-level=0");
+/// Cargo's options that keep it from optimising what hardly computes, each after a blank.
+fn not_optimised() -> String {
+    let option = |package| format!(" --config profile.dev.package.{package}.opt-level=0");
     NOT_COMPUTING.into_iter().map(option).collect()
 }
 

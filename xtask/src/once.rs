@@ -102,7 +102,8 @@ fn compile(arguments: &[String], results: &Path) -> Result<bool, Failure> {
         clippy.args(kept(arguments)).arg("--emit=metadata");
         commands.push(clippy);
     }
-    if is_a_crate && is_documented(arguments) {
+    let program = env::var("CARGO_BIN_NAME").ok();
+    if is_a_crate && is_documented(arguments, program.as_deref()) {
         let mut rustdoc = Command::new(beside(compiler, "rustdoc"));
         rustdoc.args(["-D", "warnings"]).args(kept(arguments));
         commands.push(rustdoc);
@@ -141,10 +142,15 @@ fn kept(arguments: &[String]) -> Vec<String> {
     kept
 }
 
-/// Whether `cargo doc` would document the crate: not a test, no example, and no build script.
-fn is_documented(arguments: &[String]) -> bool {
+/// Whether `cargo doc` would document the crate: a library, or a program without a library of its name;
+/// no test, with or without a harness of its own, no example, and no build script.
+fn is_documented(arguments: &[String], program: Option<&str>) -> bool {
+    let Some(program) = program else {
+        return is_library(arguments);
+    };
+    let library = format!("{}=", program.replace('-', "_"));
     let is_left_out = |argument: &String| {
-        argument == "build_script_build"
+        argument.starts_with(&library)
             || argument.starts_with("examples/")
             || argument.contains("/examples/")
     };
@@ -218,12 +224,23 @@ mod tests {
              --extern b=/t/libb.rmeta --json=diagnostic-rendered-ansi",
         );
         assert_eq!(kept(&compiler), others);
-        assert!(is_documented(&compiler));
-        assert!(!is_documented(&words("--crate-name a src/lib.rs --test")));
-        assert!(!is_documented(&words(
-            "--crate-name build_script_build build.rs"
-        )));
-        assert!(!is_documented(&words("--crate-name a b/examples/a.rs")));
+        let documented = |line: &str, program| is_documented(&words(line), program);
+        assert!(is_documented(&compiler, None));
+        assert!(documented(
+            "--crate-name a src/main.rs --extern b=x",
+            Some("a")
+        ));
+        assert!(!documented(
+            "--crate-name a_b src/main.rs --extern a_b=x",
+            Some("a-b")
+        ));
+        assert!(!documented("--crate-name a src/lib.rs --test", None));
+        assert!(!documented("--crate-name a tests/main.rs", None));
+        assert!(!documented(
+            "--crate-name build_script_build build.rs",
+            None
+        ));
+        assert!(!documented("--crate-name a b/examples/a.rs", Some("a")));
     }
 
     #[test]

@@ -65,7 +65,7 @@ impl Packages {
     }
 
     /// Cargo's options that name the packages.
-    fn options(&self) -> Vec<&'static str> {
+    pub(crate) fn options(&self) -> Vec<&'static str> {
         if *self == Self::Default {
             return Vec::new();
         }
