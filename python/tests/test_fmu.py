@@ -202,7 +202,7 @@ def test_what_is_wrong_is_refused_with_its_name_value_and_range(units: Path) -> 
         (0.0, 3_600.0, "the step is 3600 s: give 1e-6 to 10 s"),
         (0.0, -0.01, "the step is -0.01 s"),
         (0.0, math.nan, "the step is NaN s"),
-        (1.0, 0.01, "the step begins at 1 s: the simulation is at 0 s"),
+        (1.0, 0.01, "the step begins at 1 s: begin at 0 s"),
     ):
         status, text = refused(partial(fmu.doStep, time, step))
         assert (status, why in text) == (DISCARD, True), text

@@ -201,7 +201,7 @@ impl Instance {
         if !(-1e-6..=1e-6).contains(&(time - now)) {
             fail!(
                 Discard,
-                "the step begins at {time} s: the simulation is at {now} s"
+                "the step begins at {time} s: begin at {now} s, where the simulation is"
             );
         }
         if !(1e-6..=LONGEST_STEP).contains(&step) {

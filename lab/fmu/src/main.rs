@@ -30,10 +30,11 @@ fn main() -> ExitCode {
     }
 }
 
-/// The library beside this program, which is built with it.
+/// The library, which cargo builds with this program.
 fn library() -> io::Result<Vec<u8>> {
     let (prefix, suffix) = (env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
-    let library = env::current_exe()?.with_file_name(format!("{prefix}singletrack_fmu{suffix}"));
+    let name = format!("deps/{prefix}singletrack_fmu{suffix}");
+    let library = env::current_exe()?.with_file_name(name);
     fs::read(&library).map_err(|error| named(&library, &error))
 }
 
