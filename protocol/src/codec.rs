@@ -215,7 +215,7 @@ macro_rules! enumeration {
             $( $(#[doc = $variant_about:literal])* $variant:ident = $word:literal, )*
         }
     ) => {
-        singletrack_words::words! {
+        $crate::words! {
             $(#[$about])*
             pub enum $name: serde {
                 $(#[doc = $first_about])* $first = $first_word,

@@ -8,7 +8,7 @@
 
 use core::ops::RangeInclusive;
 
-use singletrack_words::words;
+use crate::words;
 
 use crate::{
     Configure, MAX_POSE_AGE_CEILING_MS, Message,

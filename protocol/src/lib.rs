@@ -31,6 +31,8 @@ mod frame;
 mod message;
 mod report;
 mod wire;
+#[path = "../../host/control/src/words.rs"]
+mod words;
 
 pub use configuration::{
     Configuration, ConfigurationError, ConfigurationField, EscCalibration, EscKind, FailsafeAction,

@@ -5,7 +5,7 @@ use singletrack_control::{
     Actuation, LimitedLaw, Motion, Setpoint, SpeedDemand, SteeringDemand, SteeringMap, Velocity,
 };
 use singletrack_core::config::ReferenceSection;
-use singletrack_pilot::{Arming, Mode, PilotRequest};
+use singletrack_pilot::Mode;
 use singletrack_scenario::{
     laboratory::{Setup, SetupError},
     virtual_drive::{VirtualDrive, VirtualTick},
@@ -18,10 +18,6 @@ const PERIOD_S: f64 = 0.01;
 
 /// The longest time until the ESC of a car alone is armed, in µs.
 const ARMING_US: u64 = 1_000_000;
-
-/// The longest time until a whole system drives, in ticks: longer than bootloader, ESC and
-/// estimator take.
-const READY_TICKS: u64 = 1_500;
 
 /// A command for one period.
 #[derive(Clone, Copy, Debug)]
@@ -211,27 +207,7 @@ impl System {
             setpoint_timeout_ms: 200,
         };
         let mut drive = VirtualDrive::new(config, seed, simulation).map_err(SetupError::new)?;
-        let mut last = drive.step();
-        let mut armed = false;
-        while last.tick.output.mode != Mode::Driving {
-            if last.tick.index > READY_TICKS {
-                return Err(SetupError::new(format!(
-                    "the car did not start: mode {}, because of {}",
-                    last.tick.output.mode,
-                    last.tick
-                        .output
-                        .reason
-                        .map_or("nothing", |reason| reason.name())
-                )));
-            }
-            if !armed && drive.mode() == Mode::Ready {
-                // The ring is empty: every tick takes all requests.
-                armed = drive.request(PilotRequest::Arm(Arming::Unattended)).is_ok();
-            }
-            // Standstill is a set-point too; without one the car is not armed.
-            send(&drive, &last, Command::PointVelocity([0.0; 2]));
-            last = drive.step();
-        }
+        let last = drive.start().map_err(SetupError::new)?;
         Ok(Self { drive, last })
     }
 

@@ -20,6 +20,8 @@ mod toolchain;
 mod uno;
 mod verify;
 mod web;
+#[path = "../../host/control/src/words.rs"]
+mod words;
 mod workspace;
 
 use std::process::ExitCode;

@@ -5,7 +5,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use singletrack_words::words;
+use crate::words;
 
 use crate::{
     process::{Failure, Result, failure},

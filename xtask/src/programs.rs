@@ -202,12 +202,8 @@ fn needs_image(arguments: &[String]) -> bool {
         })
 }
 
-/// The packages with `publish = true`, each after those that it depends on.
-pub(crate) const PUBLISHED: [&str; 3] = [
-    "singletrack-words",
-    "singletrack-control",
-    "singletrack-mocap",
-];
+/// The packages with `publish = true`.
+pub(crate) const PUBLISHED: [&str; 2] = ["singletrack-control", "singletrack-mocap"];
 
 /// Checks that the packages without I/O build without the others, beside those of [`PUBLISHED`], which
 /// are built alone; and that one builds without features. In the workspace's build, a package has the

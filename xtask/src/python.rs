@@ -74,7 +74,7 @@ fn pip(python: &Path) -> Command {
 
 /// The environment of the package's build and of its tests.
 fn package_environment() -> Result<PathBuf> {
-    let modules = "gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist";
+    let modules = "fmpy, gymnasium, matplotlib, maturin, mypy, osqp, pytest, xdist";
     environment("python-venv", &root().join("python"), modules)
 }
 
@@ -146,7 +146,8 @@ pub(crate) fn check_package(packages: &Packages) -> Result {
     let mut tests = in_source("-m pytest --quiet -n 2 -p no:cacheprovider");
     tests
         .env("SINGLETRACKD", packages.path("singletrackd")?)
-        .env("SINGLETRACK_SIM", packages.path("singletrack-sim")?);
+        .env("SINGLETRACK_SIM", packages.path("singletrack-sim")?)
+        .env("SINGLETRACK_FMU", packages.path("singletrack-fmu")?);
     // The types are those of the sources: they need no build.
     check(&mut in_source("-m mypy singletrack examples tests"))?;
     packages.check_with_image(&mut tests)

@@ -9,12 +9,12 @@ mod size;
 use std::collections::VecDeque;
 
 use singletrack_board::Board;
+use singletrack_control::words;
 use singletrack_protocol::{
     COMMAND_TIME_TO_LIVE_US, Decoder, ResetCause, Telemetry, ToBoard, ToHost, UNNAMED,
 };
 use singletrack_settings::section;
 use singletrack_simavr::{BusFault, Figures, Hang};
-use singletrack_words::words;
 
 use self::{image::Image, native::Native};
 use crate::{

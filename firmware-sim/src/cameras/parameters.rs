@@ -2,9 +2,9 @@
 
 use libm::{cos, sin};
 use serde::{Deserialize, Serialize};
+use singletrack_control::words;
 use singletrack_mocap::UpAxis;
 use singletrack_settings::section;
-use singletrack_words::words;
 
 use crate::{
     loss::{LossPattern, LossWindow},

@@ -22,6 +22,8 @@ mod reply;
 mod request;
 mod state;
 mod status;
+#[path = "../../control/src/words.rs"]
+mod words;
 
 #[cfg(unix)]
 pub use clock::ClockOffset;

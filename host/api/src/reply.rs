@@ -3,8 +3,8 @@
 use core::fmt;
 use std::borrow::Cow;
 
+use crate::words;
 use serde::{Deserialize, Serialize};
-use singletrack_words::words;
 
 use crate::{ClientError, SOCKET_VERSION, State, Status};
 

@@ -49,6 +49,7 @@ mod steering_map;
 mod stop;
 mod tracking;
 mod vehicle;
+mod words;
 
 pub use actuation::{Actuation, Ahead, Lead, LimitedLaw, Limits};
 #[cfg(feature = "alloc")]

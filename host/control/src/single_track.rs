@@ -5,9 +5,9 @@
 //! car that moves forward they are equation 1 itself, which [`SingleTrack`]
 //! has as printed.
 
+use crate::words;
 use libm::{atan, cos, tan};
 use serde::{Deserialize, Serialize};
-use singletrack_words::words;
 
 use crate::{Functions, GRAVITY, Libm, Number, VehicleParameters};
 

@@ -16,3 +16,4 @@ mod safety_answers;
 mod safety_filter;
 mod safety_stops;
 mod vehicle_models;
+mod words;

@@ -1,8 +1,8 @@
 //! Drive commands: from SI units to the wire, with the ages; and how long one takes to the board and
 //! back.
 
+use singletrack_protocol::words;
 use singletrack_protocol::{BoardMode, Drive, Jog, Sequence};
-use singletrack_words::words;
 
 /// The set points of the car until the next command.
 #[derive(Clone, Copy, Debug, PartialEq)]

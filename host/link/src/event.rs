@@ -2,10 +2,10 @@
 
 use core::fmt;
 
+use singletrack_protocol::words;
 use singletrack_protocol::{
     BoardMode, ImuState, RefusalReason, Request, Sequence, Status, Telemetry, VERSION,
 };
-use singletrack_words::words;
 
 /// What happened. The handlers pass events to their owner in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

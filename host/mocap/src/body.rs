@@ -1,7 +1,7 @@
 //! The rigid bodies of a frame, with whole poses in the world frame; and when the frame was captured,
 //! in local time.
 
-use singletrack_words::words;
+use crate::words;
 
 use crate::codec::{RigidBodies, RigidBody};
 

@@ -88,6 +88,7 @@ mod session;
 mod source;
 mod stream;
 pub mod vrpn;
+mod words;
 
 pub use body::{
     Bodies, Body, BodyPose, BodyState, CaptureTime, CaptureTimeSource, InvalidBody, UpAxis,

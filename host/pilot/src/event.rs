@@ -1,9 +1,9 @@
 //! The inputs of a tick: everything that reached the pilot since the last one.
 
+use singletrack_control::words;
 use singletrack_control::{
     InertialSample, NeighbourSample, PoseSample, Setpoint, Time, TrajectoryPiece,
 };
-use singletrack_words::words;
 
 use crate::{learned::Learned, tuning::Tuning};
 

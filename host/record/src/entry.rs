@@ -112,7 +112,7 @@ pub struct ConfigurationRecord {
     pub toml: String,
 }
 
-singletrack_words::words! {
+singletrack_control::words! {
     /// The severity of a line of the log, with the numbers of ROS's own levels.
     #[derive(PartialOrd, Ord)]
     pub enum Level {

@@ -108,7 +108,7 @@ pub struct DriveWrite {
     pub time_ns: u64,
 }
 
-singletrack_words::words! {
+singletrack_control::words! {
     /// The phase of the session with the board.
     pub enum LinkPhase {
         /// The port is closed.

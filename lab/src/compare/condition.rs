@@ -2,8 +2,8 @@
 
 use clap::ValueEnum;
 use singletrack_control::VehicleParameters;
+use singletrack_control::words;
 use singletrack_sim::SimulationConfig;
-use singletrack_words::words;
 
 words! {
     /// A condition of the comparison.

@@ -4,10 +4,10 @@ use std::{fmt, sync::OnceLock};
 
 use clap::{ValueEnum, builder::PossibleValue};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error as _};
+use singletrack_control::words;
 use singletrack_core::config::{
     LqiWeights, MpcWeights, OuterLoopSection, OwnLoopSection, own_loops,
 };
-use singletrack_words::words;
 
 use super::{condition::Condition, counted::OwnPoint, foreign::Law};
 

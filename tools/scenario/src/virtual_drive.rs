@@ -9,11 +9,11 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use singletrack_control::{Estimate, Position, Setpoint, Time};
+use singletrack_control::{Estimate, Position, Setpoint, Time, Velocity};
 use singletrack_core::{
     ConfigError, HostOptions, Stalled, VirtualHost,
     cameras::{Channel, Sockets},
-    config::{Config, TuningError},
+    config::{Config, ReferenceSection, TuningError},
     controller::Controller,
     line::{Line, Port, PortRead, Sent},
     reconfigure::ChangeError,
@@ -358,7 +358,7 @@ impl VirtualDrive {
     }
 
     /// Waits until the car can drive, arms it, and goes on to the first driving
-    /// tick, which it returns.
+    /// tick, which it returns. An external reference gets standstill as its set-point.
     ///
     /// # Errors
     ///
@@ -376,6 +376,8 @@ impl VirtualDrive {
         &mut self,
         on_tick: &mut impl FnMut(&VirtualTick),
     ) -> Result<VirtualTick, VirtualDriveError> {
+        let reference = &self.host.parts().configurations.in_force().reference;
+        let is_external = matches!(reference, ReferenceSection::External { .. });
         let mut armed = false;
         while self.next_tick_us() < (READY_TIMEOUT * 1e6) as u64 {
             if !armed && self.mode() == Mode::Ready {
@@ -386,6 +388,10 @@ impl VirtualDrive {
             on_tick(&tick);
             if tick.tick.output.mode == Mode::Driving {
                 return Ok(tick);
+            }
+            if is_external {
+                // Without a set-point the car is not armed.
+                self.send_setpoint(&Setpoint::point(tick.now, None, Velocity::zeros()));
             }
         }
         Err(self.not_started())

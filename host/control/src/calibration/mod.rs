@@ -21,11 +21,11 @@
 mod regression;
 mod window;
 
+use crate::words;
 use libm::{atanh, fabs, hypot, sincos, sqrt};
 use nalgebra::SVector;
 pub use regression::student_quantile;
 use regression::{Fit, Regression};
-use singletrack_words::words;
 use window::{Means, Windows, begin, first_open, follows, is_gap};
 
 use crate::{

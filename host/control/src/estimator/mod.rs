@@ -14,10 +14,10 @@ mod bank;
 mod filter;
 mod wheels;
 
+use crate::words;
 use heapless::Deque;
 use libm::{atan, atan2, hypot, tan};
 use nalgebra::Vector3;
-use singletrack_words::words;
 
 use self::{
     bank::{Bank, SAMPLE_PERIOD, Sample},

@@ -6,8 +6,8 @@ mod simple;
 
 use core::{array, f64::consts::TAU};
 
+use crate::words;
 use libm::fabs;
-use singletrack_words::words;
 
 use crate::{Demand, Position, Time, Velocity, direction};
 

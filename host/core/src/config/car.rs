@@ -4,12 +4,12 @@
 //!
 //! The types of the mathematics are read as they are; the sections declared here describe them.
 
+use singletrack_control::words;
 use singletrack_control::{
     ActuatorModel, EstimatorConfig, Limits, MarkerLoss, SteeringMap, SteeringTable,
     VehicleParameters,
 };
 use singletrack_settings::{Declared as _, Maps as _, ValueError, section};
-use singletrack_words::words;
 
 use super::{Config, ConfigError, ServoSection};
 

@@ -7,12 +7,12 @@ use core::{
 };
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use singletrack_control::words;
 use singletrack_mocap::{
     DEFAULT_DATA_PORT, DEFAULT_MULTICAST_GROUP, DEFAULT_QUATERNION_NORM_TOLERANCE, PoseLimits,
     Protocol, Timing, Transport, UpAxis, codec::BitstreamVersion, planar::PlanarConfig,
 };
 use singletrack_settings::{Declared as _, Maps as _, section};
-use singletrack_words::words;
 
 use super::ConfigError;
 

@@ -4,6 +4,7 @@
 
 use libm::{sqrt, tan};
 use serde::{Deserialize, Serialize};
+use singletrack_control::words;
 use singletrack_control::{
     ActuatorModel, ConvexArea, DelayedMpc, FrontPointLaw, LawError, Limits, LqiAxis, LqiConfig,
     LqiError, LqiLoop, MpcConfig, MpcError, OpenLoop, ProportionalLoop, Reference, TrackingLoop,
@@ -11,7 +12,6 @@ use singletrack_control::{
 };
 use singletrack_pilot::{Compensation, Fence};
 use singletrack_settings::{Written, check_kind, section};
-use singletrack_words::words;
 use toml::Table;
 
 use super::{ActuatorsSection, ConfigError, OwnLoopSection};

@@ -11,12 +11,12 @@ use std::{
 };
 
 use serde::{Deserialize, Serialize};
+use singletrack_control::words;
 use singletrack_control::{
     Circle, External, FigureOfEight, Path as SmoothPath, PathSpeed, Position, Reference,
     ReferenceError, Start, Velocity, VelocityStep, VelocitySteps, Waypoint, Waypoints,
 };
 use singletrack_settings::{Written, check_kind, seconds, section};
-use singletrack_words::words;
 
 use super::ConfigError;
 

@@ -8,7 +8,7 @@
 use core::fmt;
 
 use serde::{Deserialize, Serialize};
-use singletrack_words::words;
+use singletrack_control::words;
 
 use crate::run::proof::hexadecimal;
 

@@ -18,7 +18,7 @@ mod tracker;
 
 use core::net::IpAddr;
 
-use singletrack_words::words;
+use crate::words;
 
 use crate::{
     body::{BodyPose, CaptureTime, CaptureTimeSource, UpAxis},

@@ -1,11 +1,11 @@
 //! What the pilot is given and gives: configuration, commands, the result of a tick.
 
+use singletrack_control::words;
 use singletrack_control::{
     Actuation, Covariance, Estimate, EstimatorConfig, FrontPointLaw, Governor, GovernorConfig,
     Limits, NeighbourConfig, Position, Reference, ReferencePoint, SafetyFilter, SetpointError,
     SetpointStamp, SlowedBy, Start, Time, TrackingLoop, Velocity,
 };
-use singletrack_words::words;
 
 use super::{Compensation, Filtering};
 use crate::{

@@ -2,12 +2,12 @@
 //! which are obstacles of the drive.
 
 use libm::fabs;
+use singletrack_control::words;
 use singletrack_control::{
     Actuation, Ahead, Estimate, Expected, Filtered, FilteredDemand, LimitedLaw, Motion,
     NeighbourConfig, NeighbourSample, NeighbourSides, Neighbours, Position, ReferencePoint,
     SafetyFilter, SafetyInput, Singularity, SlowedBy, SpeedDemand, SteeringDemand, Time, Velocity,
 };
-use singletrack_words::words;
 
 use super::{DriveCommand, Pilot};
 use crate::{supervisor::Reason, watch::WAVE};

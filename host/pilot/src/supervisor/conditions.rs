@@ -2,7 +2,7 @@
 //! board.
 
 use singletrack_control::Time;
-use singletrack_words::words;
+use singletrack_control::words;
 
 use super::reason::Reason;
 use crate::watch::ImuVerdict;

@@ -1,6 +1,6 @@
 //! The reasons why the car does not drive, or stopped.
 
-use singletrack_words::words;
+use singletrack_control::words;
 
 words! {
     /// Why the car does not drive, or stopped. Each reason has one word, the same in

@@ -3,13 +3,13 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use singletrack_control::SlowedBy;
+use singletrack_control::words;
 use singletrack_mocap::{CaptureTimeSource, RejectReason};
 use singletrack_pilot::{
     BoardRequest, BoardState, Filtering, LinkState, Mode, PilotRequest, PoseMissing, Reason,
     SetpointRefusal,
 };
 use singletrack_protocol::{BoardMode, ImuState, RefusalReason, ResetCause, StopCause};
-use singletrack_words::words;
 
 use super::{
     Definition, InvalidMessage,

@@ -243,7 +243,7 @@ macro_rules! choice {
             )*
         }
     ) => {
-        singletrack_words::words! {
+        singletrack_control::words! {
             pub(crate) enum $kind { $($variant = $number $word,)* }
         }
 

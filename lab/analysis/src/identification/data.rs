@@ -2,9 +2,9 @@
 //! stretches of it that can be used.
 
 use nalgebra::{Matrix3, Vector3};
+use singletrack_control::words;
 use singletrack_control::wrap;
 use singletrack_statistics::{Line, RootMeanSquare};
-use singletrack_words::words;
 
 use super::error::IdentificationError;
 

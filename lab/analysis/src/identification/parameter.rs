@@ -3,7 +3,7 @@
 use core::str::FromStr;
 
 use singletrack_control::VehicleParameters;
-use singletrack_words::words;
+use singletrack_control::words;
 
 use crate::dual::Dual;
 

@@ -3,8 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 use num_dual::DualSVec64;
+use singletrack_control::words;
 use singletrack_control::{SlipAngles, Tyres};
-use singletrack_words::words;
 
 use super::{
     data::ServoFrames,

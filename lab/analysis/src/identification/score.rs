@@ -1,6 +1,6 @@
 //! How well a simulation without corrections fits a drive, and prediction errors by channel.
 
-use singletrack_words::words;
+use singletrack_control::words;
 
 use super::{
     data::{Channel, Span},

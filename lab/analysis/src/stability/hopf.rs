@@ -2,7 +2,7 @@
 
 use nalgebra::Complex;
 use singletrack_control::VehicleParameters;
-use singletrack_words::words;
+use singletrack_control::words;
 
 use super::{
     characteristic::{CharacteristicPolynomial, front_point_quadratic, front_point_quadratic_in_p},

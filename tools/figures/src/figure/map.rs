@@ -2,7 +2,7 @@
 
 use std::{fmt, sync::Arc};
 
-use singletrack_words::words;
+use singletrack_control::words;
 
 use super::page::Column;
 

@@ -17,7 +17,7 @@ mod thin;
 mod typeset;
 
 use serde::Serialize;
-use singletrack_words::words;
+use singletrack_control::words;
 
 pub use map::{Band, Grid, GridError, Isoline, Map, Shade};
 pub use page::{Callout, Callouts, Column, Estimate, Level, Look, MarkKind};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use singletrack_words::words;
+use singletrack_control::words;
 
 use super::{Figure, Shade, typeset};
 

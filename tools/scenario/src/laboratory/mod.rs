@@ -114,7 +114,7 @@ impl Laboratory {
     }
 
     /// Waits until the car can drive, arms it, and goes on to the first driving tick, which it
-    /// returns.
+    /// returns. An external reference gets standstill as its set-point.
     ///
     /// # Errors
     ///

@@ -1,11 +1,10 @@
-//! Enumerations whose values have a word each: in a file, a message, a record or a page.
-
-#![no_std]
+//! Enumerations whose values have a word each: in a file, a message, a record or a page. Crates
+//! that do not depend on this one have the same file.
 
 /// Declares an enumeration: each value once, with its word.
 ///
-/// ```
-/// singletrack_words::words! {
+/// ```text
+/// words! {
 ///     /// How a car stops.
 ///     pub enum Stop {
 ///         /// It rolls out.
@@ -14,6 +13,7 @@
 ///         Brake = 2 "brake",
 ///     }
 /// }
+///
 /// assert_eq!(Stop::ALL.map(Stop::name), ["coast", "brake"]);
 /// assert_eq!(Stop::named("brake"), Some(Stop::Brake));
 /// assert_eq!(Stop::Brake as u8, 2);
@@ -26,6 +26,7 @@
 /// `enum Stop: serde` reads and writes the words with serde, which the crate must depend on;
 /// The values may have other
 /// attributes than their documentation, which is no data then.
+#[doc(hidden)]
 #[macro_export]
 macro_rules! words {
     (
@@ -122,6 +123,7 @@ macro_rules! words {
         impl $name {
             /// The documentation of this value, in Markdown.
             #[must_use]
+            #[allow(dead_code, reason = "not every enumeration is documented to a reader")]
             $vis const fn documentation(self) -> &'static str {
                 match self {
                     $(Self::$value => concat!($($documentation, "\n"),*),)+
