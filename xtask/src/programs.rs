@@ -18,9 +18,10 @@ use crate::{
 pub(crate) const NAMED_TESTS: [&str; 4] = ["hil", "book", "uno", "real_logs"];
 
 /// The packages that need more than Rust and a C compiler; they are no default members.
-const OF_PARTS: [(Part, &str); 5] = [
+const OF_PARTS: [(Part, &str); 6] = [
     (Part::Uno, "singletrack-simavr-process"),
     (Part::Python, "singletrack-python"),
+    (Part::Python, "singletrack-fmu"),
     (Part::Ros, "singletrack-ros"),
     (Part::Zenoh, "singletrack-zenoh"),
     (Part::Web, "singletrack-web"),
