@@ -230,7 +230,6 @@ pub struct Seen {
 
 impl Seen {
     /// What is seen now.
-    #[must_use]
     pub fn of(world: &World) -> Self {
         let (truth, car) = (world.truth(), world.car());
         Self {

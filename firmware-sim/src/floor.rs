@@ -91,7 +91,6 @@ impl Floor {
     }
 
     /// The least distance between two bodies so far, in m; negative if they have overlapped.
-    #[must_use]
     pub const fn nearest_m(&self) -> f64 {
         self.nearest_m
     }

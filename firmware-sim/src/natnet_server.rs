@@ -145,7 +145,6 @@ pub struct NatNetServer {
 
 impl NatNetServer {
     /// A server without clients.
-    #[must_use]
     pub fn new(parameters: NatNetParameters) -> Self {
         Self {
             parameters,
@@ -158,13 +157,11 @@ impl NatNetServer {
     }
 
     /// The parameters.
-    #[must_use]
     pub const fn parameters(&self) -> &NatNetParameters {
         &self.parameters
     }
 
     /// The counters so far.
-    #[must_use]
     pub const fn counters(&self) -> NatNetCounters {
         self.counters
     }

@@ -61,7 +61,6 @@ impl PulseLog {
     }
 
     /// Number of frames since the start, including those no longer kept.
-    #[must_use]
     pub const fn total(&self) -> u64 {
         self.total
     }
@@ -72,7 +71,6 @@ impl PulseLog {
     }
 
     /// The last frame.
-    #[must_use]
     pub fn last(&self) -> Option<&PulseRecord> {
         self.records.back()
     }
@@ -80,7 +78,6 @@ impl PulseLog {
     /// The first frame at or after `time_us` from which on all ESC pulses are
     /// absent or within `tolerance_us` of neutral. Pulses that a reset cut below
     /// neutral are ignored.
-    #[must_use]
     pub fn neutral_from(
         &self,
         time_us: u64,

@@ -186,25 +186,21 @@ impl RealTimeSimulator {
 
     /// Path of the board's serial port: the link if configured, else the device
     /// (which changes with [`plug`](Self::plug)).
-    #[must_use]
     pub fn pty_path(&self) -> &Path {
         &self.pty_path
     }
 
     /// Command address of the NatNet server, or the address of another one on TCP.
-    #[must_use]
     pub const fn command_address(&self) -> SocketAddrV4 {
         self.command_address
     }
 
     /// Source address of the frames; its port is also the multicast port.
-    #[must_use]
     pub const fn data_address(&self) -> SocketAddrV4 {
         self.data_address
     }
 
     /// `CLOCK_MONOTONIC` at simulation time zero, in ns.
-    #[must_use]
     pub const fn started_ns(&self) -> u64 {
         self.started_ns
     }

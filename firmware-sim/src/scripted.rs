@@ -67,14 +67,12 @@ impl ScriptedHost {
     }
 
     /// Board time of the newest telemetry, in µs; zero before the first.
-    #[must_use]
     pub fn telemetry_time_us(&self) -> u32 {
         self.telemetry
             .map_or(0, |telemetry| telemetry.board_time_us)
     }
 
     /// The board's last reported mode.
-    #[must_use]
     pub fn mode(&self) -> Option<BoardMode> {
         self.telemetry.map(|telemetry| telemetry.mode)
     }

@@ -127,7 +127,6 @@ pub struct SerialWire {
 
 impl SerialWire {
     /// An idle line.
-    #[must_use]
     pub fn new(parameters: &WireParameters, seed: u64) -> Self {
         Self {
             byte_ps: 10 * 1_000_000 * PS_PER_US / u64::from(parameters.baud.max(1)),
@@ -140,7 +139,6 @@ impl SerialWire {
     }
 
     /// The present faults.
-    #[must_use]
     pub const fn faults(&self) -> &WireFaults {
         &self.faults
     }
@@ -151,7 +149,6 @@ impl SerialWire {
     }
 
     /// Whether both ends are plugged in.
-    #[must_use]
     pub const fn is_connected(&self) -> bool {
         self.connected
     }
@@ -183,7 +180,6 @@ impl SerialWire {
     }
 
     /// Number of bytes from the host that have not reached the board.
-    #[must_use]
     pub fn bytes_to_board(&self) -> usize {
         self.held.len() + self.to_board.under_way.len()
     }

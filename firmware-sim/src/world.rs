@@ -97,13 +97,11 @@ impl World {
     }
 
     /// The configuration.
-    #[must_use]
     pub const fn config(&self) -> &SimulationConfig {
         &self.config
     }
 
     /// The present time, in µs.
-    #[must_use]
     pub const fn now_us(&self) -> u64 {
         self.now_us
     }
@@ -264,7 +262,6 @@ impl World {
     }
 
     /// Whether [`poll_datagram`](Self::poll_datagram) has one.
-    #[must_use]
     pub fn has_datagrams(&self) -> bool {
         !self.datagrams.is_empty()
     }
@@ -280,7 +277,6 @@ impl World {
     }
 
     /// Ground truth.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         let mut car = self.car.clone();
         car.advance_to(self.now_us);
@@ -288,7 +284,6 @@ impl World {
     }
 
     /// Present bias of the gyroscope about the car's axes, in rad/s.
-    #[must_use]
     pub const fn gyro_bias_rad_s(&self) -> [f64; 3] {
         self.imu.gyro_bias()
     }
@@ -307,7 +302,6 @@ impl World {
     }
 
     /// The car at the last event of the board or of a sensor.
-    #[must_use]
     pub const fn car(&self) -> &Car {
         &self.car
     }
@@ -319,7 +313,6 @@ impl World {
     }
 
     /// The board.
-    #[must_use]
     pub const fn board(&self) -> &SimulatedBoard {
         &self.board
     }
@@ -360,7 +353,6 @@ impl World {
     }
 
     /// The serial line.
-    #[must_use]
     pub const fn wire(&self) -> &SerialWire {
         &self.wire
     }
@@ -376,7 +368,6 @@ impl World {
     }
 
     /// The cameras.
-    #[must_use]
     pub const fn cameras(&self) -> &Cameras {
         &self.cameras
     }
@@ -387,7 +378,6 @@ impl World {
     }
 
     /// The NatNet server.
-    #[must_use]
     pub const fn natnet(&self) -> &NatNetServer {
         &self.natnet
     }

@@ -58,7 +58,6 @@ enum Command {
 /// Runs the command line of this process as the programs of Singletrack do, with these outer loops of
 /// other crates: as `singletrackd` if that is its name or its first argument, and otherwise as
 /// `singletrack`.
-#[must_use]
 pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
     link_own_loops(kinds);
     let arguments: Vec<OsString> = env::args_os().collect();
@@ -75,7 +74,6 @@ pub fn main_with(kinds: impl Into<Vec<OwnLoopKind>>) -> ExitCode {
 }
 
 /// Runs the command line of this process.
-#[must_use]
 pub fn main() -> ExitCode {
     // As it is typed: `singletrack stability`.
     let mut command = take_negative_numbers(Cli::command()).bin_name("singletrack");

@@ -145,25 +145,21 @@ impl Cameras {
     }
 
     /// The parameters, with ids changed since.
-    #[must_use]
     pub const fn parameters(&self) -> &CameraParameters {
         &self.parameters
     }
 
     /// The server's clock.
-    #[must_use]
     pub const fn clock(&self) -> &SkewedClock {
         &self.clock
     }
 
     /// The server's high-resolution clock at a simulation time.
-    #[must_use]
     pub fn ticks(&self, simulation_us: u64) -> u64 {
         self.clock.at(simulation_us) * (TICKS_PER_SECOND / 1_000_000)
     }
 
     /// The counters so far.
-    #[must_use]
     pub const fn counters(&self) -> CameraCounters {
         self.counters
     }

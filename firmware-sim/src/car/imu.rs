@@ -87,7 +87,6 @@ impl ImuParameters {
     }
 
     /// The registers `CALIB_STAT`, `ST_RESULT`, `SYS_STATUS` and `SYS_ERR`.
-    #[must_use]
     pub const fn registers(&self) -> [u8; 4] {
         let [system, gyroscope, accelerometer] = self.calibration;
         let calibration = (system & 3) << 6 | (gyroscope & 3) << 4 | (accelerometer & 3) << 2;

@@ -31,7 +31,6 @@ pub enum EscKind {
 
 impl EscKind {
     /// Time without pulses after which an ESC of this kind releases the motor, in µs.
-    #[must_use]
     pub const fn signal_loss_us(self) -> u64 {
         match self {
             Self::Vesc => 1_000_000,

@@ -83,7 +83,6 @@ struct StepInputs {
 impl Car {
     /// A car at rest at its start pose at simulation time zero, with straight
     /// wheels and an ESC that has just been powered.
-    #[must_use]
     pub fn new(parameters: CarParameters) -> Self {
         let mut car = Self {
             model: parameters.model(),
@@ -120,7 +119,6 @@ impl Car {
     }
 
     /// The parameters.
-    #[must_use]
     pub const fn parameters(&self) -> &CarParameters {
         &self.parameters
     }
@@ -161,25 +159,21 @@ impl Car {
     }
 
     /// Whether a motion by hand is under way.
-    #[must_use]
     pub const fn is_in_motion_by_hand(&self) -> bool {
         self.hands.is_busy()
     }
 
     /// Whether the wheels are off the floor.
-    #[must_use]
     pub fn wheels_are_up(&self) -> bool {
         self.hands.wheels_are_up(self.now_us)
     }
 
     /// Whether the ESC drives the motor, in either direction.
-    #[must_use]
     pub fn motor_is_driven(&self) -> bool {
         self.is_driven()
     }
 
     /// Whether the servo pushes against a mechanical stop: it buzzes.
-    #[must_use]
     pub fn servo_strains(&self) -> bool {
         let servo = &self.parameters.servo;
         servo.free_angle(self.servo_held_us).abs() > servo.stop_rad + 0.01
@@ -242,7 +236,6 @@ impl Car {
 
     /// Whether the ESC has power: switched on, not restarting, and its relay held, if it
     /// has one.
-    #[must_use]
     pub const fn esc_has_power(&self) -> bool {
         self.esc_is_switched_on
             && self.battery.is_plugged()
@@ -251,7 +244,6 @@ impl Car {
     }
 
     /// Whether the supply of servo and IMU has failed.
-    #[must_use]
     pub const fn supply_dips(&self) -> bool {
         self.happened.supply_dips
     }
@@ -371,13 +363,11 @@ impl Car {
     }
 
     /// The motor pulses so far.
-    #[must_use]
     pub fn motor_pulses(&self) -> MotorPulses {
         self.sensor.pulses()
     }
 
     /// Whether the ESC has been at neutral long enough to drive.
-    #[must_use]
     pub const fn esc_is_armed(&self) -> bool {
         self.esc.is_armed()
     }
@@ -407,7 +397,6 @@ impl Car {
     }
 
     /// The present ground truth.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         let CarState {
             track,

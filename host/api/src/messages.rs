@@ -79,7 +79,6 @@ impl MessageStream {
     }
 
     /// The daemon's clocks when its record began.
-    #[must_use]
     pub const fn clocks(&self) -> Clocks {
         self.clocks
     }

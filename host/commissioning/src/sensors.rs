@@ -75,7 +75,6 @@ pub enum Source {
 }
 
 /// All sensors that can be compared, and what is wrong with them: which, what, and the fix.
-#[must_use]
 pub fn compare(
     track: &Track,
     readings: &Readings,

@@ -338,7 +338,6 @@ impl Daemon {
     }
 
     /// The present status: the last tick, the board, and the figures so far.
-    #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         self.handle.snapshot()
     }
@@ -365,7 +364,6 @@ impl Daemon {
     }
 
     /// The number of the configuration in force, and the last attempt to change it.
-    #[must_use]
     pub fn configuration(&self) -> singletrack_api::Configuration {
         self.handle.reconfigurer.view()
     }
@@ -407,19 +405,16 @@ impl Daemon {
     }
 
     /// Why nothing is recorded, or soon will not be; `None` if all is well with the record.
-    #[must_use]
     pub fn record_trouble(&self) -> Option<String> {
         self.handle.record_trouble()
     }
 
     /// The number of ticks that the control thread has done.
-    #[must_use]
     pub fn ticks(&self) -> u64 {
         self.handle.control.ticks.load(Ordering::Relaxed)
     }
 
     /// The pilot's mode and reason after the last tick; disconnected before the first.
-    #[must_use]
     pub fn mode(&self) -> (Mode, Option<Reason>) {
         let latest = self.handle.status.latest();
         let output = latest.tick.as_ref().map(|tick| &tick.output);
@@ -432,7 +427,6 @@ impl Daemon {
     /// other one by a fault. The daemon is to be [stopped](Self::stop) then: a drive must not go on
     /// without its reader, its cameras or its control socket. A record that can't be written ends
     /// only itself.
-    #[must_use]
     pub fn ended_thread(&self) -> Option<&'static str> {
         if self.handle.control.ended.load(Ordering::Acquire) {
             return Some("control");

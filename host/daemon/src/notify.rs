@@ -95,7 +95,6 @@ impl ServiceManager {
     }
 
     /// The longest time between two signs of life; `None` without a watchdog.
-    #[must_use]
     pub const fn watchdog(&self) -> Option<Duration> {
         self.watchdog
     }
@@ -166,7 +165,6 @@ pub struct Watchdog {
 
 impl Watchdog {
     /// A watchdog for a manager that allows `interval` between two signs of life.
-    #[must_use]
     pub fn new(interval: Duration) -> Self {
         Self {
             period_ns: u64::try_from(interval.as_nanos() / 2).unwrap_or(u64::MAX),

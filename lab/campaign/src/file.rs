@@ -134,7 +134,6 @@ impl ResultFile {
     }
 
     /// The header.
-    #[must_use]
     pub const fn header(&self) -> &Header {
         &self.header
     }

@@ -142,7 +142,6 @@ pub struct CampaignArgs {
 
 impl CampaignArgs {
     /// The number of threads to use.
-    #[must_use]
     pub fn threads(&self) -> usize {
         self.threads.unwrap_or_else(thread_count).max(1)
     }
@@ -162,7 +161,6 @@ pub struct Progress {
 
 impl Progress {
     /// For `length` units.
-    #[must_use]
     pub fn new(name: &'static str, length: u64) -> Self {
         let bar = ProgressBar::new(length);
         if let Ok(style) =

@@ -55,7 +55,6 @@ impl Shard {
     }
 
     /// Number of parts.
-    #[must_use]
     pub const fn of(self) -> u64 {
         self.of
     }
@@ -143,7 +142,6 @@ pub fn run_units<R: Send, E: Send>(
 }
 
 /// One thread per core that this process may use.
-#[must_use]
 pub fn thread_count() -> usize {
     thread::available_parallelism().map_or(1, NonZero::get)
 }

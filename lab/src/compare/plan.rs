@@ -80,7 +80,6 @@ impl Comparison {
     }
 
     /// Whether a unit is a drive of the program's own controller.
-    #[must_use]
     pub fn is_yours(&self, unit: u64) -> bool {
         self.case(unit)
             .is_ok_and(|case| matches!(case.drives, Drives::Yours(_)))

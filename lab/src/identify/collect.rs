@@ -264,13 +264,11 @@ impl Collector {
     }
 
     /// The periods that begin a servo pulse, if no board has recorded its own.
-    #[must_use]
     pub fn frames(&self) -> Option<ServoFrames> {
         self.board.is_none().then_some(ServoFrames::Every)
     }
 
     /// Whether the record has samples of an accelerometer.
-    #[must_use]
     pub fn has_accelerometer(&self) -> bool {
         let mut samples = self.data.inertial.iter().chain(&self.of_ticks.inertial);
         samples.any(|sample| !sample.forward_m_s2.is_nan())

@@ -302,7 +302,6 @@ fn simulated_noise(speed: f64) -> NoiseLevels {
 
 impl SeedResult {
     /// The estimate of a parameter, if it was identified.
-    #[must_use]
     pub fn estimate(&self, parameter: Parameter) -> Option<&SeedEstimate> {
         let mut estimates = self.estimates.iter();
         estimates.find(|estimate| estimate.parameter == parameter.name())
@@ -321,7 +320,6 @@ impl Study {
     }
 
     /// Statistics of `C_f`, `C_r` and `I_z` over all seeds.
-    #[must_use]
     pub fn summaries(&self) -> [Summary; 3] {
         let values = Values::of(&self.truth);
         let count = self.seeds.len().max(1) as f64;
@@ -360,7 +358,6 @@ impl Study {
 
     /// Mean of the normalised mean prediction errors on the drives for identification
     /// and for validation.
-    #[must_use]
     pub fn nmpe(&self) -> [f64; 2] {
         let count = self.seeds.len().max(1) as f64;
         let mean =

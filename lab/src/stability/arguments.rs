@@ -218,7 +218,6 @@ impl TimingArgs {
     /// estimator goes on from there by the steering that was sent, and what it gives acts as one of
     /// 5 ms: with that the limit cycles of the simulated car begin where the linear loop says, and without
     /// compensation a little later. A pose 8 ms old is predicted up to an age of 30 ms.
-    #[must_use]
     pub fn simulated_car() -> Self {
         Self {
             delay_ms: 7.0,

@@ -59,7 +59,6 @@ pub fn eigenvalue_map(
 }
 
 /// The numbers of a map.
-#[must_use]
 pub fn eigenvalue_table(map: &[EigenvalueRow]) -> Table {
     let mut header = "speed_m_s,dl_m".to_owned();
     for number in 1..=map.first().map_or(0, |row| row.eigenvalues.len()) {

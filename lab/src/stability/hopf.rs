@@ -64,7 +64,6 @@ pub fn hopf_curve(subject: &Subject, speeds: &Grid) -> Result<Vec<HopfPoint>, St
 }
 
 /// The numbers of Hopf points.
-#[must_use]
 pub fn hopf_table(curve: &[HopfPoint]) -> Table {
     Table::of(
         curve,
@@ -153,7 +152,6 @@ pub fn limit_cycles(
 }
 
 /// The numbers of cycles.
-#[must_use]
 pub fn cycle_table(cycles: &[LimitCycle]) -> Table {
     Table::of(
         cycles,

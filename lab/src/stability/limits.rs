@@ -218,7 +218,6 @@ pub(super) fn shown_map(
 }
 
 /// The numbers of a map; of a margin that was not found none.
-#[must_use]
 pub fn sampled_table(map: &[SampledRow]) -> Table {
     Table::of(
         map,

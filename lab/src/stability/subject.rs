@@ -81,7 +81,6 @@ impl Subject {
 
     /// The deviations of the paper: all meaningful ones, and for the
     /// front-point law as far down as its bifurcations lie.
-    #[must_use]
     pub fn usual_deviations(&self) -> Grid {
         let [from, to] = ClosedLoop::meaningful_deviations(&self.vehicle);
         let from = match self.law {
@@ -106,7 +105,6 @@ pub struct Grid(Vec<f64>);
 
 impl Grid {
     /// `count` values from `from` to `to`, both included.
-    #[must_use]
     pub fn spanning([from, to]: [f64; 2], count: usize) -> Self {
         let last = count.saturating_sub(1).max(1) as f64;
         Self(
@@ -117,7 +115,6 @@ impl Grid {
     }
 
     /// The values, ascending; never empty if written on the command line.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.0
     }

@@ -164,7 +164,6 @@ impl Experiment for Campaign {
 
 impl SeedOutcome {
     /// The outcome of a schedule.
-    #[must_use]
     pub fn new(schedule: &Schedule, outcome: DriveOutcome) -> Self {
         let names = |names: BTreeSet<&str>| names.into_iter().map(str::to_owned).collect();
         Self {

@@ -135,7 +135,6 @@ impl VirtualBench {
     }
 
     /// The simulated car with its host.
-    #[must_use]
     pub const fn drive_of_host(&self) -> &VirtualDrive {
         &self.drive
     }
@@ -146,13 +145,11 @@ impl VirtualBench {
     }
 
     /// The file of the configuration, as the procedures have left it.
-    #[must_use]
     pub fn file(&self) -> &str {
         self.file.text()
     }
 
     /// What the campaign has watched.
-    #[must_use]
     pub const fn guard(&self) -> &Guard {
         &self.guard
     }
@@ -175,25 +172,21 @@ impl VirtualBench {
     }
 
     /// Every question that was asked, once.
-    #[must_use]
     pub fn questions(&self) -> &[Question] {
         &self.questions
     }
 
     /// Every value that was put into the configuration.
-    #[must_use]
     pub fn changes(&self) -> &[(String, Value)] {
         &self.changes
     }
 
     /// The questions that were skipped because no script knows them.
-    #[must_use]
     pub const fn unknown_questions(&self) -> &BTreeMap<String, u32> {
         &self.unknown
     }
 
     /// Time since the car was switched on, in s.
-    #[must_use]
     pub fn seconds(&self) -> f64 {
         self.drive.world().now_us() as f64 * 1e-6
     }
@@ -494,7 +487,6 @@ impl Rehearsal {
     }
 
     /// The question whose text this is, but for its numbers.
-    #[must_use]
     pub fn question(&self, text: &str) -> Option<&Question> {
         let without_numbers = |text: &str| text.replace(|c: char| c.is_ascii_digit(), "");
         let wanted = without_numbers(text);

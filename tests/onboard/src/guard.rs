@@ -59,7 +59,6 @@ impl Guard {
     }
 
     /// What happened and must not.
-    #[must_use]
     pub fn violations(&self) -> &[Violation] {
         &self.violations
     }

@@ -103,7 +103,6 @@ const ROLL_M_S: f64 = 0.4;
 
 impl Person {
     /// A person with habits of its own.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0x6861_6e64);
         let has_kill_switch = random.happens(0.6);
@@ -125,7 +124,6 @@ impl Person {
 
     /// A person who answers at once and carries the car quickly. What it does with the car is
     /// as slow as ever.
-    #[must_use]
     pub fn in_a_hurry(seed: u64) -> Self {
         Self {
             hurries: true,

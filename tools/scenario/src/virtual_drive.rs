@@ -226,7 +226,6 @@ impl VirtualDrive {
     }
 
     /// The world.
-    #[must_use]
     pub const fn world(&self) -> &World {
         &self.world
     }
@@ -237,13 +236,11 @@ impl VirtualDrive {
     }
 
     /// The controller.
-    #[must_use]
     pub const fn controller(&self) -> &Controller {
         self.host.controller()
     }
 
     /// The pilot's mode after the last tick.
-    #[must_use]
     pub const fn mode(&self) -> Mode {
         self.host.mode()
     }
@@ -309,13 +306,11 @@ impl VirtualDrive {
     }
 
     /// When the next tick is due, in µs of the simulation, rounded up. A frame may make it sooner.
-    #[must_use]
     pub const fn next_tick_us(&self) -> u64 {
         self.host.next_tick_ns().div_ceil(1_000)
     }
 
     /// The present time of the simulation, in µs.
-    #[must_use]
     pub const fn now_us(&self) -> u64 {
         self.host_us
     }

@@ -56,7 +56,6 @@ impl VirtualFleet {
     }
 
     /// The cars.
-    #[must_use]
     pub fn cars(&self) -> &[VirtualDrive] {
         &self.cars
     }
@@ -95,13 +94,11 @@ impl VirtualFleet {
     }
 
     /// The present time of the simulation, in µs.
-    #[must_use]
     pub const fn now_us(&self) -> u64 {
         self.now_us
     }
 
     /// The least distance between two bodies so far, in m; negative if they have overlapped.
-    #[must_use]
     pub const fn nearest_m(&self) -> f64 {
         self.floor.nearest_m()
     }
@@ -135,7 +132,6 @@ impl VirtualFleet {
 }
 
 /// The floor of these cars.
-#[must_use]
 pub fn fleet_floor(cars: &[FleetCar]) -> Floor {
     Floor::new(cars.iter().map(|car| {
         let vehicle = &car.config.vehicle;
@@ -145,7 +141,6 @@ pub fn fleet_floor(cars: &[FleetCar]) -> Floor {
 
 /// The world of a car: the others are rigid bodies by their names, and every world's cameras
 /// give each the same number.
-#[must_use]
 pub fn fleet_simulation(cars: &[FleetCar], index: usize) -> SimulationConfig {
     let mut simulation = SimulationConfig::default();
     let bodies = (1..).zip(cars).map(|(id, car)| DecoyBody {

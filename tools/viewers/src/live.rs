@@ -138,7 +138,6 @@ impl Live {
     }
 
     /// The address that it listens on, with the port in use.
-    #[must_use]
     pub const fn address(&self) -> SocketAddr {
         self.address
     }

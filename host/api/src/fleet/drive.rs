@@ -129,13 +129,11 @@ impl FleetDrive {
     }
 
     /// When all references begin.
-    #[must_use]
     pub const fn start(&self) -> Instant {
         self.start
     }
 
     /// Whether the drives of all cars have ended.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         self.cars.iter().all(|car| car.ended.is_some())
     }

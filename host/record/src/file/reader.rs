@@ -186,27 +186,23 @@ impl Reader {
     }
 
     /// The metadata of the record.
-    #[must_use]
     pub const fn meta(&self) -> &Meta {
         &self.meta
     }
 
     /// The wall time of the first and the last message of a finished record, in ns since 1970,
     /// without reading up to there; none of an unfinished one, and of one without messages.
-    #[must_use]
     pub fn span_wall_ns(&self) -> Option<[u64; 2]> {
         span_wall_ns(&self.path)
     }
 
     /// The number of messages of a topic in a finished record, without reading it; none of an
     /// unfinished one.
-    #[must_use]
     pub fn message_count(&self, topic: Topic) -> Option<u64> {
         message_count(&self.path, topic)
     }
 
     /// How the record ended; none before the end, and after an error.
-    #[must_use]
     pub const fn ending(&self) -> Option<Ending> {
         self.ending
     }

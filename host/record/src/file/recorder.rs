@@ -115,7 +115,6 @@ impl Recorder {
     }
 
     /// Where the finished record will be.
-    #[must_use]
     pub fn path(&self) -> &Path {
         self.container.path()
     }
@@ -220,7 +219,6 @@ pub(crate) const LIBRARY_NAME: &str = "singletrack";
 pub(crate) const LIBRARY: &str = concat!("singletrack ", env!("CARGO_PKG_VERSION"));
 
 /// The name of the file at `path` until it is finished.
-#[must_use]
 pub fn part_path(path: &Path) -> PathBuf {
     with_suffix(path, ".part")
 }

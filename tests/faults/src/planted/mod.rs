@@ -47,7 +47,6 @@ pub enum Part {
 
 impl Part {
     /// Its name in the table.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Board => "board",
@@ -74,7 +73,6 @@ pub struct Bug {
 
 impl Bug {
     /// The bug, for a drive by this schedule.
-    #[must_use]
     pub fn plant(&self, schedule: &Schedule) -> Box<dyn Tamper> {
         (self.make)(schedule)
     }
@@ -133,7 +131,6 @@ impl Experiment for PlantedCampaign {
 }
 
 /// In how many of these schedules each bug was found.
-#[must_use]
 pub fn count(results: &[(u64, Vec<String>)]) -> Vec<(&'static Bug, usize)> {
     let found = |bug: &Bug| {
         let schedules = results.iter();

@@ -265,7 +265,6 @@ impl Rig for PhysicalRig {
 }
 
 /// Reason why a physical car lacks something, if it does.
-#[must_use]
 pub(crate) fn lacks(need: Need) -> Option<&'static str> {
     match need {
         Need::Reset => Some("the harness has no reset line to a physical UNO"),

@@ -64,7 +64,6 @@ impl SimulatedRig {
 }
 
 /// Reason why a simulated board lacks something, if it does.
-#[must_use]
 pub(crate) fn lacks(board: BoardKind, need: Need) -> Option<&'static str> {
     match (board, need) {
         (BoardKind::Native, Need::Image) => {

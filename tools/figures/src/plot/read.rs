@@ -105,7 +105,6 @@ impl Record {
 impl Record {
     /// The configuration that a drive was driven with, as TOML; none if the record
     /// does not hold it.
-    #[must_use]
     pub fn configuration(&self, drive: &Drive) -> Option<&str> {
         match drive.configuration {
             None => Some(&self.meta.configuration),

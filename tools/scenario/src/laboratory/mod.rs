@@ -108,7 +108,6 @@ impl Laboratory {
     }
 
     /// The digest of the ticks since [`Laboratory::keep_digest`].
-    #[must_use]
     pub const fn digest(&self) -> Option<Digest> {
         self.digest
     }
@@ -146,25 +145,21 @@ impl Laboratory {
     }
 
     /// The last tick; `None` before the first.
-    #[must_use]
     pub const fn last(&self) -> Option<&VirtualTick> {
         self.last.as_ref()
     }
 
     /// What the last tick saw and did; `None` before the first.
-    #[must_use]
     pub fn state(&self) -> Option<State> {
         Some(self.states.state(&self.last.as_ref()?.tick))
     }
 
     /// Time of the last tick; zero before the first.
-    #[must_use]
     pub fn now(&self) -> Time {
         self.last.as_ref().map_or(Time(0), |last| last.now)
     }
 
     /// The host and the world.
-    #[must_use]
     pub const fn drive(&self) -> &VirtualDrive {
         &self.drive
     }
@@ -175,7 +170,6 @@ impl Laboratory {
     }
 
     /// The configuration in force.
-    #[must_use]
     pub const fn config(&self) -> &Config {
         &self.config
     }
@@ -212,7 +206,6 @@ impl Laboratory {
     }
 
     /// Whether the reference is that of a controller outside.
-    #[must_use]
     pub const fn is_external(&self) -> bool {
         matches!(self.config.reference, ReferenceSection::External { .. })
     }
@@ -242,13 +235,11 @@ impl Laboratory {
     }
 
     /// The ground truth now.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         self.drive.world().truth()
     }
 
     /// Where P truly is now, in m, with the believed distances of the front axle and of P.
-    #[must_use]
     pub fn true_point(&self) -> [f64; 2] {
         let law = &self.config.law;
         self.truth()

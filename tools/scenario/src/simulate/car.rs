@@ -365,7 +365,6 @@ impl ScenarioRun {
     }
 
     /// Host, board, cameras and car.
-    #[must_use]
     pub const fn laboratory(&self) -> &Laboratory {
         &self.laboratory
     }
@@ -376,7 +375,6 @@ impl ScenarioRun {
     }
 
     /// Whether the run has reached its end. It can go on beyond, without rows.
-    #[must_use]
     pub fn is_complete(&self) -> bool {
         let next_s = || self.time(self.laboratory.drive().next_tick_us());
         self.next_row > self.last_row() && (!self.takes_any_end || next_s() > self.until_s())

@@ -156,7 +156,6 @@ section! {
 
 impl TuneSection {
     /// The values.
-    #[must_use]
     pub fn tuning(&self) -> Tuning {
         Tuning {
             gain: self.gain_per_s.map(|[x, y]| Velocity::new(x, y)),

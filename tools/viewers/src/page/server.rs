@@ -153,7 +153,6 @@ impl Page {
     }
 
     /// The address that it listens on, with the port in use.
-    #[must_use]
     pub const fn address(&self) -> SocketAddr {
         self.address
     }

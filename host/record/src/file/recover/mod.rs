@@ -57,7 +57,6 @@ pub struct Recovery {
 
 impl Recovery {
     /// Time from the first to the last message saved.
-    #[must_use]
     pub fn duration(&self) -> Duration {
         self.span_ns.map_or(Duration::ZERO, |(first, last)| {
             Duration::from_nanos(last.saturating_sub(first))
@@ -83,7 +82,6 @@ impl Recovery {
     }
 
     /// Whether the record was complete and undamaged.
-    #[must_use]
     pub const fn nothing_lost(&self) -> bool {
         self.complete
             && self.damaged_places == 0

@@ -72,7 +72,6 @@ pub struct Keyboard {
 
 impl Keyboard {
     /// Begins with these pulses: that of the ESC is its neutral.
-    #[must_use]
     pub const fn new(begun: Pulses, now: Time) -> Self {
         Self {
             begun,
@@ -85,7 +84,6 @@ impl Keyboard {
     }
 
     /// Distance of the ESC pulse from neutral while a key is held, us.
-    #[must_use]
     pub const fn throttle_us(&self) -> u16 {
         self.throttle_us
     }
@@ -116,7 +114,6 @@ impl Keyboard {
     }
 
     /// The pulses at `now`; `None` once jogging is over.
-    #[must_use]
     pub fn pulses(&self, now: Time) -> Option<Pulses> {
         if self.is_over || since(now, self.heard) > UNATTENDED {
             return None;
