@@ -1,6 +1,6 @@
 //! An experiment of numbered units, and which of them a process runs, on all cores.
 
-use core::{error::Error, fmt, num::NonZero, str::FromStr};
+use core::{fmt, num::NonZero, str::FromStr};
 use std::{
     path::PathBuf,
     sync::{
@@ -155,9 +155,6 @@ pub trait Experiment: Serialize + DeserializeOwned + Sync {
     /// The result of a unit.
     type Result: Serialize + DeserializeOwned + fmt::Debug + Send;
 
-    /// Why a unit has no result.
-    type Error: Error + Send + 'static;
-
     /// The number of units.
     fn units(&self) -> u64;
 
@@ -171,7 +168,7 @@ pub trait Experiment: Serialize + DeserializeOwned + Sync {
     /// # Errors
     ///
     /// The unit can't be run; the campaign ends.
-    fn run(&self, unit: u64) -> Result<Self::Result, Self::Error>;
+    fn run(&self, unit: u64) -> crate::Result<Self::Result>;
 }
 
 /// Results of the units of a shard, in the order of their numbers.

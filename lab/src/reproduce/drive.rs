@@ -2,7 +2,7 @@
 
 use singletrack_control::{Estimate, Position, VehicleParameters, front_point};
 use singletrack_core::config::{LawKind, LawSection, OuterLoopSection, ReferenceSection};
-use singletrack_record::{Entry, Reader, RecordError, Topic};
+use singletrack_record::{Entry, Reader, Topic};
 use singletrack_scenario::simulate::{
     self, ControlSection, HEADER, IdealError, MarkerLoss, PlantKind, PlantSection, Row, RunSection,
     Scenario, SimulateError, StartSection,
@@ -11,7 +11,7 @@ use singletrack_sim::BoardKind;
 use singletrack_statistics::RootMeanSquare;
 
 use super::{Setup, largest};
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// An experiment, independent of the plant.
 #[derive(Clone, Debug)]
@@ -99,20 +99,6 @@ const PERIOD_MS: u32 = 10;
 /// Interval of the rows, in s.
 const ROW_S: f64 = 0.05;
 
-/// Why a drive has no result.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum DriveError {
-    /// The drive can't be simulated.
-    #[error(transparent)]
-    Simulate(#[from] SimulateError),
-    /// Its record can't be read.
-    #[error(transparent)]
-    Record(#[from] RecordError),
-    /// There is no room for the record.
-    #[error("can't make a temporary folder: {0}")]
-    Temporary(std::io::Error),
-}
-
 impl Experiment {
     /// On the ideal plant.
     fn scenario(&self, setup: &Setup) -> Scenario {
@@ -162,7 +148,7 @@ impl Experiment {
 
     /// Drives it on the paper's equations with continuous control, as far as they have a
     /// solution.
-    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run, DriveError> {
+    pub(super) fn ideal(&self, setup: &Setup) -> Result<Run> {
         let mut scenario = self.scenario(setup);
         let mut ended = None;
         let rows = loop {
@@ -198,7 +184,7 @@ impl Experiment {
     }
 
     /// Drives it with the whole pilot on the simulated car, board and cameras.
-    pub(super) fn car(&self, setup: &Setup) -> Result<Run, DriveError> {
+    pub(super) fn car(&self, setup: &Setup) -> Result<Run> {
         // The paper's controller compensates neither clock nor actuators.
         let off = ["clock", "actuation"].map(|key| (key.to_owned(), false.into()));
         let mut scenario = self.scenario(setup);
@@ -206,7 +192,8 @@ impl Experiment {
         scenario.control = ControlSection::new(PERIOD_MS);
         scenario.marker_loss.clone_from(&self.losses);
         scenario.compensation = Some(off.into_iter().collect());
-        let folder = tempfile::tempdir().map_err(DriveError::Temporary)?;
+        let folder = tempfile::tempdir()
+            .map_err(|error| format!("can't make a temporary folder: {error}"))?;
         let path = folder.path().join("drive.mcap");
         let simulation = simulate::simulate_recorded(&scenario, &path)?;
         let mut seen = Vec::new();

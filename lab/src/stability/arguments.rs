@@ -9,7 +9,7 @@ use singletrack_analysis::stability::{
 use singletrack_control::{SlipAngles, Tyres};
 
 use super::subject::{Format, Grid, Subject};
-use crate::vehicle_file::{self, VehicleFileError};
+use crate::{Result, vehicle_file};
 
 /// The car and its law.
 #[derive(Clone, Debug, Args)]
@@ -64,7 +64,7 @@ pub(super) enum DrawnFormat {
 }
 
 impl LoopArgs {
-    pub(super) fn subject(&self) -> Result<Subject, VehicleFileError> {
+    pub(super) fn subject(&self) -> Result<Subject> {
         Ok(Subject {
             vehicle: vehicle_file::read_or_paper(self.car.vehicle.as_deref())?,
             law: match self.law {

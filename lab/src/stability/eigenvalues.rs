@@ -10,11 +10,11 @@ use singletrack_figures::output::print;
 
 use super::{
     arguments::{LoopArgs, MapArgs},
-    subject::{Format, Grid, StabilityCommandError, Subject, write, write_json},
+    subject::{Format, Grid, Subject, write, write_json},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
-pub(super) fn run(args: &MapArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &MapArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args.points.deviations_or(|| subject.usual_deviations());
     let map = eigenvalue_map(&subject, &args.points.speeds, &dl)?;
@@ -103,7 +103,7 @@ pub(super) struct JacobianArgs {
 /// The states, each with the unit of its column, in rad and s.
 const STATES: [&str; 4] = ["yaw", "yaw_rate", "sideslip", "steering"];
 
-pub(super) fn run_jacobian(args: &JacobianArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_jacobian(args: &JacobianArgs) -> Result {
     let subject = args.subject.subject()?;
     let closed_loop = subject.at(args.speed, args.dl)?;
     let jacobian = closed_loop.jacobian();

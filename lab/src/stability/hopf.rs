@@ -12,9 +12,9 @@ use super::{
     figures::{self, Scene},
     region::region,
     subject::write_json,
-    subject::{Grid, StabilityCommandError, Subject},
+    subject::{Grid, Subject},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 #[derive(Clone, Debug, Args)]
 pub(super) struct HopfArgs {
@@ -28,7 +28,7 @@ pub(super) struct HopfArgs {
     format: DrawnFormat,
 }
 
-pub(super) fn run(args: &HopfArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &HopfArgs) -> Result {
     let subject = args.subject.subject()?;
     let curve = hopf_curve(&subject, &args.speeds)?;
     if curve.is_empty() {
@@ -108,7 +108,7 @@ pub(super) struct CyclesArgs {
     format: DrawnFormat,
 }
 
-pub(super) fn run_cycles(args: &CyclesArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run_cycles(args: &CyclesArgs) -> Result {
     let subject = args.subject.subject()?;
     let dl = args
         .dl
@@ -145,7 +145,7 @@ pub fn limit_cycles(
     speed: f64,
     deviations: &Grid,
     saturation: Saturation,
-) -> Result<Vec<(HopfPoint, CycleBranch)>, StabilityCommandError> {
+) -> Result<Vec<(HopfPoint, CycleBranch)>> {
     let closed_loop = subject.at(speed, 0.0)?.saturating(saturation)?;
     let of = |hopf| (hopf, closed_loop.limit_cycles(&hopf, deviations.values()));
     Ok(subject.hopf_points(speed)?.into_iter().map(of).collect())

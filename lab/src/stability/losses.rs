@@ -11,9 +11,9 @@ use singletrack_analysis::stability::{
 
 use super::{
     arguments::{LoopArgs, PointArgs, TimingArgs},
-    subject::{Format, Grid, StabilityCommandError, Subject, write},
+    subject::{Format, Grid, Subject, write},
 };
-use crate::table::Table;
+use crate::{Result, table::Table};
 
 /// Options of `losses`.
 #[derive(Clone, Debug, Args)]
@@ -44,7 +44,7 @@ pub(super) struct LossesArgs {
     format: Format,
 }
 
-pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &LossesArgs) -> Result {
     let subject = args.subject.subject()?;
     let timing = TimingArgs {
         marker_interval: 1,
@@ -93,7 +93,7 @@ pub(super) fn run(args: &LossesArgs) -> Result<(), StabilityCommandError> {
     }
     if let (Some(path), Some(proofs)) = (&args.certificates, proofs) {
         let text = format!("{:#}\n", json!({ "certificates": proofs }));
-        fs::write(path, text).map_err(StabilityCommandError::Write)?;
+        fs::write(path, text)?;
     }
     Ok(())
 }

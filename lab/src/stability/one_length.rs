@@ -6,8 +6,9 @@ use singletrack_analysis::stability::{Belief, ClosedLoop, Law, OneLength};
 
 use super::{
     arguments::CarArgs,
-    subject::{Format, Grid, StabilityCommandError, Subject, write},
+    subject::{Format, Grid, Subject, write},
 };
+use crate::Result;
 use crate::{table::Table, vehicle_file};
 
 /// Options of `one-length`.
@@ -54,7 +55,7 @@ struct OneLengthRow {
     actuation_s: Option<f64>,
 }
 
-pub(super) fn run(args: &OneLengthArgs) -> Result<(), StabilityCommandError> {
+pub(super) fn run(args: &OneLengthArgs) -> Result {
     let subject = Subject {
         vehicle: vehicle_file::read_or_paper(args.car.vehicle.as_deref())?,
         law: Law::FrontPoint,

@@ -6,32 +6,12 @@ use clap::ValueEnum;
 use serde::Serialize;
 use serde_json::{Value, json};
 use singletrack_analysis::stability::{
-    Belief, ClosedLoop, HopfPoint, Law, SamplingError, StabilityError, hopf_points,
+    Belief, ClosedLoop, HopfPoint, Law, StabilityError, hopf_points,
 };
 use singletrack_control::VehicleParameters;
-use singletrack_figures::{figure::GridError, output::print};
+use singletrack_figures::output::print;
 
-use crate::{table::Table, vehicle_file::VehicleFileError};
-
-/// Why a stability study failed.
-#[derive(Debug, thiserror::Error)]
-pub enum StabilityCommandError {
-    /// The vehicle file is invalid.
-    #[error(transparent)]
-    Vehicle(#[from] VehicleFileError),
-    /// There is no steady motion.
-    #[error(transparent)]
-    Stability(#[from] StabilityError),
-    /// The timing is invalid.
-    #[error(transparent)]
-    Sampling(#[from] SamplingError),
-    /// There is nothing to draw a map of.
-    #[error("can't draw this: {0}")]
-    Grid(#[from] GridError),
-    /// The result can't be written.
-    #[error("can't write the result: {0}")]
-    Write(#[from] io::Error),
-}
+use crate::table::Table;
 
 /// A car, its P and its law.
 #[derive(Clone, Copy, Debug)]

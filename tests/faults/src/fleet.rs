@@ -112,7 +112,6 @@ const FAULTS: [Fault; 8] = [
 impl Experiment for FleetCampaign {
     const NAME: &'static str = "fleet-faults";
     type Result = FleetOutcome;
-    type Error = SetupError;
 
     fn units(&self) -> u64 {
         self.count
@@ -122,8 +121,12 @@ impl Experiment for FleetCampaign {
         Vec::new()
     }
 
-    fn run(&self, unit: u64) -> Result<FleetOutcome, SetupError> {
-        drive_fleet(self.first_seed.wrapping_add(unit), self.cars, None)
+    fn run(&self, unit: u64) -> singletrack_campaign::Result<FleetOutcome> {
+        Ok(drive_fleet(
+            self.first_seed.wrapping_add(unit),
+            self.cars,
+            None,
+        )?)
     }
 }
 

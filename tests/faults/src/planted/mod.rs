@@ -111,13 +111,12 @@ impl Experiment for PlantedCampaign {
     const NAME: &'static str = "faults-planted";
     /// The names of the bugs that were found.
     type Result = Vec<String>;
-    type Error = SetupError;
 
     fn units(&self) -> u64 {
         self.count
     }
 
-    fn run(&self, unit: u64) -> Result<Vec<String>, SetupError> {
+    fn run(&self, unit: u64) -> singletrack_campaign::Result<Vec<String>> {
         let seed = self.first_seed.wrapping_add(unit);
         let schedule = Schedule::generate(seed, BoardKind::Native);
         let mut found = Vec::new();
