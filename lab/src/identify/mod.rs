@@ -90,10 +90,9 @@ pub struct IdentifyArgs {
 }
 
 /// The tyres' force over their slip.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum TyreKind {
     /// Linear for small slip, at most the friction's share of the load.
-    #[default]
     Saturating,
     /// Linear throughout, as in the paper.
     Linear,
@@ -102,7 +101,7 @@ pub enum TyreKind {
 }
 
 impl TyreKind {
-    const fn tyres(self) -> Tyres {
+    pub(crate) const fn tyres(self) -> Tyres {
         match self {
             Self::Saturating => Tyres::Saturating,
             Self::Linear => Tyres::Linear,
@@ -112,17 +111,16 @@ impl TyreKind {
 }
 
 /// The slip angles of the model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SlipAngleKind {
     /// sin x = x and cos x = 1, as in the paper.
-    #[default]
     Small,
     /// Angles between the wheels and the velocities of the axles.
     Exact,
 }
 
 impl SlipAngleKind {
-    const fn angles(self) -> SlipAngles {
+    pub(crate) const fn angles(self) -> SlipAngles {
         match self {
             Self::Small => SlipAngles::Small,
             Self::Exact => SlipAngles::Exact,
