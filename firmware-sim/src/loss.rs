@@ -10,8 +10,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// The text form is `DURATION@INTERVAL`, for example `200ms@2s`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LossPattern {
-    duration_us: u64,
-    interval_us: u64,
+    /// Duration of a loss, in µs.
+    pub duration_us: u64,
+    /// Time between the starts of two losses, in µs.
+    pub interval_us: u64,
 }
 
 /// Error while parsing a loss pattern.
@@ -77,16 +79,6 @@ impl LossPattern {
             duration_us,
             interval_us,
         })
-    }
-
-    /// Duration of a loss, in µs.
-    pub const fn duration_us(&self) -> u64 {
-        self.duration_us
-    }
-
-    /// Time between the starts of two losses, in µs.
-    pub const fn interval_us(&self) -> u64 {
-        self.interval_us
     }
 
     /// Whether the markers are lost this long after the pattern's epoch, in µs.

@@ -135,11 +135,13 @@ const MAX_CLIENTS: usize = 16;
 /// The server side of NatNet.
 #[derive(Clone, Debug)]
 pub struct NatNetServer {
-    parameters: NatNetParameters,
+    /// The parameters.
+    pub parameters: NatNetParameters,
     data_port: u16,
     clients: Vec<Client>,
     models_changed: bool,
-    counters: NatNetCounters,
+    /// The counters so far.
+    pub counters: NatNetCounters,
     buffer: Vec<u8>,
 }
 
@@ -154,16 +156,6 @@ impl NatNetServer {
             counters: NatNetCounters::default(),
             buffer: vec![0; 8192],
         }
-    }
-
-    /// The parameters.
-    pub const fn parameters(&self) -> &NatNetParameters {
-        &self.parameters
-    }
-
-    /// The counters so far.
-    pub const fn counters(&self) -> NatNetCounters {
-        self.counters
     }
 
     /// Sets the data port that is reported to clients.

@@ -142,7 +142,7 @@ impl ScriptedDrive {
 
     /// Advances time by whole milliseconds while the host receives.
     pub fn run_ms(&mut self, ms: u64) {
-        let start = self.world.now_us();
+        let start = self.world.now_us;
         for i in 1..=ms {
             self.world.advance_to(start + i * 1_000);
             self.listen();

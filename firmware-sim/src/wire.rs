@@ -16,7 +16,7 @@ section! {
 
     /// Bits per second; a byte takes ten (8N1).
     baud: u32 = 115_200, in in_words("300 or more", |x| x >= 300.0);
-    /// Initial faults; [`SerialWire::faults_mut`] changes them later.
+    /// Initial faults; [`SerialWire::faults`] are those in force.
     faults: WireFaults = WireFaults::default();
 }
 
@@ -117,7 +117,8 @@ impl Direction {
 #[derive(Clone, Debug)]
 pub struct SerialWire {
     byte_ps: u64,
-    faults: WireFaults,
+    /// The present faults.
+    pub faults: WireFaults,
     connected: bool,
     to_board: Direction,
     to_host: Direction,
@@ -136,16 +137,6 @@ impl SerialWire {
             to_host: Direction::new(seed, Stream::BoardToHost),
             held: VecDeque::new(),
         }
-    }
-
-    /// The present faults.
-    pub const fn faults(&self) -> &WireFaults {
-        &self.faults
-    }
-
-    /// Mutable access to the faults.
-    pub const fn faults_mut(&mut self) -> &mut WireFaults {
-        &mut self.faults
     }
 
     /// Whether both ends are plugged in.
@@ -326,7 +317,7 @@ mod tests {
         assert_eq!(board_reads(&mut wire, 1_000_000), []);
         assert_eq!(host_reads(&mut wire, 1_000_000), []);
         assert_eq!(wire.bytes_to_board(), 1000);
-        wire.faults_mut().stuck = false;
+        wire.faults.stuck = false;
         assert_eq!(host_reads(&mut wire, 1_000_000).len(), 1000);
         assert_eq!(board_reads(&mut wire, 1_000_000), []);
         assert_eq!(board_reads(&mut wire, 1_010_000).len(), 115);
@@ -340,7 +331,7 @@ mod tests {
             ..WireFaults::default()
         });
         wire.host_write(0, &[1]);
-        wire.faults_mut().delay_us = 0;
+        wire.faults.delay_us = 0;
         wire.host_write(1_000, &[2]);
         assert_eq!(board_reads(&mut wire, 50_000), []);
         assert_eq!(board_reads(&mut wire, 50_087), [1, 2]);

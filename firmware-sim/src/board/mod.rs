@@ -132,8 +132,10 @@ pub struct SimulatedBoard {
     phase: PowerState,
     machine: Machine,
     stop_input_open: bool,
-    resets: u64,
-    pulses: PulseLog,
+    /// Number of resets since the start, without the power-on.
+    pub resets: u64,
+    /// The pulses on the pins.
+    pub pulses: PulseLog,
     monitor: Monitor,
     received: Vec<u8>,
 }
@@ -174,11 +176,6 @@ impl SimulatedBoard {
         !matches!(self.phase, PowerState::Off)
     }
 
-    /// Number of resets since the start, without the power-on.
-    pub const fn resets(&self) -> u64 {
-        self.resets
-    }
-
     /// The board's clock, in µs, wrapping; `None` while it does not run. The
     /// image's own clock lags by up to a millisecond.
     pub fn board_time_us(&self, simulation_us: u64) -> Option<u32> {
@@ -216,11 +213,6 @@ impl SimulatedBoard {
         self.monitor.next_received()
     }
 
-    /// The pulses on the pins.
-    pub const fn pulses(&self) -> &PulseLog {
-        &self.pulses
-    }
-
     fn image(&self) -> Option<&Image> {
         match &self.machine {
             Machine::Native(_) => None,
@@ -230,7 +222,7 @@ impl SimulatedBoard {
 
     /// Bytes lost by the image's receiver so far; zero for a native board.
     pub fn bytes_overrun(&self) -> u64 {
-        self.image().map_or(0, Image::bytes_overrun)
+        self.image().map_or(0, |image| image.bytes_overrun)
     }
 
     /// The error that ended the simulated processor, if any; the board is then off.
@@ -335,7 +327,7 @@ impl SimulatedBoard {
             PowerState::Off => u64::MAX,
             PowerState::Starting { until_us, .. } => until_us,
             PowerState::Running { .. } => match &self.machine {
-                Machine::Native(native) => native.next_event_us(),
+                Machine::Native(native) => native.next_event_us,
                 Machine::Image(image) => image.next_event_us(),
             },
         }

@@ -228,7 +228,8 @@ pub(crate) struct Imu {
     gyro_random: Random,
     acceleration_random: Random,
     attitude_random: Random,
-    gyro_bias: [f64; 3],
+    /// Constant bias plus random walk of the angular velocity, in rad/s.
+    pub(crate) gyro_bias: [f64; 3],
     acceleration_bias: [f64; 3],
     yaw_drift: f64,
     mounting: Option<Rotation>,
@@ -268,11 +269,6 @@ impl Imu {
     pub(crate) const fn restart(&mut self) {
         self.leaked = [0.0; 2];
         self.last = None;
-    }
-
-    /// Constant bias plus random walk of the angular velocity, in rad/s.
-    pub(crate) const fn gyro_bias(&self) -> [f64; 3] {
-        self.gyro_bias
     }
 
     /// Takes a sample; call it once per period.

@@ -138,7 +138,7 @@ pub(crate) struct SpeedController {
     neutral_since_us: Option<u64>,
     armed: bool,
     reverse_ready: bool,
-    drive: MotorAction,
+    pub(crate) drive: MotorAction,
     /// Number and sum of the pulses from which neutral is learned, in µs.
     learned: u32,
     learned_sum_us: u32,
@@ -157,10 +157,6 @@ impl SpeedController {
             learned: 0,
             learned_sum_us: 0,
         }
-    }
-
-    pub(crate) const fn drive(&self) -> MotorAction {
-        self.drive
     }
 
     pub(crate) const fn is_armed(&self) -> bool {

@@ -29,7 +29,8 @@ const MAX_STEP_US: u64 = 1_050;
 /// The car: maps pulses to motion and sensor signals.
 #[derive(Clone, Debug)]
 pub struct Car {
-    parameters: CarParameters,
+    /// The parameters.
+    pub parameters: CarParameters,
     model: RelaxedSingleTrack,
     now_us: u64,
     state: CarState,
@@ -116,11 +117,6 @@ impl Car {
             .draw(&car.parameters.battery, false, 0.0, 0.0, 0.0);
         car.place(car.parameters.start);
         car
-    }
-
-    /// The parameters.
-    pub const fn parameters(&self) -> &CarParameters {
-        &self.parameters
     }
 
     /// Places the car at rest with straight wheels. Pulses within the dead times
@@ -258,7 +254,7 @@ impl Car {
     /// What the ESC does to the motor.
     fn drive(&self) -> MotorAction {
         if self.esc_has_power() {
-            self.happened.throttle.unwrap_or_else(|| self.esc.drive())
+            self.happened.throttle.unwrap_or(self.esc.drive)
         } else {
             MotorAction::Free
         }
@@ -286,7 +282,7 @@ impl Car {
             supply_dips: epoch.is_within(p.battery.dip_at_s, p.battery.dip_ms, now_us),
             esc_reboots: epoch.is_within(p.motor.reboot_at_s, p.motor.reboot_ms, now_us),
             throttle: if epoch.has_come(p.motor.stuck_from_s, now_us) {
-                was.throttle.or(Some(self.esc.drive()))
+                was.throttle.or(Some(self.esc.drive))
             } else {
                 None
             },
@@ -364,7 +360,7 @@ impl Car {
 
     /// The motor pulses so far.
     pub fn motor_pulses(&self) -> MotorPulses {
-        self.sensor.pulses()
+        self.sensor.pulses
     }
 
     /// Whether the ESC has been at neutral long enough to drive.
@@ -427,7 +423,7 @@ impl Car {
             roll,
             pitch,
             held: self.hands.holds(),
-            height: self.hands.stand(),
+            height: self.hands.stand,
             roll_rate: 0.0,
             pitch_rate: 0.0,
         };

@@ -83,7 +83,7 @@ pub struct Track {
     /// Median of the times between two poses, s.
     pub period: f64,
     /// Half of the time over which the motion is smoothed, s.
-    half: f64,
+    pub half: f64,
     /// The fewest poses in that time.
     fewest: usize,
 }
@@ -226,11 +226,6 @@ impl Track {
         } else {
             1.0 / self.period.max(1e-4)
         }
-    }
-
-    /// Half of the time over which the motion is smoothed, s.
-    pub const fn half(&self) -> f64 {
-        self.half
     }
 
     /// The poses that smooth the motion at `time`; none where too few are on either side, or one of

@@ -185,7 +185,7 @@ impl Grid {
         let motions = (0..steps).map(|step| track.motion(first.after(STEP * step as f64)));
         Some(Self {
             begin: first,
-            half: track.half(),
+            half: track.half,
             motions: motions.collect(),
         })
     }

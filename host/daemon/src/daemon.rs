@@ -439,7 +439,7 @@ impl Daemon {
         let socket = self.socket.as_ref().map(|socket| &socket.thread);
         ended(&self.reader)
             .or_else(|| ended(&self.receiver))
-            .or_else(|| socket.filter(|it| it.has_ended()).map(NamedThread::name))
+            .or_else(|| socket.filter(|it| it.has_ended()).map(|thread| thread.name))
             .or_else(|| ended(&self.collector))
             .or_else(|| ended(&self.files))
             .or(self.recorder_panicked.then_some("recorder"))
@@ -570,13 +570,13 @@ impl Drop for Daemon {
 /// The name of a thread that has ended.
 fn ended<T>(thread: &Option<NamedThread<T>>) -> Option<&'static str> {
     let thread = thread.as_ref().filter(|thread| thread.has_ended());
-    thread.map(NamedThread::name)
+    thread.map(|thread| thread.name)
 }
 
 /// Waits for the end of a thread; one that has panicked is named in `failed`.
 fn join<T>(thread: Option<NamedThread<T>>, failed: &mut Option<&'static str>) -> Option<T> {
     let thread = thread?;
-    let name = thread.name();
+    let name = thread.name;
     let result = thread.join();
     if result.is_none() {
         failed.get_or_insert(name);
@@ -604,7 +604,7 @@ mod tests {
 
     /// Ends the thread, and puts one that panics in its place.
     fn plant<T: Send + 'static>(place: &mut Option<NamedThread<T>>) {
-        let name = place.take().unwrap().name();
+        let name = place.take().unwrap().name;
         *place = Some(NamedThread::spawn(name, || panic!("planted")).unwrap());
     }
 

@@ -44,7 +44,8 @@ pub enum NotifyError {
 #[derive(Debug, Default)]
 pub struct ServiceManager {
     peer: Option<(UnixDatagram, SocketAddr)>,
-    watchdog: Option<Duration>,
+    /// The longest time between two signs of life; `None` without a watchdog.
+    pub watchdog: Option<Duration>,
 }
 
 impl ServiceManager {
@@ -92,11 +93,6 @@ impl ServiceManager {
             peer: Some((socket, address)),
             watchdog,
         })
-    }
-
-    /// The longest time between two signs of life; `None` without a watchdog.
-    pub const fn watchdog(&self) -> Option<Duration> {
-        self.watchdog
     }
 
     /// The start, or a reload, is complete.
@@ -245,7 +241,7 @@ mod tests {
                 7,
             )
         };
-        let interval = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog();
+        let interval = |manager: Result<ServiceManager, _>| manager.ok()?.watchdog;
         let two_seconds = Some(Duration::from_secs(2));
         assert_eq!(interval(manager("2000000", None)), two_seconds);
         assert_eq!(interval(manager("2000000", Some("7"))), two_seconds);
@@ -263,7 +259,7 @@ mod tests {
         assert!(
             ServiceManager::new(None, Some("1".into()), None, 7)
                 .unwrap()
-                .watchdog()
+                .watchdog
                 .is_none()
         );
     }

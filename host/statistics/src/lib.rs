@@ -42,7 +42,8 @@ impl Gap {
 /// Count, rate and longest gap of arrivals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Arrivals {
-    count: u64,
+    /// The number of arrivals.
+    pub count: u64,
     first_ns: i64,
     last_ns: i64,
     gap: Gap,
@@ -60,11 +61,6 @@ impl Arrivals {
         }
         self.count += 1;
         self.last_ns = self.last_ns.max(time_ns);
-    }
-
-    /// The number of arrivals.
-    pub const fn count(&self) -> u64 {
-        self.count
     }
 
     /// Arrivals per second between the first and the latest; none if no time passed.
@@ -330,7 +326,7 @@ mod tests {
         for ms in [10, 20, 50, 60] {
             arrivals.add(Some(ms * 1_000_000));
         }
-        assert_eq!(arrivals.count(), 4);
+        assert_eq!(arrivals.count, 4);
         assert_eq!(arrivals.rate_hz(), Some(60.0));
         assert_eq!(arrivals.first_ns(), Some(10_000_000));
         assert_eq!(arrivals.last_ns(), Some(60_000_000));

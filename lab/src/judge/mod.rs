@@ -175,7 +175,7 @@ pub fn run(args: &JudgeArgs) -> Result {
 
 /// The configuration in a record.
 fn recorded(record: &Path) -> Result<Config> {
-    let toml = Reader::open(record)?.meta().configuration.clone();
+    let toml = Reader::open(record)?.meta.configuration.clone();
     Config::from_toml(&toml).map_err(|error| {
         let name = record.display();
         format!(

@@ -188,7 +188,7 @@ impl VirtualBench {
 
     /// Time since the car was switched on, in s.
     pub fn seconds(&self) -> f64 {
-        self.drive.world().now_us() as f64 * 1e-6
+        self.drive.world.now_us as f64 * 1e-6
     }
 
     /// One tick of the daemon. What was observed is appended.
@@ -199,7 +199,7 @@ impl VirtualBench {
         self.ticks += 1;
         let tick = self.drive.step();
         self.preflight = tick.tick.output.preflight;
-        self.person.act(self.drive.world_mut());
+        self.person.act(&mut *self.drive.world);
         self.guard.watch(&self.drive, &tick.truth);
         for entry in self.drive.entries() {
             self.observe(&entry, observed);
@@ -276,20 +276,20 @@ impl Bench for VirtualBench {
         if !self.questions.contains(question) {
             self.questions.push(question.clone());
         }
-        let Some(think_s) = self.person.consider(question, self.drive.world()) else {
+        let Some(think_s) = self.person.consider(question, &*self.drive.world) else {
             *self.unknown.entry(question.id.to_string()).or_default() += 1;
             self.pass(1.0);
             return Ok(Answer::Skip);
         };
         // No action of the hands takes longer.
         for _ in 0..1_200 {
-            if !self.person.is_busy(self.drive.world()) {
+            if !self.person.is_busy(&*self.drive.world) {
                 break;
             }
             self.pass(0.1);
         }
         self.pass(think_s);
-        Ok(self.person.answer(question, self.drive.world()))
+        Ok(self.person.answer(question, &*self.drive.world))
     }
 
     fn show(&mut self, _: &Live<'_>) {}

@@ -107,11 +107,11 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
     let mut failed = false;
     'car: for procedure in procedures() {
         for step in &procedure.steps {
-            let before_m = bench.drive_of_host().world().truth().way;
+            let before_m = bench.drive_of_host().world.truth().way;
             bench.guard_mut().begin_step();
             let findings = run(core::slice::from_ref(step), &mut bench, &mut NoJournal)
                 .map_err(|error| text(&error))?;
-            let world = bench.drive_of_host().world();
+            let world = &bench.drive_of_host().world;
             for finding in findings {
                 for parameter in &finding.parameters {
                     let mut m = Measured {
@@ -138,7 +138,7 @@ fn try_onboard(car: &OnboardCar, found: bool, outcome: &mut CarOutcome) -> Resul
                 }
                 outcome.findings.push((procedure.name, finding));
             }
-            let way_m = bench.drive_of_host().world().truth().way;
+            let way_m = bench.drive_of_host().world.truth().way;
             if is_corrected(car, bench.configuration()) && way_m < FOUND_WITHIN_M {
                 outcome.found = true;
             }

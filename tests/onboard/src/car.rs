@@ -306,7 +306,7 @@ fn write_key(file: &mut DocumentMut, key: &str, mut value: Value) {
 /// The true value of a parameter, in the unit of the procedures; none if there is no such
 /// parameter.
 pub fn truth_of(name: &str, procedure: &str, world: &World) -> Option<f64> {
-    let simulation = world.config();
+    let simulation = &world.config;
     let car = &simulation.car;
     let cameras = &simulation.cameras;
     let motor = &car.motor;

@@ -28,7 +28,7 @@ pub trait Hands {
 
 impl Hands for World {
     fn now_us(&self) -> u64 {
-        Self::now_us(self)
+        self.now_us
     }
 
     fn look(&self) -> View {
@@ -36,7 +36,7 @@ impl Hands for World {
     }
 
     fn is_moving(&self) -> bool {
-        self.car().is_in_motion_by_hand()
+        self.car.is_in_motion_by_hand()
     }
 
     fn apply(&mut self, command: HandCommand) {
@@ -44,7 +44,7 @@ impl Hands for World {
     }
 
     fn rear_axle_m(&self) -> f64 {
-        self.config().car.vehicle.rear_axle_distance_m
+        self.config.car.vehicle.rear_axle_distance_m
     }
 }
 

@@ -73,7 +73,8 @@ pub struct VirtualTick {
 #[derive(Debug)]
 pub struct VirtualDrive {
     // Both are large; a drive is moved from function to function.
-    world: Box<World>,
+    /// The world.
+    pub world: Box<World>,
     host: Box<VirtualHost<WriteHalf>>,
     port: SimulatedPort,
     host_us: u64,
@@ -223,16 +224,6 @@ impl VirtualDrive {
     /// The entries kept since the last call, in order.
     pub fn entries(&mut self) -> Vec<Entry> {
         self.entries.as_mut().map_or_else(Vec::new, core::mem::take)
-    }
-
-    /// The world.
-    pub const fn world(&self) -> &World {
-        &self.world
-    }
-
-    /// The world, for faults.
-    pub const fn world_mut(&mut self) -> &mut World {
-        &mut self.world
     }
 
     /// The controller.

@@ -42,7 +42,8 @@ pub struct FleetDrive {
     fleet: Fleet,
     cars: Vec<Held>,
     together: bool,
-    start: Instant,
+    /// When all references begin.
+    pub start: Instant,
     disarmed: Option<Instant>,
 }
 
@@ -126,11 +127,6 @@ impl FleetDrive {
             start: now + options.start_in,
             disarmed: None,
         })
-    }
-
-    /// When all references begin.
-    pub const fn start(&self) -> Instant {
-        self.start
     }
 
     /// Whether the drives of all cars have ended.

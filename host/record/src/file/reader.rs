@@ -46,7 +46,8 @@ pub struct Reader {
     linear: LinearReader,
     chunk: Chunk,
     catalogue: Catalogue,
-    meta: Meta,
+    /// The metadata of the record.
+    pub meta: Meta,
     /// Whether the data section has ended and only the summary follows.
     data_ended: bool,
     /// The message that [`Reader::advance`] went to.
@@ -58,7 +59,8 @@ pub struct Reader {
     entries: u64,
     topics: Option<Vec<Topic>>,
     follow: bool,
-    ending: Option<Ending>,
+    /// How the record ended; none before the end, and after an error.
+    pub ending: Option<Ending>,
     failed: bool,
 }
 
@@ -185,11 +187,6 @@ impl Reader {
         self
     }
 
-    /// The metadata of the record.
-    pub const fn meta(&self) -> &Meta {
-        &self.meta
-    }
-
     /// The wall time of the first and the last message of a finished record, in ns since 1970,
     /// without reading up to there; none of an unfinished one, and of one without messages.
     pub fn span_wall_ns(&self) -> Option<[u64; 2]> {
@@ -200,11 +197,6 @@ impl Reader {
     /// unfinished one.
     pub fn message_count(&self, topic: Topic) -> Option<u64> {
         message_count(&self.path, topic)
-    }
-
-    /// How the record ended; none before the end, and after an error.
-    pub const fn ending(&self) -> Option<Ending> {
-        self.ending
     }
 
     /// Passes the entries to `take`, up to the end or to damage after the first entry.

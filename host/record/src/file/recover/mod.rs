@@ -188,7 +188,7 @@ pub fn recover(
         container.discard()?;
         return Err(RecordError::Empty {
             path: input.to_owned(),
-            bytes: scan.length(),
+            bytes: scan.length,
         });
     }
     let metadata = recovery.to_metadata();
@@ -215,7 +215,7 @@ fn check_head(input: &Path, scan: &mut Scan) -> Result<String, RecordError> {
         path: input.to_owned(),
         bytes: length,
     };
-    let length = scan.length();
+    let length = scan.length;
     if !scan.magic().map_err(failure("read", input))? {
         return Err(if length < mcap::MAGIC.len() as u64 {
             empty(length)
@@ -293,11 +293,11 @@ impl Salvage {
         scan: &mut Scan,
         progress: &mut impl FnMut(u64, u64),
     ) -> Result<(), RecordError> {
-        let length = scan.length();
+        let length = scan.length;
         // Bytes lost since the last whole part. At the end of the file they are a cut.
         let mut lost = 0;
         loop {
-            let from = scan.at();
+            let from = scan.at;
             progress(from, length);
             let refused = match scan.next().map_err(failure("read", input))? {
                 Found::End => break,
@@ -310,7 +310,7 @@ impl Salvage {
             };
             if refused {
                 scan.resume(from).map_err(failure("read", input))?;
-                lost += scan.at() - from;
+                lost += scan.at - from;
             } else if lost > 0 {
                 self.recovery.damaged_places += 1;
                 self.recovery.damaged_bytes += lost;

@@ -145,7 +145,8 @@ pub struct Pad {
     turn: Option<f64>,
     heard: Time,
     held: Option<Held>,
-    is_lost: bool,
+    /// Whether the pad is gone.
+    pub is_lost: bool,
     /// The last note, so that each is given once.
     note: Option<PadNote>,
     /// The pad was silent, which is still to be said.
@@ -169,11 +170,6 @@ impl Pad {
             note: None,
             was_silent: false,
         }
-    }
-
-    /// Whether the pad is gone.
-    pub const fn is_lost(&self) -> bool {
-        self.is_lost
     }
 
     /// The driver whose drive the pad holds.
