@@ -220,15 +220,6 @@ impl RealTimeSimulator {
         self.with_machine(|machine| machine.counters)
     }
 
-    /// Returns the trajectory recorded since the last call, oldest first.
-    ///
-    /// # Errors
-    ///
-    /// [`RealTimeError::Stopped`].
-    pub fn take_trajectory(&self) -> Result<Vec<TimedTruth>, RealTimeError> {
-        self.with_machine(|machine| core::mem::take(&mut machine.trajectory).into())
-    }
-
     /// Pulls the USB cable: the host sees a hang-up, the link is removed, and the board loses
     /// its power unless it has its own.
     ///

@@ -38,8 +38,6 @@ pub struct StabilityArgs {
 enum StabilityCommand {
     /// In words: where each law is stable, with the car's own numbers.
     Summary(summary::SummaryArgs),
-    /// The linearisation at one steady motion.
-    Jacobian(eigenvalues::JacobianArgs),
     /// Hopf bifurcations over dl: frequency and first Lyapunov coefficient.
     Hopf(hopf::HopfArgs),
     /// Limit cycles from the Hopf points on: amplitude, period, Floquet multiplier, folds.
@@ -74,7 +72,6 @@ enum StabilityCommand {
 pub fn run(args: &StabilityArgs) -> Result {
     let result = match &args.command {
         StabilityCommand::Summary(args) => summary::run(args),
-        StabilityCommand::Jacobian(args) => eigenvalues::run_jacobian(args),
         StabilityCommand::Hopf(args) => hopf::run(args),
         StabilityCommand::Cycles(args) => hopf::run_cycles(args),
         StabilityCommand::Basin(args) => region::run_basin(args),

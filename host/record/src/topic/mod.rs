@@ -63,13 +63,6 @@ macro_rules! declare {
                     $(Self::$topic => concat!("/singletrack/", $name),)*
                 }
             }
-
-            /// The field with the time of [`Entry::time_ns`].
-            pub const fn time_field(self) -> &'static str {
-                match self {
-                    $(Self::$topic => stringify!($time),)*
-                }
-            }
         }
 
         impl Entry {
